@@ -1,0 +1,275 @@
+//! What a link does to the packets that cross it, and how that is changed while it runs.
+
+use std::{sync::Arc, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::{BitRate, Probability, millis};
+
+/// How one direction of a link treats packets.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Conditions {
+    /// Time from the last bit sent to the last bit received, without queueing and serialisation.
+    #[serde(rename = "delay_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub delay: Duration,
+    /// Random part of the delay; keeps order.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub jitter: Option<Jitter>,
+    /// Packets that vanish.
+    #[serde(default)]
+    pub loss: Loss,
+    /// Share of packets that arrive twice.
+    #[serde(default)]
+    pub duplication: Probability,
+    /// Share of packets in which one bit is flipped, behind the Ethernet header.
+    #[serde(default)]
+    pub corruption: Probability,
+    /// Share of packets that skip the delay, and so overtake those before them.
+    #[serde(default)]
+    pub reordering: Probability,
+    /// How fast packets are serialised.
+    #[serde(default)]
+    pub rate: Rate,
+    /// How much waits before a packet is dropped at the tail.
+    #[serde(default)]
+    pub queue: QueueLimit,
+}
+
+/// Random addition to a delay, with mean zero; a total below zero counts as zero.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Jitter {
+    /// Half-width of a uniform, standard deviation of the other distributions.
+    #[serde(rename = "deviation_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub deviation: Duration,
+    /// Its shape.
+    #[serde(default)]
+    pub distribution: JitterDistribution,
+}
+
+/// Shape of a jitter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum JitterDistribution {
+    /// Every value within ± deviation is as likely.
+    Uniform,
+    /// Gaussian.
+    #[default]
+    Normal,
+    /// Pareto with shape 3, moved and scaled to mean zero and the given standard deviation: a long upper tail.
+    Pareto,
+}
+
+/// Packets that vanish on a link.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Loss {
+    /// None do.
+    #[default]
+    None,
+    /// Each with the same probability, whatever happened to the one before.
+    Independent {
+        /// Long-run share that is lost.
+        rate: Probability,
+    },
+    /// Gilbert-Elliott in Gilbert's simple form: a good state that loses nothing and a bad one that loses all.
+    /// From bad to good with r = 1/mean_burst, from good to bad with p = r·rate/(1-rate).
+    Bursty {
+        /// Long-run share that is lost; below 1.
+        rate: Probability,
+        /// Mean number of packets lost in a row; 1 or more.
+        mean_burst: f64,
+    },
+}
+
+/// How fast a link serialises.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Rate {
+    /// In no time.
+    #[default]
+    Unlimited,
+    /// At a fixed rate. What is counted is the Ethernet frame without preamble, FCS and gap.
+    Fixed {
+        /// bit/s.
+        bits_per_second: BitRate,
+    },
+    /// When a trace says so.
+    Trace {
+        /// The delivery opportunities.
+        trace: Arc<Trace>,
+    },
+}
+
+/// A packet-delivery trace in Mahimahi's format: one line an opportunity to deliver 1500 bytes, at that many
+/// milliseconds from the start; after the last one it begins again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(try_from = "Vec<u64>", into = "Vec<u64>")]
+pub struct Trace(Vec<u64>);
+
+/// Why a trace is none.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidTrace {
+    /// There is no line in it.
+    #[error("a trace needs at least one delivery opportunity")]
+    Empty,
+    /// Time runs backwards.
+    #[error("line {line}: {at} ms comes after {before} ms, but a trace's times never fall")]
+    Backwards {
+        /// Line, from 1.
+        line: usize,
+        /// Its time.
+        at: u64,
+        /// The time before.
+        before: u64,
+    },
+    /// The trace lasts no time, so that its rate would be infinite.
+    #[error("a trace ends later than 0 ms")]
+    Instant,
+    /// A line is no number.
+    #[error("line {line}: `{text}` is not a whole number of milliseconds")]
+    NotANumber {
+        /// Line, from 1.
+        line: usize,
+        /// What it says.
+        text: String,
+    },
+}
+
+impl Trace {
+    /// Bytes that one opportunity delivers.
+    pub const BYTES: usize = 1500;
+
+    /// Reads Mahimahi's format.
+    ///
+    /// # Errors
+    /// [`InvalidTrace`], with the line.
+    pub fn parse(text: &str) -> Result<Self, InvalidTrace> {
+        let number = |(i, line): (usize, &str)| {
+            line.trim()
+                .parse()
+                .map_err(|_| InvalidTrace::NotANumber { line: i + 1, text: line.chars().take(40).collect() })
+        };
+        text.lines()
+            .enumerate()
+            .filter(|(_, l)| !l.trim().is_empty())
+            .map(number)
+            .collect::<Result<Vec<_>, _>>()?
+            .try_into()
+    }
+
+    /// The opportunities, in milliseconds from the start; never falling, never empty.
+    pub fn opportunities_ms(&self) -> &[u64] {
+        &self.0
+    }
+
+    /// After how many milliseconds it begins again; above zero.
+    pub fn period_ms(&self) -> u64 {
+        self.0.last().copied().unwrap_or(1)
+    }
+
+    /// The mean rate over one period, in bit/s.
+    pub fn mean_bits_per_second(&self) -> f64 {
+        self.0.len() as f64 * Self::BYTES as f64 * 8e3 / self.period_ms() as f64
+    }
+}
+
+impl TryFrom<Vec<u64>> for Trace {
+    type Error = InvalidTrace;
+    fn try_from(opportunities_ms: Vec<u64>) -> Result<Self, InvalidTrace> {
+        for (i, pair) in opportunities_ms.windows(2).enumerate() {
+            if pair[1] < pair[0] {
+                return Err(InvalidTrace::Backwards { line: i + 2, at: pair[1], before: pair[0] });
+            }
+        }
+        match opportunities_ms.last() {
+            None => Err(InvalidTrace::Empty),
+            Some(0) => Err(InvalidTrace::Instant),
+            Some(_) => Ok(Self(opportunities_ms)),
+        }
+    }
+}
+
+impl From<Trace> for Vec<u64> {
+    fn from(trace: Trace) -> Self {
+        trace.0
+    }
+}
+
+/// How much a link's drop-tail queue holds, the packet in transmission not counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum QueueLimit {
+    /// At most so many packets, as they are on the wire.
+    Packets(u32),
+    /// At most so many bytes, counted as [`Rate`] counts them.
+    Bytes(u64),
+}
+
+impl Default for QueueLimit {
+    /// 1000 packets, Linux's default `txqueuelen`.
+    fn default() -> Self {
+        Self::Packets(1000)
+    }
+}
+
+/// What emulation does to a link on top of its own conditions: delay ψ·d, throughput λ/δ.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Scale {
+    /// ψ: the delay is multiplied by it; 0 or more, 1 = untouched.
+    pub delay_scale: f64,
+    /// δ: the throughput is divided by it; above 0, 1 = untouched.
+    pub drop_scale: f64,
+}
+
+impl Default for Scale {
+    fn default() -> Self {
+        Self { delay_scale: 1.0, drop_scale: 1.0 }
+    }
+}
+
+/// A wished change of a link's conditions while it runs; what is `None` stays as it is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ConditionChange {
+    /// Absolute delay, milliseconds.
+    #[serde(rename = "delay_ms", default, skip_serializing_if = "Option::is_none")]
+    pub delay_ms: Option<f64>,
+    /// Absolute jitter; deviation 0 switches it off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub jitter: Option<Jitter>,
+    /// Loss.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loss: Option<Loss>,
+    /// Duplication.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub duplication: Option<Probability>,
+    /// Corruption.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub corruption: Option<Probability>,
+    /// Reordering.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reordering: Option<Probability>,
+    /// Rate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rate: Option<Rate>,
+    /// Queue limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub queue: Option<QueueLimit>,
+    /// ψ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delay_scale: Option<f64>,
+    /// δ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drop_scale: Option<f64>,
+}

@@ -1,0 +1,254 @@
+//! The embeddings of G: what is known about its nodes and links at a time.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    conditions::{Conditions, Scale},
+    hardware::Direction,
+    id::{LinkId, NodeId, ServiceId, VnfId},
+    units::{Dbm, Timestamp, millis},
+};
+
+/// A robot's position and heading with their covariance; σ_p(r).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Pose {
+    /// Metres.
+    pub x: f64,
+    /// Metres.
+    pub y: f64,
+    /// Radians from the x axis, counter-clockwise, in (-π, π].
+    pub heading: f64,
+    /// Row-major covariance of (x, y, heading); m², m·rad, rad².
+    pub covariance: [f64; 9],
+    /// Where it comes from.
+    pub source: PoseSource,
+}
+
+impl Pose {
+    /// Where on the map that is.
+    pub fn position(&self) -> crate::units::Position {
+        crate::units::Position::new(self.x, self.y)
+    }
+}
+
+/// Where a pose comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// The simulator knows it exactly.
+    Simulator,
+    /// Wheel odometry, which drifts.
+    Odometry,
+    /// Localization from sensors.
+    Localization,
+}
+
+/// Linear and angular velocity of a ground robot.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Velocity {
+    /// Forward, m/s.
+    pub linear: f64,
+    /// Counter-clockwise, rad/s.
+    pub angular: f64,
+}
+
+/// σ(r): what a robot senses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SensorData {
+    /// Where it is.
+    pub pose: Pose,
+    /// Where its wheels say it is, from the same start.
+    pub odometry: Pose,
+    /// What its wheels do.
+    pub velocity: Velocity,
+    /// Whether it touches something.
+    pub bumper: bool,
+    /// Nearest thing that its lidar sees, metres; `None` if nothing is in range.
+    pub nearest_obstacle_m: Option<f64>,
+}
+
+/// φ(r,R) and what the robot knows of that radio unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Attachment {
+    /// R.
+    pub radio_unit: NodeId,
+    /// φ(r,R) = 1.
+    pub attached: bool,
+    /// Received signal at the last scan or frame; `None` before the first.
+    pub signal: Option<Dbm>,
+}
+
+/// κ(r): (φ(r,R_1)…φ(r,R_N), σ(r)).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RobotContext {
+    /// r.
+    pub robot: NodeId,
+    /// φ(r,R) for every R that serves its network; at most one is attached.
+    pub attachments: Vec<Attachment>,
+    /// σ(r).
+    pub sensors: SensorData,
+    /// The next waypoint of its walk, from 0; equals the walk's length at its end.
+    pub waypoint: u32,
+}
+
+impl RobotContext {
+    /// The radio unit that it is attached to.
+    pub fn attached_to(&self) -> Option<&NodeId> {
+        self.attachments.iter().find(|a| a.attached).map(|a| &a.radio_unit)
+    }
+}
+
+/// ι(R): what a radio unit knows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RadioContext {
+    /// R.
+    pub radio_unit: NodeId,
+    /// Channel number.
+    pub channel: u8,
+    /// Share of the last second in which the channel was busy.
+    pub load: f64,
+    /// Its stations.
+    pub stations: Vec<StationContext>,
+}
+
+/// What a radio unit knows of one station.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct StationContext {
+    /// The robot.
+    pub robot: NodeId,
+    /// Signal received from it.
+    pub signal: Dbm,
+    /// PHY rate to it, Mbit/s.
+    pub downlink_mbps: f64,
+    /// PHY rate from it, Mbit/s.
+    pub uplink_mbps: f64,
+}
+
+/// d, λ and the effective conditions of one direction of a link, with what it did since the run began.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct LinkContext {
+    /// Which link.
+    pub link: LinkId,
+    /// Which direction.
+    pub direction: Direction,
+    /// d: mean time that packets took over the last second, queueing included; `None` if none crossed.
+    #[serde(rename = "delay_ms", with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub delay: Option<Duration>,
+    /// λ: what crossed over the last second, bit/s.
+    pub throughput_bps: f64,
+    /// What it was asked to do.
+    pub asked: Conditions,
+    /// ψ and δ.
+    pub scale: Scale,
+    /// What it does: `asked`, scaled.
+    pub effective: Conditions,
+    /// Packets and bytes so far.
+    pub counters: LinkCounters,
+}
+
+/// What one direction of a link did, in packets as they are on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct LinkCounters {
+    /// Packets delivered.
+    pub packets: u64,
+    /// Bytes delivered.
+    pub bytes: u64,
+    /// Packets lost by the loss model, or by the radio after its last retry.
+    pub lost: u64,
+    /// Packets dropped at the tail of the queue.
+    pub overflowed: u64,
+    /// Packets that arrived twice.
+    pub duplicated: u64,
+    /// Packets with a flipped bit.
+    pub corrupted: u64,
+}
+
+/// a(n): where a VNF runs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Placement {
+    /// The VNF.
+    pub vnf: VnfId,
+    /// The node.
+    pub node: NodeId,
+}
+
+/// a(n1,n2): which hardware links carry a virtual link.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct VirtualLinkMapping {
+    /// From this VNF …
+    pub from: VnfId,
+    /// … to this one …
+    pub to: VnfId,
+    /// … over these links.
+    pub links: Vec<LinkId>,
+}
+
+/// One measured service time: from the emission of a robot's position packet to the reception of the navigation
+/// packet that answers it, both read on the robot's clock.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ServiceTime {
+    /// The service.
+    pub service: ServiceId,
+    /// The robot.
+    pub robot: NodeId,
+    /// Number of the position packet, from 0.
+    pub sequence: u32,
+    /// When it was emitted.
+    pub emitted: Timestamp,
+    /// How long it took; `None` if no answer came within the robot's command timeout.
+    #[serde(rename = "took_ms", with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub took: Option<Duration>,
+    /// The radio unit that the robot was attached to when it was emitted.
+    pub attachment: Option<NodeId>,
+    /// The node that ran the navigation VNF that it was sent to.
+    pub server: NodeId,
+}
+
+/// A finished change of attachment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Handover {
+    /// The robot.
+    pub robot: NodeId,
+    /// The radio unit before; `None` if it had none.
+    pub from: Option<NodeId>,
+    /// The radio unit after.
+    pub to: NodeId,
+    /// Whether fast transition was used.
+    pub fast: bool,
+    /// How long no frame could pass.
+    #[serde(rename = "gap_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub gap: Duration,
+}
+
+/// How late the emulator delivered, against what it was asked.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Lateness {
+    /// Frames delivered.
+    pub frames: u64,
+    /// Median, µs.
+    pub p50_us: f64,
+    /// 99th percentile, µs.
+    pub p99_us: f64,
+    /// Worst, µs.
+    pub max_us: f64,
+}

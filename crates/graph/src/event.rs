@@ -1,0 +1,173 @@
+//! What happens in a testbed, told once. The terminal, the recorder, the API's stream and the report read these
+//! events and nothing else; plug-ins receive them as their contexts, and answer with instructions.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    conditions::ConditionChange,
+    context::{
+        Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime, Velocity,
+        VirtualLinkMapping,
+    },
+    hardware::Direction,
+    id::{LinkId, NodeId, PluginId, VnfId},
+    units::Timestamp,
+};
+
+/// An event and when it happened.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Stamped {
+    /// Nanoseconds since the run began.
+    pub at: Timestamp,
+    /// What happened.
+    #[serde(flatten)]
+    pub event: Event,
+}
+
+/// What can happen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "event")]
+pub enum Event {
+    /// κ(r), periodically.
+    Robot(RobotContext),
+    /// ι(R), periodically.
+    Radio(RadioContext),
+    /// d, λ and conditions of a link, periodically and at every change.
+    Link(LinkContext),
+    /// A VNF runs on another node now; a(n) changed.
+    Placement(Placement),
+    /// A virtual link is carried by other links now; a(n1,n2) changed.
+    VirtualLink(VirtualLinkMapping),
+    /// A service time was measured.
+    ServiceTime(ServiceTime),
+    /// A robot changed its radio unit.
+    Handover(Handover),
+    /// A robot has no radio unit any more.
+    Detached {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit that it lost.
+        from: NodeId,
+    },
+    /// A robot finished a scan: its attachments' signals are fresh.
+    Scanned {
+        /// The robot.
+        robot: NodeId,
+    },
+    /// A VNF's process began, ended or was begun again.
+    Vnf(VnfEvent),
+    /// A plug-in asked for something.
+    Decision(Decision),
+    /// A plug-in was cut off.
+    PluginFault {
+        /// Which.
+        plugin: PluginId,
+        /// What it did.
+        reason: String,
+    },
+    /// The emulator's lateness since the run began, periodically.
+    Lateness(Lateness),
+    /// A robot reached the end of its walk.
+    WalkFinished {
+        /// The robot.
+        robot: NodeId,
+    },
+    /// Something that a user should know, and that nothing else tells.
+    Notice {
+        /// What.
+        message: String,
+    },
+}
+
+/// What became of a VNF's process.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct VnfEvent {
+    /// The VNF.
+    pub vnf: VnfId,
+    /// Its node.
+    pub node: NodeId,
+    /// What became of it.
+    pub state: VnfState,
+    /// Exit status or error, for people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detail: Option<String>,
+}
+
+/// The life of a VNF's process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum VnfState {
+    /// It runs.
+    Started,
+    /// It ended by itself and will be started again.
+    Died,
+    /// It was stopped.
+    Stopped,
+    /// It cannot be started.
+    Failed,
+}
+
+/// What a plug-in asked for, why, and what came of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Decision {
+    /// Which plug-in.
+    pub plugin: PluginId,
+    /// What it asked for.
+    pub instruction: Instruction,
+    /// Why, in its words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Why it was refused; `None` if it was done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+}
+
+/// What a plug-in can ask for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
+pub enum Instruction {
+    /// Move a robot at this velocity, until another comes or its command timeout ends it.
+    Move {
+        /// The robot.
+        robot: NodeId,
+        /// How.
+        velocity: Velocity,
+        /// The next waypoint of its walk, for whoever navigates it next.
+        waypoint: u32,
+    },
+    /// Let a robot's radio leave its channel and scan all others.
+    Scan {
+        /// The robot.
+        robot: NodeId,
+    },
+    /// Attach a robot to a radio unit: φ(r,R) = 1. Does nothing where it is attached already.
+    Attach {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
+    /// Run a VNF on a node: started there first, then packets go over, then the old one stops.
+    Place {
+        /// The VNF.
+        vnf: VnfId,
+        /// The node.
+        node: NodeId,
+    },
+    /// Change what a link does.
+    Condition {
+        /// The link.
+        link: LinkId,
+        /// One direction, or both.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        direction: Option<Direction>,
+        /// The change.
+        change: ConditionChange,
+    },
+}

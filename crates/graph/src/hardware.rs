@@ -1,0 +1,393 @@
+//! The hardware graph G: robots, radio units, switches and servers, and the links between them.
+
+use std::{collections::BTreeMap, net::Ipv4Addr, net::Ipv6Addr, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    conditions::Conditions,
+    id::{DomainId, LinkId, NodeId},
+    units::{BitRate, Dbm, Position, millis},
+};
+
+/// The hardware graph. Made by [`crate::testbed_file`], which checks what this type takes for granted: names are
+/// unique, ends of links exist, every host can be reached from every other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct HardwareGraph {
+    /// Administrative domains, in the file's order.
+    pub domains: Vec<DomainId>,
+    /// Nodes, in the file's order.
+    pub nodes: Vec<Node>,
+    /// Wired links, in the file's order. Wireless ones follow from `wireless` and the nodes' radios.
+    pub links: Vec<Link>,
+    /// Wireless networks by SSID.
+    pub wireless: BTreeMap<String, WirelessNetwork>,
+}
+
+impl HardwareGraph {
+    /// The node of that name.
+    pub fn node(&self, id: &NodeId) -> Option<&Node> {
+        self.nodes.iter().find(|n| n.id == *id)
+    }
+
+    /// The wired link of that name.
+    pub fn link(&self, id: &LinkId) -> Option<&Link> {
+        self.links.iter().find(|l| l.id == *id)
+    }
+
+    /// The robots, in order.
+    pub fn robots(&self) -> impl Iterator<Item = (&Node, &Robot)> {
+        self.nodes.iter().filter_map(|n| if let NodeKind::Robot(r) = &n.kind { Some((n, r)) } else { None })
+    }
+
+    /// The radio units, in order.
+    pub fn radio_units(&self) -> impl Iterator<Item = (&Node, &RadioUnit)> {
+        self.nodes
+            .iter()
+            .filter_map(|n| if let NodeKind::RadioUnit(r) = &n.kind { Some((n, r)) } else { None })
+    }
+
+    /// The servers, in order.
+    pub fn servers(&self) -> impl Iterator<Item = (&Node, &Server)> {
+        self.nodes.iter().filter_map(|n| if let NodeKind::Server(s) = &n.kind { Some((n, s)) } else { None })
+    }
+
+    /// The hosts, in order: nodes that run programs and so have an interface and addresses, which is all but
+    /// switches. The place of a host in this order is what [`HostAddress::of`] takes.
+    pub fn hosts(&self) -> impl Iterator<Item = &Node> {
+        self.nodes.iter().filter(|n| n.is_host())
+    }
+
+    /// The addresses of a host; `None` for a switch or an unknown name.
+    pub fn address(&self, id: &NodeId) -> Option<HostAddress> {
+        self.hosts().position(|n| n.id == *id).map(HostAddress::of)
+    }
+}
+
+/// A node of G.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Node {
+    /// Its name.
+    pub id: NodeId,
+    /// Who runs it.
+    pub domain: DomainId,
+    /// Where it is; a robot's is where it starts.
+    pub position: Option<Position>,
+    /// What it is.
+    #[serde(flatten)]
+    pub kind: NodeKind,
+}
+
+impl Node {
+    /// Whether it runs programs: all but switches do.
+    pub fn is_host(&self) -> bool {
+        !matches!(self.kind, NodeKind::Switch)
+    }
+
+    /// Whether it passes on frames that are not for it: switches and radio units do.
+    pub fn forwards(&self) -> bool {
+        matches!(self.kind, NodeKind::Switch | NodeKind::RadioUnit(_))
+    }
+
+    /// What VNFs can take of it; `None` for a switch.
+    pub fn capacity(&self) -> Option<Capacity> {
+        match &self.kind {
+            NodeKind::Robot(r) => Some(r.capacity),
+            NodeKind::RadioUnit(r) => Some(r.capacity),
+            NodeKind::Server(s) => Some(s.capacity),
+            NodeKind::Switch => None,
+        }
+    }
+}
+
+/// What kind of node it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum NodeKind {
+    /// Moves, senses, and is attached to a radio unit.
+    Robot(Robot),
+    /// A radio unit (Wi-Fi access point).
+    RadioUnit(RadioUnit),
+    /// Forwards frames.
+    Switch,
+    /// Runs VNFs.
+    Server(Server),
+}
+
+/// What VNFs can take of a node.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Capacity {
+    /// CPUs.
+    pub cpus: f64,
+    /// Bytes of memory.
+    pub memory_bytes: u64,
+}
+
+/// A robot's hardware.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Robot {
+    /// What VNFs can take of it.
+    pub capacity: Capacity,
+    /// Model of the simulated base.
+    pub model: RobotModel,
+    /// SSID of the wireless network that it joins.
+    pub network: String,
+    /// Transmission power of its radio.
+    pub tx_power: Dbm,
+    /// Heading at the start, radians from the x axis, counter-clockwise.
+    pub heading: f64,
+    /// Who decides when it changes its radio unit.
+    pub roaming: Roaming,
+}
+
+/// Bases that the simulated robot knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RobotModel {
+    /// TurtleBot 2: Kobuki base with an RPLIDAR A2.
+    #[default]
+    Turtlebot2,
+}
+
+/// Who decides when a robot changes its radio unit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Roaming {
+    /// Its station, by signal with hysteresis and time-to-trigger (see [`WirelessNetwork`]).
+    Signal,
+    /// Instructions from plug-ins. The station joins the strongest radio unit at the start, and scans by itself
+    /// only when it lost its radio unit.
+    #[default]
+    Instructed,
+}
+
+/// A radio unit's hardware.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RadioUnit {
+    /// What VNFs can take of it.
+    pub capacity: Capacity,
+    /// SSID that it serves.
+    pub network: String,
+    /// Channel number; radio units on one channel share its airtime.
+    pub channel: u8,
+    /// Transmission power.
+    pub tx_power: Dbm,
+}
+
+/// A server's hardware.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Server {
+    /// How far from the robots it is.
+    pub tier: Tier,
+    /// What VNFs can take of it.
+    pub capacity: Capacity,
+    /// Price of a CPU, in the file's own currency.
+    pub cost: f64,
+    /// Probability that it works at any time; above 0.
+    pub reliability: f64,
+}
+
+/// How far from the robots a server is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Tier {
+    /// On the premises.
+    Fog,
+    /// At the operator's edge.
+    Edge,
+    /// In a data centre.
+    Cloud,
+}
+
+/// A wired link.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Link {
+    /// Its name.
+    pub id: LinkId,
+    /// Its two ends.
+    pub ends: [NodeId; 2],
+    /// From the first end to the second.
+    pub forward: Conditions,
+    /// From the second end to the first.
+    pub backward: Conditions,
+    /// What the medium itself can carry; no condition may ask for more.
+    pub medium: BitRate,
+    /// Probability that it works at any time; above 0.
+    pub reliability: f64,
+}
+
+/// One of a link's two directions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// From the first end to the second; on a wireless link from the robot up to the radio unit.
+    Forward,
+    /// From the second end to the first.
+    Backward,
+}
+
+/// A wireless network: what radio units of one SSID and the robots that join it have in common.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct WirelessNetwork {
+    /// Physical layer.
+    pub standard: WifiStandard,
+    /// One-way delay of a frame on an idle channel, airtime included: what is measured on the air with small
+    /// frames. Queueing behind others and retries come on top.
+    #[serde(rename = "delay_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub delay: Duration,
+    /// What one station gets at most, whatever its signal; the airtime of a frame is at least its bits over this.
+    pub rate: Option<BitRate>,
+    /// Fast transition (IEEE 802.11r) within the mobility domain.
+    pub fast_transition: bool,
+    /// How the signal falls with distance.
+    pub path_loss: PathLoss,
+    /// How it varies around that.
+    pub shadowing: Shadowing,
+    /// Noise floor of a receiver, thermal noise over 20 MHz and noise figure together.
+    pub noise_floor: Dbm,
+    /// A station that decides by signal changes when another radio unit is stronger by so many dB …
+    pub hysteresis_db: f64,
+    /// … for so long.
+    #[serde(rename = "time_to_trigger_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub time_to_trigger: Duration,
+    /// How long the phases of a handover take.
+    pub handover: HandoverTimes,
+    /// What happens to frames for a station that is off its channel.
+    pub gap: GapPolicy,
+}
+
+/// Physical layers whose rates are modelled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum WifiStandard {
+    /// IEEE 802.11g: ERP-OFDM, 20 MHz at 2.4 GHz, 6 to 54 Mbit/s.
+    G,
+    /// IEEE 802.11a: OFDM, 20 MHz at 5 GHz, 6 to 54 Mbit/s.
+    A,
+    /// IEEE 802.11n: HT, one stream, 20 MHz at 2.4 GHz, 6.5 to 65 Mbit/s.
+    #[default]
+    N,
+    /// IEEE 802.11ac: VHT, one stream, 20 MHz at 5 GHz, 6.5 to 78 Mbit/s.
+    Ac,
+}
+
+/// How the signal falls with distance d (metres).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "model")]
+pub enum PathLoss {
+    /// Free space (ITU-R P.525): 20 log d + 20 log f - 27.55 dB, f in MHz.
+    FreeSpace,
+    /// Log-distance: free space up to the reference distance of 1 m, then 10·n·log d more.
+    LogDistance {
+        /// n: 2 in free space, 1.6 to 1.8 along a corridor, 2.7 to 3.5 among offices.
+        exponent: f64,
+    },
+    /// ITU-R P.1238 indoor: 20 log f + N log d + L_f - 28 dB.
+    ItuIndoor {
+        /// N: 28 for dwellings, 30 for offices, 22 for shops, at 2.4 GHz.
+        coefficient: f64,
+        /// L_f: loss through floors between, dB.
+        floor_loss_db: f64,
+    },
+}
+
+/// Log-normal shadowing, correlated in space: exp(-Δx / correlation distance) (Gudmundson 1991).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Shadowing {
+    /// Standard deviation, dB; 0 switches it off.
+    pub deviation_db: f64,
+    /// Distance over which the correlation falls to 1/e, metres; above 0.
+    pub correlation_m: f64,
+}
+
+/// How long the phases of a handover take.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct HandoverTimes {
+    /// Scanning all channels, off one's own.
+    #[serde(rename = "scan_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub scan: Duration,
+    /// Authentication.
+    #[serde(rename = "authenticate_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub authenticate: Duration,
+    /// Reassociation.
+    #[serde(rename = "reassociate_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub reassociate: Duration,
+    /// The key handshakes (802.1X, four-way) that fast transition leaves out.
+    #[serde(rename = "handshake_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub handshake: Duration,
+    /// Each phase varies by up to this share, uniformly; 0 to 1.
+    pub variation: f64,
+}
+
+/// What happens to frames for or from a station that is off its channel or between two radio units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum GapPolicy {
+    /// The station's driver queues what it sends, and its radio unit buffers as for a station that sleeps; both
+    /// are sent afterwards. What a former radio unit buffered goes with it to the new one.
+    #[default]
+    Hold,
+    /// They are lost.
+    Drop,
+}
+
+/// The addresses of a host, which follow from its place among the hosts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct HostAddress {
+    /// Locally administered MAC address.
+    pub mac: [u8; 6],
+    /// IPv4 address, in 10.77.0.0/16.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub ipv4: Ipv4Addr,
+    /// IPv6 address, in fd77::/64.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub ipv6: Ipv6Addr,
+}
+
+impl HostAddress {
+    /// Length of the IPv4 prefix.
+    pub const IPV4_PREFIX: u8 = 16;
+    /// Length of the IPv6 prefix.
+    pub const IPV6_PREFIX: u8 = 64;
+    /// How many hosts have addresses.
+    pub const MAX_HOSTS: usize = 65_000;
+
+    /// The addresses of the host at that place, from 0.
+    ///
+    /// # Panics
+    /// From [`Self::MAX_HOSTS`] on, which no validated graph has.
+    pub fn of(place: usize) -> Self {
+        assert!(place < Self::MAX_HOSTS, "a validated graph has fewer hosts");
+        let [high, low] = (place as u16 + 1).to_be_bytes();
+        Self {
+            mac: [0x02, 0x77, 0, 0, high, low],
+            ipv4: Ipv4Addr::new(10, 77, high, low),
+            ipv6: Ipv6Addr::new(0xfd77, 0, 0, 0, 0, 0, 0, place as u16 + 1),
+        }
+    }
+}

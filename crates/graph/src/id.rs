@@ -1,0 +1,128 @@
+//! Names of things in a testbed, one type a kind, so that a link's name is never taken for a node's.
+
+use std::{borrow::Borrow, fmt, sync::Arc};
+
+use serde::{Deserialize, Serialize};
+
+/// Why a name cannot be one.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` is not a name: use 1 to 63 letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit"
+)]
+pub struct InvalidId(String);
+
+fn check(name: &str) -> Result<(), InvalidId> {
+    let starts_well = name.chars().next().is_some_and(|c| c.is_ascii_alphanumeric());
+    let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.~".contains(c));
+    if starts_well && all_well && name.len() <= 63 { Ok(()) } else { Err(InvalidId(name.to_owned())) }
+}
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+        #[cfg_attr(feature = "openapi", schema(value_type = String))]
+        #[serde(try_from = "String", into = "String")]
+        pub struct $name(Arc<str>);
+
+        impl $name {
+            /// The name, if it can be one.
+            ///
+            /// # Errors
+            /// [`InvalidId`] when it is empty, too long, or holds a character that a file name could not.
+            pub fn new(name: &str) -> Result<Self, InvalidId> {
+                check(name)?;
+                Ok(Self(name.into()))
+            }
+
+            /// The name as text.
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(&self.0)
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                fmt::Debug::fmt(&self.0, f)
+            }
+        }
+
+        impl Borrow<str> for $name {
+            fn borrow(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl PartialEq<str> for $name {
+            fn eq(&self, other: &str) -> bool {
+                &*self.0 == other
+            }
+        }
+
+        impl PartialEq<&str> for $name {
+            fn eq(&self, other: &&str) -> bool {
+                &*self.0 == *other
+            }
+        }
+
+        impl TryFrom<String> for $name {
+            type Error = InvalidId;
+            fn try_from(name: String) -> Result<Self, InvalidId> {
+                Self::new(&name)
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(id: $name) -> Self {
+                id.0.to_string()
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = InvalidId;
+            fn from_str(name: &str) -> Result<Self, InvalidId> {
+                Self::new(name)
+            }
+        }
+    };
+}
+
+id! {
+    /// An administrative domain.
+    DomainId
+}
+id! {
+    /// A node of the hardware graph: a robot, radio unit, switch or server.
+    NodeId
+}
+id! {
+    /// A link of the hardware graph. A wired one is named in the testbed file (by default `<end>-<end>`);
+    /// the wireless one between a robot and a radio unit is `<robot>~<radio unit>`.
+    LinkId
+}
+id! {
+    /// A service: VNFs, the virtual links between them, and the KPIs that they must keep.
+    ServiceId
+}
+id! {
+    /// A virtual network function of a service.
+    VnfId
+}
+id! {
+    /// A plug-in, as the testbed file names it.
+    PluginId
+}
+
+impl LinkId {
+    /// The name of the wireless link between a robot and a radio unit.
+    pub fn wireless(robot: &NodeId, radio_unit: &NodeId) -> Self {
+        Self(format!("{robot}~{radio_unit}").into())
+    }
+}

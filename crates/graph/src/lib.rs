@@ -1,0 +1,31 @@
+//! The hardware graph G, its embeddings, services and KPIs, the events that tell what happens to them, and the
+//! testbed file that describes it all. Pure data: no clock, no sockets, nothing asynchronous.
+#![forbid(unsafe_code)]
+
+pub mod conditions;
+pub mod context;
+pub mod event;
+pub mod hardware;
+pub mod id;
+pub mod map;
+pub mod service;
+pub mod testbed;
+pub mod units;
+
+pub use conditions::{
+    ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
+};
+pub use context::{
+    Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource, RadioContext,
+    RobotContext, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
+};
+pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
+pub use hardware::{
+    Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,
+    PathLoss, RadioUnit, Roaming, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
+};
+pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
+pub use map::{Cell, OccupancyGrid};
+pub use service::{Kpis, Program, Service, VirtualLink, Vnf};
+pub use testbed::{PluginProgram, PluginSpec, Testbed, Walk};
+pub use units::{BitRate, Dbm, Position, Probability, Timestamp};

@@ -1,0 +1,87 @@
+//! Services: the VNFs that make one up, the virtual links between them, and the KPIs that it must keep.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    hardware::WifiStandard,
+    id::{NodeId, ServiceId, VnfId},
+    units::{BitRate, Position, millis},
+};
+
+/// A service that robots use.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Service {
+    /// Its name.
+    pub id: ServiceId,
+    /// The robot that it serves.
+    pub robot: NodeId,
+    /// Its VNFs, in the order in which packets visit them.
+    pub vnfs: Vec<Vnf>,
+    /// Links between its VNFs.
+    pub virtual_links: Vec<VirtualLink>,
+    /// What it must keep.
+    pub kpis: Kpis,
+}
+
+/// A virtual network function.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Vnf {
+    /// Its name, unique in the testbed.
+    pub id: VnfId,
+    /// What runs.
+    pub program: Program,
+    /// CPUs that it takes of its node.
+    pub cpus: f64,
+    /// Memory that it takes of its node, bytes.
+    pub memory_bytes: u64,
+    /// The one node that can carry it, if it cannot move.
+    pub pinned_to: Option<NodeId>,
+    /// Where it runs at the start; the pinned one if it is pinned.
+    pub node: NodeId,
+}
+
+/// What a VNF runs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Program {
+    /// The robot's own driver: position packets out, navigation packets in. Runs in the Robot Middleware.
+    RobotDriver,
+    /// The bundled brain, as the navigation VNF.
+    Navigation,
+    /// Any program and its arguments, in the node's namespace.
+    Command(Vec<String>),
+}
+
+/// A link between two VNFs of a service.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct VirtualLink {
+    /// From this VNF …
+    pub from: VnfId,
+    /// … to this one.
+    pub to: VnfId,
+    /// What it needs at most.
+    pub rate: BitRate,
+}
+
+/// What a service must keep.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Kpis {
+    /// Target of the service time: from the emission of a position packet to the reception of the navigation
+    /// packet that answers it.
+    #[serde(rename = "service_time_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub service_time: Duration,
+    /// Probability that all nodes and links in use work; 0 to 1.
+    pub reliability: Option<f64>,
+    /// Where it must be offered: a polygon of three places or more.
+    pub area: Option<Vec<Position>>,
+    /// The radio technology that it needs.
+    pub radio: Option<WifiStandard>,
+}

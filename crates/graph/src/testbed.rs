@@ -1,0 +1,80 @@
+//! A whole testbed, as a testbed file describes it and validation let it pass.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    hardware::HardwareGraph,
+    id::{NodeId, PluginId},
+    map::OccupancyGrid,
+    service::Service,
+    units::{Position, millis},
+};
+
+/// What a testbed file says, checked as a whole.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Testbed {
+    /// Its name; names the run's folder.
+    pub name: String,
+    /// One sentence on it; may be empty.
+    pub description: String,
+    /// G.
+    pub graph: HardwareGraph,
+    /// Its services.
+    pub services: Vec<Service>,
+    /// Where the robots move; without one there is open space.
+    pub map: Option<OccupancyGrid>,
+    /// One walk a robot at most.
+    pub walks: Vec<Walk>,
+    /// Plug-ins that run with it, in the file's order.
+    pub plugins: Vec<PluginSpec>,
+    /// The run's seed unless another is given.
+    pub seed: u64,
+}
+
+impl Testbed {
+    /// The walk of a robot.
+    pub fn walk(&self, robot: &NodeId) -> Option<&Walk> {
+        self.walks.iter().find(|w| w.robot == *robot)
+    }
+}
+
+/// Where a robot goes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Walk {
+    /// The robot.
+    pub robot: NodeId,
+    /// The waypoints, in order, the way back included when the file asks for it. The robot starts at the first.
+    pub waypoints: Vec<Position>,
+    /// Speed that it does not exceed, m/s.
+    pub speed_limit: f64,
+    /// How often the robot emits a position packet.
+    #[serde(rename = "position_interval_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub position_interval: Duration,
+}
+
+/// A plug-in that runs with the testbed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PluginSpec {
+    /// Its name in this testbed.
+    pub id: PluginId,
+    /// What runs.
+    pub program: PluginProgram,
+    /// Its own settings, as the file has them.
+    pub settings: serde_json::Map<String, serde_json::Value>,
+}
+
+/// What a plug-in runs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PluginProgram {
+    /// One of the bundled, by name, in process.
+    Bundled(String),
+    /// A program and its arguments, which uses the HTTP API at `COTORRA_API`.
+    Command(Vec<String>),
+}

@@ -1,0 +1,259 @@
+//! Units as types, so that a figure in milliseconds never meets one in seconds, nor a rate one in bytes.
+
+use std::{fmt, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+/// A point in time: nanoseconds since the run began. Real and virtual time share it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(transparent)]
+pub struct Timestamp(u64);
+
+impl Timestamp {
+    /// The beginning of the run.
+    pub const ZERO: Self = Self(0);
+    /// Later than any time that a run reaches.
+    pub const MAX: Self = Self(u64::MAX);
+
+    /// The time that lies `nanos` nanoseconds after the run began.
+    pub const fn from_nanos(nanos: u64) -> Self {
+        Self(nanos)
+    }
+
+    /// The time that lies `seconds` after the run began; negative and NaN give the beginning.
+    pub fn from_secs_f64(seconds: f64) -> Self {
+        Self((seconds * 1e9) as u64)
+    }
+
+    /// Nanoseconds since the run began.
+    pub const fn as_nanos(self) -> u64 {
+        self.0
+    }
+
+    /// Seconds since the run began.
+    pub fn as_secs_f64(self) -> f64 {
+        self.0 as f64 / 1e9
+    }
+
+    /// Time passed since `earlier`; zero if `earlier` is not earlier.
+    pub fn since(self, earlier: Self) -> Duration {
+        Duration::from_nanos(self.0.saturating_sub(earlier.0))
+    }
+}
+
+impl std::ops::Add<Duration> for Timestamp {
+    type Output = Self;
+    fn add(self, rhs: Duration) -> Self {
+        Self(self.0.saturating_add(u64::try_from(rhs.as_nanos()).unwrap_or(u64::MAX)))
+    }
+}
+
+impl std::ops::Sub<Duration> for Timestamp {
+    type Output = Self;
+    fn sub(self, rhs: Duration) -> Self {
+        Self(self.0.saturating_sub(u64::try_from(rhs.as_nanos()).unwrap_or(u64::MAX)))
+    }
+}
+
+impl fmt::Display for Timestamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.3} s", self.as_secs_f64())
+    }
+}
+
+/// A bit rate in bit/s; never zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(value_type = u64))]
+#[serde(try_from = "u64", into = "u64")]
+pub struct BitRate(std::num::NonZeroU64);
+
+impl BitRate {
+    /// A rate in bit/s; `None` for zero, which no link can serve.
+    pub const fn from_bits_per_second(rate: u64) -> Option<Self> {
+        match std::num::NonZeroU64::new(rate) {
+            Some(rate) => Some(Self(rate)),
+            None => None,
+        }
+    }
+
+    /// A rate in Mbit/s (10⁶ bit/s); `None` below 1 bit/s, and for NaN.
+    pub fn from_mbps(rate: f64) -> Option<Self> {
+        Self::from_bits_per_second((rate * 1e6).round() as u64)
+    }
+
+    /// bit/s.
+    pub const fn bits_per_second(self) -> u64 {
+        self.0.get()
+    }
+
+    /// Mbit/s.
+    pub fn mbps(self) -> f64 {
+        self.bits_per_second() as f64 / 1e6
+    }
+
+    /// How long `bytes` take to serialise at this rate, rounded up to the nanosecond.
+    pub fn serialisation(self, bytes: usize) -> Duration {
+        let bits = bytes as u128 * 8;
+        Duration::from_nanos((bits * 1_000_000_000).div_ceil(u128::from(self.bits_per_second())) as u64)
+    }
+}
+
+impl From<BitRate> for u64 {
+    fn from(rate: BitRate) -> Self {
+        rate.bits_per_second()
+    }
+}
+
+impl TryFrom<u64> for BitRate {
+    type Error = &'static str;
+    fn try_from(rate: u64) -> Result<Self, Self::Error> {
+        Self::from_bits_per_second(rate).ok_or("a bit rate is above 0 bit/s")
+    }
+}
+
+impl fmt::Display for BitRate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.bits_per_second() {
+            rate @ 1_000_000_000.. => write!(f, "{} Gbit/s", rate as f64 / 1e9),
+            rate @ 1_000_000.. => write!(f, "{} Mbit/s", rate as f64 / 1e6),
+            rate @ 1_000.. => write!(f, "{} kbit/s", rate as f64 / 1e3),
+            rate => write!(f, "{rate} bit/s"),
+        }
+    }
+}
+
+/// A probability or a share, in 0..=1; never NaN.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(value_type = f64))]
+#[serde(try_from = "f64", into = "f64")]
+pub struct Probability(f64);
+
+impl Probability {
+    /// Never.
+    pub const ZERO: Self = Self(0.0);
+    /// Always.
+    pub const ONE: Self = Self(1.0);
+
+    /// `None` outside 0..=1, and for NaN.
+    pub fn new(p: f64) -> Option<Self> {
+        (0.0..=1.0).contains(&p).then_some(Self(p))
+    }
+
+    /// The number in 0..=1.
+    pub const fn get(self) -> f64 {
+        self.0
+    }
+}
+
+impl From<Probability> for f64 {
+    fn from(p: Probability) -> Self {
+        p.0
+    }
+}
+
+impl TryFrom<f64> for Probability {
+    type Error = &'static str;
+    fn try_from(p: f64) -> Result<Self, Self::Error> {
+        Self::new(p).ok_or("a probability is between 0 and 1")
+    }
+}
+
+/// Power in dBm (decibels over one milliwatt).
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(transparent)]
+pub struct Dbm(pub f64);
+
+impl Dbm {
+    /// Power in milliwatts.
+    pub fn milliwatts(self) -> f64 {
+        10f64.powf(self.0 / 10.0)
+    }
+
+    /// From milliwatts; minus infinity for none.
+    pub fn from_milliwatts(mw: f64) -> Self {
+        Self(10.0 * mw.log10())
+    }
+}
+
+impl fmt::Display for Dbm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.1} dBm", self.0)
+    }
+}
+
+/// A place on the map, in metres, in the map's frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Position {
+    /// Metres to the east of the map's origin.
+    pub x: f64,
+    /// Metres to the north of the map's origin.
+    pub y: f64,
+}
+
+impl Position {
+    /// The place (x, y), in metres.
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// Euclidean distance in metres.
+    pub fn distance(self, other: Self) -> f64 {
+        (self.x - other.x).hypot(self.y - other.y)
+    }
+}
+
+impl fmt::Display for Position {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({:.1}, {:.1})", self.x, self.y)
+    }
+}
+
+/// serde for a [`Duration`] as a number of milliseconds; the field's name ends in `_ms`.
+pub mod millis {
+    use std::time::Duration;
+
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    /// Writes milliseconds with a fraction.
+    pub fn serialize<S: Serializer>(duration: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_f64(duration.as_secs_f64() * 1e3)
+    }
+
+    /// Reads milliseconds; negative, infinite and NaN are errors.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
+        from_ms(f64::deserialize(deserializer)?).map_err(D::Error::custom)
+    }
+
+    fn from_ms(ms: f64) -> Result<Duration, String> {
+        // Whole nanoseconds, rounded: 0.001 ms is 1000 ns, not 999.
+        if ms.is_finite() && (0.0..1e15).contains(&ms) {
+            Ok(Duration::from_nanos((ms * 1e6).round() as u64))
+        } else {
+            Err(format!("{ms} ms is not a duration: it must be zero or more"))
+        }
+    }
+
+    /// The same for an optional field.
+    pub mod option {
+        use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+        use std::time::Duration;
+
+        /// Writes milliseconds, or null.
+        pub fn serialize<S: Serializer>(value: &Option<Duration>, serializer: S) -> Result<S::Ok, S::Error> {
+            value.map(|d| d.as_secs_f64() * 1e3).serialize(serializer)
+        }
+
+        /// Reads milliseconds, or null.
+        pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Duration>, D::Error> {
+            Option::<f64>::deserialize(deserializer)?
+                .map(super::from_ms)
+                .transpose()
+                .map_err(D::Error::custom)
+        }
+    }
+}

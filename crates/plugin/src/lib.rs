@@ -1,0 +1,61 @@
+//! What a plug-in author imports: contexts in, instructions out.
+//!
+//! A [`Plugin`] is a state machine without a clock: it is told the time with every event, says when it wants to be
+//! woken next, and leaves its instructions in [`Actions`]. The same plug-in so runs against real and virtual time,
+//! in process or behind the HTTP API.
+#![forbid(unsafe_code)]
+
+use cotorra_graph::{Event, Instruction, Testbed, Timestamp};
+
+/// A plug-in: receives what happens, answers with instructions.
+///
+/// Calls come one at a time, with `now` never falling. A call that panics, that takes longer than the host's limit,
+/// or that leaves more instructions than the host's limit gets the plug-in cut off; its robots stop.
+pub trait Plugin: Send {
+    /// Called once, before anything else.
+    fn start(&mut self, _now: Timestamp, _testbed: &Testbed, _actions: &mut Actions) {}
+
+    /// Something happened.
+    fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions);
+
+    /// When [`Plugin::expire`] wants to be called; asked after each call. `None`: only events matter.
+    fn next_deadline(&self) -> Option<Timestamp> {
+        None
+    }
+
+    /// The deadline has come.
+    fn expire(&mut self, _now: Timestamp, _actions: &mut Actions) {}
+}
+
+/// What a plug-in wants done, in order.
+#[derive(Debug, Default)]
+pub struct Actions {
+    wanted: Vec<(Instruction, Option<String>)>,
+}
+
+impl Actions {
+    /// Asks for something.
+    pub fn instruct(&mut self, instruction: Instruction) {
+        self.wanted.push((instruction, None));
+    }
+
+    /// Asks for something and says why; the reason is kept with the decision.
+    pub fn instruct_because(&mut self, instruction: Instruction, reason: impl Into<String>) {
+        self.wanted.push((instruction, Some(reason.into())));
+    }
+
+    /// How many instructions wait.
+    pub fn len(&self) -> usize {
+        self.wanted.len()
+    }
+
+    /// Whether none waits.
+    pub fn is_empty(&self) -> bool {
+        self.wanted.is_empty()
+    }
+
+    /// Takes what was asked for, oldest first.
+    pub fn drain(&mut self) -> impl Iterator<Item = (Instruction, Option<String>)> {
+        self.wanted.drain(..)
+    }
+}
