@@ -5,6 +5,9 @@
 //! in process or behind the HTTP API.
 #![forbid(unsafe_code)]
 
+pub mod messages;
+pub mod wire;
+
 use cotorra_graph::{Event, Instruction, Testbed, Timestamp};
 
 /// A plug-in: receives what happens, answers with instructions.

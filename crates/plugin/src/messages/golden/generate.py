@@ -1,0 +1,65 @@
+"""Writes the golden messages beside this file with rosbags (pip install rosbags), an independent CDR encoder."""
+
+from pathlib import Path
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+store = get_typestore(Stores.ROS2_JAZZY)
+
+
+def make(name, **fields):
+    return store.types[name](**fields)
+
+
+def header(frame):
+    stamp = make("builtin_interfaces/msg/Time", sec=1, nanosec=400_000_123)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def vector(kind, x, y, z):
+    return make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+
+covariance = np.arange(36, dtype=np.float64)
+twist = make(
+    "geometry_msgs/msg/Twist", linear=vector("Vector3", 0.3, 0.0, 0.0), angular=vector("Vector3", 0.0, 0.0, -0.1)
+)
+pose = make(
+    "geometry_msgs/msg/PoseWithCovariance",
+    pose=make(
+        "geometry_msgs/msg/Pose",
+        position=vector("Point", 25.5, -27.8, 0.0),
+        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.6, w=0.8),
+    ),
+    covariance=covariance,
+)
+messages = [
+    twist,
+    make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header("map"), pose=pose),
+    make(
+        "nav_msgs/msg/Odometry",
+        header=header("odom"),
+        child_frame_id="base_footprint",
+        pose=pose,
+        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance),
+    ),
+    make(
+        "sensor_msgs/msg/LaserScan",
+        header=header("laser"),
+        angle_min=-3.0,
+        angle_max=3.0,
+        angle_increment=0.5,
+        time_increment=0.001,
+        scan_time=0.1,
+        range_min=0.15,
+        range_max=12.0,
+        ranges=np.array([1.0, 2.5, np.inf], dtype=np.float32),
+        intensities=np.array([], dtype=np.float32),
+    ),
+]
+for message in messages:
+    name = message.__msgtype__.split("/")[-1]
+    for endianness in ("le", "be"):
+        payload = store.serialize_cdr(message, message.__msgtype__, little_endian=endianness == "le")
+        (Path(__file__).parent / f"{name}.{endianness}.cdr").write_bytes(bytes(payload))

@@ -1,0 +1,167 @@
+use std::f64::consts::PI;
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn bytes<M: Message>(message: &M) -> Vec<u8> {
+    let mut buffer = Vec::new();
+    message.encode(&mut buffer);
+    buffer
+}
+
+fn stamped(frame: &str) -> Header {
+    Header::new(Timestamp::from_nanos(1_400_000_123), frame)
+}
+
+fn twist() -> Twist {
+    Velocity { linear: 0.3, angular: -0.1 }.into()
+}
+
+fn counting() -> Covariance {
+    Covariance(std::array::from_fn(|i| i as f64))
+}
+
+fn pose() -> PoseWithCovariance {
+    PoseWithCovariance {
+        pose: Pose {
+            position: Point { x: 25.5, y: -27.8, z: 0.0 },
+            orientation: Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 },
+        },
+        covariance: counting(),
+    }
+}
+
+fn scan() -> LaserScan {
+    LaserScan {
+        header: stamped("laser"),
+        angle_min: -3.0,
+        angle_max: 3.0,
+        angle_increment: 0.5,
+        time_increment: 0.001,
+        scan_time: 0.1,
+        range_min: 0.15,
+        range_max: 12.0,
+        ranges: vec![1.0, 2.5, f32::INFINITY],
+        intensities: vec![],
+    }
+}
+
+fn odometry() -> Odometry {
+    Odometry {
+        header: stamped("odom"),
+        child_frame_id: "base_footprint".to_owned(),
+        pose: pose(),
+        twist: TwistWithCovariance { twist: twist(), covariance: counting() },
+    }
+}
+
+#[test]
+fn a_header_pads_to_the_next_number_and_ends_its_text_with_zero() {
+    let expected = [
+        0, 1, 0, 0, // plain CDR, little endian
+        1, 0, 0, 0, // 1 s
+        0x7b, 0x84, 0xd7, 0x17, // 400 000 123 ns
+        4, 0, 0, 0, b'm', b'a', b'p', 0,
+    ];
+    assert_eq!(bytes(&stamped("map")), expected);
+}
+
+#[test]
+fn eight_byte_numbers_are_aligned_from_behind_the_encapsulation() {
+    let message = PoseWithCovarianceStamped { header: stamped("odom"), pose: pose() };
+    let encoded = bytes(&message);
+    // Stamp to 8, length to 12, `odom\0` to 17, padding to 24, where x stands; 4 bytes of encapsulation before.
+    assert_eq!(encoded[4 + 12..4 + 24], *b"odom\0\0\0\0\0\0\0\0");
+    assert_eq!(encoded[4 + 24..4 + 32], 25.5f64.to_le_bytes());
+    assert_eq!(encoded.len(), 4 + 24 + 56 + 36 * 8);
+}
+
+/// The golden files come from rosbags; see `golden/generate.py`.
+macro_rules! golden {
+    ($message:expr, $type:ident) => {
+        let little = include_bytes!(concat!("golden/", stringify!($type), ".le.cdr"));
+        let big = include_bytes!(concat!("golden/", stringify!($type), ".be.cdr"));
+        let message: $type = $message;
+        assert_eq!(bytes(&message), little);
+        assert_eq!($type::decode(little).unwrap(), message);
+        assert_eq!($type::decode(big).unwrap(), message);
+    };
+}
+
+#[test]
+fn bytes_are_those_of_an_independent_encoder() {
+    golden!(twist(), Twist);
+    golden!(PoseWithCovarianceStamped { header: stamped("map"), pose: pose() }, PoseWithCovarianceStamped);
+    golden!(odometry(), Odometry);
+    golden!(scan(), LaserScan);
+}
+
+#[test]
+fn a_lying_length_is_an_error_and_no_allocation() {
+    let mut lying = bytes(&scan());
+    let ranges = lying.len() - 4 - 12 - 4;
+    assert_eq!(lying[ranges..ranges + 4], [3, 0, 0, 0]);
+    lying[ranges..ranges + 4].copy_from_slice(&[0xff; 4]);
+    assert!(matches!(LaserScan::decode(&lying), Err(MessageError::Body { .. })));
+
+    let mut lying = bytes(&stamped("map"));
+    lying[12..16].copy_from_slice(&[0xff; 4]);
+    assert!(matches!(Header::decode(&lying), Err(MessageError::Body { .. })));
+}
+
+#[test]
+fn padding_is_let_pass_and_more_is_not() {
+    let mut padded = bytes(&twist());
+    padded.extend_from_slice(&[0; 3]);
+    assert_eq!(Twist::decode(&padded).unwrap(), twist());
+    padded.push(0);
+    assert!(matches!(Twist::decode(&padded), Err(MessageError::Trailing { count: 4, .. })));
+    assert!(matches!(Twist::decode(&[0, 1, 0]), Err(MessageError::Encapsulation)));
+    assert!(matches!(Twist::decode(&[0, 3, 0, 0]), Err(MessageError::Encapsulation)));
+}
+
+#[test]
+fn headings_are_rotations_about_z() {
+    let quarter = Quaternion::from_heading(PI / 2.0);
+    assert!((quarter.z - 0.5f64.sqrt()).abs() < 1e-15 && (quarter.w - 0.5f64.sqrt()).abs() < 1e-15);
+    assert_eq!(Quaternion::default().heading(), 0.0);
+}
+
+#[test]
+fn planar_covariance_stands_at_x_y_and_rotation_about_z() {
+    let full = Covariance::from_planar(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+    assert_eq!((full.0[0], full.0[1], full.0[5]), (1.0, 2.0, 3.0));
+    assert_eq!((full.0[6], full.0[7], full.0[11]), (4.0, 5.0, 6.0));
+    assert_eq!((full.0[30], full.0[31], full.0[35]), (7.0, 8.0, 9.0));
+    assert_eq!(full.planar(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+}
+
+proptest! {
+    #[test]
+    fn decoding_never_panics(payload in proptest::collection::vec(any::<u8>(), 0..800), big: bool) {
+        let mut payload = payload;
+        if payload.len() >= 2 {
+            (payload[0], payload[1]) = (0, u8::from(!big));
+        }
+        let _ = (LaserScan::decode(&payload), Odometry::decode(&payload), Twist::decode(&payload));
+    }
+
+    #[test]
+    fn scans_come_back_as_they_were(
+        frame in "\\PC{0,30}",
+        ranges in proptest::collection::vec(0.0f32..20.0, 0..400),
+        intensities in proptest::collection::vec(0.0f32..20.0, 0..5),
+    ) {
+        let scan = LaserScan { header: stamped(&frame), ranges, intensities, ..scan() };
+        prop_assert_eq!(LaserScan::decode(&bytes(&scan)).unwrap(), scan);
+    }
+
+    #[test]
+    fn planar_poses_come_back(x in -1e6f64..1e6, y in -1e6f64..1e6, heading in -3.0f64..3.0) {
+        let pose = graph::Pose { x, y, heading, covariance: [0.25; 9], source: PoseSource::Simulator };
+        let back = PoseWithCovariance::from(&pose).planar(PoseSource::Simulator);
+        prop_assert_eq!((back.x, back.y, back.covariance), (x, y, pose.covariance));
+        prop_assert!((back.heading - heading).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,308 @@
+//! The service's datagrams: a robot's position packets and the navigation packets that answer them.
+//!
+//! Everything that a navigation VNF must know to answer travels in the position packet, so that an instance on
+//! another server can take over with the next one. Both are a header of [`HEADER_LEN`] bytes, little endian like the
+//! CDR behind it, then the robot's name (position packets only), then one ROS message in CDR:
+//!
+//! | bytes | field |
+//! |---|---|
+//! | 0..4 | magic, `ctra` |
+//! | 4 | version, 1 |
+//! | 5 | kind: 1 position, 2 navigation |
+//! | 6 | length of the robot's name; 0 in navigation packets |
+//! | 7 | 0 |
+//! | 8..12 | sequence number |
+//! | 12..16 | next waypoint |
+//! | 16..24 | time of emission, ns since the run began |
+
+use cotorra_graph::{NodeId, Timestamp};
+
+use crate::messages::{Message, MessageError, PoseWithCovarianceStamped, Twist};
+
+/// The UDP port where navigation VNFs listen.
+pub const NAVIGATION_PORT: u16 = 7711;
+/// Bytes of the header.
+pub const HEADER_LEN: usize = 24;
+
+const MAGIC: [u8; 4] = *b"ctra";
+const VERSION: u8 = 1;
+
+/// Why a datagram is none of the service's.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// Fewer bytes than the header and the robot's name have.
+    #[error("{0} bytes are too few for a packet of the service")]
+    Short(usize),
+    /// Some other program's datagram.
+    #[error("the datagram does not begin with `ctra`")]
+    Magic,
+    /// Made by another version of cotorra.
+    #[error("the packet has version {0}, and this is version {VERSION}")]
+    Version(u8),
+    /// A position packet where a navigation packet should be, or the other way round.
+    #[error("the packet is of kind {found}, expected was {expected}")]
+    Kind {
+        /// What it says.
+        found: u8,
+        /// What it should say.
+        expected: u8,
+    },
+    /// The robot's name can be no name.
+    #[error("the robot's name is none")]
+    Robot,
+    /// The message behind the header is broken.
+    #[error(transparent)]
+    Message(#[from] MessageError),
+}
+
+/// A robot says where it is, and asks how to go on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PositionPacket {
+    /// Number of the packet, from 0.
+    pub sequence: u32,
+    /// When it was emitted, on the robot's clock.
+    pub emitted: Timestamp,
+    /// The next waypoint of the robot's walk, from 0.
+    pub waypoint: u32,
+    /// Who emits it.
+    pub robot: NodeId,
+    /// Where it is.
+    pub pose: PoseWithCovarianceStamped,
+}
+
+impl PositionPacket {
+    /// Writes the packet to `buffer`, in place of what it held.
+    pub fn encode(&self, buffer: &mut Vec<u8>) {
+        let name = self.robot.as_str();
+        let name_len = u8::try_from(name.len()).expect("a name has 63 bytes at most");
+        write_header(buffer, Kind::Position, name_len, self.sequence, self.waypoint, self.emitted);
+        buffer.extend_from_slice(name.as_bytes());
+        self.pose.encode(buffer);
+    }
+
+    /// Reads a packet.
+    ///
+    /// # Errors
+    /// [`WireError`] if `datagram` is not exactly one position packet.
+    pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
+        let header = Header::read(datagram, Kind::Position)?;
+        let (name, message) =
+            header.rest.split_at_checked(header.name_len).ok_or(WireError::Short(datagram.len()))?;
+        let robot = std::str::from_utf8(name).ok().and_then(|name| NodeId::new(name).ok());
+        Ok(Self {
+            sequence: header.sequence,
+            emitted: header.emitted,
+            waypoint: header.waypoint,
+            robot: robot.ok_or(WireError::Robot)?,
+            pose: PoseWithCovarianceStamped::decode(message)?,
+        })
+    }
+}
+
+/// The answer: how the robot shall move.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NavigationPacket {
+    /// Number of the position packet that it answers.
+    pub sequence: u32,
+    /// When that one was emitted, as it said.
+    pub emitted: Timestamp,
+    /// The next waypoint from here on; the walk's length at its end.
+    pub waypoint: u32,
+    /// How to move.
+    pub velocity: Twist,
+}
+
+impl NavigationPacket {
+    /// The answer to a position packet.
+    pub fn answering(position: &PositionPacket, waypoint: u32, velocity: Twist) -> Self {
+        Self { sequence: position.sequence, emitted: position.emitted, waypoint, velocity }
+    }
+
+    /// Writes the packet to `buffer`, in place of what it held.
+    pub fn encode(&self, buffer: &mut Vec<u8>) {
+        write_header(buffer, Kind::Navigation, 0, self.sequence, self.waypoint, self.emitted);
+        self.velocity.encode(buffer);
+    }
+
+    /// Reads a packet.
+    ///
+    /// # Errors
+    /// [`WireError`] if `datagram` is not exactly one navigation packet.
+    pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
+        let header = Header::read(datagram, Kind::Navigation)?;
+        if header.name_len != 0 {
+            return Err(WireError::Robot);
+        }
+        Ok(Self {
+            sequence: header.sequence,
+            emitted: header.emitted,
+            waypoint: header.waypoint,
+            velocity: Twist::decode(header.rest)?,
+        })
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Position = 1,
+    Navigation = 2,
+}
+
+struct Header<'a> {
+    name_len: usize,
+    sequence: u32,
+    waypoint: u32,
+    emitted: Timestamp,
+    rest: &'a [u8],
+}
+
+fn write_header(
+    buffer: &mut Vec<u8>,
+    kind: Kind,
+    name_len: u8,
+    sequence: u32,
+    waypoint: u32,
+    emitted: Timestamp,
+) {
+    buffer.clear();
+    buffer.extend_from_slice(&MAGIC);
+    buffer.extend_from_slice(&[VERSION, kind as u8, name_len, 0]);
+    buffer.extend_from_slice(&sequence.to_le_bytes());
+    buffer.extend_from_slice(&waypoint.to_le_bytes());
+    buffer.extend_from_slice(&emitted.as_nanos().to_le_bytes());
+}
+
+impl<'a> Header<'a> {
+    fn read(datagram: &'a [u8], kind: Kind) -> Result<Self, WireError> {
+        let Some((header, rest)) = datagram.split_first_chunk::<HEADER_LEN>() else {
+            return Err(WireError::Short(datagram.len()));
+        };
+        let [m0, m1, m2, m3, version, found, name_len, _, s0, s1, s2, s3, w0, w1, w2, w3, emitted @ ..] =
+            *header;
+        if [m0, m1, m2, m3] != MAGIC {
+            return Err(WireError::Magic);
+        }
+        if version != VERSION {
+            return Err(WireError::Version(version));
+        }
+        if found != kind as u8 {
+            return Err(WireError::Kind { found, expected: kind as u8 });
+        }
+        Ok(Self {
+            name_len: usize::from(name_len),
+            sequence: u32::from_le_bytes([s0, s1, s2, s3]),
+            waypoint: u32::from_le_bytes([w0, w1, w2, w3]),
+            emitted: Timestamp::from_nanos(u64::from_le_bytes(emitted)),
+            rest,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Pose, PoseSource, Velocity};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::messages::Header;
+
+    fn position() -> PositionPacket {
+        let pose =
+            Pose { x: 25.5, y: -27.8, heading: 1.5, covariance: [0.0; 9], source: PoseSource::Simulator };
+        PositionPacket {
+            sequence: 7,
+            emitted: Timestamp::from_nanos(1_400_000_123),
+            waypoint: 3,
+            robot: NodeId::new("robot1").unwrap(),
+            pose: PoseWithCovarianceStamped {
+                header: Header::new(Timestamp::from_nanos(1_400_000_123), "map"),
+                pose: (&pose).into(),
+            },
+        }
+    }
+
+    #[test]
+    fn a_position_packet_has_the_documented_layout() {
+        let mut bytes = Vec::new();
+        position().encode(&mut bytes);
+        assert_eq!(bytes[..8], *b"ctra\x01\x01\x06\x00");
+        assert_eq!(bytes[8..16], [7, 0, 0, 0, 3, 0, 0, 0]);
+        assert_eq!(bytes[16..24], 1_400_000_123u64.to_le_bytes());
+        assert_eq!(bytes[24..30], *b"robot1");
+        // Stamp 8, frame 4 + 4, pose 56, covariance 288, behind 4 of encapsulation.
+        assert_eq!(bytes.len(), 24 + 6 + 4 + 360);
+        assert_eq!(PositionPacket::decode(&bytes).unwrap(), position());
+    }
+
+    #[test]
+    fn a_navigation_packet_answers_with_the_same_sequence_and_emission() {
+        let answer =
+            NavigationPacket::answering(&position(), 4, Velocity { linear: 0.3, angular: -0.1 }.into());
+        let mut bytes = b"old".to_vec();
+        answer.encode(&mut bytes);
+        assert_eq!(bytes.len(), 24 + 4 + 48);
+        let read = NavigationPacket::decode(&bytes).unwrap();
+        assert_eq!(read, answer);
+        assert_eq!((read.sequence, read.emitted, read.waypoint), (7, position().emitted, 4));
+    }
+
+    #[test]
+    fn what_is_no_packet_is_refused_with_its_reason() {
+        let mut bytes = Vec::new();
+        position().encode(&mut bytes);
+        assert!(matches!(PositionPacket::decode(&bytes[..23]), Err(WireError::Short(23))));
+        assert!(matches!(PositionPacket::decode(&bytes[..28]), Err(WireError::Short(28))));
+        assert!(matches!(PositionPacket::decode(&bytes[..60]), Err(WireError::Message(_))));
+        assert!(matches!(NavigationPacket::decode(&bytes), Err(WireError::Kind { found: 1, expected: 2 })));
+        let with = |at: usize, value| {
+            let mut changed = bytes.clone();
+            changed[at] = value;
+            PositionPacket::decode(&changed)
+        };
+        assert!(matches!(with(0, b'x'), Err(WireError::Magic)));
+        assert!(matches!(with(4, 9), Err(WireError::Version(9))));
+        assert!(matches!(with(24, b'/'), Err(WireError::Robot)));
+        assert!(matches!(with(24, 0xff), Err(WireError::Robot)));
+        bytes.extend_from_slice(&[0; 4]);
+        assert!(matches!(PositionPacket::decode(&bytes), Err(WireError::Message(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn decoding_never_panics(bytes in proptest::collection::vec(any::<u8>(), 0..500)) {
+            let _ = PositionPacket::decode(&bytes);
+            let _ = NavigationPacket::decode(&bytes);
+        }
+
+        #[test]
+        fn a_damaged_packet_never_panics(at in 0usize..394, value: u8, len in 0usize..=394) {
+            let mut bytes = Vec::new();
+            position().encode(&mut bytes);
+            bytes[at] = value;
+            bytes.truncate(len);
+            let _ = PositionPacket::decode(&bytes);
+        }
+
+        #[test]
+        fn packets_come_back_as_they_were(
+            sequence: u32, waypoint: u32, emitted: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
+            frame in "\\PC{0,40}", x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
+        ) {
+            let mut packet = position();
+            (packet.sequence, packet.waypoint) = (sequence, waypoint);
+            packet.emitted = Timestamp::from_nanos(emitted);
+            packet.robot = NodeId::new(&name).unwrap();
+            packet.pose.header.frame_id = frame;
+            packet.pose.pose.pose.position.x = x;
+            let mut bytes = Vec::new();
+            packet.encode(&mut bytes);
+            prop_assert_eq!(PositionPacket::decode(&bytes).unwrap(), packet.clone());
+
+            let mut twist = Twist::default();
+            twist.angular.z = x;
+            let answer = NavigationPacket::answering(&packet, waypoint, twist);
+            answer.encode(&mut bytes);
+            prop_assert_eq!(NavigationPacket::decode(&bytes).unwrap(), answer);
+        }
+    }
+}
