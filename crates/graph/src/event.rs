@@ -81,29 +81,6 @@ pub enum Event {
     },
 }
 
-impl Event {
-    /// The name of its kind, as the JSON form has it under `event`.
-    pub fn kind(&self) -> &'static str {
-        match self {
-            Self::Robot(_) => "robot",
-            Self::Radio(_) => "radio",
-            Self::Link(_) => "link",
-            Self::Placement(_) => "placement",
-            Self::VirtualLink(_) => "virtual_link",
-            Self::ServiceTime(_) => "service_time",
-            Self::Handover(_) => "handover",
-            Self::Detached { .. } => "detached",
-            Self::Scanned { .. } => "scanned",
-            Self::Vnf(_) => "vnf",
-            Self::Decision(_) => "decision",
-            Self::PluginFault { .. } => "plugin_fault",
-            Self::Lateness(_) => "lateness",
-            Self::WalkFinished { .. } => "walk_finished",
-            Self::Notice { .. } => "notice",
-        }
-    }
-}
-
 /// What became of a VNF's process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
