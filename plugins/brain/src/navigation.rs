@@ -1,0 +1,121 @@
+//! One robot's walk: which waypoint is next, which way leads there, and how to move now.
+//!
+//! What it answers depends on the robot's pose and next waypoint alone, never on what it saw before: so that an
+//! instance on another server goes on where this one stopped. What it keeps between calls is only computed ahead.
+
+use std::sync::Arc;
+
+use cotorra_graph::{Pose, Position, Velocity, Walk};
+
+use crate::{
+    costmap::Costmap,
+    path::Path,
+    planner::{Planner, Unreachable},
+    pursuit,
+};
+
+/// A waypoint counts as reached within this distance, metres …
+const REACHED: f64 = 0.35;
+/// … and the last one within this.
+const ARRIVED: f64 = 0.15;
+/// Further than this from its path, a robot gets a new one from where it is; metres.
+const OFF_PATH: f64 = 0.5;
+
+/// How to move now.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// How.
+    pub velocity: Velocity,
+    /// The next waypoint; the walk's length at its end.
+    pub waypoint: u32,
+    /// Why the robot stands still though its walk goes on.
+    pub blocked: Option<Unreachable>,
+}
+
+/// The navigation of one robot along its walk.
+#[derive(Debug)]
+pub struct Navigation {
+    map: Option<Arc<Costmap>>,
+    walk: Walk,
+    planner: Planner,
+    /// The way to each waypoint from the one before it; to the first there is none.
+    legs: Vec<Option<Result<Path, Unreachable>>>,
+    detour: Option<Detour>,
+}
+
+/// The way to a waypoint from a place off its leg.
+#[derive(Debug)]
+struct Detour {
+    waypoint: usize,
+    from: Position,
+    path: Result<Path, Unreachable>,
+}
+
+impl Navigation {
+    /// The navigation along `walk` on `map`, or in open space. Plans the whole walk.
+    pub fn new(map: Option<Arc<Costmap>>, walk: Walk) -> Self {
+        let mut planner = Planner::default();
+        let mut leg = |pair: &[Position]| Some(way(map.as_deref(), &mut planner, pair[0], pair[1]));
+        let first = walk.waypoints.first().map(|_| None);
+        let legs = first.into_iter().chain(walk.waypoints.windows(2).map(&mut leg)).collect();
+        Self { map, walk, planner, legs, detour: None }
+    }
+
+    /// How to move from `pose` when `waypoint` is the next one.
+    pub fn step(&mut self, pose: &Pose, waypoint: u32) -> Step {
+        if ![pose.x, pose.y, pose.heading].into_iter().all(f64::is_finite) {
+            return Step { velocity: Velocity::default(), waypoint, blocked: Some(Unreachable::NoPose) };
+        }
+        let next = self.next_waypoint(pose.position(), waypoint as usize);
+        let answer = |velocity, blocked| Step { velocity, waypoint: next as u32, blocked };
+        if next == self.walk.waypoints.len() {
+            return answer(Velocity::default(), None);
+        }
+        match self.drive(pose, next) {
+            Ok(velocity) => answer(velocity, None),
+            Err(reason) => answer(Velocity::default(), Some(reason)),
+        }
+    }
+
+    /// The first waypoint from `waypoint` on that is not reached yet.
+    fn next_waypoint(&self, here: Position, waypoint: usize) -> usize {
+        let waypoints = &self.walk.waypoints;
+        let last = waypoints.len().saturating_sub(1);
+        let reached = |i: usize| waypoints[i].distance(here) <= if i == last { ARRIVED } else { REACHED };
+        (waypoint..waypoints.len()).find(|&i| !reached(i)).unwrap_or(waypoints.len())
+    }
+
+    fn drive(&mut self, pose: &Pose, next: usize) -> Result<Velocity, Unreachable> {
+        let (map, limit) = (self.map.as_deref(), self.walk.speed_limit);
+        let here = pose.position();
+        if let Some(Ok(leg)) = &self.legs[next] {
+            let on = leg.project(here);
+            let in_sight = || map.is_none_or(|map| map.sees(here, on.place));
+            if on.distance <= OFF_PATH && in_sight() {
+                return Ok(pursuit::follow(map, leg, &on, pose, limit));
+            }
+        }
+        // The same place gives the same detour, whoever plans it and whatever was planned before.
+        let from = map.and_then(|map| map.cell_at(here).map(|cell| map.centre(cell))).unwrap_or(here);
+        let known = self.detour.take().filter(|detour| detour.waypoint == next && detour.from == from);
+        let detour = self.detour.insert(known.unwrap_or_else(|| Detour {
+            waypoint: next,
+            from,
+            path: way(map, &mut self.planner, from, self.walk.waypoints[next]),
+        }));
+        let path = detour.path.as_ref().map_err(|&reason| reason)?;
+        Ok(pursuit::follow(map, path, &path.project(here), pose, limit))
+    }
+}
+
+fn way(
+    map: Option<&Costmap>,
+    planner: &mut Planner,
+    from: Position,
+    to: Position,
+) -> Result<Path, Unreachable> {
+    match map {
+        Some(map) => planner.plan(map, from, to),
+        None => Ok(Path::straight(from, to)),
+    }
+}

@@ -1,0 +1,219 @@
+//! The brain as the navigation VNF: position packets in, navigation packets out.
+//!
+//! The robot waits for the answer, so each is sent before anything else is looked at, by one thread that blocks on
+//! its socket.
+
+use std::{convert::Infallible, io, net::UdpSocket};
+
+use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, SensorData, Testbed, Velocity};
+use cotorra_plugin::{
+    Actions, Plugin,
+    wire::{NavigationPacket, PositionPacket, WireError},
+};
+
+use crate::Brain;
+
+/// The testbed lets the robot go nowhere, so that nobody can navigate it.
+#[derive(Debug, thiserror::Error)]
+#[error("robot `{robot}` has no walk in testbed `{testbed}`")]
+pub struct NoWalk {
+    robot: NodeId,
+    testbed: String,
+}
+
+/// Why a datagram gets no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum Rejected {
+    /// It is no position packet.
+    #[error(transparent)]
+    Malformed(#[from] WireError),
+    /// It is from another robot than the one that is served.
+    #[error("it is from `{0}`, another robot than the one that is served here")]
+    Stranger(NodeId),
+}
+
+/// The navigation VNF of one robot, without its socket.
+#[derive(Debug)]
+pub struct NavigationVnf {
+    brain: Brain,
+    actions: Actions,
+    robot: NodeId,
+    /// Why the robot was told to stand still by the last answer.
+    standstill: Option<String>,
+}
+
+impl NavigationVnf {
+    /// Plans the robot's walk.
+    ///
+    /// # Errors
+    /// [`NoWalk`] if it has none.
+    pub fn new(testbed: &Testbed, robot: &NodeId) -> Result<Self, NoWalk> {
+        if testbed.walk(robot).is_none() {
+            return Err(NoWalk { robot: robot.clone(), testbed: testbed.name.clone() });
+        }
+        let mut brain = Brain::for_robot(robot.clone());
+        let mut actions = Actions::default();
+        brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut actions);
+        Ok(Self { brain, actions, robot: robot.clone(), standstill: None })
+    }
+
+    /// Writes the answer to a datagram to `answer`, in place of what it held.
+    ///
+    /// # Errors
+    /// [`Rejected`] if there is none.
+    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), Rejected> {
+        let packet = PositionPacket::decode(datagram)?;
+        // The robot's time will do for a brain that depends on none.
+        let now = packet.emitted;
+        self.brain.handle(now, &Event::Robot(context(&packet)), &mut self.actions);
+        let Some((Instruction::Move { velocity, waypoint, .. }, reason)) = self.actions.drain().next() else {
+            return Err(Rejected::Stranger(packet.robot));
+        };
+        NavigationPacket::answering(&packet, waypoint, velocity.into()).encode(answer);
+        self.standstill = reason;
+        Ok(())
+    }
+
+    /// Why the last answer told the robot to stand still in the middle of its walk; `None` if it did not.
+    pub fn standstill(&self) -> Option<&str> {
+        self.standstill.as_deref()
+    }
+}
+
+/// κ(r) as far as a position packet tells it.
+fn context(packet: &PositionPacket) -> RobotContext {
+    let pose = packet.pose.pose.planar(PoseSource::Localization);
+    RobotContext {
+        robot: packet.robot.clone(),
+        attachments: Vec::new(),
+        sensors: SensorData {
+            pose,
+            odometry: pose,
+            velocity: Velocity::default(),
+            bumper: false,
+            nearest_obstacle_m: None,
+        },
+        waypoint: packet.waypoint,
+    }
+}
+
+/// Serves a robot on that socket until the process ends; what a user should know goes to standard error.
+///
+/// # Errors
+/// What the socket cannot recover from.
+pub fn serve(mut vnf: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
+    let mut datagram = [0; 2048];
+    let mut answer = Vec::with_capacity(128);
+    let mut rejected = 0u64;
+    let mut standstill: Option<String> = None;
+    eprintln!("navigating `{}`", vnf.robot);
+    loop {
+        let (length, sender) = match socket.recv_from(&mut datagram) {
+            Ok(received) => received,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Err(error),
+        };
+        match vnf.answer(&datagram[..length], &mut answer) {
+            // A robot that cannot be reached now emits its next position soon enough.
+            Ok(()) => drop(socket.send_to(&answer, sender)),
+            Err(reason) => {
+                rejected += 1;
+                if rejected.is_power_of_two() {
+                    eprintln!("ignored a packet from {sender}, number {rejected} so far: {reason}");
+                }
+            }
+        }
+        if vnf.standstill() != standstill.as_deref() {
+            standstill = vnf.standstill().map(str::to_owned);
+            eprintln!("{}", standstill.as_deref().unwrap_or("the way is open again"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Pose, Position, Timestamp};
+    use cotorra_plugin::messages::{Header, PoseWithCovarianceStamped};
+
+    use super::*;
+    use crate::testing::{robot, testbed};
+
+    fn vnf(goal: Position) -> NavigationVnf {
+        let testbed =
+            testbed(&["..........", "..........", "??????????"], 1.0, vec![Position::new(1.0, 2.0), goal]);
+        NavigationVnf::new(&testbed, &robot()).unwrap()
+    }
+
+    fn position(name: &str, sequence: u32, x: f64) -> Vec<u8> {
+        let stamp = Timestamp::from_nanos(5_000 + u64::from(sequence));
+        let pose = Pose { x, y: 2.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let mut bytes = Vec::new();
+        PositionPacket {
+            sequence,
+            emitted: stamp,
+            waypoint: 0,
+            robot: NodeId::new(name).unwrap(),
+            pose: PoseWithCovarianceStamped { header: Header::new(stamp, "map"), pose: (&pose).into() },
+        }
+        .encode(&mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn each_position_gets_its_own_answer() {
+        let mut vnf = vnf(Position::new(9.0, 2.0));
+        let mut answer = Vec::new();
+        for sequence in [3, 4, 9] {
+            vnf.answer(&position("robot", sequence, 1.0), &mut answer).unwrap();
+            let packet = NavigationPacket::decode(&answer).unwrap();
+            assert_eq!((packet.sequence, packet.waypoint), (sequence, 1));
+            assert_eq!(packet.emitted, Timestamp::from_nanos(5_000 + u64::from(sequence)));
+            assert_eq!(Velocity::from(&packet.velocity), Velocity { linear: 0.3, angular: 0.0 });
+            assert_eq!(vnf.standstill(), None);
+        }
+    }
+
+    #[test]
+    fn what_is_no_position_of_its_robot_gets_none() {
+        let mut vnf = vnf(Position::new(9.0, 2.0));
+        let mut answer = Vec::new();
+        assert!(matches!(vnf.answer(b"hello", &mut answer), Err(Rejected::Malformed(_))));
+        assert!(matches!(vnf.answer(&position("other", 0, 1.0), &mut answer), Err(Rejected::Stranger(_))));
+        assert!(vnf.answer(&position("robot", 0, 1.0), &mut answer).is_ok());
+    }
+
+    #[test]
+    fn an_unreachable_goal_is_a_stop_with_a_reason() {
+        let mut vnf = vnf(Position::new(9.0, 0.5));
+        let mut answer = Vec::new();
+        vnf.answer(&position("robot", 0, 1.0), &mut answer).unwrap();
+        assert_eq!(vnf.standstill(), Some("(9.0, 0.5) is not on the map's floor"));
+        let packet = NavigationPacket::decode(&answer).unwrap();
+        assert_eq!(Velocity::from(&packet.velocity), Velocity::default());
+    }
+
+    #[test]
+    fn a_robot_without_a_walk_is_an_error() {
+        let mut testbed = testbed(&["..."], 1.0, Vec::new());
+        testbed.walks.clear();
+        let error = NavigationVnf::new(&testbed, &robot()).unwrap_err();
+        assert_eq!(error.to_string(), "robot `robot` has no walk in testbed `drawn`");
+    }
+
+    #[test]
+    fn serves_over_udp_and_ignores_noise() {
+        let server = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let robot = UdpSocket::bind("127.0.0.1:0").unwrap();
+        robot.connect(server.local_addr().unwrap()).unwrap();
+        let vnf = vnf(Position::new(9.0, 2.0));
+        // Runs until the test's process ends, as it does in a VNF.
+        std::thread::spawn(move || serve(vnf, &server));
+        let mut received = [0; 256];
+        for sequence in 0..3 {
+            robot.send(b"noise").unwrap();
+            robot.send(&position("robot", sequence, 2.0)).unwrap();
+            let length = robot.recv(&mut received).unwrap();
+            assert_eq!(NavigationPacket::decode(&received[..length]).unwrap().sequence, sequence);
+        }
+    }
+}

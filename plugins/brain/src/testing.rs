@@ -1,0 +1,26 @@
+//! What the unit tests share: drawn maps, and testbeds of one robot on them.
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use cotorra_graph::{Cell, OccupancyGrid, Position, Testbed};
+
+pub use common::robot;
+
+/// A grid from its rows, the northernmost first: `#` occupied, `.` free, `?` unknown.
+pub fn grid(rows: &[impl AsRef<str>], resolution: f64) -> OccupancyGrid {
+    let cell = |c: char| match c {
+        '#' => Cell::Occupied,
+        '.' => Cell::Free,
+        _ => Cell::Unknown,
+    };
+    let width = rows[0].as_ref().len();
+    let cells = rows.iter().rev().flat_map(|row| row.as_ref().chars().map(cell)).collect();
+    OccupancyGrid::new(width, rows.len(), resolution, Position::new(0.0, 0.0), cells).unwrap()
+}
+
+/// A testbed on a drawn map.
+pub fn testbed(rows: &[&str], resolution: f64, waypoints: Vec<Position>) -> Testbed {
+    let testbed = common::testbed(Some(grid(rows, resolution)), waypoints);
+    Testbed { name: "drawn".to_owned(), ..testbed }
+}
