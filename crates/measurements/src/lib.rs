@@ -1,1 +1,19 @@
-//! placeholder
+//! The Measurements block: the history of every embedding of the hardware graph.
+//!
+//! A [`Recorder`] takes what happens, as [`cotorra_graph::Stamped`] events, and never makes anyone wait. A [`History`]
+//! answers what was: a series, events in a range of time, the whole graph at a time. Every answer is a [`Page`] with
+//! a bound, so that no question is too big.
+#![forbid(unsafe_code)]
+
+mod codec;
+mod error;
+mod history;
+mod memory;
+mod recorder;
+mod sqlite;
+mod store;
+
+pub use error::{Error, Result};
+pub use history::{GraphState, History, Sample};
+pub use recorder::{Recorder, RecorderStats};
+pub use store::{Cursor, Gap, InvalidCursor, InvalidKind, Kind, Page, PageRequest, Run, RunId, RunInfo};

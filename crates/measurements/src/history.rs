@@ -1,0 +1,319 @@
+//! The way out: what a history is asked, and what it answers.
+
+use std::{
+    ops::{Bound, RangeBounds},
+    path::Path,
+    sync::Arc,
+};
+
+use cotorra_graph::{
+    Direction, Event, Handover, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
+    ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
+};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    error::Result,
+    memory::Memory,
+    recorder::{Queue, Recorder},
+    sqlite::Sqlite,
+    store::{Gap, Kind, Page, PageRequest, Run, RunId, RunInfo, Selection, Series, Span, Store},
+};
+
+/// The history of every embedding of G, over any number of runs. Clones are one history, and may be used from any
+/// thread; asking never waits for recording, nor recording for asking.
+///
+/// An answer holds what was durable when it was asked for, which is up to 100 ms behind what was recorded:
+/// [`Recorder::flush`] first where that matters.
+///
+/// Every question fails if there is no such run, and if the engine cannot answer it (see [`crate::Error`]).
+#[derive(Clone)]
+pub struct History {
+    store: Arc<dyn Store>,
+    queue: Arc<Queue>,
+}
+
+/// Something and when it was so.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sample<T> {
+    /// Nanoseconds since the run began.
+    pub at: Timestamp,
+    /// What.
+    #[serde(flatten)]
+    pub value: T,
+}
+
+/// What is known about the whole graph at a time: the last of everything.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct GraphState {
+    /// When.
+    pub at: Timestamp,
+    /// κ(r), by robot.
+    pub robots: Vec<Sample<RobotContext>>,
+    /// ι(R), by radio unit.
+    pub radio_units: Vec<Sample<RadioContext>>,
+    /// d, λ, ψ, δ, by link and direction.
+    pub links: Vec<Sample<LinkContext>>,
+    /// a(n), by VNF.
+    pub placements: Vec<Sample<Placement>>,
+    /// a(n1,n2), by the ends of the virtual link.
+    pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
+}
+
+impl History {
+    /// Opens the SQLite database at `path`, or makes a new one. A new file is readable by any SQLite; its schema,
+    /// with units, is `schema.sql` in this crate.
+    ///
+    /// # Errors
+    /// When it cannot be created, cannot be written, is no history, is damaged, or is of a newer cotorra.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::of(Arc::new(Sqlite::open(path.as_ref())?))
+    }
+
+    /// A history that is gone with the process, and grows in memory until then.
+    ///
+    /// # Errors
+    /// When the system has no thread left.
+    pub fn in_memory() -> Result<Self> {
+        Self::of(Arc::new(Memory::default()))
+    }
+
+    pub(crate) fn of(store: Arc<dyn Store>) -> Result<Self> {
+        Ok(Self { queue: Arc::new(Queue::new(store.clone())?), store })
+    }
+
+    /// Begins a run; durable when it returns.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
+        self.store.begin_run(info)
+    }
+
+    /// Takes the events of a run.
+    ///
+    /// # Errors
+    /// When there is no such run.
+    pub fn recorder(&self, run: RunId) -> Result<Recorder> {
+        self.store.run(run)?;
+        Ok(self.queue.recorder(run))
+    }
+
+    /// Makes what was recorded durable and notes when the run ended. A run that was killed has no end.
+    ///
+    /// # Errors
+    /// When it cannot be written, or there is no such run.
+    pub fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
+        self.queue.flush()?;
+        self.store.end_run(run, at)
+    }
+
+    /// One run.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn run(&self, run: RunId) -> Result<Run> {
+        self.store.run(run)
+    }
+
+    /// At most `limit` runs after a given one, or from the first, oldest first.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
+        self.store.runs(after, limit.clamp(1, PageRequest::MAX))
+    }
+
+    /// κ(r) over a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn robot_series(
+        &self,
+        run: RunId,
+        robot: &NodeId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<RobotContext>>> {
+        self.select(run, &Selection::Series(Series::Robot(robot.clone())), range, page)
+    }
+
+    /// ι(R) over a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn radio_series(
+        &self,
+        run: RunId,
+        radio_unit: &NodeId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<RadioContext>>> {
+        self.select(run, &Selection::Series(Series::Radio(radio_unit.clone())), range, page)
+    }
+
+    /// d, λ, ψ, δ of one direction of a link over a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn link_series(
+        &self,
+        run: RunId,
+        link: &LinkId,
+        direction: Direction,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<LinkContext>>> {
+        self.select(run, &Selection::Series(Series::Link(link.clone(), direction)), range, page)
+    }
+
+    /// Changes of a(n) in a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn placements(
+        &self,
+        run: RunId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<Placement>>> {
+        self.select(run, &Selection::Kinds(&[Kind::Placement]), range, page)
+    }
+
+    /// Service times that were recorded in a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn service_times(
+        &self,
+        run: RunId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<ServiceTime>>> {
+        self.select(run, &Selection::Kinds(&[Kind::ServiceTime]), range, page)
+    }
+
+    /// Handovers in a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn handovers(
+        &self,
+        run: RunId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<Handover>>> {
+        self.select(run, &Selection::Kinds(&[Kind::Handover]), range, page)
+    }
+
+    /// Events of some kinds in a range of time; of all kinds for an empty list.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn events(
+        &self,
+        run: RunId,
+        kinds: &[Kind],
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Stamped>> {
+        let kinds = if kinds.is_empty() { &Kind::ALL } else { kinds };
+        self.store.events(run, &Selection::Kinds(kinds), span(&range), page)
+    }
+
+    /// Gaps that begin in a range of time.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn gaps(
+        &self,
+        run: RunId,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Gap>> {
+        self.store.gaps(run, span(&range), page)
+    }
+
+    /// The whole graph at a time: of everything the last that was recorded at that time or before.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn state_at(&self, run: RunId, at: Timestamp) -> Result<GraphState> {
+        let mut latest: Vec<(Series, Stamped)> = self
+            .store
+            .latest(run, nanos(at))?
+            .into_iter()
+            .filter_map(|stamped| Some((Series::of(&stamped.event)?, stamped)))
+            .collect();
+        latest.sort_by(|a, b| a.0.cmp(&b.0));
+        let mut state = GraphState { at, ..GraphState::default() };
+        for (_, Stamped { at, event }) in latest {
+            match event {
+                Event::Robot(value) => state.robots.push(Sample { at, value }),
+                Event::Radio(value) => state.radio_units.push(Sample { at, value }),
+                Event::Link(value) => state.links.push(Sample { at, value }),
+                Event::Placement(value) => state.placements.push(Sample { at, value }),
+                Event::VirtualLink(value) => state.virtual_links.push(Sample { at, value }),
+                _ => unreachable!("only these kinds make series"),
+            }
+        }
+        Ok(state)
+    }
+
+    fn select<T: FromEvent>(
+        &self,
+        run: RunId,
+        what: &Selection<'_>,
+        range: impl RangeBounds<Timestamp>,
+        page: PageRequest,
+    ) -> Result<Page<Sample<T>>> {
+        let found = self.store.events(run, what, span(&range), page)?;
+        Ok(found.map(|Stamped { at, event }| Sample { at, value: T::from_event(event) }))
+    }
+}
+
+fn nanos(t: Timestamp) -> i64 {
+    i64::try_from(t.as_nanos()).unwrap_or(i64::MAX)
+}
+
+/// Both ends within. A range that holds nothing stays one that holds nothing.
+fn span(range: &impl RangeBounds<Timestamp>) -> Span {
+    let from = match range.start_bound() {
+        Bound::Unbounded => 0,
+        Bound::Included(t) => nanos(*t),
+        Bound::Excluded(t) => nanos(*t).saturating_add(1),
+    };
+    let until = match range.end_bound() {
+        Bound::Unbounded => i64::MAX,
+        Bound::Included(t) => nanos(*t),
+        Bound::Excluded(t) => nanos(*t) - 1,
+    };
+    Span { from, until }
+}
+
+/// What the one kind of events that was asked for holds.
+trait FromEvent {
+    fn from_event(event: Event) -> Self;
+}
+
+macro_rules! from_event {
+    ($($kind:ident($value:ty)),*) => {$(
+        impl FromEvent for $value {
+            fn from_event(event: Event) -> Self {
+                match event {
+                    Event::$kind(value) => value,
+                    other => unreachable!("{other:?} was not asked for"),
+                }
+            }
+        }
+    )*};
+}
+
+from_event!(
+    Robot(RobotContext),
+    Radio(RadioContext),
+    Link(LinkContext),
+    Placement(Placement),
+    ServiceTime(ServiceTime),
+    Handover(Handover)
+);

@@ -1,0 +1,344 @@
+//! The way in. What happens in a testbed is put in a bounded queue, without ever waiting; one thread takes it from
+//! there in batches and writes them. What does not fit is counted, and told as a gap.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, AtomicIsize, AtomicU64, Ordering},
+        mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
+    },
+    thread::{self, JoinHandle, Thread},
+    time::Duration,
+};
+
+use cotorra_graph::{Stamped, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    codec,
+    error::{Error, Result},
+    store::{Entry, Gap, RunId, Store},
+};
+
+/// Events that wait to be written, at most. About 400 bytes each: 13 MB.
+const QUEUE: usize = 32_768;
+
+/// The writer is woken early when so many wait. Below that, recording makes no system call.
+const WAKE_AT: isize = QUEUE as isize / 2;
+
+/// How often the writer looks at the queue.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// Records the events of one run. Clones share the run and may be used from any thread.
+#[derive(Clone)]
+pub struct Recorder {
+    run: RunId,
+    tally: Arc<Tally>,
+    queue: Arc<Queue>,
+}
+
+/// What a recorder did so far.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct RecorderStats {
+    /// Events taken.
+    pub recorded: u64,
+    /// Of these, events that are durable.
+    pub written: u64,
+    /// Events lost because the queue was full or no history can hold them; the history tells them as gaps.
+    pub dropped: u64,
+}
+
+impl Recorder {
+    /// Takes an event. Never waits: if the writer cannot keep up for long, the event is dropped and becomes part of
+    /// a [`Gap`]. Durable within about 100 ms, or when [`Self::flush`] returns.
+    pub fn record(&self, stamped: Stamped) {
+        let at = stamped.at;
+        if codec::storable(&stamped) && self.queue.push(Entry { run: self.run, stamped }) {
+            self.tally.recorded.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.tally.drop_one(at);
+        }
+    }
+
+    /// Waits until everything that this thread recorded before is durable: it survives kill -9 and a loss of power.
+    ///
+    /// # Errors
+    /// When it cannot be written. Nothing is lost by that: the writer keeps what it has and tries again, ten times
+    /// a second.
+    pub fn flush(&self) -> Result<()> {
+        self.queue.flush()
+    }
+
+    /// What it did so far, all clones taken together.
+    pub fn stats(&self) -> RecorderStats {
+        RecorderStats {
+            recorded: self.tally.recorded.load(Ordering::Relaxed),
+            written: self.tally.written.load(Ordering::Relaxed),
+            dropped: self.tally.dropped.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// What happened to the events of one run.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    recorded: AtomicU64,
+    written: AtomicU64,
+    dropped: AtomicU64,
+    gap: OpenGap,
+}
+
+impl Tally {
+    fn drop_one(&self, at: Timestamp) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+        self.gap.extend(at);
+    }
+}
+
+/// A gap that is not written yet. Lock-free, as recording must not wait for the writer.
+#[derive(Debug)]
+struct OpenGap {
+    from: AtomicU64,
+    until: AtomicU64,
+    events: AtomicU64,
+}
+
+impl Default for OpenGap {
+    fn default() -> Self {
+        Self { from: AtomicU64::new(u64::MAX), until: AtomicU64::new(0), events: AtomicU64::new(0) }
+    }
+}
+
+impl OpenGap {
+    fn extend(&self, at: Timestamp) {
+        self.from.fetch_min(at.as_nanos(), Ordering::Relaxed);
+        self.until.fetch_max(at.as_nanos(), Ordering::Relaxed);
+        self.events.fetch_add(1, Ordering::Release);
+    }
+
+    /// Closes the gap. An event that is lost meanwhile may have its time in this gap and its count in the next:
+    /// that one then has no times of its own, and takes those of the one before.
+    fn close(&self, before: Option<Gap>) -> Option<Gap> {
+        let events = self.events.swap(0, Ordering::Acquire);
+        if events == 0 {
+            return None;
+        }
+        let from = Timestamp::from_nanos(self.from.swap(u64::MAX, Ordering::Relaxed));
+        let until = Timestamp::from_nanos(self.until.swap(0, Ordering::Relaxed));
+        Some(match before {
+            Some(before) if from > until => Gap { events, ..before },
+            _ => Gap { from, until, events },
+        })
+    }
+}
+
+/// The queue, and the thread that empties it. Ends the thread when the last recorder and the history are gone,
+/// after what waits has been written.
+pub(crate) struct Queue {
+    sender: SyncSender<Entry>,
+    shared: Arc<Shared>,
+    writer: Option<JoinHandle<()>>,
+    wake: Thread,
+}
+
+/// What the writer's thread has in common with those that record.
+#[derive(Default)]
+struct Shared {
+    /// Events in the queue. Below zero for a moment if one is taken before it was counted.
+    waiting: AtomicIsize,
+    closing: AtomicBool,
+    flush: Mutex<Flush>,
+    flushed: Condvar,
+    tallies: Mutex<BTreeMap<RunId, Arc<Tally>>>,
+}
+
+/// Flushes are numbered; each waits for a round of the writer that began after it was asked for.
+#[derive(Default)]
+struct Flush {
+    asked: u64,
+    /// The latest that a round served, well or not.
+    tried: u64,
+    /// The latest that was served well.
+    durable: u64,
+    /// Why the last round failed.
+    error: Option<Error>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Nothing panics while it holds one of these locks.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Queue {
+    pub fn new(store: Arc<dyn Store>) -> Result<Self> {
+        let (sender, receiver) = sync_channel(QUEUE);
+        let shared = Arc::new(Shared::default());
+        let mut writer = Writer {
+            store,
+            receiver,
+            shared: shared.clone(),
+            batch: Vec::new(),
+            gaps: BTreeMap::new(),
+            failing: false,
+        };
+        let thread = thread::Builder::new().name("history".to_owned()).spawn(move || writer.work());
+        let thread = thread.map_err(|cause| Error::Thread { cause: Arc::new(cause) })?;
+        Ok(Self { sender, shared, wake: thread.thread().clone(), writer: Some(thread) })
+    }
+
+    pub fn recorder(self: &Arc<Self>, run: RunId) -> Recorder {
+        let tally = lock(&self.shared.tallies).entry(run).or_default().clone();
+        Recorder { run, tally, queue: self.clone() }
+    }
+
+    /// Whether there was room.
+    fn push(&self, entry: Entry) -> bool {
+        match self.sender.try_send(entry) {
+            Ok(()) => {
+                if self.shared.waiting.fetch_add(1, Ordering::Relaxed) + 1 == WAKE_AT {
+                    self.wake.unpark();
+                }
+                true
+            }
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => false,
+        }
+    }
+
+    pub fn flush(&self) -> Result<()> {
+        let mut flush = lock(&self.shared.flush);
+        flush.asked += 1;
+        let mine = flush.asked;
+        self.wake.unpark();
+        loop {
+            if flush.durable >= mine {
+                return Ok(());
+            }
+            if flush.tried >= mine {
+                return Err(flush.error.clone().unwrap_or(Error::Stopped));
+            }
+            flush = self.shared.flushed.wait(flush).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+impl Drop for Queue {
+    fn drop(&mut self) {
+        self.shared.closing.store(true, Ordering::Release);
+        self.wake.unpark();
+        if let Some(writer) = self.writer.take()
+            && writer.join().is_err()
+        {
+            tracing::error!("the writer of the history panicked: what it had not written is lost");
+        }
+    }
+}
+
+/// The writer's side.
+struct Writer {
+    store: Arc<dyn Store>,
+    receiver: Receiver<Entry>,
+    shared: Arc<Shared>,
+    /// What was taken from the queue and is not written yet: kept when writing fails.
+    batch: Vec<Entry>,
+    gaps: BTreeMap<RunId, Gap>,
+    failing: bool,
+}
+
+impl Writer {
+    fn work(&mut self) {
+        // However this ends, nobody waits for it for ever.
+        let _answer = AnswerAll(self.shared.clone());
+        loop {
+            let closing = self.shared.closing.load(Ordering::Acquire);
+            let asked = lock(&self.shared.flush).asked;
+            let outcome = self.round();
+            let failed = outcome.is_err();
+            self.report(&outcome);
+            self.answer(asked, outcome);
+            if closing && (failed || self.shared.waiting.load(Ordering::Acquire) <= 0) {
+                break;
+            }
+            // While writing fails, even a full queue waits for the next period.
+            if failed || self.shared.waiting.load(Ordering::Relaxed) < WAKE_AT {
+                thread::park_timeout(PERIOD);
+            }
+        }
+        if !self.batch.is_empty() {
+            tracing::error!(events = self.batch.len(), "the history ends without the last events: see above");
+        }
+    }
+
+    /// Takes what waits and writes it. Takes no more than fits in the queue, which is all that was there at the
+    /// beginning, and so all that a flush asked for.
+    fn round(&mut self) -> Result<()> {
+        if self.batch.is_empty() {
+            self.batch.extend(self.receiver.try_iter().take(QUEUE));
+            self.shared.waiting.fetch_sub(self.batch.len() as isize, Ordering::AcqRel);
+        }
+        self.close_gaps();
+        if self.batch.is_empty() && self.gaps.is_empty() {
+            return Ok(());
+        }
+        let gaps: Vec<_> = self.gaps.iter().map(|(run, gap)| (*run, *gap)).collect();
+        self.store.append(&self.batch, &gaps)?;
+        let tallies = lock(&self.shared.tallies);
+        for entry in self.batch.drain(..) {
+            if let Some(tally) = tallies.get(&entry.run) {
+                tally.written.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+        self.gaps.clear();
+        Ok(())
+    }
+
+    /// Adds what was lost since the last round to the gaps that are to be written.
+    fn close_gaps(&mut self) {
+        for (run, tally) in lock(&self.shared.tallies).iter() {
+            let before = self.gaps.get(run).copied();
+            let Some(gap) = tally.gap.close(before) else { continue };
+            let merged = before.map_or(gap, |before| Gap {
+                from: before.from.min(gap.from),
+                until: before.until.max(gap.until),
+                events: before.events + gap.events,
+            });
+            self.gaps.insert(*run, merged);
+        }
+    }
+
+    /// Says so once when writing begins to fail, and once when it works again.
+    fn report(&mut self, outcome: &Result<()>) {
+        match outcome {
+            Err(error) if !self.failing => {
+                tracing::error!(%error, "the history cannot be written; events are kept while there is room");
+            }
+            Ok(()) if self.failing => tracing::info!("the history is written again"),
+            _ => {}
+        }
+        self.failing = outcome.is_err();
+    }
+
+    fn answer(&self, asked: u64, outcome: Result<()>) {
+        let mut flush = lock(&self.shared.flush);
+        flush.tried = asked;
+        match outcome {
+            Ok(()) => flush.durable = asked,
+            Err(error) => flush.error = Some(error),
+        }
+        drop(flush);
+        self.shared.flushed.notify_all();
+    }
+}
+
+/// Answers all flushes, present and future, when the writer's thread ends.
+struct AnswerAll(Arc<Shared>);
+
+impl Drop for AnswerAll {
+    fn drop(&mut self) {
+        let mut flush = lock(&self.0.flush);
+        flush.tried = u64::MAX;
+        flush.error = Some(Error::Stopped);
+        drop(flush);
+        self.0.flushed.notify_all();
+    }
+}

@@ -1,0 +1,306 @@
+-- The history of every embedding of G. Several runs share a database.
+--
+-- Units and conventions
+--   t_ns      nanoseconds since the run began; every other *_ns is a duration or a time in nanoseconds
+--   seq       order of recording within the run; (t_ns, seq) orders all events of a run and names one of them
+--   *_m metres, *_rad radians, *_dbm dBm, *_bps bit/s, *_mbps Mbit/s, *_us microseconds
+--   names (of nodes, links, VNFs, services, plug-ins) are ids of rows in `name`
+--   unsigned 64-bit figures are stored as the signed integer with the same bits
+--   a figure that is no number (NaN) is NULL
+--
+-- Tables are clustered by (run, t_ns, seq): samples come in time order, so that writing only ever appends. What finds
+-- one series among the others is `presence`.
+
+-- One start of a testbed. ended_ns is NULL while it runs, and stays so when it was killed.
+CREATE TABLE run (
+    id              INTEGER PRIMARY KEY,
+    name            TEXT    NOT NULL,
+    seed            INTEGER NOT NULL,
+    started_unix_ns INTEGER NOT NULL,  -- since 1970-01-01 UTC
+    testbed         TEXT    NOT NULL,  -- the testbed file as run
+    ended_ns        INTEGER,
+    next_seq        INTEGER NOT NULL
+);
+
+CREATE TABLE name (
+    id   INTEGER PRIMARY KEY,
+    text TEXT NOT NULL UNIQUE
+);
+
+-- In which stretches of 5 s a series has samples. A series is one robot (kind 0), radio unit (1), link and
+-- direction (2), VNF's placement (3) or virtual link's mapping (4); a is the id of its name, b its direction or the id
+-- of its second name, or 0.
+CREATE TABLE presence (
+    run     INTEGER NOT NULL,
+    kind    INTEGER NOT NULL,
+    a       INTEGER NOT NULL,
+    b       INTEGER NOT NULL,
+    stretch INTEGER NOT NULL,          -- t_ns / 5e9, rounded down
+    PRIMARY KEY (run, kind, a, b, stretch)
+) WITHOUT ROWID;
+
+-- Events that were lost: between t_ns and until_ns so many could not be kept.
+CREATE TABLE gap (
+    run      INTEGER NOT NULL,
+    t_ns     INTEGER NOT NULL,
+    seq      INTEGER NOT NULL,
+    until_ns INTEGER NOT NULL,
+    events   INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- κ(r): σ(r) here, φ(r,R) in `attachment`.
+-- Sources of a pose: 0 simulator, 1 odometry, 2 localization. cov_* are the row-major covariance of (x, y, heading).
+CREATE TABLE robot (
+    run                INTEGER NOT NULL,
+    t_ns               INTEGER NOT NULL,
+    seq                INTEGER NOT NULL,
+    robot              INTEGER NOT NULL,
+    waypoint           INTEGER NOT NULL,
+    x_m                REAL,
+    y_m                REAL,
+    heading_rad        REAL,
+    cov_xx             REAL,
+    cov_xy             REAL,
+    cov_xh             REAL,
+    cov_yx             REAL,
+    cov_yy             REAL,
+    cov_yh             REAL,
+    cov_hx             REAL,
+    cov_hy             REAL,
+    cov_hh             REAL,
+    source             INTEGER NOT NULL,
+    odom_x_m           REAL,
+    odom_y_m           REAL,
+    odom_heading_rad   REAL,
+    odom_cov_xx        REAL,
+    odom_cov_xy        REAL,
+    odom_cov_xh        REAL,
+    odom_cov_yx        REAL,
+    odom_cov_yy        REAL,
+    odom_cov_yh        REAL,
+    odom_cov_hx        REAL,
+    odom_cov_hy        REAL,
+    odom_cov_hh        REAL,
+    odom_source        INTEGER NOT NULL,
+    linear_mps         REAL,
+    angular_radps      REAL,
+    bumper             INTEGER NOT NULL,
+    nearest_obstacle_m REAL,              -- NULL: nothing in range
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- φ(r,R) of the robot context with the same key, in its order.
+CREATE TABLE attachment (
+    run        INTEGER NOT NULL,
+    t_ns       INTEGER NOT NULL,
+    seq        INTEGER NOT NULL,
+    place      INTEGER NOT NULL,
+    radio_unit INTEGER NOT NULL,
+    attached   INTEGER NOT NULL,
+    signal_dbm REAL,                      -- NULL: not heard yet
+    PRIMARY KEY (run, t_ns, seq, place)
+) WITHOUT ROWID;
+
+-- ι(R); its stations are in `station`.
+CREATE TABLE radio (
+    run        INTEGER NOT NULL,
+    t_ns       INTEGER NOT NULL,
+    seq        INTEGER NOT NULL,
+    radio_unit INTEGER NOT NULL,
+    channel    INTEGER NOT NULL,
+    load       REAL,                      -- share of the last second, 0 to 1
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE station (
+    run           INTEGER NOT NULL,
+    t_ns          INTEGER NOT NULL,
+    seq           INTEGER NOT NULL,
+    place         INTEGER NOT NULL,
+    robot         INTEGER NOT NULL,
+    signal_dbm    REAL,
+    downlink_mbps REAL,
+    uplink_mbps   REAL,
+    PRIMARY KEY (run, t_ns, seq, place)
+) WITHOUT ROWID;
+
+-- d, λ, ψ, δ of one direction (0 forward, 1 backward) of a link. Counters count from the run's beginning.
+CREATE TABLE link (
+    run            INTEGER NOT NULL,
+    t_ns           INTEGER NOT NULL,
+    seq            INTEGER NOT NULL,
+    link           INTEGER NOT NULL,
+    direction      INTEGER NOT NULL,
+    delay_ns       INTEGER,               -- d; NULL: nothing crossed
+    throughput_bps REAL,                  -- λ
+    delay_scale    REAL,                  -- ψ
+    drop_scale     REAL,                  -- δ
+    asked          INTEGER NOT NULL,      -- row of `conditions`
+    effective      INTEGER NOT NULL,      -- row of `conditions`
+    packets        INTEGER NOT NULL,
+    bytes          INTEGER NOT NULL,
+    lost           INTEGER NOT NULL,
+    overflowed     INTEGER NOT NULL,
+    duplicated     INTEGER NOT NULL,
+    corrupted      INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- Conditions that links had; written when they change, shared by the samples in between.
+CREATE TABLE conditions (
+    id                  INTEGER PRIMARY KEY,
+    delay_ns            INTEGER NOT NULL,
+    jitter_ns           INTEGER,          -- NULL: no jitter
+    jitter_distribution TEXT,             -- uniform, normal, pareto
+    loss                TEXT    NOT NULL, -- none, independent, bursty
+    loss_rate           REAL,
+    loss_mean_burst     REAL,             -- packets
+    duplication         REAL    NOT NULL, -- shares, 0 to 1
+    corruption          REAL    NOT NULL,
+    reordering          REAL    NOT NULL,
+    rate_bps            INTEGER,          -- NULL without a trace: unlimited
+    trace_ms            TEXT,             -- JSON array: Mahimahi's delivery opportunities
+    queue_packets       INTEGER,          -- one of the two is set
+    queue_bytes         INTEGER
+);
+
+-- a(n).
+CREATE TABLE placement (
+    run  INTEGER NOT NULL,
+    t_ns INTEGER NOT NULL,
+    seq  INTEGER NOT NULL,
+    vnf  INTEGER NOT NULL,
+    node INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- a(n1,n2); the links are in `hop`, in order.
+CREATE TABLE virtual_link (
+    run      INTEGER NOT NULL,
+    t_ns     INTEGER NOT NULL,
+    seq      INTEGER NOT NULL,
+    from_vnf INTEGER NOT NULL,
+    to_vnf   INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE hop (
+    run   INTEGER NOT NULL,
+    t_ns  INTEGER NOT NULL,
+    seq   INTEGER NOT NULL,
+    place INTEGER NOT NULL,
+    link  INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq, place)
+) WITHOUT ROWID;
+
+CREATE TABLE service_time (
+    run        INTEGER NOT NULL,
+    t_ns       INTEGER NOT NULL,
+    seq        INTEGER NOT NULL,
+    service    INTEGER NOT NULL,
+    robot      INTEGER NOT NULL,
+    sequence   INTEGER NOT NULL,
+    emitted_ns INTEGER NOT NULL,
+    took_ns    INTEGER,                   -- NULL: no answer in time
+    attachment INTEGER,
+    server     INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE handover (
+    run             INTEGER NOT NULL,
+    t_ns            INTEGER NOT NULL,
+    seq             INTEGER NOT NULL,
+    robot           INTEGER NOT NULL,
+    from_radio_unit INTEGER,
+    to_radio_unit   INTEGER NOT NULL,
+    fast            INTEGER NOT NULL,
+    gap_ns          INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE detached (
+    run             INTEGER NOT NULL,
+    t_ns            INTEGER NOT NULL,
+    seq             INTEGER NOT NULL,
+    robot           INTEGER NOT NULL,
+    from_radio_unit INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE scanned (
+    run   INTEGER NOT NULL,
+    t_ns  INTEGER NOT NULL,
+    seq   INTEGER NOT NULL,
+    robot INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- Life cycle of a VNF's process: started, died, stopped, failed.
+CREATE TABLE vnf (
+    run    INTEGER NOT NULL,
+    t_ns   INTEGER NOT NULL,
+    seq    INTEGER NOT NULL,
+    vnf    INTEGER NOT NULL,
+    node   INTEGER NOT NULL,
+    state  TEXT    NOT NULL,
+    detail TEXT,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- What a plug-in asked for. subject is the robot, VNF or link; object the radio unit or node that it shall get.
+CREATE TABLE decision (
+    run           INTEGER NOT NULL,
+    t_ns          INTEGER NOT NULL,
+    seq           INTEGER NOT NULL,
+    plugin        INTEGER NOT NULL,
+    instruction   TEXT    NOT NULL,       -- move, scan, attach, place, condition
+    subject       INTEGER NOT NULL,
+    object        INTEGER,
+    linear_mps    REAL,
+    angular_radps REAL,
+    waypoint      INTEGER,
+    direction     INTEGER,                -- NULL: both
+    change        TEXT,                   -- JSON: the wished change of conditions
+    reason        TEXT,
+    refused       TEXT,                   -- NULL: it was done
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE plugin_fault (
+    run    INTEGER NOT NULL,
+    t_ns   INTEGER NOT NULL,
+    seq    INTEGER NOT NULL,
+    plugin INTEGER NOT NULL,
+    reason TEXT    NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+-- How late the emulator delivered, from the run's beginning.
+CREATE TABLE lateness (
+    run    INTEGER NOT NULL,
+    t_ns   INTEGER NOT NULL,
+    seq    INTEGER NOT NULL,
+    frames INTEGER NOT NULL,
+    p50_us REAL,
+    p99_us REAL,
+    max_us REAL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE walk_finished (
+    run   INTEGER NOT NULL,
+    t_ns  INTEGER NOT NULL,
+    seq   INTEGER NOT NULL,
+    robot INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE notice (
+    run     INTEGER NOT NULL,
+    t_ns    INTEGER NOT NULL,
+    seq     INTEGER NOT NULL,
+    message TEXT    NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;

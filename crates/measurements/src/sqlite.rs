@@ -1,0 +1,217 @@
+//! Histories in SQLite. A write-ahead log lets readers go on while one connection writes; `synchronous = FULL` has
+//! SQLite call fsync at every commit, so that a committed batch survives both kill -9 and a loss of power.
+
+mod read;
+mod write;
+
+use std::{
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use cotorra_graph::{Stamped, Timestamp};
+use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionBehavior, params};
+
+use self::{read::Reader, write::Writer};
+use crate::{
+    error::{Error, Result},
+    store::{Entry, Gap, Page, PageRequest, Run, RunId, RunInfo, Selection, Span, Store},
+};
+
+/// From each schema version to the next. Never edit one that was released: append another.
+const MIGRATIONS: &[&str] = &[include_str!("schema.sql")];
+
+/// Marks a database as a history of cotorra ("coto"), as SQLite's file format provides.
+const APPLICATION_ID: i32 = 0x636f_746f;
+
+/// How long to wait for another process that holds the file.
+const BUSY: Duration = Duration::from_secs(5);
+
+/// Connections for reading that are kept for the next question.
+const IDLE_READERS: usize = 4;
+
+/// Length of a stretch of `presence`, nanoseconds.
+const STRETCH: i64 = 5_000_000_000;
+
+type Fallible<T> = std::result::Result<T, rusqlite::Error>;
+
+/// A database file.
+pub(crate) struct Sqlite {
+    path: Arc<Path>,
+    writer: Mutex<Writer>,
+    readers: Mutex<Vec<Reader>>,
+}
+
+impl Sqlite {
+    /// Opens a history, or makes a new one.
+    pub fn open(path: &Path) -> Result<Self> {
+        let path: Arc<Path> = path.into();
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
+            | OpenFlags::SQLITE_OPEN_CREATE
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let mut connection = Connection::open_with_flags(&path, flags)
+            .map_err(|e| Error::Open { path: path.clone(), cause: Arc::new(e) })?;
+        prepare(&mut connection, &path)?;
+        Ok(Self { path, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
+    }
+
+    fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
+        // A panic during a write rolled it back, so that poison means nothing here.
+        let mut writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner);
+        work(&mut writer).map_err(|e| engine_error(&self.path, e))
+    }
+
+    fn read<T>(&self, ask: impl FnOnce(&Reader) -> Result<T>) -> Result<T> {
+        let idle = || self.readers.lock().unwrap_or_else(PoisonError::into_inner);
+        let taken = idle().pop();
+        let reader = match taken {
+            Some(reader) => reader,
+            None => Reader::open(&self.path)?,
+        };
+        let answer = ask(&reader)?;
+        let mut idle = idle();
+        if idle.len() < IDLE_READERS {
+            idle.push(reader);
+        }
+        Ok(answer)
+    }
+}
+
+/// Checks what the file is before anything in it is touched, then brings it up to date.
+fn prepare(connection: &mut Connection, path: &Arc<Path>) -> Result<()> {
+    let work = |connection: &mut Connection| -> Fallible<Result<()>> {
+        connection.busy_timeout(BUSY)?;
+        if let Err(e) = version(connection, path)? {
+            return Ok(Err(e));
+        }
+        if connection.is_readonly("main")? {
+            return Ok(Err(Error::ReadOnly { path: path.clone() }));
+        }
+        let mode: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
+        if mode != "wal" {
+            tracing::warn!(path = %path.display(), mode, "the file system has no write-ahead log: readers wait");
+        }
+        connection.pragma_update(None, "synchronous", "FULL")?;
+        connection.set_prepared_statement_cache_capacity(64);
+
+        let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+        let found = match version(&transaction, path)? {
+            Ok(found) => found,
+            Err(e) => return Ok(Err(e)),
+        };
+        for migration in &MIGRATIONS[found..] {
+            transaction.execute_batch(migration)?;
+        }
+        if found < MIGRATIONS.len() {
+            transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
+            transaction.pragma_update(None, "user_version", MIGRATIONS.len() as u32)?;
+        }
+        transaction.commit().map(Ok)
+    };
+    work(connection).map_err(|e| engine_error(path, e))?
+}
+
+/// The schema version of a file that may be a history; 0 for an empty one.
+fn version(connection: &Connection, path: &Arc<Path>) -> Fallible<Result<usize>> {
+    let application: i32 = connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
+    let found: u32 = connection.pragma_query_value(None, "user_version", |row| row.get(0))?;
+    let empty: bool = connection.query_row("SELECT count(*) = 0 FROM sqlite_schema", [], |row| row.get(0))?;
+    let known = MIGRATIONS.len() as u32;
+    Ok(match (application, found) {
+        (0, 0) if empty => Ok(0),
+        (APPLICATION_ID, found) if found > known => {
+            Err(Error::NewerSchema { path: path.clone(), found, known })
+        }
+        (APPLICATION_ID, found) => Ok(found as usize),
+        _ => Err(Error::NotAHistory { path: path.clone() }),
+    })
+}
+
+fn engine_error(path: &Arc<Path>, error: rusqlite::Error) -> Error {
+    let path = path.clone();
+    if let rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::IntegralValueOutOfRange(..) = error {
+        return Error::Corrupt { path, detail: error.to_string() };
+    }
+    match error.sqlite_error_code() {
+        Some(ErrorCode::DiskFull) => Error::Full { path },
+        Some(ErrorCode::ReadOnly) => Error::ReadOnly { path },
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::Busy { path },
+        Some(ErrorCode::DatabaseCorrupt) => Error::Corrupt { path, detail: error.to_string() },
+        Some(ErrorCode::NotADatabase) => Error::NotAHistory { path },
+        _ => Error::Engine { path, cause: Arc::new(error) },
+    }
+}
+
+const RUN: &str = "SELECT id, name, seed, started_unix_ns, testbed, ended_ns FROM run";
+
+fn run_of(row: &rusqlite::Row<'_>) -> Fallible<Run> {
+    Ok(Run {
+        id: RunId(row.get(0)?),
+        info: RunInfo {
+            name: row.get(1)?,
+            seed: row.get::<_, i64>(2)?.cast_unsigned(),
+            started_at_unix_ns: row.get(3)?,
+            testbed: row.get(4)?,
+        },
+        ended: row.get::<_, Option<i64>>(5)?.map(|t| Timestamp::from_nanos(t.cast_unsigned())),
+    })
+}
+
+impl Store for Sqlite {
+    fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
+        self.write(|writer| {
+            writer.connection.execute(
+                "INSERT INTO run (name, seed, started_unix_ns, testbed, next_seq) VALUES (?1, ?2, ?3, ?4, 0)",
+                params![info.name, info.seed.cast_signed(), info.started_at_unix_ns, info.testbed],
+            )?;
+            Ok(RunId(writer.connection.last_insert_rowid()))
+        })
+    }
+
+    fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
+        let ended = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
+        let changed = self.write(|writer| {
+            writer.connection.execute("UPDATE run SET ended_ns = ?2 WHERE id = ?1", params![run.0, ended])
+        })?;
+        if changed == 0 { Err(Error::NoSuchRun(run)) } else { Ok(()) }
+    }
+
+    fn run(&self, run: RunId) -> Result<Run> {
+        self.read(|reader| {
+            let found = reader.connection.query_row(&format!("{RUN} WHERE id = ?1"), [run.0], run_of);
+            found.optional().map_err(|e| engine_error(&self.path, e))?.ok_or(Error::NoSuchRun(run))
+        })
+    }
+
+    fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
+        let ask = |reader: &Reader| -> Fallible<Vec<Run>> {
+            let question = format!("{RUN} WHERE id > ?1 ORDER BY id LIMIT ?2");
+            let mut statement = reader.connection.prepare_cached(&question)?;
+            statement.query_map(params![after.map_or(0, |run| run.0), limit as i64], run_of)?.collect()
+        };
+        self.read(|reader| ask(reader).map_err(|e| engine_error(&self.path, e)))
+    }
+
+    fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
+        self.write(|writer| writer.append(events, gaps))
+    }
+
+    fn events(
+        &self,
+        run: RunId,
+        what: &Selection<'_>,
+        span: Span,
+        page: PageRequest,
+    ) -> Result<Page<Stamped>> {
+        self.read(|reader| reader.events(run, what, span, page))
+    }
+
+    fn gaps(&self, run: RunId, span: Span, page: PageRequest) -> Result<Page<Gap>> {
+        self.read(|reader| reader.gaps(run, span, page))
+    }
+
+    fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
+        self.read(|reader| reader.latest(run, at))
+    }
+}
