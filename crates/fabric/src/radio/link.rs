@@ -1,0 +1,197 @@
+//! One robot's link to one radio unit: what it was asked to do, what it does to frames, and what it gave. The air
+//! decides how long a frame takes and whether it arrives; what emulation adds comes on top.
+
+use std::time::Duration;
+
+use cotorra_graph::{
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Rate, Timestamp,
+    WirelessNetwork,
+};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::phy::{Exchange, Phy, Reception};
+use crate::{
+    frame::Frame,
+    impairment::{Impairments, jittered},
+    meter::Meter,
+    random::{stream, unit},
+    settings::{Refusal, Settings},
+};
+
+/// What all links of a network begin with. No station gets more than the fastest PHY rate.
+pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<Settings, Refusal> {
+    let medium = phy.top_rate();
+    let rate = match network.rate {
+        None => Rate::Unlimited,
+        Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium) },
+    };
+    Settings::new(Conditions { delay: network.delay, rate, ..Conditions::default() }, medium)
+}
+
+/// A link, once a frame crossed it, a station was attached by it or someone changed it.
+#[derive(Debug)]
+pub(super) struct WirelessLink {
+    id: LinkId,
+    lanes: [Lane; 2],
+    receptions: Option<(Position, [Reception; 2])>,
+}
+
+/// One direction of a link.
+#[derive(Debug)]
+pub(super) struct Lane {
+    settings: Settings,
+    impairments: Impairments,
+    rng: Xoshiro256PlusPlus,
+    meter: Meter,
+    /// When the last frame that kept its place arrives.
+    last_due: Timestamp,
+}
+
+/// How a frame crosses a link.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Flight {
+    /// When its first attempt began.
+    start: Timestamp,
+    /// Airtime of the first attempt, and of the others.
+    first: Duration,
+    retries: Duration,
+    /// In units of the jitter's deviation; `None` if it skips the delay.
+    deviate: Option<f64>,
+}
+
+/// A frame that will arrive.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Landing {
+    pub(super) due: Timestamp,
+    pub(super) flight: Flight,
+    pub(super) twice: bool,
+}
+
+impl WirelessLink {
+    pub(super) fn new(id: LinkId, settings: &Settings, seed: u64) -> Self {
+        let lane = |direction: &str| Lane {
+            settings: settings.clone(),
+            impairments: Impairments::new(
+                settings.effective(),
+                stream(seed, &format!("link {id} {direction}")),
+            ),
+            rng: stream(seed, &format!("air {id} {direction}")),
+            meter: Meter::default(),
+            last_due: Timestamp::ZERO,
+        };
+        Self { lanes: [lane("forward"), lane("backward")], id, receptions: None }
+    }
+
+    pub(super) fn lane(&mut self, direction: Direction) -> &mut Lane {
+        &mut self.lanes[direction as usize]
+    }
+
+    /// What the receiver makes of the sender, if that is known for the robot at this place.
+    pub(super) fn reception(&self, direction: Direction, place: Position) -> Option<Reception> {
+        self.receptions.filter(|(at, _)| *at == place).map(|(_, receptions)| receptions[direction as usize])
+    }
+
+    /// What either end makes of the other with the robot at this place, forward first.
+    pub(super) fn set_receptions(&mut self, place: Position, receptions: [Reception; 2]) {
+        self.receptions = Some((place, receptions));
+    }
+
+    pub(super) fn context(&self, now: Timestamp, direction: Direction) -> LinkContext {
+        let Lane { settings, meter, .. } = &self.lanes[direction as usize];
+        LinkContext {
+            link: self.id.clone(),
+            direction,
+            delay: meter.delay(now),
+            throughput_bps: meter.throughput_bps(now),
+            asked: settings.asked().clone(),
+            scale: settings.scale(),
+            effective: settings.effective().clone(),
+            counters: meter.counters,
+        }
+    }
+}
+
+impl Lane {
+    /// What its settings would be after a change.
+    pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, Refusal> {
+        match change.rate {
+            Some(Rate::Trace { .. }) => Err(Refusal::NotOnWireless("trace")),
+            _ => self.settings.changed(change),
+        }
+    }
+
+    /// Goes on with other settings, for the frames that go on the air from now on.
+    pub(super) fn set(&mut self, settings: Settings) {
+        self.impairments.change(settings.effective());
+        self.settings = settings;
+    }
+
+    pub(super) fn conditions(&self) -> &Conditions {
+        self.settings.effective()
+    }
+
+    pub(super) fn meter(&mut self) -> &mut Meter {
+        &mut self.meter
+    }
+
+    /// Sends a frame over the air; its first attempt takes at least the time that its bits take at the station's rate.
+    pub(super) fn exchange(&mut self, reception: &Reception, bytes: usize, contended: bool) -> Exchange {
+        let mut exchange = reception.exchange(bytes, contended, || unit(&mut self.rng));
+        exchange.first = exchange.first.max(self.least_airtime(bytes));
+        exchange
+    }
+
+    /// Whether a frame that is sent once arrives.
+    pub(super) fn receives_group(&mut self, reception: &Reception, bytes: usize) -> bool {
+        unit(&mut self.rng) >= reception.group_error_rate(bytes)
+    }
+
+    /// What the station's rate makes of a frame.
+    pub(super) fn least_airtime(&self, bytes: usize) -> Duration {
+        match &self.settings.effective().rate {
+            Rate::Fixed { bits_per_second } => BitRate::serialisation(*bits_per_second, bytes),
+            // A trace is refused.
+            Rate::Unlimited | Rate::Trace { .. } => Duration::ZERO,
+        }
+    }
+
+    /// What becomes of a frame that was on the air from `start`; `None` if it is lost.
+    pub(super) fn land(&mut self, start: Timestamp, sent: &Exchange, frame: &mut Frame) -> Option<Landing> {
+        if !sent.received || self.impairments.loses() {
+            self.meter.counters.lost += 1;
+            return None;
+        }
+        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(frame));
+        let deviate = if self.impairments.reorders() { None } else { Some(self.impairments.deviate()) };
+        let twice = self.impairments.duplicates();
+        self.meter.counters.duplicated += u64::from(twice);
+        let flight = Flight { start, first: sent.first, retries: sent.retries, deviate };
+        Some(Landing { due: self.line_up(&flight), flight, twice })
+    }
+
+    /// When a frame arrives: the delay counts from the first attempt and covers it, retries come on top, and nobody
+    /// overtakes unless chance will have it.
+    fn line_up(&mut self, flight: &Flight) -> Timestamp {
+        let Flight { start, first, retries, deviate } = *flight;
+        let Some(deviate) = deviate else { return start + first + retries };
+        let Conditions { delay, jitter, .. } = self.settings.effective();
+        let due = start + jittered(*delay, deviate, *jitter).max(first) + retries;
+        self.last_due = self.last_due.max(due);
+        self.last_due
+    }
+
+    /// Goes over the frames under way after a change, in the order of their arrival: they profit from a shorter delay,
+    /// so that who comes behind need not wait for them.
+    pub(super) fn pull_forward<'a>(
+        &mut self,
+        now: Timestamp,
+        under_way: impl Iterator<Item = (&'a Flight, &'a mut Timestamp)>,
+    ) {
+        self.last_due = now;
+        for (flight, due) in under_way.filter(|(flight, _)| flight.deviate.is_some()) {
+            let before = *due;
+            *due = self.line_up(flight).min(before);
+            self.last_due = *due;
+        }
+    }
+}

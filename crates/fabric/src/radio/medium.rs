@@ -1,0 +1,302 @@
+//! Who sends next on each channel. Radio units on one channel, and their stations, share its airtime: one frame is on
+//! the air at a time, the rest waits with its sender, and senders take turns.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::{QueueLimit, Timestamp};
+
+use super::{RadioUnitIndex, StationIndex};
+use crate::frame::Frame;
+
+/// A frame that waits for its turn.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    pub(super) frame: Frame,
+    pub(super) since: Timestamp,
+    /// Of all stations, the one that is not to get it, since it sent it.
+    pub(super) source: Option<StationIndex>,
+}
+
+/// A drop-tail queue.
+#[derive(Debug, Default)]
+pub(super) struct Queue {
+    frames: VecDeque<Waiting>,
+    bytes: u64,
+}
+
+impl Queue {
+    fn fits(&self, frame: &Frame, limit: QueueLimit) -> bool {
+        match limit {
+            QueueLimit::Packets(limit) => self.frames.len() < limit as usize,
+            QueueLimit::Bytes(limit) => self.bytes + frame.wire_bytes() <= limit,
+        }
+    }
+
+    fn push(&mut self, waiting: Waiting) {
+        self.bytes += waiting.frame.wire_bytes();
+        self.frames.push_back(waiting);
+    }
+
+    fn pop(&mut self) -> Option<Waiting> {
+        let waiting = self.frames.pop_front()?;
+        self.bytes -= waiting.frame.wire_bytes();
+        Some(waiting)
+    }
+
+    fn take(&mut self) -> VecDeque<Waiting> {
+        self.bytes = 0;
+        std::mem::take(&mut self.frames)
+    }
+}
+
+/// Who takes turns on a channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Sender {
+    Station(StationIndex),
+    RadioUnit(RadioUnitIndex),
+}
+
+/// Whom a radio unit sends to, in turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Receiver {
+    Station(StationIndex),
+    Group,
+}
+
+/// Where a frame goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Flow {
+    /// From a station up to its radio unit.
+    Up(StationIndex),
+    /// From its radio unit down to a station.
+    Down(StationIndex),
+    /// From a radio unit to all its stations.
+    Group(RadioUnitIndex),
+}
+
+/// A channel. Whoever is in `turns` can send; everyone who can is in it once.
+#[derive(Debug, Default)]
+struct Channel {
+    turns: VecDeque<Sender>,
+    busy_until: Timestamp,
+    busy: BusyTime,
+}
+
+#[derive(Debug)]
+struct Unit {
+    channel: usize,
+    /// Whoever it can send to is in it once.
+    turns: VecDeque<Receiver>,
+    group: Queue,
+}
+
+#[derive(Debug, Default)]
+struct Peer {
+    /// The radio unit on whose channel it is now.
+    on: Option<RadioUnitIndex>,
+    up: Queue,
+    down: Queue,
+}
+
+/// All channels, with what waits for them.
+///
+/// A station that is off the channel keeps its queues, and its radio unit keeps what is for it: neither takes turns.
+#[derive(Debug)]
+pub(super) struct Medium {
+    channels: Vec<Channel>,
+    units: Vec<Unit>,
+    peers: Vec<Peer>,
+}
+
+impl Medium {
+    /// A medium with so many stations, and radio units on these channels, numbered from 0.
+    pub(super) fn new(channel_of_unit: impl Iterator<Item = usize>, stations: usize) -> Self {
+        let unit = |channel| Unit { channel, turns: VecDeque::new(), group: Queue::default() };
+        let units: Vec<_> = channel_of_unit.map(unit).collect();
+        let channels = units.iter().map(|u| u.channel + 1).max().unwrap_or(0);
+        Self {
+            channels: (0..channels).map(|_| Channel::default()).collect(),
+            units,
+            peers: (0..stations).map(|_| Peer::default()).collect(),
+        }
+    }
+
+    /// The channel of a radio unit.
+    pub(super) fn channel(&self, unit: RadioUnitIndex) -> usize {
+        self.units[unit].channel
+    }
+
+    /// A station arrives on a radio unit's channel, and what waited for that can be sent.
+    pub(super) fn enter(&mut self, station: StationIndex, unit: RadioUnitIndex) {
+        self.leave(station);
+        let Peer { on, up, down } = &mut self.peers[station];
+        *on = Some(unit);
+        let (sends, receives) = (!up.frames.is_empty(), !down.frames.is_empty());
+        if sends {
+            self.channels[self.units[unit].channel].turns.push_back(Sender::Station(station));
+        }
+        if receives {
+            self.enlist(unit, Receiver::Station(station));
+        }
+    }
+
+    /// A station leaves its channel.
+    pub(super) fn leave(&mut self, station: StationIndex) {
+        let Some(unit) = self.peers[station].on.take() else { return };
+        let Unit { channel, turns, .. } = &mut self.units[unit];
+        turns.retain(|r| *r != Receiver::Station(station));
+        let unit_is_done = turns.is_empty();
+        self.channels[*channel].turns.retain(|sender| match sender {
+            Sender::Station(s) => *s != station,
+            Sender::RadioUnit(u) => *u != unit || !unit_is_done,
+        });
+    }
+
+    /// Takes away what waits to be sent by a station and to it. The station is off the channel, so that no turn is
+    /// left without a frame.
+    pub(super) fn clear(&mut self, station: StationIndex) -> [VecDeque<Waiting>; 2] {
+        let Peer { on, up, down } = &mut self.peers[station];
+        debug_assert!(on.is_none());
+        [up.take(), down.take()]
+    }
+
+    /// Lets a frame wait for its turn.
+    ///
+    /// # Errors
+    /// The frame, where the queue is full.
+    pub(super) fn push(&mut self, flow: Flow, waiting: Waiting, limit: QueueLimit) -> Result<(), Frame> {
+        let queue = self.queue(flow);
+        if !queue.fits(&waiting.frame, limit) {
+            return Err(waiting.frame);
+        }
+        let first = queue.frames.is_empty();
+        queue.push(waiting);
+        if first {
+            match flow {
+                Flow::Group(unit) => self.enlist(unit, Receiver::Group),
+                Flow::Up(station) => {
+                    if let Some(unit) = self.peers[station].on {
+                        self.channels[self.units[unit].channel].turns.push_back(Sender::Station(station));
+                    }
+                }
+                Flow::Down(station) => {
+                    if let Some(unit) = self.peers[station].on {
+                        self.enlist(unit, Receiver::Station(station));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn queue(&mut self, flow: Flow) -> &mut Queue {
+        match flow {
+            Flow::Up(s) => &mut self.peers[s].up,
+            Flow::Down(s) => &mut self.peers[s].down,
+            Flow::Group(r) => &mut self.units[r].group,
+        }
+    }
+
+    fn enlist(&mut self, unit: RadioUnitIndex, receiver: Receiver) {
+        let Unit { channel, turns, .. } = &mut self.units[unit];
+        if turns.is_empty() {
+            self.channels[*channel].turns.push_back(Sender::RadioUnit(unit));
+        }
+        turns.push_back(receiver);
+    }
+
+    /// Takes the next frame, if the channel is idle and one waits.
+    pub(super) fn next(&mut self, channel: usize, now: Timestamp) -> Option<(Flow, Waiting)> {
+        let Channel { turns, busy_until, .. } = &mut self.channels[channel];
+        if *busy_until > now {
+            return None;
+        }
+        let sender = turns.pop_front()?;
+        let flow = match sender {
+            Sender::Station(station) => Flow::Up(station),
+            Sender::RadioUnit(unit) => {
+                match self.units[unit].turns.pop_front().expect("who has a turn has a frame to send") {
+                    Receiver::Station(station) => Flow::Down(station),
+                    Receiver::Group => Flow::Group(unit),
+                }
+            }
+        };
+        let queue = self.queue(flow);
+        let waiting = queue.pop().expect("who has a turn has a frame to send");
+        let more = !queue.frames.is_empty();
+        // To the end of the line, behind those who wait.
+        match (sender, flow) {
+            (Sender::Station(_), _) if more => self.channels[channel].turns.push_back(sender),
+            (Sender::Station(_), _) => {}
+            (Sender::RadioUnit(unit), flow) => {
+                let turns = &mut self.units[unit].turns;
+                if more {
+                    turns.push_back(match flow {
+                        Flow::Down(station) => Receiver::Station(station),
+                        Flow::Up(_) | Flow::Group(_) => Receiver::Group,
+                    });
+                }
+                if !turns.is_empty() {
+                    self.channels[channel].turns.push_back(sender);
+                }
+            }
+        }
+        Some((flow, waiting))
+    }
+
+    /// When a channel falls idle, if anyone waits for that.
+    pub(super) fn wakes(&self, channel: usize) -> Option<Timestamp> {
+        let Channel { turns, busy_until, .. } = &self.channels[channel];
+        (!turns.is_empty()).then_some(*busy_until)
+    }
+
+    /// How long ago the channel fell idle; zero while it is busy.
+    pub(super) fn idle_for(&self, channel: usize, now: Timestamp) -> Duration {
+        now.since(self.channels[channel].busy_until)
+    }
+
+    /// Takes the channel for a frame.
+    pub(super) fn occupy(&mut self, channel: usize, now: Timestamp, airtime: Duration) {
+        let channel = &mut self.channels[channel];
+        channel.busy_until = now + airtime;
+        channel.busy.add(now, airtime);
+    }
+
+    /// Share of the last second in which a channel was busy.
+    pub(super) fn load(&self, channel: usize, now: Timestamp) -> f64 {
+        let Channel { busy, busy_until, .. } = &self.channels[channel];
+        busy.share(now, busy_until.since(now))
+    }
+}
+
+/// The last second is kept in so many slices.
+const SLICES: u64 = 20;
+const SLICE_NS: u64 = 1_000_000_000 / SLICES;
+
+/// How long a channel was busy, by slices of time.
+#[derive(Debug, Default)]
+struct BusyTime {
+    /// Number of the slice since the run began, and the busy nanoseconds of frames that began in it.
+    slices: [(u64, u64); SLICES as usize],
+}
+
+impl BusyTime {
+    fn add(&mut self, now: Timestamp, airtime: Duration) {
+        let number = now.as_nanos() / SLICE_NS;
+        let slice = &mut self.slices[(number % SLICES) as usize];
+        if slice.0 != number {
+            *slice = (number, 0);
+        }
+        slice.1 += airtime.as_nanos() as u64;
+    }
+
+    /// Share of the last second, of which `ahead` has been counted but is still to come.
+    fn share(&self, now: Timestamp, ahead: Duration) -> f64 {
+        let number = now.as_nanos() / SLICE_NS;
+        let recent = self.slices.iter().filter(|(n, _)| *n <= number && number - n < SLICES);
+        let busy = recent.map(|(_, busy)| busy).sum::<u64>().saturating_sub(ahead.as_nanos() as u64);
+        // The current slice is not over, nor has a run that just began lasted a second.
+        let covered = now.as_nanos().min((SLICES - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
+        (busy as f64 / covered.max(SLICE_NS) as f64).min(1.0)
+    }
+}

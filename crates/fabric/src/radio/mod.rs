@@ -1,0 +1,864 @@
+//! The wireless part of the fabric: where robots are and what they hear, which radio unit each is attached to, and
+//! what becomes of frames on the air. Like all of the fabric it is told the time; it draws all chance from the seed.
+//!
+//! - [`path_loss`] and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
+//! - [`medium`] shares each channel's airtime; [`link`] adds what emulation was asked to do.
+//! - [`station`] is the state machine of an attachment; [`roaming`] decides from beacons.
+
+mod link;
+mod medium;
+mod path_loss;
+mod phy;
+mod roaming;
+mod shadowing;
+mod station;
+
+#[cfg(test)]
+mod tests;
+
+use std::{
+    cell::OnceCell,
+    cmp::Reverse,
+    collections::{BTreeMap, BinaryHeap, VecDeque},
+    time::Duration,
+};
+
+use cotorra_graph::{
+    Attachment, ConditionChange, Dbm, Direction, Event, GapPolicy, Handover, HardwareGraph, LinkContext,
+    LinkId, NodeId, Position, QueueLimit, RadioContext, Roaming, Stamped, StationContext, Timestamp,
+    WirelessNetwork,
+};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use self::{
+    link::WirelessLink,
+    medium::{Flow, Medium, Waiting},
+    phy::{Exchange, Phy, Reception},
+    roaming::{Beacons, Thresholds, Verdict, next_beacon},
+    shadowing::ShadowingField,
+    station::{Joined, Purpose, Station, Step},
+};
+use crate::{
+    fabric::{FabricError, PortId},
+    frame::Frame,
+    pool::Pool,
+    random::{self, stream},
+    settings::{Refusal, Settings},
+    timers::Timers,
+};
+
+/// The place of a robot among the robots that have a wireless network.
+type StationIndex = usize;
+/// The place of a radio unit among those that serve a wireless network.
+type RadioUnitIndex = usize;
+
+/// A station without a radio unit looks for one this often while it moves.
+const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
+
+/// A frame that has crossed the air.
+#[derive(Debug)]
+pub(crate) struct Arrival {
+    /// When it arrived.
+    pub(crate) due: Timestamp,
+    /// Who sent it: the robot or the radio unit.
+    pub(crate) from: PortId,
+    /// Who has it now.
+    pub(crate) at: PortId,
+    /// The frame.
+    pub(crate) frame: Frame,
+}
+
+/// All robots' radios, all radio units and the air between them.
+#[derive(Debug)]
+pub(crate) struct Radio {
+    seed: u64,
+    networks: Vec<Network>,
+    robots: Vec<RobotRadio>,
+    units: Vec<Unit>,
+    robot_by_name: BTreeMap<NodeId, StationIndex>,
+    unit_by_name: BTreeMap<NodeId, RadioUnitIndex>,
+    by_port: Vec<Option<Role>>,
+    /// By robot, then radio unit. Both are made when they are first needed.
+    links: Vec<Option<Box<WirelessLink>>>,
+    fields: Vec<OnceCell<ShadowingField>>,
+    medium: Medium,
+    /// Those of the channels, then those of the robots.
+    timers: Timers,
+    channels: usize,
+    in_flight: BinaryHeap<Reverse<InFlight>>,
+    sent: u64,
+    events: VecDeque<Stamped>,
+    /// Frames that were lost, for their buffers.
+    lost: Vec<Frame>,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Role {
+    Robot(StationIndex),
+    Unit(RadioUnitIndex),
+}
+
+#[derive(Debug)]
+struct Network {
+    spec: WirelessNetwork,
+    phy: &'static Phy,
+    /// Weakest signal that a receiver makes something of.
+    sensitivity: Dbm,
+    settings: Settings,
+    units: Vec<RadioUnitIndex>,
+}
+
+#[derive(Debug)]
+struct Unit {
+    id: NodeId,
+    port: PortId,
+    network: usize,
+    position: Position,
+    tx_power: Dbm,
+    channel_number: u8,
+    frequency_mhz: u16,
+    /// Who is attached, in order.
+    stations: Vec<StationIndex>,
+    /// For the backoff of what it sends to all.
+    rng: Xoshiro256PlusPlus,
+}
+
+#[derive(Debug)]
+struct RobotRadio {
+    id: NodeId,
+    port: PortId,
+    network: usize,
+    position: Position,
+    tx_power: Dbm,
+    /// When it changes its radio unit by itself, if it does.
+    thresholds: Option<Thresholds>,
+    station: Station,
+    beacons: Beacons,
+    /// Whether it has moved since it last looked at a beacon.
+    moved: bool,
+    /// The radio unit that it is with or was with last: whose link its frames are counted on.
+    home: Option<RadioUnitIndex>,
+    /// What it heard at its last scan, or of each beacon since, in the order of the network's radio units.
+    heard: Vec<Option<Dbm>>,
+}
+
+/// A frame on its way.
+#[derive(Debug)]
+struct InFlight {
+    due: Timestamp,
+    /// Among those due at one time, who was sent first arrives first.
+    order: u64,
+    path: Path,
+    /// When it came to the radio.
+    since: Timestamp,
+    flight: link::Flight,
+    frame: Frame,
+}
+
+/// One direction of one robot's link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Path {
+    robot: StationIndex,
+    unit: RadioUnitIndex,
+    direction: Direction,
+}
+
+impl Radio {
+    /// The radios of a graph. Every station has been with the strongest radio unit of its network that it can reach
+    /// since before the run began.
+    ///
+    /// # Errors
+    /// [`FabricError::Conditions`] if a network's delay is one that no link can have.
+    pub(crate) fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, FabricError> {
+        let mut networks = Vec::new();
+        let mut network_by_ssid = BTreeMap::new();
+        for (ssid, spec) in &graph.wireless {
+            network_by_ssid.insert(ssid.as_str(), networks.len());
+            let network = Network::new(spec)
+                .map_err(|refusal| FabricError::Conditions { link: ssid.clone(), refusal })?;
+            networks.push(network);
+        }
+        let ports: BTreeMap<_, _> =
+            graph.hosts().enumerate().map(|(i, node)| (&node.id, PortId(i))).collect();
+        let mut by_port = vec![None; ports.len()];
+        let mut units = Vec::new();
+        for (node, unit) in graph.radio_units() {
+            let Some(&network) = network_by_ssid.get(unit.network.as_str()) else { continue };
+            let port = ports[&node.id];
+            by_port[port.0] = Some(Role::Unit(units.len()));
+            networks[network].units.push(units.len());
+            units.push(Unit {
+                id: node.id.clone(),
+                port,
+                network,
+                position: node.position.unwrap_or_default(),
+                tx_power: unit.tx_power,
+                channel_number: unit.channel,
+                frequency_mhz: path_loss::frequency_mhz(networks[network].spec.standard, unit.channel),
+                stations: Vec::new(),
+                rng: stream(seed, &format!("group {}", node.id)),
+            });
+        }
+        let mut robots = Vec::new();
+        for (node, robot) in graph.robots() {
+            let Some(&network) = network_by_ssid.get(robot.network.as_str()) else { continue };
+            let Network { spec, units, .. } = &networks[network];
+            let port = ports[&node.id];
+            by_port[port.0] = Some(Role::Robot(robots.len()));
+            let by_signal =
+                Thresholds { hysteresis_db: spec.hysteresis_db, time_to_trigger: spec.time_to_trigger };
+            robots.push(RobotRadio {
+                port,
+                network,
+                position: node.position.unwrap_or_default(),
+                tx_power: robot.tx_power,
+                thresholds: (robot.roaming == Roaming::Signal).then_some(by_signal),
+                station: Station::new(spec, stream(seed, &format!("station {}", node.id))),
+                beacons: Beacons::default(),
+                moved: false,
+                home: None,
+                heard: vec![None; units.len()],
+                id: node.id.clone(),
+            });
+        }
+        let mut channels: Vec<_> = units.iter().map(|u| u.frequency_mhz).collect();
+        channels.sort_unstable();
+        channels.dedup();
+        let channel = |unit: &Unit| channels.partition_point(|f| *f < unit.frequency_mhz);
+        let pairs = robots.len() * units.len();
+        let mut radio = Self {
+            seed,
+            robot_by_name: robots.iter().enumerate().map(|(i, r)| (r.id.clone(), i)).collect(),
+            unit_by_name: units.iter().enumerate().map(|(i, u)| (u.id.clone(), i)).collect(),
+            by_port,
+            links: (0..pairs).map(|_| None).collect(),
+            fields: (0..pairs).map(|_| OnceCell::new()).collect(),
+            medium: Medium::new(units.iter().map(channel), robots.len()),
+            timers: Timers::new(channels.len() + robots.len()),
+            channels: channels.len(),
+            networks,
+            robots,
+            units,
+            in_flight: BinaryHeap::new(),
+            sent: 0,
+            events: VecDeque::new(),
+            lost: Vec::new(),
+        };
+        for robot in 0..radio.robots.len() {
+            radio.listen(robot);
+            if let Some(unit) = radio.strongest(robot) {
+                radio.robots[robot].station.begin_attached(unit);
+                radio.associate(robot, unit);
+                radio.medium.enter(robot, unit);
+            }
+        }
+        Ok(radio)
+    }
+
+    /// A robot sends a frame to its radio unit. The frame is one packet as it is on the wire.
+    pub(crate) fn push_up(&mut self, now: Timestamp, robot: PortId, frame: Frame) {
+        self.advance(now);
+        let Some(Role::Robot(robot)) = self.role(robot) else { return self.lost.push(frame) };
+        // A station that never had a radio unit has no carrier.
+        let Some(unit) = self.robots[robot].home else { return self.lost.push(frame) };
+        self.enqueue(now, Path { robot, unit, direction: Direction::Forward }, frame);
+    }
+
+    /// A radio unit sends a frame to a robot. What comes to a radio unit after the robot has left it goes the way of
+    /// what was there before: on to the new one, or lost, as the network's [`GapPolicy`] says.
+    pub(crate) fn push_down(&mut self, now: Timestamp, unit: PortId, robot: PortId, frame: Frame) {
+        self.advance(now);
+        let (Some(Role::Unit(unit)), Some(Role::Robot(robot))) = (self.role(unit), self.role(robot)) else {
+            return self.lost.push(frame);
+        };
+        let path = Path { robot, unit, direction: Direction::Backward };
+        match (self.robots[robot].home, self.gap_policy(robot)) {
+            (Some(home), GapPolicy::Hold) => self.enqueue(now, Path { unit: home, ..path }, frame),
+            (Some(home), GapPolicy::Drop) if home == unit => self.enqueue(now, path, frame),
+            _ => self.lose(path, frame),
+        }
+    }
+
+    /// A radio unit sends a frame to all its stations but its source at once: group-addressed, at the lowest basic
+    /// rate, a single time. A station that is off the channel misses it.
+    pub(crate) fn push_group(&mut self, now: Timestamp, unit: PortId, source: PortId, frame: Frame) {
+        self.advance(now);
+        let Some(Role::Unit(unit)) = self.role(unit) else { return self.lost.push(frame) };
+        let source = match self.role(source) {
+            Some(Role::Robot(robot)) => Some(robot),
+            _ => None,
+        };
+        if self.group(unit, source).next().is_none() {
+            return self.lost.push(frame);
+        }
+        let waiting = Waiting { frame, since: now, source };
+        match self.medium.push(Flow::Group(unit), waiting, QueueLimit::default()) {
+            Ok(()) => self.serve(self.medium.channel(unit), now),
+            Err(frame) => {
+                for path in self.group(unit, source).collect::<Vec<_>>() {
+                    self.lane(path).meter().counters.overflowed += 1;
+                }
+                self.lost.push(frame);
+            }
+        }
+    }
+
+    /// The ways from a radio unit to all its stations but one.
+    fn group(&self, unit: RadioUnitIndex, source: Option<StationIndex>) -> impl Iterator<Item = Path> {
+        let others = self.units[unit].stations.iter().filter(move |robot| Some(**robot) != source);
+        others.map(move |&robot| Path { robot, unit, direction: Direction::Backward })
+    }
+
+    /// Moves time on, appends what has arrived by `now` to `out`, in order, and says when to call again. Buffers of
+    /// lost frames go to the pool.
+    pub(crate) fn poll(
+        &mut self,
+        now: Timestamp,
+        pool: &mut Pool,
+        out: &mut Vec<Arrival>,
+    ) -> Option<Timestamp> {
+        self.advance(now);
+        self.lost.drain(..).for_each(|frame| pool.put(frame));
+        while self.in_flight.peek().is_some_and(|Reverse(f)| f.due <= now) {
+            let Some(Reverse(InFlight { due, path, since, frame, .. })) = self.in_flight.pop() else { break };
+            self.lane(path).meter().crossed(since, due, 1, frame.wire_bytes());
+            let (robot, unit) = (self.robots[path.robot].port, self.units[path.unit].port);
+            let (from, at) = match path.direction {
+                Direction::Forward => (robot, unit),
+                Direction::Backward => (unit, robot),
+            };
+            out.push(Arrival { due, from, at, frame });
+        }
+        self.deadline()
+    }
+
+    /// When [`Self::poll`] is due.
+    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+        let timer = self.timers.next().map(|(at, _)| at);
+        let arrival = self.in_flight.peek().map(|Reverse(f)| f.due);
+        timer.into_iter().chain(arrival).min()
+    }
+
+    /// The next of what happened: handovers, scans, lost radio units.
+    pub(crate) fn next_event(&mut self) -> Option<Stamped> {
+        self.events.pop_front()
+    }
+
+    /// A robot is somewhere else now.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRobot`].
+    pub(crate) fn move_robot(&mut self, now: Timestamp, robot: &NodeId, to: Position) -> Result<(), Refusal> {
+        self.advance(now);
+        let index = self.robot(robot)?;
+        let robot = &mut self.robots[index];
+        if robot.position == to {
+            return Ok(());
+        }
+        robot.position = to;
+        let watching = std::mem::replace(&mut robot.moved, true);
+        if !watching && !robot.station.is_away() {
+            self.watch(index, now);
+        }
+        Ok(())
+    }
+
+    /// Lets a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRobot`]; [`Refusal::Busy`] while it scans or changes its radio unit.
+    pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), Refusal> {
+        self.advance(now);
+        let index = self.robot(robot)?;
+        let lost = self.robots[index].station.attached().is_none();
+        let purpose = if lost { Purpose::Roam } else { Purpose::Look };
+        self.begin_scan(index, now, purpose).map_err(|_| Refusal::Busy(robot.clone()))
+    }
+
+    /// Attaches a robot to a radio unit; after the scan, if one is under way. Does nothing where it is attached
+    /// already, or about to be.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRobot`], [`Refusal::UnknownRadioUnit`], [`Refusal::OtherNetwork`],
+    /// [`Refusal::OutOfReach`]; [`Refusal::Busy`] while it changes to another one.
+    pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Refusal> {
+        self.advance(now);
+        let index = self.robot(robot)?;
+        let to = *self.unit_by_name.get(unit).ok_or_else(|| Refusal::UnknownRadioUnit(unit.clone()))?;
+        if self.robots[index].network != self.units[to].network {
+            return Err(Refusal::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });
+        }
+        if self.robots[index].station.attached() != Some(to) && self.hears(index, to).is_none() {
+            return Err(Refusal::OutOfReach { robot: robot.clone(), radio_unit: unit.clone() });
+        }
+        let station = &mut self.robots[index].station;
+        let was_away = station.is_away();
+        station.attach(now, to).map_err(|_| Refusal::Busy(robot.clone()))?;
+        if !was_away && station.is_away() {
+            self.leave(index);
+        }
+        Ok(())
+    }
+
+    /// The radio unit that a robot is attached to; during a handover still the former one.
+    pub(crate) fn attached_to(&self, robot: PortId) -> Option<PortId> {
+        let Some(Role::Robot(robot)) = self.role(robot) else { return None };
+        self.robots[robot].station.attached().map(|unit| self.units[unit].port)
+    }
+
+    /// φ(r,R) for every radio unit of the robot's network, with what the robot knows of it; empty for a robot that is
+    /// unknown.
+    pub(crate) fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
+        let Some(&index) = self.robot_by_name.get(robot) else { return Vec::new() };
+        let RobotRadio { network, station, heard, .. } = &self.robots[index];
+        let attachment = |(&unit, heard): (&RadioUnitIndex, &Option<Dbm>)| {
+            let attached = station.attached() == Some(unit);
+            // A station on the channel hears its radio unit's beacons all the time.
+            let fresh = station.on_channel() == Some(unit);
+            let signal =
+                if fresh { Some(self.signals(index, unit)[Direction::Backward as usize]) } else { *heard };
+            Attachment { radio_unit: self.units[unit].id.clone(), attached, signal }
+        };
+        self.networks[*network].units.iter().zip(heard).map(attachment).collect()
+    }
+
+    /// ι(R) of every radio unit.
+    pub(crate) fn contexts(&self, now: Timestamp) -> Vec<RadioContext> {
+        let context = |(index, unit): (usize, &Unit)| RadioContext {
+            radio_unit: unit.id.clone(),
+            channel: unit.channel_number,
+            load: self.medium.load(self.medium.channel(index), now),
+            stations: unit.stations.iter().map(|robot| self.station_context(*robot, index)).collect(),
+        };
+        self.units.iter().enumerate().map(context).collect()
+    }
+
+    fn station_context(&self, robot: StationIndex, unit: RadioUnitIndex) -> StationContext {
+        let [signal, _] = self.signals(robot, unit);
+        let [uplink_mbps, downlink_mbps] = self.receptions(robot, unit).map(|r| r.mbps());
+        StationContext { robot: self.robots[robot].id.clone(), signal, downlink_mbps, uplink_mbps }
+    }
+
+    /// Both directions of every wireless link that a robot was attached by, or that was changed. The others have
+    /// nothing to tell but what their network says.
+    pub(crate) fn link_contexts(&self, now: Timestamp) -> Vec<LinkContext> {
+        let both = |link: &WirelessLink| {
+            [Direction::Forward, Direction::Backward].map(|direction| link.context(now, direction))
+        };
+        self.links.iter().flatten().flat_map(|link| both(link)).collect()
+    }
+
+    /// Changes what a wireless link does in one direction or both, for all frames that are not on the air yet. Those
+    /// that are profit from a shorter delay.
+    ///
+    /// # Errors
+    /// [`Refusal`], with the reason; nothing has changed then.
+    pub(crate) fn change(
+        &mut self,
+        now: Timestamp,
+        link: &LinkId,
+        direction: Option<Direction>,
+        change: &ConditionChange,
+    ) -> Result<(), Refusal> {
+        self.advance(now);
+        let (robot, unit) = self.ends(link).ok_or_else(|| Refusal::UnknownLink(link.clone()))?;
+        let both = [Direction::Forward, Direction::Backward];
+        let directions = both.into_iter().filter(|d| direction.is_none_or(|wanted| wanted == *d));
+        let paths: Vec<_> = directions.map(|direction| Path { robot, unit, direction }).collect();
+        let settings = paths.iter().map(|p| self.lane(*p).changed(change)).collect::<Result<Vec<_>, _>>()?;
+        for (path, settings) in paths.into_iter().zip(settings) {
+            self.lane(path).set(settings);
+            self.pull_forward(now, path);
+        }
+        Ok(())
+    }
+
+    /// Works out anew when the frames under way on a path arrive.
+    fn pull_forward(&mut self, now: Timestamp, path: Path) {
+        let mut in_flight = std::mem::take(&mut self.in_flight).into_vec();
+        in_flight.sort_unstable_by_key(|Reverse(f)| f.key());
+        let under_way = in_flight.iter_mut().filter(|Reverse(f)| f.path == path && f.due > now);
+        self.lane(path).pull_forward(now, under_way.map(|Reverse(f)| (&f.flight, &mut f.due)));
+        self.in_flight = in_flight.into();
+    }
+
+    /// The robot and the radio unit of a wireless link; their names may have a `~`, too.
+    fn ends(&self, link: &LinkId) -> Option<(StationIndex, RadioUnitIndex)> {
+        let split = |(at, _): (usize, &str)| {
+            let (robot, unit) = (&link.as_str()[..at], &link.as_str()[at + 1..]);
+            Some((*self.robot_by_name.get(robot)?, *self.unit_by_name.get(unit)?))
+        };
+        let same_network = |(robot, unit): &(StationIndex, RadioUnitIndex)| {
+            self.robots[*robot].network == self.units[*unit].network
+        };
+        link.as_str().match_indices('~').filter_map(split).find(same_network)
+    }
+
+    fn robot(&self, id: &NodeId) -> Result<StationIndex, Refusal> {
+        self.robot_by_name.get(id).copied().ok_or_else(|| Refusal::UnknownRobot(id.clone()))
+    }
+
+    fn role(&self, port: PortId) -> Option<Role> {
+        self.by_port.get(port.0).copied().flatten()
+    }
+
+    fn gap_policy(&self, robot: StationIndex) -> GapPolicy {
+        self.networks[self.robots[robot].network].spec.gap
+    }
+
+    fn pair(&self, robot: StationIndex, unit: RadioUnitIndex) -> usize {
+        robot * self.units.len() + unit
+    }
+
+    fn link(&mut self, robot: StationIndex, unit: RadioUnitIndex) -> &mut WirelessLink {
+        let pair = self.pair(robot, unit);
+        self.links[pair].get_or_insert_with(|| {
+            let RobotRadio { id, network, .. } = &self.robots[robot];
+            let id = LinkId::wireless(id, &self.units[unit].id);
+            Box::new(WirelessLink::new(id, &self.networks[*network].settings, self.seed))
+        })
+    }
+
+    fn lane(&mut self, path: Path) -> &mut link::Lane {
+        self.link(path.robot, path.unit).lane(path.direction)
+    }
+
+    fn tell(&mut self, at: Timestamp, event: Event) {
+        self.events.push_back(Stamped { at, event });
+    }
+}
+
+/// What is heard where.
+impl Radio {
+    /// Received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which are
+    /// the same both ways.
+    fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
+        let (r, u) = (&self.robots[robot], &self.units[unit]);
+        let WirelessNetwork { path_loss, shadowing, .. } = self.networks[r.network].spec;
+        let field = self.fields[self.pair(robot, unit)].get_or_init(|| {
+            let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
+            ShadowingField::new(shadowing, stream(self.seed, &label))
+        });
+        let loss = path_loss::loss_db(path_loss, r.position.distance(u.position), u.frequency_mhz)
+            + field.at(r.position);
+        [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
+    }
+
+    /// What the radio unit makes of the robot, and the robot of it.
+    fn receptions(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Reception; 2] {
+        let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
+        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 - spec.noise_floor.0))
+    }
+
+    /// The signal of a radio unit that a robot can hear and be heard by.
+    fn hears(&self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
+        let sensitivity = self.networks[self.units[unit].network].sensitivity;
+        let [up, down] = self.signals(robot, unit);
+        (up >= sensitivity && down >= sensitivity).then_some(down)
+    }
+
+    /// Notes what a robot hears of all radio units of its network.
+    fn listen(&mut self, robot: StationIndex) {
+        let mut heard = std::mem::take(&mut self.robots[robot].heard);
+        let units = &self.networks[self.robots[robot].network].units;
+        heard.clear();
+        heard.extend(units.iter().map(|unit| self.hears(robot, *unit)));
+        self.robots[robot].heard = heard;
+    }
+
+    /// The radio units that a robot heard last.
+    fn heard(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
+        let RobotRadio { network, heard, .. } = &self.robots[robot];
+        self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
+    }
+
+    /// The strongest radio unit that a robot heard last; the first among equals.
+    fn strongest(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
+        let stronger = |best: (RadioUnitIndex, Dbm), next: (RadioUnitIndex, Dbm)| {
+            if next.1 > best.1 { next } else { best }
+        };
+        self.heard(robot).reduce(stronger).map(|(unit, _)| unit)
+    }
+}
+
+/// What happens when a timer expires.
+impl Radio {
+    /// Does all that was due by `now`, each in its own time.
+    fn advance(&mut self, now: Timestamp) {
+        while let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) {
+            self.timers.set(owner, None);
+            match owner.checked_sub(self.channels) {
+                None => self.serve(owner, at),
+                Some(robot) if self.robots[robot].station.is_away() => self.end_phase(robot, at),
+                Some(robot) => self.beacon(robot, at),
+            }
+        }
+    }
+
+    /// Looks at the next beacon of a station's radio unit, or for one if it has none.
+    fn watch(&mut self, robot: StationIndex, now: Timestamp) {
+        let lost = self.robots[robot].station.attached().is_none();
+        let next = if lost { now + SEARCH_INTERVAL } else { next_beacon(now) };
+        self.timers.set(self.channels + robot, Some(next));
+    }
+
+    fn beacon(&mut self, robot: StationIndex, now: Timestamp) {
+        self.robots[robot].moved = false;
+        let Some(unit) = self.robots[robot].station.attached() else {
+            return self.begin_scan(robot, now, Purpose::Roam).expect("a station on no channel is not away");
+        };
+        let thresholds = self.robots[robot].thresholds;
+        let own = self.hears(robot, unit);
+        if thresholds.is_some() {
+            self.listen(robot);
+        }
+        let mut beacons = std::mem::take(&mut self.robots[robot].beacons);
+        let others = self.heard(robot).filter(|(other, _)| *other != unit);
+        let verdict = beacons.weigh(now, own, others, thresholds);
+        self.robots[robot].beacons = beacons;
+        match verdict {
+            Verdict::Stay => {}
+            Verdict::Watch => self.watch(robot, now),
+            Verdict::Roam => {
+                self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");
+            }
+            Verdict::Lost => {
+                self.robots[robot].station.detach();
+                self.units[unit].stations.retain(|r| *r != robot);
+                let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
+                self.tell(now, Event::Detached { robot: robot_id, from });
+                self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
+            }
+        }
+    }
+
+    fn begin_scan(
+        &mut self,
+        robot: StationIndex,
+        now: Timestamp,
+        purpose: Purpose,
+    ) -> Result<(), station::Busy> {
+        self.robots[robot].station.scan(now, purpose)?;
+        self.leave(robot);
+        Ok(())
+    }
+
+    /// A station has left its channel: what waits stays, or is lost.
+    fn leave(&mut self, robot: StationIndex) {
+        self.medium.leave(robot);
+        self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
+        let Some(unit) = self.robots[robot].home else { return };
+        if self.gap_policy(robot) == GapPolicy::Drop {
+            let [up, down] = self.medium.clear(robot);
+            let lost = up.into_iter().map(|w| (Direction::Forward, w.frame));
+            for (direction, frame) in lost.chain(down.into_iter().map(|w| (Direction::Backward, w.frame))) {
+                self.lose(Path { robot, unit, direction }, frame);
+            }
+        }
+    }
+
+    fn end_phase(&mut self, robot: StationIndex, now: Timestamp) {
+        let strongest = if self.robots[robot].station.is_scanning() {
+            self.listen(robot);
+            self.strongest(robot)
+        } else {
+            None
+        };
+        match self.robots[robot].station.expire(strongest) {
+            Step::Underway => {}
+            Step::Scanned => {
+                let robot = self.robots[robot].id.clone();
+                self.tell(now, Event::Scanned { robot });
+            }
+            Step::Attached(joined) => self.join(robot, now, joined),
+        }
+        let station = &self.robots[robot].station;
+        if station.is_away() {
+            return self.timers.set(self.channels + robot, station.deadline());
+        }
+        let on = station.on_channel();
+        self.robots[robot].beacons.reset();
+        if self.robots[robot].moved {
+            self.watch(robot, now);
+        }
+        if let Some(unit) = on {
+            self.medium.enter(robot, unit);
+            self.serve(self.medium.channel(unit), now);
+        }
+    }
+
+    fn join(&mut self, robot: StationIndex, now: Timestamp, joined: Joined) {
+        let Joined { from, to, fast, gap } = joined;
+        if let Some(from) = from {
+            self.units[from].stations.retain(|r| *r != robot);
+        }
+        self.associate(robot, to);
+        let event = Event::Handover(Handover {
+            robot: self.robots[robot].id.clone(),
+            from: from.map(|unit| self.units[unit].id.clone()),
+            to: self.units[to].id.clone(),
+            fast,
+            gap,
+        });
+        self.tell(now, event);
+    }
+
+    /// Notes that a robot is with a radio unit.
+    fn associate(&mut self, robot: StationIndex, unit: RadioUnitIndex) {
+        let stations = &mut self.units[unit].stations;
+        let place = stations.partition_point(|r| *r < robot);
+        stations.insert(place, robot);
+        self.robots[robot].home = Some(unit);
+        self.link(robot, unit);
+    }
+}
+
+/// What happens to frames.
+impl Radio {
+    /// Lets a frame wait for its turn on the air; `path.unit` is the robot's radio unit, or its last one.
+    fn enqueue(&mut self, now: Timestamp, path: Path, frame: Frame) {
+        let on = self.robots[path.robot].station.on_channel();
+        if on.is_none() && self.gap_policy(path.robot) == GapPolicy::Drop {
+            return self.lose(path, frame);
+        }
+        let limit = self.lane(path).conditions().queue;
+        let flow = match path.direction {
+            Direction::Forward => Flow::Up(path.robot),
+            Direction::Backward => Flow::Down(path.robot),
+        };
+        let waiting = Waiting { frame, since: now, source: None };
+        if let Err(frame) = self.medium.push(flow, waiting, limit) {
+            self.lane(path).meter().counters.overflowed += 1;
+            self.lost.push(frame);
+        } else if let Some(unit) = on {
+            self.serve(self.medium.channel(unit), now);
+        }
+    }
+
+    fn lose(&mut self, path: Path, frame: Frame) {
+        self.lane(path).meter().counters.lost += 1;
+        self.lost.push(frame);
+    }
+
+    /// Puts the next frame on the air, if the channel is idle and one waits.
+    fn serve(&mut self, channel: usize, now: Timestamp) {
+        if let Some((flow, waiting)) = self.medium.next(channel, now) {
+            let idle = self.medium.idle_for(channel, now);
+            let waited = waiting.since < now;
+            let contended = |phy: &Phy| waited || idle < phy.difs();
+            let airtime = match flow {
+                Flow::Up(robot) => self.send(now, robot, Direction::Forward, waiting, contended),
+                Flow::Down(robot) => self.send(now, robot, Direction::Backward, waiting, contended),
+                Flow::Group(unit) => self.send_group(now, unit, waiting, contended),
+            };
+            self.medium.occupy(channel, now, airtime);
+        }
+        self.timers.set(channel, self.medium.wakes(channel));
+    }
+
+    fn send(
+        &mut self,
+        now: Timestamp,
+        robot: StationIndex,
+        direction: Direction,
+        waiting: Waiting,
+        contended: impl Fn(&Phy) -> bool,
+    ) -> Duration {
+        let unit = self.robots[robot].station.on_channel().expect("who takes turns is on the channel");
+        let contended = contended(self.networks[self.units[unit].network].phy);
+        let path = Path { robot, unit, direction };
+        let reception = self.reception(path);
+        let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
+        self.fly(now, path, waiting, &exchange);
+        exchange.first + exchange.retries
+    }
+
+    fn send_group(
+        &mut self,
+        now: Timestamp,
+        unit: RadioUnitIndex,
+        waiting: Waiting,
+        contended: impl Fn(&Phy) -> bool,
+    ) -> Duration {
+        let phy = self.networks[self.units[unit].network].phy;
+        let Waiting { frame, since, source } = waiting;
+        let bytes = frame.bytes().len();
+        let paths: Vec<_> = self.group(unit, source).collect();
+        let least = paths.iter().map(|path| self.lane(*path).least_airtime(bytes)).max();
+        let backoff = random::unit(&mut self.units[unit].rng);
+        let first = phy.group_airtime(bytes, contended(phy), backoff).max(least.unwrap_or_default());
+        for path in paths {
+            let present = self.robots[path.robot].station.on_channel() == Some(unit);
+            let reception = self.reception(path);
+            let received = present && self.lane(path).receives_group(&reception, bytes);
+            let copy = Waiting { frame: frame.clone(), since, source };
+            self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
+        }
+        self.lost.push(frame);
+        first
+    }
+
+    /// What the receiver makes of the sender where the robot is now.
+    fn reception(&mut self, path: Path) -> Reception {
+        let place = self.robots[path.robot].position;
+        if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
+            return reception;
+        }
+        let receptions = self.receptions(path.robot, path.unit);
+        self.link(path.robot, path.unit).set_receptions(place, receptions);
+        receptions[path.direction as usize]
+    }
+
+    /// A frame is on the air from now on; chance decides on its arrival.
+    fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
+        let Waiting { mut frame, since, .. } = waiting;
+        let Some(landing) = self.lane(path).land(now, exchange, &mut frame) else {
+            return self.lost.push(frame);
+        };
+        let copy = landing.twice.then(|| frame.clone());
+        for frame in [Some(frame), copy].into_iter().flatten() {
+            let link::Landing { due, flight, .. } = landing;
+            self.sent += 1;
+            self.in_flight.push(Reverse(InFlight { due, order: self.sent, path, since, flight, frame }));
+        }
+    }
+}
+
+impl Network {
+    fn new(spec: &WirelessNetwork) -> Result<Self, Refusal> {
+        let phy = Phy::of(spec.standard);
+        Ok(Self {
+            phy,
+            sensitivity: Dbm(spec.noise_floor.0 + phy.sensitivity_db()),
+            settings: link::initial_settings(spec, phy)?,
+            units: Vec::new(),
+            spec: spec.clone(),
+        })
+    }
+}
+
+impl InFlight {
+    fn key(&self) -> (Timestamp, u64) {
+        (self.due, self.order)
+    }
+}
+
+impl PartialEq for InFlight {
+    fn eq(&self, other: &Self) -> bool {
+        self.key() == other.key()
+    }
+}
+
+impl Eq for InFlight {}
+
+impl PartialOrd for InFlight {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for InFlight {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.key().cmp(&other.key())
+    }
+}
