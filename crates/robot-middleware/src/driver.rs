@@ -1,0 +1,47 @@
+//! The seam between the middleware and whatever moves: simulated here, real robots behind ROS elsewhere.
+
+use std::time::Duration;
+
+use cotorra_graph::{NodeId, SensorData, Timestamp, Velocity};
+
+use crate::lidar::Scan;
+
+/// Why a robot does not follow a command.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum CommandRefused {
+    /// A velocity is NaN or infinite.
+    #[error("a velocity of {} m/s and {} rad/s is no finite number", .0.linear, .0.angular)]
+    NotFinite(Velocity),
+}
+
+/// A robot that can be driven.
+///
+/// Calls come with a time that never falls. None of them blocks: a driver of a real robot keeps its own connection,
+/// and answers with what it last heard. A robot that gets no command for [`Self::command_timeout`] stops by itself,
+/// so that a broken driver or a lost one leaves no robot running.
+pub trait RobotDriver: Send {
+    /// Which robot.
+    fn robot(&self) -> &NodeId;
+
+    /// How long the robot follows a command before it stops.
+    fn command_timeout(&self) -> Duration;
+
+    /// Time has come to `now`: does what was due until then.
+    fn advance(&mut self, now: Timestamp);
+
+    /// Moves at that velocity until another command or the command timeout. Returns what the robot does of it: what
+    /// is over its limits is scaled down, on the same curve.
+    ///
+    /// # Errors
+    /// [`CommandRefused`]; the command counts as not given, and the one before goes on.
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused>;
+
+    /// Stops as fast as the robot can.
+    fn stop(&mut self, now: Timestamp);
+
+    /// σ as of the last advance or command.
+    fn sensors(&self) -> SensorData;
+
+    /// The last complete turn of its lidar; `None` before the first, and without one.
+    fn scan(&self) -> Option<&Scan>;
+}

@@ -1,0 +1,283 @@
+//! The block itself: robots by name, κ at its interval, position packets out and navigation packets in, movement
+//! instructions to the drivers; and what happened, told as events.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::{
+    Attachment, Event, NodeId, Position, Program, RobotContext, SensorData, Stamped, Testbed, Timestamp,
+    Velocity,
+};
+use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
+
+use crate::{
+    driver::{CommandRefused, RobotDriver},
+    service::ServiceEndpoint,
+    simulated::{SimulatedRobot, SimulationError},
+    world::World,
+};
+
+/// Which way a position packet takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Route {
+    /// The radio unit that the robot is attached to; `None` if it is to none.
+    pub attachment: Option<NodeId>,
+    /// The node that runs the navigation VNF.
+    pub server: NodeId,
+}
+
+/// Why a robot was not moved.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MoveRefused {
+    /// There is no such robot.
+    #[error("there is no robot `{0}`")]
+    UnknownRobot(NodeId),
+    /// The walk has no such waypoint.
+    #[error("the walk of robot `{robot}` has no waypoint {waypoint}")]
+    UnknownWaypoint {
+        /// The robot.
+        robot: NodeId,
+        /// The waypoint.
+        waypoint: u32,
+    },
+    /// The robot cannot do that.
+    #[error("robot `{robot}`: {reason}")]
+    Command {
+        /// The robot.
+        robot: NodeId,
+        /// Why.
+        reason: CommandRefused,
+    },
+}
+
+/// The Robot Middleware.
+///
+/// Time is an argument and never falls from call to call. After any call, [`Self::poll_event`] tells what happened
+/// and [`Self::next_deadline`] when to call [`Self::advance`] next.
+pub struct RobotMiddleware {
+    robots: BTreeMap<NodeId, Managed>,
+    context_interval: Duration,
+    next_context: Timestamp,
+    events: VecDeque<Stamped>,
+}
+
+struct Managed {
+    driver: Box<dyn RobotDriver>,
+    service: Option<ServiceEndpoint>,
+    /// Whether the last command was outside what the robot can do; told once, not with every packet.
+    flagged: bool,
+}
+
+impl RobotMiddleware {
+    /// The middleware without robots; κ is built each `context_interval`, from the beginning of the run on.
+    ///
+    /// # Panics
+    /// If the interval is zero.
+    pub fn new(context_interval: Duration) -> Self {
+        assert!(!context_interval.is_zero(), "contexts need an interval above zero");
+        Self {
+            robots: BTreeMap::new(),
+            context_interval,
+            next_context: Timestamp::ZERO,
+            events: VecDeque::new(),
+        }
+    }
+
+    /// The middleware with all robots of a testbed, simulated. A robot has a navigation service if it has a walk and
+    /// a service of the testbed runs the robot's driver ([`Program::RobotDriver`]).
+    ///
+    /// # Errors
+    /// [`SimulationError`] if a robot has no place to start from.
+    ///
+    /// # Panics
+    /// If the interval is zero.
+    pub fn simulated(
+        testbed: &Testbed,
+        seed: u64,
+        context_interval: Duration,
+    ) -> Result<Self, SimulationError> {
+        let mut middleware = Self::new(context_interval);
+        let world = Arc::new(testbed.map.as_ref().map_or_else(World::open, World::new));
+        for (node, _) in testbed.graph.robots() {
+            let walk = testbed.walk(&node.id);
+            let driver = SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?;
+            let service = testbed.services.iter().find(|service| {
+                service.robot == node.id && service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver)
+            });
+            let endpoint = walk.zip(service).map(|(walk, service)| {
+                ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
+            });
+            middleware.add(Box::new(driver), endpoint);
+        }
+        Ok(middleware)
+    }
+
+    /// Adds a robot, in place of one of that name.
+    pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
+        let robot = driver.robot().clone();
+        self.robots.insert(robot, Managed { driver, service, flagged: false });
+    }
+
+    /// The robots, by name.
+    pub fn robots(&self) -> impl Iterator<Item = &NodeId> {
+        self.robots.keys()
+    }
+
+    /// σ of a robot, now.
+    pub fn sensors(&self, robot: &NodeId) -> Option<SensorData> {
+        self.robots.get(robot).map(|managed| managed.driver.sensors())
+    }
+
+    /// Where the robots are, now.
+    pub fn positions(&self) -> impl Iterator<Item = (&NodeId, Position)> {
+        self.robots.iter().map(|(robot, managed)| (robot, managed.driver.sensors().pose.position()))
+    }
+
+    /// The driver of a robot, for what only it knows, such as its last scan.
+    pub fn driver(&self, robot: &NodeId) -> Option<&dyn RobotDriver> {
+        self.robots.get(robot).map(|managed| &*managed.driver)
+    }
+
+    /// Whether every walk is at its end; false where there is none.
+    pub fn finished(&self) -> bool {
+        let mut services = self.robots.values().filter_map(|managed| managed.service.as_ref()).peekable();
+        services.peek().is_some() && services.all(ServiceEndpoint::finished)
+    }
+
+    /// When something is due: κ, a position packet, or the end of the wait for an answer.
+    pub fn next_deadline(&self) -> Timestamp {
+        let services = self.robots.values().filter_map(|managed| managed.service.as_ref()?.next_deadline());
+        services.fold(self.next_context, Timestamp::min)
+    }
+
+    /// Time has come to `now`: robots move, answers that did not come are given up, and κ is built when it is due,
+    /// with φ as `attachments` tells it of a robot.
+    pub fn advance(&mut self, now: Timestamp, mut attachments: impl FnMut(&NodeId) -> Vec<Attachment>) {
+        let context_due = self.next_context <= now;
+        for (robot, managed) in &mut self.robots {
+            managed.driver.advance(now);
+            while let Some(missing) = managed.service.as_mut().and_then(|service| service.expire(now)) {
+                self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
+            }
+            if context_due {
+                let context = RobotContext {
+                    robot: robot.clone(),
+                    attachments: attachments(robot),
+                    sensors: managed.driver.sensors(),
+                    waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
+                };
+                self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
+            }
+        }
+        while self.next_context <= now {
+            self.next_context = self.next_context + self.context_interval;
+        }
+    }
+
+    /// A position packet that is due, to be sent along the route that `route` tells of its robot; `None` when no
+    /// more are. Its emission is `now`: call it right before sending.
+    pub fn poll_position(
+        &mut self,
+        now: Timestamp,
+        route: impl FnOnce(&NodeId) -> Route,
+    ) -> Option<PositionPacket> {
+        let is_due = |managed: &Managed| managed.service.as_ref().is_some_and(|service| service.is_due(now));
+        let (robot, managed) = self.robots.iter_mut().find(|(_, managed)| is_due(managed))?;
+        managed.driver.advance(now);
+        let pose = managed.driver.sensors().pose;
+        managed.service.as_mut()?.emit(now, &pose, route(robot))
+    }
+
+    /// A navigation packet arrived at a robot. What it brings is told as events; the robot follows it unless it is
+    /// overtaken, doubled or beyond the robot's limits.
+    pub fn receive(&mut self, now: Timestamp, robot: &NodeId, packet: &NavigationPacket) {
+        let Some(managed) = self.robots.get_mut(robot) else { return };
+        let Some(service) = &mut managed.service else { return };
+        let answer = service.receive(now, packet);
+        if let Some(measured) = answer.service_time {
+            self.events.push_back(Stamped { at: now, event: Event::ServiceTime(measured) });
+        }
+        if let Some(velocity) = answer.velocity {
+            // A refusal is told as a notice; the sender of a datagram cannot be told.
+            let _ = managed.command(now, velocity, &mut self.events);
+        }
+        if answer.finished {
+            managed.finish(now, &mut self.events);
+        }
+    }
+
+    /// Moves a robot as an instruction says ([`cotorra_graph::Instruction::Move`]).
+    ///
+    /// # Errors
+    /// [`MoveRefused`]; the robot then goes on as before.
+    pub fn instruct(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        velocity: Velocity,
+        waypoint: u32,
+    ) -> Result<(), MoveRefused> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+        if managed.service.as_ref().is_some_and(|service| !service.has_waypoint(waypoint)) {
+            return Err(MoveRefused::UnknownWaypoint { robot: robot.clone(), waypoint });
+        }
+        managed
+            .command(now, velocity, &mut self.events)
+            .map_err(|reason| MoveRefused::Command { robot: robot.clone(), reason })?;
+        if managed.service.as_mut().is_some_and(|service| service.reach(waypoint)) {
+            managed.finish(now, &mut self.events);
+        }
+        Ok(())
+    }
+
+    /// Stops a robot, if there is one of that name.
+    pub fn stop(&mut self, now: Timestamp, robot: &NodeId) {
+        if let Some(managed) = self.robots.get_mut(robot) {
+            managed.driver.stop(now);
+        }
+    }
+
+    /// What happened, oldest first.
+    pub fn poll_event(&mut self) -> Option<Stamped> {
+        self.events.pop_front()
+    }
+}
+
+impl Managed {
+    /// Commands the driver, and tells once if it was asked for what the robot cannot do.
+    fn command(
+        &mut self,
+        now: Timestamp,
+        velocity: Velocity,
+        events: &mut VecDeque<Stamped>,
+    ) -> Result<(), CommandRefused> {
+        let done = self.driver.command(now, velocity);
+        let flag = match &done {
+            Ok(done) if *done == velocity => None,
+            Ok(done) => Some(format!(
+                "was asked for {} m/s and {} rad/s, over its limits, and does {:.3} m/s and {:.3} rad/s",
+                velocity.linear, velocity.angular, done.linear, done.angular
+            )),
+            Err(refused) => Some(format!("refused a command: {refused}")),
+        };
+        let was_flagged = std::mem::replace(&mut self.flagged, flag.is_some());
+        if let Some(flag) = flag.filter(|_| !was_flagged) {
+            let message = format!("robot {} {flag}", self.driver.robot());
+            events.push_back(Stamped { at: now, event: Event::Notice { message } });
+        }
+        done.map(|_| ())
+    }
+
+    /// The end of its walk: the robot stops, whatever the last command said.
+    fn finish(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
+        self.driver.stop(now);
+        let robot = self.driver.robot().clone();
+        events.push_back(Stamped { at: now, event: Event::WalkFinished { robot } });
+    }
+}
+
+#[cfg(test)]
+mod tests;
