@@ -7,18 +7,27 @@ use serde::{Deserialize, Serialize};
 /// Why a name cannot be one.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is not a name: use 1 to 63 letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit"
+    "`{name}` is not a name: use 1 to {longest} letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit"
 )]
-pub struct InvalidId(String);
+pub struct InvalidId {
+    name: String,
+    longest: usize,
+}
 
-fn check(name: &str) -> Result<(), InvalidId> {
+/// A name fits a file name and a DNS label.
+const LONGEST: usize = 63;
+/// A link's fits the names of its two ends and what joins them.
+const LONGEST_LINK: usize = 2 * LONGEST + 1;
+
+fn check(name: &str, longest: usize) -> Result<(), InvalidId> {
     let starts_well = name.chars().next().is_some_and(|c| c.is_ascii_alphanumeric());
     let all_well = name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.~".contains(c));
-    if starts_well && all_well && name.len() <= 63 { Ok(()) } else { Err(InvalidId(name.to_owned())) }
+    let well = starts_well && all_well && name.len() <= longest;
+    if well { Ok(()) } else { Err(InvalidId { name: name.to_owned(), longest }) }
 }
 
 macro_rules! id {
-    ($(#[$doc:meta])* $name:ident) => {
+    ($(#[$doc:meta])* $name:ident, $longest:expr) => {
         $(#[$doc])*
         #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
         #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -27,12 +36,15 @@ macro_rules! id {
         pub struct $name(Arc<str>);
 
         impl $name {
+            /// Characters of the longest name.
+            pub const LONGEST: usize = $longest;
+
             /// The name, if it can be one.
             ///
             /// # Errors
             /// [`InvalidId`] when it is empty, too long, or holds a character that a file name could not.
             pub fn new(name: &str) -> Result<Self, InvalidId> {
-                check(name)?;
+                check(name, Self::LONGEST)?;
                 Ok(Self(name.into()))
             }
 
@@ -96,31 +108,36 @@ macro_rules! id {
 
 id! {
     /// An administrative domain.
-    DomainId
+    DomainId, LONGEST
 }
 id! {
     /// A node of the hardware graph: a robot, radio unit, switch or server.
-    NodeId
+    NodeId, LONGEST
 }
 id! {
     /// A link of the hardware graph. A wired one is named in the testbed file (by default `<end>-<end>`);
     /// the wireless one between a robot and a radio unit is `<robot>~<radio unit>`.
-    LinkId
+    LinkId, LONGEST_LINK
 }
 id! {
     /// A service: VNFs, the virtual links between them, and the KPIs that they must keep.
-    ServiceId
+    ServiceId, LONGEST
 }
 id! {
     /// A virtual network function of a service.
-    VnfId
+    VnfId, LONGEST
 }
 id! {
     /// A plug-in, as the testbed file names it.
-    PluginId
+    PluginId, LONGEST
 }
 
 impl LinkId {
+    /// The name that a wired link between two nodes has by default.
+    pub fn between(a: &NodeId, b: &NodeId) -> Self {
+        Self(format!("{a}-{b}").into())
+    }
+
     /// The name of the wireless link between a robot and a radio unit.
     pub fn wireless(robot: &NodeId, radio_unit: &NodeId) -> Self {
         Self(format!("{robot}~{radio_unit}").into())

@@ -8,9 +8,13 @@ pub mod event;
 pub mod hardware;
 pub mod id;
 pub mod map;
+pub mod map_server;
+mod routing;
 pub mod service;
 pub mod testbed;
+pub mod testbed_file;
 pub mod units;
+mod yaml;
 
 pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
@@ -26,6 +30,8 @@ pub use hardware::{
 };
 pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
+pub use routing::Route;
 pub use service::{Kpis, Program, Service, VirtualLink, Vnf};
-pub use testbed::{PluginProgram, PluginSpec, Testbed, Walk};
+pub use testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Testbed, Walk};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp};
+pub use yaml::{Diagnostic, Diagnostics};

@@ -12,6 +12,9 @@ use crate::{
     units::{Position, millis},
 };
 
+/// Names of the plug-ins that come with cotorra, and run in process. A testbed file can name no others.
+pub const BUNDLED_PLUGINS: &[&str] = &["probing"];
+
 /// What a testbed file says, checked as a whole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Testbed {

@@ -1,0 +1,241 @@
+//! Maps in the files of ROS's map_server: a YAML file that says how to read a PGM picture.
+
+use std::path::Path;
+
+use serde_json::{Value as Json, json};
+
+use crate::{
+    map::{Cell, OccupancyGrid},
+    units::Position,
+    yaml::{
+        self, Diagnostics, Sink,
+        decode::{Amount, Decode, Node, Spanned, choice, expected, record},
+    },
+};
+
+record! {
+    /// How to read a map's picture.
+    MapRecord {
+        /// Path of the PGM file, from this file's folder.
+        image: Spanned<String>,
+        /// Side of a cell, metres.
+        resolution: Spanned<Amount>,
+        /// Lower left corner of the map: x, y in metres, and yaw, which is 0.
+        origin: Spanned<Vec<f64>>,
+        /// Whether white is occupied, and black free.
+        negate: Flag = 0,
+        /// Darker than this share is occupied.
+        occupied_thresh: Spanned<Amount> = 0.65,
+        /// Brighter than the rest of this share is free.
+        free_thresh: Spanned<Amount> = 0.196,
+        /// How values between the thresholds are read: as unknown.
+        mode: Mode = "trinary",
+    }
+}
+
+/// `mode`; the others of map_server give probabilities, for which nothing here has a use.
+#[derive(Debug)]
+pub(crate) enum Mode {
+    Trinary,
+}
+
+choice!(Mode, "mode that is supported", { "trinary" => Self::Trinary, "free, occupied or unknown"; });
+
+/// A truth value, as map_server writes it.
+#[derive(Debug)]
+pub(crate) struct Flag(bool);
+
+impl Decode for Flag {
+    fn schema() -> Json {
+        json!({ "enum": [0, 1, false, true] })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        match node.plain() {
+            Some("0" | "false") => Some(Self(false)),
+            Some("1" | "true") => Some(Self(true)),
+            _ => {
+                expected(node, "0 or 1", "write `0` where black is occupied, as map_server does", sink);
+                None
+            }
+        }
+    }
+}
+
+/// Reads a map: the YAML file, and the PGM picture that it names.
+///
+/// # Errors
+/// Everything that is wrong with the YAML file, each in its place; a picture's mistake shows at its name.
+pub fn load(path: impl AsRef<Path>) -> Result<OccupancyGrid, Diagnostics> {
+    let path = path.as_ref();
+    let name = path.display().to_string();
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        Diagnostics::of_file(&name, format!("the map cannot be read: {error}"), "check its path")
+    })?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    parse(&name, &text, |image| std::fs::read(folder.join(image)).map_err(|e| e.to_string()))
+}
+
+/// Reads a map from its YAML text and whatever reads the picture that it names.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse(
+    source_name: &str,
+    text: &str,
+    read_image: impl FnOnce(&str) -> Result<Vec<u8>, String>,
+) -> Result<OccupancyGrid, Diagnostics> {
+    let mut sink = Sink::default();
+    let grid = yaml::parse(text, &mut sink)
+        .and_then(|root| MapRecord::decode(&root, &mut sink))
+        .and_then(|record| build(record, read_image, &mut sink));
+    match grid {
+        Some(grid) if sink.is_empty() => Ok(grid),
+        _ => Err(sink.finish(source_name, text)),
+    }
+}
+
+fn build(
+    record: MapRecord,
+    read_image: impl FnOnce(&str) -> Result<Vec<u8>, String>,
+    sink: &mut Sink,
+) -> Option<OccupancyGrid> {
+    let resolution = record.resolution.value.0;
+    if !(0.001..=100.0).contains(&resolution) {
+        sink.error(&record.resolution.span, format!("a cell of {resolution} m is no use"))
+            .help("the side of a cell is 0.001 to 100 metres, usually 0.05");
+    }
+    let origin = match record.origin.value[..] {
+        [x, y, yaw] if yaw == 0.0 && x.abs() <= 1e6 && y.abs() <= 1e6 => Some(Position::new(x, y)),
+        [x, y, yaw] if x.abs() <= 1e6 && y.abs() <= 1e6 => {
+            sink.error(&record.origin.span, format!("the map is turned by {yaw} rad"))
+                .help("turn the picture instead, and write a yaw of 0");
+            None
+        }
+        _ => {
+            sink.error(&record.origin.span, "this is no origin")
+                .help("write `[x, y, 0]`: the lower left corner in metres, within 1000 km of 0, and no yaw");
+            None
+        }
+    };
+    let (occupied, free) = (record.occupied_thresh.value.0, record.free_thresh.value.0);
+    if occupied > 1.0 {
+        sink.error(&record.occupied_thresh.span, "a threshold above 1").help("write a share, usually 0.65");
+    }
+    if free > occupied {
+        sink.error(&record.free_thresh.span, "the free threshold is above the occupied one")
+            .help("write a smaller share, usually 0.196");
+    }
+    let picture = read_image(&record.image.value)
+        .map_err(|error| format!("`{}` cannot be read: {error}", record.image.value))
+        .and_then(|bytes| {
+            Picture::parse(&bytes).map_err(|error| format!("`{}`: {error}", record.image.value))
+        });
+    let picture = match picture {
+        Ok(picture) => picture,
+        Err(message) => {
+            sink.error(&record.image.span, message)
+                .help("name a PGM file (P2 or P5), from this file's folder");
+            return None;
+        }
+    };
+    if !sink.is_empty() {
+        return None;
+    }
+    let Mode::Trinary = record.mode;
+    let cell = |value: u16| {
+        let brightness = f64::from(value) / f64::from(picture.max);
+        let occupancy = if record.negate.0 { brightness } else { 1.0 - brightness };
+        if occupancy > occupied {
+            Cell::Occupied
+        } else if occupancy < free {
+            Cell::Free
+        } else {
+            Cell::Unknown
+        }
+    };
+    // A picture begins with its uppermost row, a grid with its lowest.
+    let cells = picture.values.chunks(picture.width).rev().flatten().map(|&v| cell(v)).collect();
+    OccupancyGrid::new(picture.width, picture.height, resolution, origin?, cells)
+}
+
+/// A greyscale picture, row by row from the top.
+struct Picture {
+    width: usize,
+    height: usize,
+    max: u16,
+    values: Vec<u16>,
+}
+
+/// Why a picture is none.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+enum InvalidPicture {
+    #[error("it is no PGM picture: it begins with neither P2 nor P5")]
+    Magic,
+    #[error("its {0} is missing or no whole number")]
+    Header(&'static str),
+    #[error("it has {0} × {1} pixels, but a map has 1 to {MAX_CELLS} cells")]
+    Size(usize, usize),
+    #[error("its maximum value is {0}, but PGM has 1 to 65535")]
+    Max(usize),
+    #[error("it ends after {found} of {wanted} pixels")]
+    Short { found: usize, wanted: usize },
+    #[error("pixel {place} is `{value}`, but the maximum is {max}")]
+    Value { place: usize, value: usize, max: u16 },
+}
+
+/// 3.2 km in square, at 0.05 m a cell: 64 Mi cells.
+const MAX_CELLS: usize = 64 << 20;
+
+impl Picture {
+    /// Reads a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits).
+    fn parse(bytes: &[u8]) -> Result<Self, InvalidPicture> {
+        let binary = match bytes.get(..2) {
+            Some(b"P5") => true,
+            Some(b"P2") => false,
+            _ => return Err(InvalidPicture::Magic),
+        };
+        let mut rest = &bytes[2..];
+        let mut header = |name| number(&mut rest).ok_or(InvalidPicture::Header(name));
+        let (width, height, max) = (header("width")?, header("height")?, header("maximum value")?);
+        let wanted = width.checked_mul(height).filter(|n| (1..=MAX_CELLS).contains(n));
+        let wanted = wanted.ok_or(InvalidPicture::Size(width, height))?;
+        let max = u16::try_from(max).ok().filter(|&m| m > 0).ok_or(InvalidPicture::Max(max))?;
+        let values: Vec<usize> = if !binary {
+            std::iter::from_fn(|| number(&mut rest)).take(wanted).collect()
+        } else {
+            // One whitespace character ends the header.
+            let raster = rest.get(1..).unwrap_or_default();
+            let two_bytes = |pair: &[u8]| usize::from(u16::from_be_bytes([pair[0], pair[1]]));
+            if max < 256 {
+                raster.iter().take(wanted).map(|&byte| byte.into()).collect()
+            } else {
+                raster.chunks_exact(2).take(wanted).map(two_bytes).collect()
+            }
+        };
+        if values.len() < wanted {
+            return Err(InvalidPicture::Short { found: values.len(), wanted });
+        }
+        let value = |(place, value)| match u16::try_from(value) {
+            Ok(value) if value <= max => Ok(value),
+            _ => Err(InvalidPicture::Value { place, value, max }),
+        };
+        let values = values.into_iter().enumerate().map(value).collect::<Result<_, _>>()?;
+        Ok(Self { width, height, max, values })
+    }
+}
+
+/// Takes a whole number off the front, behind whitespace and comments.
+fn number(rest: &mut &[u8]) -> Option<usize> {
+    loop {
+        *rest = rest.trim_ascii_start();
+        if rest.first() != Some(&b'#') {
+            break;
+        }
+        let end = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
+        *rest = &rest[end..];
+    }
+    let digits = rest.iter().take_while(|b| b.is_ascii_digit()).count();
+    let (number, behind) = rest.split_at(digits);
+    *rest = behind;
+    std::str::from_utf8(number).ok()?.parse().ok()
+}

@@ -1,0 +1,164 @@
+//! Shortest paths over G, for whoever maps virtual links or asks what a placement can reach at best.
+//! Only switches and radio units forward; hosts are where paths begin and end.
+
+use std::{
+    cmp::Reverse,
+    collections::{BinaryHeap, HashMap},
+    time::Duration,
+};
+
+use crate::{
+    hardware::{HardwareGraph, NodeKind},
+    id::{LinkId, NodeId},
+};
+
+/// A path from one node to another.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Route {
+    /// The links, in order; none from a node to itself.
+    pub links: Vec<LinkId>,
+    /// Sum of their delays in that direction, as the testbed file has them.
+    pub delay: Duration,
+}
+
+impl HardwareGraph {
+    /// The path of least delay from one node to another; of equals, the one with fewer hops, then the one whose
+    /// nodes and links come first in the file. `attached` says to which radio unit a robot is attached: that wireless
+    /// link is the only one that it has. `None` if there is no path, or no such node.
+    pub fn route<'a>(
+        &'a self,
+        from: &NodeId,
+        to: &NodeId,
+        attached: impl Fn(&NodeId) -> Option<&'a NodeId>,
+    ) -> Option<Route> {
+        let topology = Topology::new(self, |robot, unit| attached(robot) == Some(unit));
+        let (from, to) = (topology.place(from)?, topology.place(to)?);
+        let tree = topology.shortest(&[(from, 0)], Edge::delay_ns);
+        let mut at = to;
+        let mut links = Vec::new();
+        while at != from {
+            let (before, edge) = tree[at].as_ref()?.by?;
+            links.push(topology.link_id(before, edge));
+            at = before;
+        }
+        links.reverse();
+        Some(Route { links, delay: Duration::from_nanos(tree[to].as_ref()?.cost) })
+    }
+}
+
+/// G with numbers for names.
+pub(crate) struct Topology<'a> {
+    graph: &'a HardwareGraph,
+    places: HashMap<&'a str, usize>,
+    edges: Vec<Vec<Edge>>,
+}
+
+/// One direction of a link, from the node that lists it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Edge {
+    to: usize,
+    delay_ns: u64,
+    /// Place in the graph's links; `None` for a wireless one.
+    wired: Option<usize>,
+}
+
+impl Edge {
+    /// The link's delay.
+    pub fn delay_ns(&self) -> u64 {
+        self.delay_ns
+    }
+
+    /// The link's place in [`HardwareGraph::links`]; `None` for a wireless one.
+    pub fn wired(&self) -> Option<usize> {
+        self.wired
+    }
+}
+
+/// How a node is reached best.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Reached {
+    /// Sum of what the edges cost, and of what the source did.
+    pub cost: u64,
+    hops: u32,
+    /// The node before it and the edge from there; `None` at a source.
+    by: Option<(usize, Edge)>,
+}
+
+impl<'a> Topology<'a> {
+    /// G with those wireless links of robots to radio units of their network that `is_attached` lets pass.
+    pub fn new(graph: &'a HardwareGraph, is_attached: impl Fn(&NodeId, &NodeId) -> bool) -> Self {
+        let nanos = |delay: Duration| u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX);
+        let places: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, n)| (n.id.as_str(), i)).collect();
+        let mut edges = vec![Vec::new(); graph.nodes.len()];
+        for (i, link) in graph.links.iter().enumerate() {
+            let [a, b] = link.ends.each_ref().map(|end| places[end.as_str()]);
+            edges[a].push(Edge { to: b, delay_ns: nanos(link.forward.delay), wired: Some(i) });
+            edges[b].push(Edge { to: a, delay_ns: nanos(link.backward.delay), wired: Some(i) });
+        }
+        for (robot, hardware) in graph.robots() {
+            let delay_ns = graph.wireless.get(&hardware.network).map_or(0, |n| nanos(n.delay));
+            for (unit, _) in graph.radio_units().filter(|(_, u)| u.network == hardware.network) {
+                if is_attached(&robot.id, &unit.id) {
+                    let [r, u] = [robot, unit].map(|node| places[node.id.as_str()]);
+                    edges[r].push(Edge { to: u, delay_ns, wired: None });
+                    edges[u].push(Edge { to: r, delay_ns, wired: None });
+                }
+            }
+        }
+        Self { graph, places, edges }
+    }
+
+    /// The place of a node among the graph's.
+    pub fn place(&self, id: &NodeId) -> Option<usize> {
+        self.places.get(id.as_str()).copied()
+    }
+
+    /// The nodes that a node is linked to, in order.
+    pub fn neighbours(&self, at: usize) -> Vec<usize> {
+        let mut all: Vec<_> = self.edges[at].iter().map(|edge| edge.to).collect();
+        all.sort_unstable();
+        all
+    }
+
+    fn link_id(&self, from: usize, edge: Edge) -> LinkId {
+        match edge.wired {
+            Some(i) => self.graph.links[i].id.clone(),
+            None => {
+                let (a, b) = (&self.graph.nodes[from], &self.graph.nodes[edge.to]);
+                if matches!(a.kind, NodeKind::Robot(_)) {
+                    LinkId::wireless(&a.id, &b.id)
+                } else {
+                    LinkId::wireless(&b.id, &a.id)
+                }
+            }
+        }
+    }
+
+    /// How each node is reached best from any of the sources, each with what it costs to begin there (Dijkstra 1959).
+    /// A path goes on from a source and from nodes that forward.
+    pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Reached>> {
+        let mut reached: Vec<Option<Reached>> = vec![None; self.edges.len()];
+        let mut queue = BinaryHeap::new();
+        for &(at, cost) in sources {
+            if reached[at].is_none_or(|known| cost < known.cost) {
+                reached[at] = Some(Reached { cost, hops: 0, by: None });
+                queue.push(Reverse((cost, 0, at)));
+            }
+        }
+        while let Some(Reverse((so_far, hops, at))) = queue.pop() {
+            let known = reached[at].expect("what is queued was reached");
+            let goes_on = known.by.is_none() || self.graph.nodes[at].forwards();
+            if (so_far, hops) != (known.cost, known.hops) || !goes_on {
+                continue;
+            }
+            for edge in &self.edges[at] {
+                let next = (so_far.saturating_add(cost(edge)), hops + 1);
+                if reached[edge.to].is_none_or(|known| next < (known.cost, known.hops)) {
+                    reached[edge.to] = Some(Reached { cost: next.0, hops: next.1, by: Some((at, *edge)) });
+                    queue.push(Reverse((next.0, next.1, edge.to)));
+                }
+            }
+        }
+        reached
+    }
+}

@@ -1,0 +1,354 @@
+//! What is wrong between the parts of a testbed, each of which may be right by itself: names taken twice, nodes out
+//! of reach, KPIs that no placement keeps, walks through walls.
+
+use std::collections::{HashMap, HashSet};
+
+use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
+use crate::{
+    hardware::{Capacity, HardwareGraph, NodeKind, WifiStandard},
+    id::NodeId,
+    map::Cell,
+    routing::{Edge, Topology},
+    service::{Program, Service, Vnf},
+    testbed::Testbed,
+    yaml::{Sink, decode::words},
+};
+
+/// Checks the whole. Tables of the record and lists of the testbed have the same order.
+pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    links(record, &testbed.graph, sink);
+    radio_units(record, &testbed.graph, sink);
+    let broken = !sink.is_empty();
+    vnfs(record, testbed, sink);
+    walks(record, testbed, sink);
+    // What follows from paths would only repeat what is wrong with them.
+    if !broken && reach(record, &testbed.graph, sink) {
+        for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
+            kpis(r, service, testbed, sink);
+        }
+    }
+}
+
+/// Links have names of their own.
+fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let spans = record.links.iter().flat_map(|link| {
+        use crate::yaml::decode::Either;
+        let ends = link.ends.value.iter().map(|end| match end {
+            Either::Short(_) => 1,
+            Either::Long(several) => several.len(),
+        });
+        let span = link.id.as_ref().map_or(&link.ends.span, |id| &id.span);
+        std::iter::repeat_n(span, ends.product())
+    });
+    let mut seen = HashSet::new();
+    for (link, span) in graph.links.iter().zip(spans) {
+        if !seen.insert(&link.id) {
+            sink.error(span, format!("the link `{}` is here twice", link.id))
+                .help("remove one of them, or give it an `id` of its own");
+        }
+        let wireless = graph.robots().any(|(robot, _)| {
+            link.id.as_str().strip_prefix(robot.id.as_str()).is_some_and(|rest| rest.starts_with('~'))
+        });
+        if wireless {
+            sink.error(span, format!("`{}` is the name of a wireless link", link.id))
+                .help("give it an `id` that does not begin with a robot's name and `~`");
+        }
+    }
+}
+
+/// Radio units serve somebody's network on a channel of its standard.
+fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    for ((id, r), node) in record.nodes.0.iter().zip(&graph.nodes) {
+        match (r, &node.kind) {
+            (NodeRecord::RadioUnit(r), NodeKind::RadioUnit(unit)) => {
+                let standard = graph.wireless[&unit.network].standard;
+                let channels = channels(standard);
+                if !channels.contains(&unit.channel) {
+                    let numbers: Vec<_> = channels.iter().map(u8::to_string).collect();
+                    sink.error(&r.channel.span, format!("there is no channel {}", unit.channel)).help(
+                        format!(
+                            "`{}` uses {}: write one of {}",
+                            unit.network,
+                            described(standard),
+                            numbers.join(", ")
+                        ),
+                    );
+                }
+            }
+            (_, NodeKind::Robot(robot)) if !graph.radio_units().any(|(_, u)| u.network == robot.network) => {
+                sink.error(
+                    &id.span,
+                    format!("no radio unit serves `{}`, the network of `{id}`", robot.network, id = node.id),
+                )
+                .help(format!("add a node with `kind: radio_unit` and `network: {}`", robot.network));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Channels of 20 MHz (IEEE 802.11-2020, annex E; Europe's for 2.4 GHz).
+fn channels(standard: WifiStandard) -> Vec<u8> {
+    match standard {
+        WifiStandard::G | WifiStandard::N => (1..=13).collect(),
+        WifiStandard::A | WifiStandard::Ac => {
+            (36..=64).step_by(4).chain((100..=144).step_by(4)).chain((149..=165).step_by(4)).collect()
+        }
+    }
+}
+
+fn described(standard: WifiStandard) -> &'static str {
+    match standard {
+        WifiStandard::G => "802.11g at 2.4 GHz",
+        WifiStandard::A => "802.11a at 5 GHz",
+        WifiStandard::N => "802.11n at 2.4 GHz",
+        WifiStandard::Ac => "802.11ac at 5 GHz",
+    }
+}
+
+/// Every server is reached from every other node, whichever radio unit a robot is attached to. Radio units need not
+/// reach each other: what one buffered for a station goes with it in a handover.
+fn reach(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) -> bool {
+    let topology = Topology::new(graph, |_, _| false);
+    let is_server = |i: &usize| matches!(graph.nodes[*i].kind, NodeKind::Server(_));
+    let is_fixed = |i: &usize| !matches!(graph.nodes[*i].kind, NodeKind::Robot(_));
+    let mut roots: Vec<_> = (0..graph.nodes.len()).filter(is_server).collect();
+    if roots.is_empty() {
+        roots.extend((0..graph.nodes.len()).find(is_fixed));
+    }
+    // Servers that hang on the same forwarding nodes reach the same: one of them answers for all.
+    let mut asked = HashSet::new();
+    let mut lost = HashMap::new();
+    for &root in &roots {
+        if !asked.insert(topology.neighbours(root)) {
+            continue;
+        }
+        let reached = topology.shortest(&[(root, 0)], Edge::delay_ns);
+        for node in (0..graph.nodes.len()).filter(|i| is_fixed(i) && reached[*i].is_none()) {
+            lost.entry(node).or_insert(root);
+        }
+    }
+    // A server that nothing reaches would make all others look lost as well.
+    let alone: HashSet<_> =
+        roots.iter().filter(|root| topology.neighbours(**root).is_empty()).copied().collect();
+    for (&node, root) in lost.iter().filter(|(node, root)| alone.contains(node) || !alone.contains(root)) {
+        let (id, root) = (&record.nodes.0[node].0, &graph.nodes[*root].id);
+        sink.error(&id.span, format!("`{}` and `{root}` cannot reach each other", id.value))
+            .help("link it to a switch or a radio unit that leads there: servers and robots forward nothing");
+    }
+    lost.is_empty()
+}
+
+/// VNFs have names of their own, run on hosts that can carry them, and navigation has a robot that it drives.
+fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    let graph = &testbed.graph;
+    let mut seen = HashSet::new();
+    let mut used: HashMap<&NodeId, Capacity> = HashMap::new();
+    for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
+        for ((id, r), vnf) in r.vnfs.0.iter().zip(&service.vnfs) {
+            if !seen.insert(&vnf.id) {
+                sink.error(&id.span, format!("the VNF `{}` is here twice", vnf.id))
+                    .help("rename one of them: VNFs of all services have names of their own");
+            }
+            let place = r.pinned_to.as_ref().or(r.node.as_ref()).map_or(&id.span, |node| &node.span);
+            let node = graph.node(&vnf.node).expect("the builder found it");
+            let Some(capacity) = node.capacity() else {
+                sink.error(place, format!("`{}` is a switch, and a switch runs no VNF", node.id))
+                    .help(format!("place it on one of {}", words(&able(graph, vnf))));
+                continue;
+            };
+            let all = used.entry(&vnf.node).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
+            all.cpus += vnf.cpus;
+            all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
+            let able = able(graph, vnf);
+            if able.is_empty() {
+                sink.error(
+                    &id.span,
+                    format!("`{}` fits no node: it takes {}", vnf.id, amount(vnf.cpus, vnf.memory_bytes)),
+                )
+                .help("let it take less, or give a node more");
+            } else if all.cpus > capacity.cpus || all.memory_bytes > capacity.memory_bytes {
+                sink.error(
+                    place,
+                    format!("`{}` has {}", node.id, amount(capacity.cpus, capacity.memory_bytes)),
+                )
+                .label(format!("its VNFs take {}", amount(all.cpus, all.memory_bytes)))
+                .help(format!("`{}` alone would fit {}", vnf.id, words(&able)));
+            }
+        }
+        driver(r, service, testbed, sink);
+    }
+}
+
+/// The hosts that can carry a VNF alone.
+fn able<'a>(graph: &'a HardwareGraph, vnf: &Vnf) -> Vec<&'a str> {
+    graph.nodes.iter().filter(|node| carries(node, vnf)).map(|node| node.id.as_str()).collect()
+}
+
+fn carries(node: &crate::hardware::Node, vnf: &Vnf) -> bool {
+    node.capacity().is_some_and(|c| vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes)
+}
+
+fn amount(cpus: f64, memory_bytes: u64) -> String {
+    format!("{cpus} CPUs and {:.2} GB", memory_bytes as f64 / 1e9)
+}
+
+/// Navigation answers the position packets of a robot on its walk.
+fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    for ((id, r), vnf) in record.vnfs.0.iter().zip(&service.vnfs) {
+        let place = r.program.as_ref().map_or(&id.span, |program| &program.span);
+        match vnf.program {
+            Program::RobotDriver if vnf.pinned_to.as_ref() != Some(&service.robot) => {
+                sink.error(place, format!("a robot driver that is not pinned to `{}`", service.robot))
+                    .help(format!("write `pinned_to: {}`, the robot that the service serves", service.robot));
+            }
+            Program::Navigation => {
+                if !service.vnfs.iter().any(|v| v.program == Program::RobotDriver) {
+                    sink.error(place, "navigation without a robot driver").help(format!(
+                        "add a VNF before it, such as `driver: {{ program: robot_driver, pinned_to: {} }}`",
+                        service.robot
+                    ));
+                }
+                if testbed.walk(&service.robot).is_none() {
+                    sink.error(place, format!("navigation for `{}`, which has no walk", service.robot))
+                        .help(format!("say where it goes, under `walks:`, at `{}:`", service.robot));
+                }
+            }
+            _ => {}
+        }
+    }
+    if service.vnfs.is_empty() {
+        sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))
+            .help("describe them under `vnfs:`, in the order in which packets visit them");
+    }
+}
+
+/// Fastest that a Kobuki base drives, m/s.
+const FASTEST: f64 = 0.7;
+
+/// Walks stay where a robot can be.
+fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    for (_, walk) in &record.walks.0 {
+        if walk.waypoints.value.len() < 2 {
+            sink.error(&walk.waypoints.span, "a walk of fewer than 2 waypoints")
+                .help("write where it begins and where it leads, such as `[[0, 0], [5, 0]]`");
+        }
+        let speed = walk.speed_limit.value.0;
+        if speed == 0.0 || speed > FASTEST {
+            sink.error(&walk.speed_limit.span, format!("a walk at {speed} m/s"))
+                .help(format!("a TurtleBot 2 drives above 0 and up to {FASTEST} m/s"));
+        }
+        if walk.position_interval.value.is_zero() {
+            sink.error(&walk.position_interval.span, "position packets without a pause")
+                .help("write an interval above zero, such as `200 ms`");
+        }
+        for at in &walk.waypoints.value {
+            let Some(map) = &testbed.map else { continue };
+            let lies = match (map.index(at.value), map.at(at.value)) {
+                (None, _) => "off the map",
+                (_, Cell::Occupied) => "in a wall",
+                (_, Cell::Unknown) => "where the map knows nothing",
+                (_, Cell::Free) => continue,
+            };
+            let far = map.centre(map.width() - 1, map.height() - 1);
+            sink.error(&at.span, format!("the waypoint {} lies {lies}", at.value)).help(format!(
+                "place it on free ground of the map, which reaches from {} to {far}",
+                map.origin()
+            ));
+        }
+    }
+}
+
+/// KPIs that some placement can keep.
+fn kpis(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    let graph = &testbed.graph;
+    let robot = graph.robots().find(|(node, _)| node.id == service.robot).map(|(_, robot)| robot);
+    let network = &graph.wireless[&robot.expect("the builder found it").network];
+    let kpis = &record.kpis;
+    if let Some(radio) = kpis.radio.as_ref().filter(|radio| radio.value != network.standard) {
+        sink.error(&radio.span, format!("this service needs {}", described(radio.value))).help(format!(
+            "the wireless network of `{}` has {}: change one of them",
+            service.robot,
+            described(network.standard)
+        ));
+    }
+    if let Some(area) = kpis.area.as_ref().filter(|area| area.value.len() < 3) {
+        sink.error(&area.span, format!("an area of {} corners", area.value.len()))
+            .help("write 3 places or more, such as `[[0, 0], [5, 0], [5, 5]]`");
+    }
+    let target = &kpis.service_time;
+    match fastest_ns(service, graph, target.value.as_nanos()) {
+        Some(best) if u128::from(best) > target.value.as_nanos() => {
+            sink.error(&target.span, "no placement reaches this service time").help(format!(
+                "the delays of the fastest paths alone add up to {} ms: allow more, or shorten a link",
+                best as f64 / 1e6
+            ));
+        }
+        _ => {}
+    }
+    if let Some(wanted) = &kpis.reliability {
+        let best = most_reliable(service, graph);
+        if best < wanted.value.get() - 1e-12 {
+            sink.error(&wanted.span, "no placement is that reliable").help(format!(
+                "the most reliable servers and links together give {:.4} %: ask for less, or improve them",
+                best * 100.0
+            ));
+        }
+    }
+}
+
+/// The hosts that could carry a VNF.
+fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
+    let fits = |node: &crate::hardware::Node| match &vnf.pinned_to {
+        Some(pinned) => node.id == *pinned,
+        None => carries(node, vnf),
+    };
+    graph.nodes.iter().enumerate().filter(|(_, node)| fits(node)).map(|(i, _)| i).collect()
+}
+
+/// The least that link delays add up to from the robot through the VNFs, in order, and back, over all placements and
+/// radio units; the first found within `enough_ns` will do.
+fn fastest_ns(service: &Service, graph: &HardwareGraph, enough_ns: u128) -> Option<u64> {
+    let robot = &service.robot;
+    let stages: Vec<_> = service.vnfs.iter().map(|vnf| candidates(vnf, graph)).collect();
+    let (_, hardware) = graph.robots().find(|(node, _)| node.id == *robot)?;
+    let mut best = None;
+    for (unit, _) in graph.radio_units().filter(|(_, unit)| unit.network == hardware.network) {
+        let topology = Topology::new(graph, |r, u| r == robot && *u == unit.id);
+        let start = topology.place(robot)?;
+        let mut at = vec![(start, 0)];
+        for stage in &stages {
+            let reached = topology.shortest(&at, Edge::delay_ns);
+            at = stage.iter().filter_map(|&host| Some((host, reached[host]?.cost))).collect();
+        }
+        if let Some(back) = topology.shortest(&at, Edge::delay_ns)[start] {
+            best = Some(best.unwrap_or(u64::MAX).min(back.cost));
+        }
+        if best.is_some_and(|best| u128::from(best) <= enough_ns) {
+            break;
+        }
+    }
+    best
+}
+
+/// An upper bound of the probability that all that a placement uses works: of each VNF alone, the best host and path
+/// from the robot; the worst of these.
+fn most_reliable(service: &Service, graph: &HardwareGraph) -> f64 {
+    // -ln in fixed point, so that products become sums of integers; rounded down, as befits an upper bound.
+    const UNIT: f64 = 1e12;
+    let cost = |reliability: f64| (-reliability.ln() * UNIT) as u64;
+    let topology = Topology::new(graph, |robot, _| *robot == service.robot);
+    let start = topology.place(&service.robot).expect("the builder found it");
+    let reached = topology
+        .shortest(&[(start, 0)], |edge| edge.wired().map_or(0, |link| cost(graph.links[link].reliability)));
+    let host = |i: usize| {
+        let own = match &graph.nodes[i].kind {
+            NodeKind::Server(server) => cost(server.reliability),
+            _ => 0,
+        };
+        reached[i].map(|path| path.cost + own)
+    };
+    let best = |vnf: &Vnf| candidates(vnf, graph).into_iter().filter_map(host).min();
+    let worst = service.vnfs.iter().filter_map(best).max().unwrap_or(0);
+    (-(worst as f64) / UNIT).exp()
+}

@@ -1,0 +1,403 @@
+//! What stands in a testbed file, key by key. The documentation here is what the JSON Schema and an editor show.
+
+use std::time::Duration;
+
+use crate::{
+    conditions::{JitterDistribution, QueueLimit, Rate},
+    hardware::{GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
+    id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    units::{BitRate, Dbm, Position, Probability},
+    yaml::{
+        Angle, Bytes, Decibels, Metres, Speed,
+        decode::{Amount, Either, Spanned, Table, choice, record, tagged},
+    },
+};
+
+record! {
+    /// A testbed: a hardware graph, the services on it, and what moves and decides in it.
+    TestbedRecord {
+        /// Its name; names the folder of a run.
+        name: Spanned<String>,
+        /// One sentence on it.
+        description: String = "",
+        /// Seed of everything random; a run with the same seed is the same run.
+        seed: u64 = 1,
+        /// Administrative domains. Without them there is one, `local`.
+        domains: Vec<Spanned<DomainId>>,
+        /// The map that robots move on: path of a ROS map_server YAML file, from this file's folder. Without one
+        /// there is open space.
+        map: Option<Spanned<String>>,
+        /// Wireless networks by SSID.
+        wireless: Table<String, WirelessRecord>,
+        /// Robots, radio units, switches and servers by name.
+        nodes: Table<NodeId, NodeRecord>,
+        /// Wired links.
+        links: Vec<LinkRecord>,
+        /// Services that robots use, by name.
+        services: Table<ServiceId, ServiceRecord>,
+        /// Where each robot goes.
+        walks: Table<NodeId, WalkRecord>,
+        /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
+        plugins: Vec<Spanned<Either<String, PluginRecord>>>,
+    }
+}
+
+record! {
+    /// What the radio units of one SSID, and the robots that join it, have in common.
+    WirelessRecord {
+        /// Physical layer.
+        standard: WifiStandard = "n",
+        /// One-way delay of a small frame on an idle channel, its airtime included.
+        delay: Duration = "1 ms",
+        /// What one station gets at most, whatever its signal. Without it the signal alone decides.
+        rate: Option<BitRate>,
+        /// Fast transition (IEEE 802.11r) in one mobility domain: a handover leaves the key handshakes out.
+        fast_transition: bool = true,
+        /// How the signal falls with distance.
+        path_loss: PathLossRecord = { "model": "log_distance", "exponent": 3.0 },
+        /// How the signal varies around that.
+        shadowing: ShadowingRecord = {},
+        /// Noise floor of a receiver: thermal noise over 20 MHz (-101 dBm) and a noise figure of 6 dB.
+        noise_floor: Dbm = "-95 dBm",
+        /// A robot that roams by signal changes when another radio unit is stronger by so much ...
+        hysteresis: Decibels = "4 dB",
+        /// ... for so long.
+        time_to_trigger: Duration = "100 ms",
+        /// How long the phases of a handover take.
+        handover: HandoverRecord = {},
+        /// What happens to frames of a station that is off its channel.
+        gap: GapPolicy = "hold",
+    }
+}
+
+tagged! {
+    /// How the signal falls with distance.
+    PathLossRecord by model {
+        "free_space" => FreeSpace(FreeSpaceRecord),
+        "log_distance" => LogDistance(LogDistanceRecord),
+        "itu_indoor" => ItuIndoor(ItuIndoorRecord),
+    }
+}
+
+record! {
+    /// Free space (ITU-R P.525).
+    FreeSpaceRecord {}
+}
+
+record! {
+    /// Log-distance: free space up to 1 m, then 10 n log d more.
+    LogDistanceRecord {
+        /// n: 2 in free space, 1.6 to 1.8 along a corridor, 2.7 to 3.5 among offices.
+        exponent: Amount = 3.0,
+    }
+}
+
+record! {
+    /// ITU-R P.1238 indoor: 20 log f + N log d + L_f - 28 dB.
+    ItuIndoorRecord {
+        /// N: 28 for dwellings, 30 for offices, 22 for shops, at 2.4 GHz.
+        coefficient: Amount = 30.0,
+        /// L_f: loss through floors between.
+        floor_loss: Decibels = "0 dB",
+    }
+}
+
+record! {
+    /// Log-normal shadowing, correlated in space.
+    ShadowingRecord {
+        /// Standard deviation; 0 dB switches it off.
+        deviation: Decibels = "3 dB",
+        /// Distance over which the correlation falls to 1/e.
+        correlation: Spanned<Metres> = "5 m",
+    }
+}
+
+record! {
+    /// How long the phases of a handover take.
+    HandoverRecord {
+        /// Scanning all channels, off one's own.
+        scan: Duration = "100 ms",
+        /// Authentication.
+        authenticate: Duration = "15 ms",
+        /// Reassociation.
+        reassociate: Duration = "20 ms",
+        /// The key handshakes (802.1X, four-way) that fast transition leaves out.
+        handshake: Duration = "60 ms",
+        /// Each phase varies by up to this share, uniformly.
+        variation: Probability = "30 %",
+    }
+}
+
+tagged! {
+    /// A node of the hardware graph.
+    NodeRecord by kind {
+        "robot" => Robot(RobotRecord),
+        "radio_unit" => RadioUnit(RadioUnitRecord),
+        "switch" => Switch(SwitchRecord),
+        "server" => Server(ServerRecord),
+    }
+}
+
+record! {
+    /// A robot: moves, senses, and is attached to a radio unit.
+    RobotRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Where it starts. Without it: at the first waypoint of its walk.
+        position: Option<Spanned<Position>>,
+        /// Where it faces at the start, counter-clockwise from the x axis. Without it: to its second waypoint.
+        heading: Option<Angle>,
+        /// Its base and sensors.
+        model: RobotModel = "turtlebot2",
+        /// SSID of the wireless network that it joins. Without it: the only one.
+        network: Option<Spanned<String>>,
+        /// Transmission power of its radio.
+        tx_power: Dbm = "15 dBm",
+        /// Who decides when it changes its radio unit.
+        roaming: Roaming = "instructed",
+        /// CPUs for VNFs.
+        cpus: Amount = 2,
+        /// Memory for VNFs.
+        memory: Bytes = "8 GB",
+    }
+}
+
+record! {
+    /// A radio unit (Wi-Fi access point).
+    RadioUnitRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Where it is.
+        position: Position,
+        /// SSID that it serves. Without it: the only one.
+        network: Option<Spanned<String>>,
+        /// Channel number; radio units on one channel share its airtime.
+        channel: Spanned<u8>,
+        /// Transmission power.
+        tx_power: Dbm = "15 dBm",
+        /// CPUs for VNFs.
+        cpus: Amount = 1,
+        /// Memory for VNFs.
+        memory: Bytes = "1 GB",
+    }
+}
+
+record! {
+    /// A switch: forwards frames.
+    SwitchRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Where it is, for pictures.
+        position: Option<Position>,
+    }
+}
+
+record! {
+    /// A server: runs VNFs.
+    ServerRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Where it is, for pictures.
+        position: Option<Position>,
+        /// How far from the robots it is.
+        tier: Tier,
+        /// CPUs for VNFs.
+        cpus: Amount,
+        /// Memory for VNFs.
+        memory: Bytes,
+        /// Price of a CPU, in a currency of your own.
+        cost: Amount = 1,
+        /// Probability that it works at any time.
+        reliability: Spanned<Probability> = "100 %",
+    }
+}
+
+record! {
+    /// A wired link, or several alike: an end may be a list, and then each there is linked to each at the other end.
+    LinkRecord {
+        /// Its two ends, `[A, B]`; forward is from A to B. `[A, [B, C]]` are two links.
+        ends: Spanned<Vec<Either<Spanned<NodeId>, Vec<Spanned<NodeId>>>>>,
+        /// Its name. Without one: `A-B`.
+        id: Option<Spanned<LinkId>>,
+        /// What the medium itself can carry.
+        medium: BitRate = "10 Gbit/s",
+        /// Probability that it works at any time.
+        reliability: Spanned<Probability> = "100 %",
+        /// What is different from the first end to the second.
+        forward: Option<ConditionsRecord>,
+        /// What is different from the second end to the first.
+        backward: Option<ConditionsRecord>,
+        ..conditions: ConditionsRecord,
+    }
+}
+
+record! {
+    /// How a link treats packets.
+    ConditionsRecord {
+        /// Time from the last bit sent to the last bit received, one way. Without it: none.
+        delay: Option<Duration>,
+        /// Random part of the delay; keeps order. A deviation, or a mapping.
+        jitter: Option<Either<Duration, JitterRecord>>,
+        /// Packets that vanish: a share of all, or a mapping for losses in bursts.
+        loss: Option<Either<Probability, LossRecord>>,
+        /// Share of packets that arrive twice.
+        duplication: Option<Probability>,
+        /// Share of packets in which one bit is flipped.
+        corruption: Option<Probability>,
+        /// Share of packets that skip the delay, and so overtake those before them.
+        reordering: Option<Spanned<Probability>>,
+        /// How fast packets are serialised, Ethernet header included. Without it: at the medium's rate.
+        rate: Option<Spanned<Rate>>,
+        /// In place of a rate: path of a packet-delivery trace in Mahimahi's format, from this file's folder.
+        trace: Option<Spanned<String>>,
+        /// How much waits before a packet is dropped at the tail, in packets or bytes. Without it: 1000 packets.
+        queue: Option<QueueLimit>,
+    }
+}
+
+record! {
+    /// A random addition to the delay, with mean zero.
+    JitterRecord {
+        /// Half-width of a uniform, standard deviation of the other distributions.
+        deviation: Duration,
+        /// Its shape.
+        distribution: JitterDistribution = "normal",
+    }
+}
+
+record! {
+    /// Losses in bursts: Gilbert-Elliott in Gilbert's simple form.
+    LossRecord {
+        /// Long-run share that is lost.
+        rate: Spanned<Probability>,
+        /// Mean number of packets lost in a row.
+        mean_burst: Spanned<Amount>,
+    }
+}
+
+record! {
+    /// A service that a robot uses.
+    ServiceRecord {
+        /// The robot that it serves.
+        robot: Spanned<NodeId>,
+        /// What it must keep.
+        kpis: KpisRecord,
+        /// Its VNFs by name, in the order in which packets visit them.
+        vnfs: Table<VnfId, VnfRecord>,
+        /// Links between its VNFs.
+        virtual_links: Vec<VirtualLinkRecord>,
+    }
+}
+
+record! {
+    /// What a service must keep.
+    KpisRecord {
+        /// Target of the service time: from the emission of a position packet to the reception of the navigation
+        /// packet that answers it.
+        service_time: Spanned<Duration>,
+        /// Probability that all nodes and links in use work.
+        reliability: Option<Spanned<Probability>>,
+        /// Where it must be offered: corners of a polygon.
+        area: Option<Spanned<Vec<Position>>>,
+        /// The radio technology that it needs.
+        radio: Option<Spanned<WifiStandard>>,
+    }
+}
+
+record! {
+    /// A virtual network function. It runs a `program` or a `command`, on the node that it is `pinned_to` or first on
+    /// `node`.
+    VnfRecord {
+        /// A bundled program.
+        program: Option<Spanned<ProgramWord>>,
+        /// Any program and its arguments, in its node's network namespace.
+        command: Option<Spanned<Vec<String>>>,
+        /// The one node that can carry it.
+        pinned_to: Option<Spanned<NodeId>>,
+        /// Where it runs at the start.
+        node: Option<Spanned<NodeId>>,
+        /// CPUs that it takes of its node.
+        cpus: Amount = 1,
+        /// Memory that it takes of its node.
+        memory: Bytes = "256 MB",
+    }
+}
+
+/// Programs that come with cotorra.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ProgramWord {
+    RobotDriver,
+    Navigation,
+}
+
+record! {
+    /// A link between two VNFs of a service.
+    VirtualLinkRecord {
+        /// From this VNF ...
+        from: Spanned<VnfId>,
+        /// ... to this one.
+        to: Spanned<VnfId>,
+        /// What it needs at most.
+        rate: BitRate,
+    }
+}
+
+record! {
+    /// Where a robot goes.
+    WalkRecord {
+        /// The waypoints, in order. The robot starts at the first.
+        waypoints: Spanned<Vec<Spanned<Position>>>,
+        /// Whether it comes back the same way.
+        and_back: bool = false,
+        /// Speed that it does not exceed.
+        speed_limit: Spanned<Speed> = "0.3 m/s",
+        /// How often the robot emits a position packet.
+        position_interval: Spanned<Duration> = "200 ms",
+    }
+}
+
+record! {
+    /// A plug-in: a bundled one, or any program that uses the HTTP API.
+    PluginRecord {
+        /// Its name in this testbed. Without one: the bundled plug-in's.
+        id: Option<Spanned<PluginId>>,
+        /// Name of a bundled plug-in, which runs in process.
+        bundled: Option<Spanned<String>>,
+        /// A program and its arguments; it finds the API at the URL in `COTORRA_API`.
+        command: Option<Spanned<Vec<String>>>,
+        /// Its own settings.
+        settings: serde_json::Map<String, serde_json::Value>,
+    }
+}
+
+choice!(WifiStandard, "Wi-Fi standard", {
+    "g" => Self::G, "IEEE 802.11g, 2.4 GHz";
+    "a" => Self::A, "IEEE 802.11a, 5 GHz";
+    "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
+    "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
+});
+choice!(GapPolicy, "gap policy", {
+    "hold" => Self::Hold, "both sides buffer, and send afterwards";
+    "drop" => Self::Drop, "they are lost";
+});
+choice!(RobotModel, "robot model", {
+    "turtlebot2" => Self::Turtlebot2, "TurtleBot 2: Kobuki base with an RPLIDAR A2";
+});
+choice!(Roaming, "way of roaming", {
+    "instructed" => Self::Instructed, "plug-ins decide; alone it only joins the strongest";
+    "signal" => Self::Signal, "its station decides, by signal with hysteresis and time-to-trigger";
+});
+choice!(Tier, "tier", {
+    "fog" => Self::Fog, "on the premises";
+    "edge" => Self::Edge, "at the operator's edge";
+    "cloud" => Self::Cloud, "in a data centre";
+});
+choice!(JitterDistribution, "distribution", {
+    "uniform" => Self::Uniform, "every value within the deviation is as likely";
+    "normal" => Self::Normal, "Gaussian";
+    "pareto" => Self::Pareto, "a long upper tail";
+});
+choice!(ProgramWord, "bundled program", {
+    "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";
+    "navigation" => Self::Navigation, "the bundled brain";
+});

@@ -1,0 +1,13 @@
+//! YAML files read so that every mistake in them is told in place: a tree that knows where each value stands, and
+//! decoders that go on after an error, so that one look shows them all. A file's record is declared once, and gives
+//! both its decoder and its JSON Schema.
+
+pub(crate) mod decode;
+mod diagnostics;
+mod quantity;
+mod tree;
+
+pub(crate) use diagnostics::Sink;
+pub use diagnostics::{Diagnostic, Diagnostics};
+pub(crate) use quantity::{Angle, Bytes, Decibels, Metres, Speed};
+pub(crate) use tree::{Span, parse};

@@ -1,0 +1,634 @@
+//! From a tree to values: every type that stands in a file says here how it is read and what its JSON Schema is.
+
+use serde_json::{Value as Json, json};
+
+pub(crate) use super::tree::{Node, Value};
+use super::{
+    Sink, Span,
+    tree::{Entry, shorten},
+};
+use crate::{
+    id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    units::Position,
+};
+
+/// A type that stands in a file.
+pub(crate) trait Decode: Sized {
+    /// Its JSON Schema.
+    fn schema() -> Json;
+
+    /// Reads it; `None` when it is wrong, which the sink then knows.
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self>;
+
+    /// What it is when its key is not there; `None` if the key must be.
+    fn absent() -> Option<Self> {
+        None
+    }
+}
+
+/// A key of a record, for its schema.
+pub(crate) struct Field {
+    pub key: &'static str,
+    pub doc: &'static str,
+    pub schema: Json,
+    pub required: bool,
+    pub default: Option<Json>,
+}
+
+/// A mapping with known keys; [`record!`] makes them.
+pub(crate) trait Record: Sized {
+    /// What it is.
+    const DOC: &'static str;
+
+    /// Its keys.
+    fn fields() -> Vec<Field>;
+
+    /// Takes its keys out of a mapping.
+    fn take(from: &mut Fields<'_>, sink: &mut Sink) -> Option<Self>;
+}
+
+impl<T: Record> Decode for T {
+    fn schema() -> Json {
+        let fields = T::fields();
+        let required: Vec<_> = fields.iter().filter(|f| f.required).map(|f| f.key).collect();
+        let properties: serde_json::Map<_, _> = fields
+            .into_iter()
+            .map(|f| {
+                let mut schema = described(f.schema, f.doc);
+                if let Some(default) = f.default {
+                    schema["default"] = default;
+                }
+                (f.key.to_owned(), schema)
+            })
+            .collect();
+        let mut schema = json!({
+            "type": "object",
+            "description": sentence(T::DOC),
+            "properties": properties,
+            "additionalProperties": false,
+        });
+        if !required.is_empty() {
+            schema["required"] = json!(required);
+        }
+        schema
+    }
+
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let mut fields = Fields::of(node, sink)?;
+        let value = T::take(&mut fields, sink);
+        fields.finish(sink);
+        value
+    }
+}
+
+fn sentence(doc: &str) -> String {
+    doc.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// A schema with what a key's own documentation says; what the type says of itself follows.
+pub(crate) fn described(mut schema: Json, doc: &str) -> Json {
+    let of_type = schema.get("description").and_then(Json::as_str).unwrap_or_default();
+    let text = sentence(&format!("{doc} {of_type}"));
+    if !text.is_empty() {
+        schema["description"] = Json::String(text);
+    }
+    schema
+}
+
+/// The keys of a mapping while they are taken out.
+pub(crate) struct Fields<'a> {
+    entries: Vec<Option<&'a Entry>>,
+    asked: Vec<&'static str>,
+    span: &'a Span,
+}
+
+impl<'a> Fields<'a> {
+    /// `None` if it is no mapping, which the sink then knows.
+    pub fn of(node: &'a Node, sink: &mut Sink) -> Option<Self> {
+        let Value::Mapping(entries) = &node.value else {
+            expected(node, "a mapping", "write `key: value` lines, indented below it", sink);
+            return None;
+        };
+        Some(Self { entries: entries.iter().map(Some).collect(), asked: Vec::new(), span: &node.span })
+    }
+
+    /// Takes one key out.
+    pub fn take<T: Decode>(
+        &mut self,
+        key: &'static str,
+        default: Option<Json>,
+        sink: &mut Sink,
+    ) -> Option<T> {
+        match self.take_node(key) {
+            Some(node) => T::decode(node, sink),
+            None => match default {
+                Some(default) => T::decode(&Node::from_json(&default), sink),
+                None => T::absent().or_else(|| {
+                    sink.error(self.span, format!("`{key}` is missing"))
+                        .label("here")
+                        .help(format!("add `{key}: {}`", example(&T::schema())));
+                    None
+                }),
+            },
+        }
+    }
+
+    /// Takes one key's value out as it stands.
+    pub fn take_node(&mut self, key: &'static str) -> Option<&'a Node> {
+        self.asked.push(key);
+        let place = self.entries.iter().position(|e| e.is_some_and(|e| e.key == key))?;
+        self.entries[place].take().map(|e| &e.value)
+    }
+
+    /// Reports the keys that nothing asked for.
+    pub fn finish(self, sink: &mut Sink) {
+        for entry in self.entries.into_iter().flatten() {
+            let error = sink.error(&entry.key_span, format!("unknown key `{}`", shorten(&entry.key)));
+            error.help(match nearest(&entry.key, self.asked.iter().copied()) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => format!("the keys here are {}", words(&self.asked)),
+            });
+        }
+    }
+}
+
+/// A value that a schema allows, as short as a hint needs it.
+fn example(schema: &Json) -> String {
+    if let Some(example) = schema.pointer("/examples/0") {
+        return example.as_str().map_or_else(|| example.to_string(), str::to_owned);
+    }
+    if let Some(word) = schema.pointer("/enum/0").and_then(Json::as_str) {
+        return word.to_owned();
+    }
+    "…".to_owned()
+}
+
+/// The candidate that was probably meant.
+pub(crate) fn nearest<'a>(word: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let word = word.to_lowercase();
+    candidates
+        .map(|c| (strsim::damerau_levenshtein(&word, &c.to_lowercase()), c))
+        .filter(|&(distance, c)| distance <= word.chars().count().max(c.chars().count()).div_ceil(3))
+        .min_by_key(|&(distance, _)| distance)
+        .map(|(_, c)| c)
+}
+
+/// `a`, `b` and `c`.
+pub(crate) fn words<S: AsRef<str>>(words: &[S]) -> String {
+    const AT_MOST: usize = 20;
+    let quoted: Vec<_> = words.iter().take(AT_MOST).map(|w| format!("`{}`", w.as_ref())).collect();
+    match quoted.as_slice() {
+        [] => "none".to_owned(),
+        all if words.len() > AT_MOST => format!("{}, …", all.join(", ")),
+        [one] => one.clone(),
+        [many @ .., last] => format!("{} and {last}", many.join(", ")),
+    }
+}
+
+/// Reports that something else was expected.
+pub(crate) fn expected(node: &Node, what: &str, help: &str, sink: &mut Sink) {
+    sink.error(&node.span, format!("expected {what}, found {}", node.describe())).help(help);
+}
+
+/// Declares a record of a file: its Rust type, its decoder and its JSON Schema in one. A key may be left out if it has
+/// a default (`= json`) or an `Option` type. `..name: Type` at the end takes in the keys of another record.
+macro_rules! record {
+    (
+        $(#[doc = $doc:literal])*
+        $name:ident {
+            $( $(#[doc = $field_doc:literal])* $field:ident: $type:ty $(= $default:tt)?, )*
+            $(.. $flat:ident: $flat_type:ty,)?
+        }
+    ) => {
+        $(#[doc = $doc])*
+        #[derive(Debug)]
+        pub(crate) struct $name {
+            $( $(#[doc = $field_doc])* pub $field: $type, )*
+            $( pub $flat: $flat_type, )?
+        }
+
+        impl $crate::yaml::decode::Record for $name {
+            const DOC: &'static str = concat!($($doc, " "),*);
+
+            fn fields() -> Vec<$crate::yaml::decode::Field> {
+                #[allow(unused_mut, reason = "only some records take in another's keys")]
+                let mut fields = vec![$({
+                    let default: Option<serde_json::Value> = None $(.or(Some(serde_json::json!($default))))?;
+                    $crate::yaml::decode::Field {
+                        key: stringify!($field),
+                        doc: concat!($($field_doc, " "),*),
+                        schema: <$type as $crate::yaml::decode::Decode>::schema(),
+                        required: default.is_none()
+                            && <$type as $crate::yaml::decode::Decode>::absent().is_none(),
+                        default,
+                    }
+                }),*];
+                $( fields.extend(<$flat_type as $crate::yaml::decode::Record>::fields()); )?
+                fields
+            }
+
+            #[allow(unused_variables, reason = "a record may have no keys")]
+            fn take(
+                from: &mut $crate::yaml::decode::Fields<'_>,
+                sink: &mut $crate::yaml::Sink,
+            ) -> Option<Self> {
+                $(
+                    let default = None $(.or(Some(serde_json::json!($default))))?;
+                    let $field = from.take::<$type>(stringify!($field), default, sink);
+                )*
+                $( let $flat = <$flat_type as $crate::yaml::decode::Record>::take(from, sink); )?
+                Some(Self { $($field: $field?,)* $($flat: $flat?,)? })
+            }
+        }
+    };
+}
+
+/// Declares a record of several kinds, which the value of one key tells apart.
+macro_rules! tagged {
+    (
+        $(#[doc = $doc:literal])*
+        $name:ident by $tag:ident { $($word:literal => $variant:ident($record:ty),)* }
+    ) => {
+        $(#[doc = $doc])*
+        #[derive(Debug)]
+        pub(crate) enum $name { $( $variant($record), )* }
+
+        impl $crate::yaml::decode::Decode for $name {
+            fn schema() -> serde_json::Value {
+                use $crate::yaml::decode::{Decode, tagged_schema};
+                let kinds = vec![$( tagged_schema(stringify!($tag), $word, <$record as Decode>::schema()) ),*];
+                serde_json::json!({ "description": concat!($($doc, " "),*).trim(), "oneOf": kinds })
+            }
+
+            fn decode(
+                node: &$crate::yaml::decode::Node,
+                sink: &mut $crate::yaml::Sink,
+            ) -> Option<Self> {
+                use $crate::yaml::decode::{Fields, Record, choose};
+                let mut fields = Fields::of(node, sink)?;
+                let Some(tag) = fields.take_node(stringify!($tag)) else {
+                    sink.error(&node.span, concat!("`", stringify!($tag), "` is missing")).help(format!(
+                        concat!("add `", stringify!($tag), ": …` with one of {}"),
+                        $crate::yaml::decode::words(&[$($word),*]),
+                    ));
+                    return None;
+                };
+                let value = match choose(tag, stringify!($tag), &[$($word),*], sink)? {
+                    $( $word => <$record as Record>::take(&mut fields, sink).map(Self::$variant), )*
+                    _ => unreachable!("one of these words was chosen"),
+                };
+                fields.finish(sink);
+                value
+            }
+        }
+    };
+}
+
+/// Says which words stand for the values of an enumeration.
+macro_rules! choice {
+    ($name:ty, $what:literal, { $($word:literal => $value:expr, $doc:literal;)* }) => {
+        impl $crate::yaml::decode::Decode for $name {
+            fn schema() -> serde_json::Value {
+                let words = [$( concat!("`", $word, "`: ", $doc) ),*].join("; ");
+                serde_json::json!({ "description": format!("{words}."), "enum": [$($word),*] })
+            }
+
+            fn decode(
+                node: &$crate::yaml::decode::Node,
+                sink: &mut $crate::yaml::Sink,
+            ) -> Option<Self> {
+                match $crate::yaml::decode::choose(node, $what, &[$($word),*], sink)? {
+                    $( $word => Some($value), )*
+                    _ => unreachable!("one of these words was chosen"),
+                }
+            }
+        }
+    };
+}
+
+pub(crate) use {choice, record, tagged};
+
+/// Which of the words a value is.
+pub(crate) fn choose(
+    node: &Node,
+    what: &str,
+    among: &[&'static str],
+    sink: &mut Sink,
+) -> Option<&'static str> {
+    let text = node.text().unwrap_or_default();
+    if let Some(word) = among.iter().find(|w| **w == text) {
+        return Some(word);
+    }
+    sink.error(&node.span, format!("{} is no {what}", node.describe())).help(
+        match nearest(text, among.iter().copied()) {
+            Some(near) => format!("did you mean `{near}`? There are {}", words(among)),
+            None => format!("there are {}", words(among)),
+        },
+    );
+    None
+}
+
+/// The schema of one kind of a tagged record.
+pub(crate) fn tagged_schema(tag: &str, word: &str, mut schema: Json) -> Json {
+    schema["properties"][tag] = json!({ "const": word });
+    let mut required = vec![json!(tag)];
+    required.extend(schema["required"].as_array().cloned().unwrap_or_default());
+    schema["required"] = Json::Array(required);
+    schema
+}
+
+/// A value and where it stands, for what is checked later.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Spanned<T> {
+    pub value: T,
+    pub span: Span,
+}
+
+impl<T: Decode> Decode for Spanned<T> {
+    fn schema() -> Json {
+        T::schema()
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        Some(Self { value: T::decode(node, sink)?, span: node.span.clone() })
+    }
+    fn absent() -> Option<Self> {
+        Some(Self { value: T::absent()?, span: 0..0 })
+    }
+}
+
+impl<T: Decode> Decode for Option<T> {
+    fn schema() -> Json {
+        T::schema()
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        T::decode(node, sink).map(Some)
+    }
+    fn absent() -> Option<Self> {
+        Some(None)
+    }
+}
+
+impl<T: Decode> Decode for Vec<T> {
+    fn schema() -> Json {
+        json!({ "type": "array", "items": T::schema() })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let Value::Sequence(items) = &node.value else {
+            expected(node, "a list", "write `[one, another]`, or a line `- one` for each", sink);
+            return None;
+        };
+        // All are read before any that failed ends it, so that each one's mistakes show.
+        let read: Vec<_> = items.iter().map(|item| T::decode(item, sink)).collect();
+        read.into_iter().collect()
+    }
+    fn absent() -> Option<Self> {
+        Some(Vec::new())
+    }
+}
+
+/// A short form, which is one word or figure, or a long one, which is a mapping or list.
+#[derive(Debug)]
+pub(crate) enum Either<Short, Long> {
+    Short(Short),
+    Long(Long),
+}
+
+impl<Short: Decode, Long: Decode> Decode for Either<Short, Long> {
+    fn schema() -> Json {
+        json!({ "anyOf": [Short::schema(), Long::schema()] })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        match node.value {
+            Value::Scalar { .. } => Short::decode(node, sink).map(Self::Short),
+            _ => Long::decode(node, sink).map(Self::Long),
+        }
+    }
+}
+
+/// A name that a key gives to a value.
+pub(crate) trait Name: Sized {
+    /// Its JSON Schema.
+    fn schema() -> Json;
+    /// Reads it.
+    fn read(text: &str) -> Result<Self, String>;
+}
+
+/// Named values, in the file's order.
+#[derive(Debug)]
+pub(crate) struct Table<K, V>(pub Vec<(Spanned<K>, V)>);
+
+impl<K: Name, V: Decode> Decode for Table<K, V> {
+    fn schema() -> Json {
+        json!({ "type": "object", "propertyNames": K::schema(), "additionalProperties": V::schema() })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let Value::Mapping(entries) = &node.value else {
+            expected(
+                node,
+                "a mapping of names",
+                "write a line `name:` for each, and its keys below it",
+                sink,
+            );
+            return None;
+        };
+        let mut all = Some(Vec::with_capacity(entries.len()));
+        for entry in entries {
+            let key = K::read(&entry.key)
+                .map_err(|message| _ = sink.error(&entry.key_span, message))
+                .ok()
+                .map(|value| Spanned { value, span: entry.key_span.clone() });
+            match (key, V::decode(&entry.value, sink), &mut all) {
+                (Some(key), Some(value), Some(all)) => all.push((key, value)),
+                _ => all = None,
+            }
+        }
+        all.map(Self)
+    }
+    fn absent() -> Option<Self> {
+        Some(Self(Vec::new()))
+    }
+}
+
+macro_rules! ids {
+    ($($id:ty),*) => {$(
+        impl Name for $id {
+            fn schema() -> Json {
+                let rest = Self::LONGEST - 1;
+                json!({ "type": "string", "pattern": format!("^[A-Za-z0-9][A-Za-z0-9_.~-]{{0,{rest}}}$") })
+            }
+            fn read(text: &str) -> Result<Self, String> {
+                Self::new(text).map_err(|e| e.to_string())
+            }
+        }
+
+        impl Decode for $id {
+            fn schema() -> Json {
+                <Self as Name>::schema()
+            }
+            fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+                let Some(text) = node.text() else {
+                    expected(node, "a name", "write one name, such as `R1`", sink);
+                    return None;
+                };
+                Self::read(text).map_err(|message| _ = sink.error(&node.span, message)).ok()
+            }
+        }
+    )*};
+}
+
+ids!(DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId);
+
+impl Name for String {
+    fn schema() -> Json {
+        json!({ "type": "string", "minLength": 1 })
+    }
+    fn read(text: &str) -> Result<Self, String> {
+        if text.is_empty() { Err("a name is empty".to_owned()) } else { Ok(text.to_owned()) }
+    }
+}
+
+impl Decode for String {
+    fn schema() -> Json {
+        json!({ "type": "string" })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        if let Some(text) = node.text() {
+            return Some(text.to_owned());
+        }
+        expected(node, "a text", "write it behind the colon; with `: ` or ` #` in it, in quotes", sink);
+        None
+    }
+}
+
+impl Decode for bool {
+    fn schema() -> Json {
+        json!({ "type": "boolean" })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        match node.plain() {
+            Some("true") => Some(true),
+            Some("false") => Some(false),
+            _ => {
+                expected(node, "`true` or `false`", "write one of them, without quotes", sink);
+                None
+            }
+        }
+    }
+}
+
+impl Decode for u64 {
+    fn schema() -> Json {
+        json!({ "type": "integer", "minimum": 0 })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let number = node.plain().and_then(|text| text.parse().ok());
+        if number.is_none() {
+            expected(node, "a whole number, 0 or more", "write only digits, such as `7`", sink);
+        }
+        number
+    }
+}
+
+impl Decode for u8 {
+    fn schema() -> Json {
+        json!({ "type": "integer", "minimum": 0, "maximum": u8::MAX })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let number = node.plain().and_then(|text| text.parse().ok());
+        if number.is_none() {
+            expected(node, "a whole number from 0 to 255", "write only digits, such as `6`", sink);
+        }
+        number
+    }
+}
+
+/// Reads a finite number; Rust's own parser would let `inf` and `nan` pass.
+fn number(node: &Node) -> Option<f64> {
+    let text = node.plain()?;
+    let begins_well =
+        text.trim_start_matches(['-', '+']).starts_with(|c: char| c.is_ascii_digit() || c == '.');
+    text.parse().ok().filter(|n: &f64| begins_well && n.is_finite())
+}
+
+impl Decode for f64 {
+    fn schema() -> Json {
+        json!({ "type": "number" })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let number = number(node);
+        if number.is_none() {
+            expected(node, "a number", "write it plainly, such as `2.5`", sink);
+        }
+        number
+    }
+}
+
+/// A plain number that is zero or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Amount(pub f64);
+
+impl Decode for Amount {
+    fn schema() -> Json {
+        json!({ "type": "number", "minimum": 0 })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let number = number(node).filter(|&n| n >= 0.0);
+        if number.is_none() {
+            expected(node, "a number, 0 or more", "write it plainly, such as `2.5`", sink);
+        }
+        number.map(|n| Self(n.abs()))
+    }
+}
+
+/// Metres from the map's origin beyond which a place is surely a mistake.
+const FARTHEST_M: f64 = 1e6;
+
+impl Decode for Position {
+    fn schema() -> Json {
+        json!({
+            "type": "array",
+            "items": { "type": "number" },
+            "minItems": 2,
+            "maxItems": 2,
+            "examples": [[2.5, -1]],
+            "description": "A place `[x, y]` on the map, in metres.",
+        })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let numbers = match &node.value {
+            Value::Sequence(items) => items.iter().map(number).collect::<Option<Vec<_>>>(),
+            _ => None,
+        };
+        match numbers.as_deref() {
+            Some(&[x, y]) if x.abs() <= FARTHEST_M && y.abs() <= FARTHEST_M => Some(Self::new(x, y)),
+            Some(&[_, _]) => {
+                sink.error(&node.span, "this place is more than 1000 km from the map's origin")
+                    .help("write x and y in metres");
+                None
+            }
+            _ => {
+                expected(node, "a place", "write `[x, y]` in metres, such as `[2.5, -1]`", sink);
+                None
+            }
+        }
+    }
+}
+
+/// Keys of any name and values of any kind, for whoever reads them later.
+impl Decode for serde_json::Map<String, Json> {
+    fn schema() -> Json {
+        json!({ "type": "object" })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        match node.to_json() {
+            Json::Object(map) => Some(map),
+            _ => {
+                expected(node, "a mapping", "write `key: value` lines, indented below it", sink);
+                None
+            }
+        }
+    }
+    fn absent() -> Option<Self> {
+        Some(Self::new())
+    }
+}

@@ -1,0 +1,127 @@
+//! What is wrong with a file: plain data that a terminal, an editor or a test renders as it likes.
+
+use std::{collections::BTreeSet, fmt, ops::Range};
+
+use super::Span;
+
+/// One mistake.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Diagnostic {
+    /// What is wrong.
+    pub message: String,
+    /// What to say at the place itself; may be empty.
+    pub label: String,
+    /// What would be right.
+    pub help: Option<String>,
+    /// Where, in bytes of the source; on character boundaries.
+    pub span: Range<usize>,
+    /// Its line, from 1.
+    pub line: usize,
+    /// Its column in characters, from 1.
+    pub column: usize,
+}
+
+/// Everything that is wrong with a file, in the file's order; never empty.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub struct Diagnostics {
+    /// The file's name, as it was asked for.
+    pub source_name: String,
+    /// What the file says; empty if it could not be read.
+    pub source_text: String,
+    /// The mistakes.
+    pub list: Vec<Diagnostic>,
+}
+
+impl Diagnostics {
+    /// A mistake of a file as a whole, such as that it cannot be read.
+    pub(crate) fn of_file(source_name: &str, message: String, help: &str) -> Self {
+        let mut sink = Sink::default();
+        sink.error(&(0..0), message).help(help);
+        sink.finish(source_name, "")
+    }
+}
+
+impl fmt::Display for Diagnostics {
+    /// Each mistake with its place, its line and what would be right, as plain text.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, d) in self.list.iter().enumerate() {
+            if i > 0 {
+                writeln!(f)?;
+            }
+            writeln!(f, "{}:{}:{}: {}", self.source_name, d.line, d.column, d.message)?;
+            if let Some(line) = self.source_text.lines().nth(d.line - 1) {
+                let marked = self.source_text[d.span.clone()].lines().next().unwrap_or("").chars().count();
+                writeln!(f, "  | {line}")?;
+                let mark = format!("{}{}", " ".repeat(d.column - 1), "^".repeat(marked.max(1)));
+                writeln!(f, "  | {}", format!("{mark} {}", d.label).trim_end())?;
+            }
+            if let Some(help) = &d.help {
+                writeln!(f, "  help: {help}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where decoders and checks leave what is wrong.
+#[derive(Debug, Default)]
+pub(crate) struct Sink {
+    found: Vec<Diagnostic>,
+}
+
+impl Sink {
+    /// Nobody reads more at once; the rest shows when these are mended.
+    const AT_MOST: usize = 100;
+
+    /// Something is wrong there. What would be right follows: see [`Diagnostic::help`].
+    pub fn error(&mut self, span: &Span, message: impl Into<String>) -> &mut Diagnostic {
+        self.found.push(Diagnostic {
+            message: message.into(),
+            label: String::new(),
+            help: None,
+            span: span.clone(),
+            line: 0,
+            column: 0,
+        });
+        self.found.last_mut().expect("one was just pushed")
+    }
+
+    /// Whether nothing is wrong so far.
+    pub fn is_empty(&self) -> bool {
+        self.found.is_empty()
+    }
+
+    /// What was found, in the file's order and each mistake once: an alias shows the same place several times.
+    ///
+    /// # Panics
+    /// When nothing was found.
+    pub fn finish(self, source_name: &str, source_text: &str) -> Diagnostics {
+        assert!(!self.found.is_empty(), "diagnostics are of something");
+        let lines: Vec<usize> =
+            std::iter::once(0).chain(source_text.match_indices('\n').map(|(i, _)| i + 1)).collect();
+        let mut list = self.found;
+        list.sort_by_key(|d| d.span.start);
+        let mut seen = BTreeSet::new();
+        list.retain(|d| seen.insert((d.span.start, d.message.clone())));
+        list.truncate(Self::AT_MOST);
+        for d in &mut list {
+            d.line = lines.partition_point(|&start| start <= d.span.start);
+            d.column = source_text[lines[d.line - 1]..d.span.start].chars().count() + 1;
+        }
+        Diagnostics { source_name: source_name.to_owned(), source_text: source_text.to_owned(), list }
+    }
+}
+
+impl Diagnostic {
+    /// Says something at the place itself.
+    pub(crate) fn label(&mut self, label: impl Into<String>) -> &mut Self {
+        self.label = label.into();
+        self
+    }
+
+    /// Says what would be right.
+    pub(crate) fn help(&mut self, help: impl Into<String>) -> &mut Self {
+        self.help = Some(help.into());
+        self
+    }
+}

@@ -1,0 +1,259 @@
+//! Figures with units: `5 ms`, `10 Mbit/s`, `8 GB`. A figure without its unit is refused, as is one that cannot be.
+
+use std::{f64::consts::PI, time::Duration};
+
+use serde_json::{Value as Json, json};
+
+use super::{
+    Sink,
+    decode::{Decode, Node, expected, nearest, words},
+};
+use crate::{
+    conditions::{QueueLimit, Rate},
+    units::{BitRate, Dbm, Probability},
+};
+
+/// A ratio in dB, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Decibels(pub f64);
+
+/// An amount of memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Bytes(pub u64);
+
+/// A length in metres, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Metres(pub f64);
+
+/// A speed in m/s, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Speed(pub f64);
+
+/// An angle in radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Angle(pub f64);
+
+/// What figures of one kind have in common.
+struct Kind {
+    what: &'static str,
+    example: &'static str,
+    /// Units and what one of them is in the first's terms, or in the base unit's.
+    units: &'static [(&'static str, f64)],
+    signed: bool,
+    /// The largest that makes sense, in the base unit.
+    most: f64,
+}
+
+impl Kind {
+    fn schema(&self) -> Json {
+        let units: Vec<_> = self.units.iter().map(|(unit, _)| unit.replace('/', "\\/")).collect();
+        let sign = if self.signed { "-?" } else { "" };
+        json!({
+            "type": "string",
+            "pattern": format!("^{sign}[0-9]*\\.?[0-9]+(e-?[0-9]+)? ?({})$", units.join("|")),
+            "examples": [self.example],
+        })
+    }
+
+    /// Reads a figure, in the base unit, and the place of its unit in the list.
+    fn read(&self, node: &Node, sink: &mut Sink) -> Option<(f64, usize)> {
+        let Some(text) = node.text() else {
+            expected(node, self.what, &format!("write it like `{}`", self.example), sink);
+            return None;
+        };
+        let (figure, unit) = split(text);
+        let mut refuse = |message: String, help: String| {
+            sink.error(&node.span, message).help(help);
+            None
+        };
+        let like = format!("write it like `{}`", self.example);
+        let Some(number) = figure.parse::<f64>().ok().filter(|n| n.is_finite()) else {
+            return refuse(format!("{} is not {}", node.describe(), self.what), like);
+        };
+        let names: Vec<_> = self.units.iter().map(|(name, _)| *name).collect();
+        let Some(place) = names.iter().position(|name| *name == unit) else {
+            let message = if unit.is_empty() {
+                format!("`{text}` has no unit")
+            } else {
+                format!("{} has no unit that fits {}", node.describe(), self.what)
+            };
+            let help = match nearest(unit, names.iter().copied()) {
+                Some(near) => format!("did you mean `{figure} {near}`?"),
+                None => format!("write it like `{}`; the units are {}", self.example, words(&names)),
+            };
+            return refuse(message, help);
+        };
+        if number.is_sign_negative() && number != 0.0 && !self.signed {
+            return refuse(format!("`{text}` is below zero"), format!("{} is zero or more", self.what));
+        }
+        let value = number * self.units[place].1;
+        if value.abs() > self.most {
+            let (unit, factor) = self.units[place];
+            return refuse(
+                format!("`{text}` is too much"),
+                format!("{} is at most {} {unit}", self.what, self.most / factor),
+            );
+        }
+        Some((value, place))
+    }
+}
+
+/// The figure and the unit.
+fn split(text: &str) -> (&str, &str) {
+    let bytes = text.as_bytes();
+    let digits = |from: usize| bytes[from..].iter().take_while(|b| b.is_ascii_digit()).count();
+    let mut end = usize::from(matches!(bytes.first(), Some(b'+' | b'-')));
+    end += digits(end);
+    if bytes.get(end) == Some(&b'.') {
+        end += 1 + digits(end + 1);
+    }
+    if matches!(bytes.get(end), Some(b'e' | b'E')) {
+        let sign = usize::from(matches!(bytes.get(end + 1), Some(b'+' | b'-')));
+        let exponent = digits(end + 1 + sign);
+        if exponent > 0 {
+            end += 1 + sign + exponent;
+        }
+    }
+    (&text[..end], text[end..].trim())
+}
+
+const DURATION: Kind = Kind {
+    what: "a duration",
+    example: "5 ms",
+    units: &[
+        ("ns", 1e-9),
+        ("us", 1e-6),
+        ("µs", 1e-6),
+        ("ms", 1e-3),
+        ("s", 1.0),
+        ("min", 60.0),
+        ("h", 3600.0),
+    ],
+    signed: false,
+    most: 86_400.0,
+};
+
+const RATE: Kind = Kind {
+    what: "a rate",
+    example: "10 Mbit/s",
+    units: &[("bit/s", 1.0), ("kbit/s", 1e3), ("Mbit/s", 1e6), ("Gbit/s", 1e9)],
+    signed: false,
+    most: 1e13,
+};
+
+const MEMORY: Kind = Kind {
+    what: "an amount of memory",
+    example: "8 GB",
+    units: &[
+        ("B", 1.0),
+        ("kB", 1e3),
+        ("MB", 1e6),
+        ("GB", 1e9),
+        ("TB", 1e12),
+        ("KiB", 1024.0),
+        ("MiB", 1_048_576.0),
+        ("GiB", 1_073_741_824.0),
+        ("TiB", 1_099_511_627_776.0),
+    ],
+    signed: false,
+    most: 1e15,
+};
+
+const QUEUE: Kind = Kind {
+    what: "a queue limit",
+    example: "100 packets",
+    units: &[
+        ("packets", 1.0),
+        ("packet", 1.0),
+        ("B", 1.0),
+        ("kB", 1e3),
+        ("MB", 1e6),
+        ("KiB", 1024.0),
+        ("MiB", 1_048_576.0),
+    ],
+    signed: false,
+    most: 4e9,
+};
+
+const POWER: Kind =
+    Kind { what: "a power", example: "15 dBm", units: &[("dBm", 1.0)], signed: true, most: 200.0 };
+const RATIO: Kind =
+    Kind { what: "a ratio", example: "4 dB", units: &[("dB", 1.0)], signed: false, most: 200.0 };
+const LENGTH: Kind = Kind {
+    what: "a length",
+    example: "5 m",
+    units: &[("cm", 1e-2), ("m", 1.0), ("km", 1e3)],
+    signed: false,
+    most: 1e6,
+};
+const SPEED: Kind =
+    Kind { what: "a speed", example: "0.3 m/s", units: &[("m/s", 1.0)], signed: false, most: 100.0 };
+const ANGLE: Kind = Kind {
+    what: "an angle",
+    example: "90 deg",
+    units: &[("deg", PI / 180.0), ("rad", 1.0)],
+    signed: true,
+    most: 4.0 * PI,
+};
+const SHARE: Kind =
+    Kind { what: "a share", example: "0.1 %", units: &[("%", 0.01)], signed: false, most: 1.0 };
+
+macro_rules! quantity {
+    ($type:ty, $kind:ident, $read:expr) => {
+        impl Decode for $type {
+            fn schema() -> Json {
+                $kind.schema()
+            }
+            fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+                $kind.read(node, sink).map($read)
+            }
+        }
+    };
+}
+
+// Whole nanoseconds, rounded: 0.001 ms is 1000 ns, not 999.
+quantity!(Duration, DURATION, |(seconds, _)| Duration::from_nanos((seconds * 1e9).round() as u64));
+quantity!(Bytes, MEMORY, |(bytes, _)| Self(bytes.round() as u64));
+quantity!(Dbm, POWER, |(dbm, _)| Self(dbm));
+quantity!(Decibels, RATIO, |(db, _)| Self(db));
+quantity!(Metres, LENGTH, |(metres, _)| Self(metres));
+quantity!(Speed, SPEED, |(speed, _)| Self(speed));
+quantity!(Angle, ANGLE, |(radians, _)| Self(radians));
+quantity!(Probability, SHARE, |(share, _)| Self::new(share).expect("the kind bounds it"));
+quantity!(QueueLimit, QUEUE, |(amount, unit)| {
+    if QUEUE.units[unit].0.starts_with("packet") {
+        Self::Packets(amount.round() as u32)
+    } else {
+        Self::Bytes(amount.round() as u64)
+    }
+});
+
+impl Decode for BitRate {
+    fn schema() -> Json {
+        RATE.schema()
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        let (rate, _) = RATE.read(node, sink)?;
+        let rate = Self::from_bits_per_second(rate.round() as u64);
+        if rate.is_none() {
+            sink.error(&node.span, format!("{} lets nothing pass", node.describe()))
+                .help("a rate is at least 1 bit/s; to lose everything, write `loss: 100 %`");
+        }
+        rate
+    }
+}
+
+impl Decode for Rate {
+    fn schema() -> Json {
+        let mut rate = RATE.schema();
+        rate["description"] = json!("A rate, or `unlimited`.");
+        rate["pattern"] = json!(format!("^unlimited$|{}", rate["pattern"].as_str().unwrap_or_default()));
+        rate
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        if node.text() == Some("unlimited") {
+            return Some(Self::Unlimited);
+        }
+        BitRate::decode(node, sink).map(|bits_per_second| Self::Fixed { bits_per_second })
+    }
+}

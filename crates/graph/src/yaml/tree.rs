@@ -1,0 +1,323 @@
+//! YAML as a tree that knows where each value stands. Bounded in size, depth and what aliases expand to, so that no
+//! file exhausts memory.
+
+use std::{
+    collections::{HashMap, HashSet},
+    ops::Range,
+};
+
+use saphyr_parser::{Event, Marker, Parser, ScalarStyle};
+
+use super::Sink;
+
+/// A range of bytes in the source.
+pub(crate) type Span = Range<usize>;
+
+/// A value and where it stands.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Node {
+    /// Where to point when it is wrong: the value itself, or of a collection its key or its first line.
+    pub span: Span,
+    /// What it is.
+    pub value: Value,
+}
+
+/// What a value is.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Value {
+    /// Text; `plain` if without quotes, so that it may be a number, a truth value or nothing at all.
+    Scalar { text: String, plain: bool },
+    /// A list.
+    Sequence(Vec<Node>),
+    /// Keys and their values, in the file's order; no key twice.
+    Mapping(Vec<Entry>),
+}
+
+/// A key and its value.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Entry {
+    pub key: String,
+    pub key_span: Span,
+    pub value: Node,
+}
+
+impl Node {
+    /// The text, unless it is a collection or nothing at all.
+    pub fn text(&self) -> Option<&str> {
+        match &self.value {
+            Value::Scalar { text, .. } if !self.is_null() => Some(text),
+            _ => None,
+        }
+    }
+
+    /// Text that stands without quotes.
+    pub fn plain(&self) -> Option<&str> {
+        match &self.value {
+            Value::Scalar { plain: true, .. } => self.text(),
+            _ => None,
+        }
+    }
+
+    /// Whether there is nothing, in the YAML core schema's words for it.
+    pub fn is_null(&self) -> bool {
+        matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null"))
+    }
+
+    /// What it is, for a message.
+    pub fn describe(&self) -> String {
+        match &self.value {
+            _ if self.is_null() => "nothing".to_owned(),
+            Value::Scalar { text, .. } => format!("`{}`", shorten(text)),
+            Value::Sequence(_) => "a list".to_owned(),
+            Value::Mapping(_) => "a mapping".to_owned(),
+        }
+    }
+
+    /// The same as JSON, scalars read by the YAML core schema.
+    pub fn to_json(&self) -> serde_json::Value {
+        use serde_json::Value as Json;
+        match &self.value {
+            _ if self.is_null() => Json::Null,
+            Value::Scalar { text, plain: true } => match text.as_str() {
+                "true" => Json::Bool(true),
+                "false" => Json::Bool(false),
+                _ => serde_json::from_str::<serde_json::Number>(text)
+                    .map_or_else(|_| Json::String(text.clone()), Json::Number),
+            },
+            Value::Scalar { text, .. } => Json::String(text.clone()),
+            Value::Sequence(items) => items.iter().map(Self::to_json).collect(),
+            Value::Mapping(entries) => {
+                Json::Object(entries.iter().map(|e| (e.key.clone(), e.value.to_json())).collect())
+            }
+        }
+    }
+
+    /// A value that stands in no file.
+    pub fn from_json(json: &serde_json::Value) -> Self {
+        use serde_json::Value as Json;
+        let value = match json {
+            Json::String(text) => Value::Scalar { text: text.clone(), plain: false },
+            Json::Array(items) => Value::Sequence(items.iter().map(Self::from_json).collect()),
+            Json::Object(entries) => Value::Mapping(
+                entries
+                    .iter()
+                    .map(|(key, value)| Entry {
+                        key: key.clone(),
+                        key_span: 0..0,
+                        value: Self::from_json(value),
+                    })
+                    .collect(),
+            ),
+            other => Value::Scalar { text: other.to_string(), plain: true },
+        };
+        Self { span: 0..0, value }
+    }
+
+    fn size(&self) -> usize {
+        1 + match &self.value {
+            Value::Scalar { .. } => 0,
+            Value::Sequence(items) => items.iter().map(Self::size).sum(),
+            Value::Mapping(entries) => entries.iter().map(|e| e.value.size()).sum(),
+        }
+    }
+}
+
+/// Enough of a text to recognise it.
+pub(crate) fn shorten(text: &str) -> String {
+    if text.chars().count() <= 60 {
+        text.to_owned()
+    } else {
+        text.chars().take(57).chain("...".chars()).collect()
+    }
+}
+
+/// Bytes of a file; a graph of as many hosts as have addresses fits.
+const MAX_BYTES: usize = 32 << 20;
+/// Collections in collections.
+const MAX_DEPTH: usize = 64;
+/// Values that all aliases of a file expand to.
+const MAX_ALIASED: usize = 100_000;
+
+/// Reads one YAML document. `None` if it is no YAML, which the sink then knows; duplicate keys it knows as well.
+pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
+    if text.len() > MAX_BYTES {
+        sink.error(&(0..0), format!("the file has {} bytes, more than {MAX_BYTES}", text.len()))
+            .help("split it, or keep large data in files of its own");
+        return None;
+    }
+    let places = Places::of(text);
+    let mut builder =
+        Builder { text, sink, open: Vec::new(), anchors: HashMap::new(), aliased: 0, root: None };
+    for event in Parser::new_from_str(text) {
+        match event {
+            Ok((event, span)) => {
+                let start = places.byte(span.start);
+                let span = start..places.byte(span.end).max(start);
+                builder.event(event, span)?;
+            }
+            Err(error) => {
+                let at = places.byte(*error.marker());
+                builder.sink.error(&(at..at), format!("this is no YAML: {}", error.info())).help(
+                    "check the indentation, and that brackets, braces and quotes are closed; a text that \
+                     holds `: ` or ` #` needs quotes",
+                );
+                return None;
+            }
+        }
+    }
+    let root = builder.root;
+    if root.is_none() {
+        sink.error(&(0..0), "the file is empty").help("a testbed file begins with `name: my-testbed`");
+    }
+    root
+}
+
+/// From the scanner's places, counted in characters, to bytes.
+struct Places {
+    /// The byte at which each character begins; `None` where that is the same.
+    bytes: Option<Vec<u32>>,
+    len: usize,
+}
+
+impl Places {
+    fn of(text: &str) -> Self {
+        let bytes = (!text.is_ascii()).then(|| text.char_indices().map(|(at, _)| at as u32).collect());
+        Self { bytes, len: text.len() }
+    }
+
+    fn byte(&self, marker: Marker) -> usize {
+        match &self.bytes {
+            None => marker.index().min(self.len),
+            Some(bytes) => bytes.get(marker.index()).map_or(self.len, |&at| at as usize),
+        }
+    }
+}
+
+struct Builder<'a> {
+    text: &'a str,
+    sink: &'a mut Sink,
+    open: Vec<Open>,
+    anchors: HashMap<usize, Node>,
+    aliased: usize,
+    root: Option<Node>,
+}
+
+/// A collection whose end has not come yet.
+struct Open {
+    anchor: usize,
+    start: usize,
+    value: Value,
+    /// In a mapping: the key whose value comes next, and where that key stands.
+    key: Option<(String, Span)>,
+    /// The keys so far.
+    keys: HashSet<String>,
+}
+
+impl Builder<'_> {
+    fn event(&mut self, event: Event<'_>, span: Span) -> Option<()> {
+        match event {
+            Event::Scalar(text, style, anchor, tag) => {
+                self.refuse_tag(tag.is_some(), &span);
+                let plain = style == ScalarStyle::Plain;
+                let span = span.start..span.start + self.text[span.clone()].trim_end().len();
+                let node = Node { span, value: Value::Scalar { text: text.into_owned(), plain } };
+                self.complete(node, anchor)
+            }
+            Event::SequenceStart(anchor, tag) => {
+                self.refuse_tag(tag.is_some(), &span);
+                self.begin(anchor, span, Value::Sequence(Vec::new()))
+            }
+            Event::MappingStart(anchor, tag) => {
+                self.refuse_tag(tag.is_some(), &span);
+                self.begin(anchor, span, Value::Mapping(Vec::new()))
+            }
+            Event::SequenceEnd | Event::MappingEnd => {
+                let open = self.open.pop().expect("the parser closes what it opened");
+                let end = span.end.max(open.start);
+                let all = &self.text[open.start..end];
+                let first_line = all.lines().next().unwrap_or("").trim_end();
+                let node = Node { span: open.start..open.start + first_line.len(), value: open.value };
+                self.complete(node, open.anchor)
+            }
+            Event::Alias(id) => self.alias(id, span),
+            Event::DocumentStart(_) if self.root.is_some() => {
+                self.sink
+                    .error(&span, "a second document begins here")
+                    .help("a file holds one document: remove the `---`");
+                None
+            }
+            _ => Some(()),
+        }
+    }
+
+    fn refuse_tag(&mut self, tagged: bool, span: &Span) {
+        if tagged {
+            self.sink.error(span, "this value has a tag").help("remove the `!…`: tags mean nothing here");
+        }
+    }
+
+    fn begin(&mut self, anchor: usize, span: Span, value: Value) -> Option<()> {
+        if self.open.len() == MAX_DEPTH {
+            self.sink
+                .error(&span, format!("more than {MAX_DEPTH} collections inside each other"))
+                .help("nothing here is that deep: check the brackets and the indentation");
+            return None;
+        }
+        self.open.push(Open { anchor, start: span.start, value, key: None, keys: HashSet::new() });
+        Some(())
+    }
+
+    fn alias(&mut self, id: usize, span: Span) -> Option<()> {
+        let Some(node) = self.anchors.get(&id).cloned() else {
+            self.sink
+                .error(&span, "this alias refers to a value that holds it")
+                .help("write the value out, or refer to one that is complete");
+            return None;
+        };
+        self.aliased += node.size();
+        if self.aliased > MAX_ALIASED {
+            self.sink
+                .error(&span, format!("the aliases expand to more than {MAX_ALIASED} values"))
+                .help("use fewer aliases of aliases");
+            return None;
+        }
+        self.complete(node, 0)
+    }
+
+    fn complete(&mut self, mut node: Node, anchor: usize) -> Option<()> {
+        if anchor != 0 {
+            self.anchors.insert(anchor, node.clone());
+        }
+        let Some(open) = self.open.last_mut() else {
+            self.root = Some(node);
+            return Some(());
+        };
+        match &mut open.value {
+            Value::Sequence(items) => items.push(node),
+            Value::Mapping(entries) => match open.key.take() {
+                Some((key, key_span)) if open.keys.insert(key.clone()) => {
+                    // What is wrong with a collection as a whole, or with a value that is missing, shows at its key.
+                    if !matches!(node.value, Value::Scalar { .. }) || node.is_null() {
+                        node.span = key_span.clone();
+                    }
+                    entries.push(Entry { key, key_span, value: node });
+                }
+                Some((key, key_span)) => {
+                    self.sink
+                        .error(&key_span, format!("`{}` is here twice", shorten(&key)))
+                        .label("the second one")
+                        .help("remove one of them, or rename it");
+                }
+                None => {
+                    let Value::Scalar { text, .. } = node.value else {
+                        self.sink.error(&node.span, "a key is one word").help("write `key: value`");
+                        return None;
+                    };
+                    open.key = Some((text, node.span));
+                }
+            },
+            Value::Scalar { .. } => unreachable!("only collections are opened"),
+        }
+        Some(())
+    }
+}

@@ -1,0 +1,118 @@
+//! The testbed files that ship with the project say what is published about them.
+
+use std::{path::PathBuf, time::Duration};
+
+use cotorra_graph::{LinkId, NodeId, Position, Program, Rate, Testbed, testbed_file};
+
+fn shipped(name: &str) -> Testbed {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
+    testbed_file::load(path).unwrap_or_else(|wrong| panic!("{wrong}"))
+}
+
+fn id(name: &str) -> NodeId {
+    NodeId::new(name).expect("a name")
+}
+
+#[test]
+fn corridor_has_the_published_round_trips_and_rates() {
+    let corridor = shipped("corridor.yaml");
+    let published = [
+        ("R1", [(9, 10), (4, 8), (3, 6)]),
+        ("R3", [(9, 10), (4, 8), (3, 6)]),
+        ("R2", [(18, 27), (8, 12), (9, 11)]),
+        ("R4", [(18, 27), (8, 11), (9, 10)]),
+        ("R5", [(27, 30), (12, 15), (9, 12)]),
+        ("R6", [(27, 30), (12, 15), (9, 12)]),
+    ];
+    for (unit, figures) in published {
+        for (server, (round_trip_ms, mbps)) in ["cloud", "edge", "fog"].into_iter().zip(figures) {
+            let link = corridor.graph.link(&LinkId::new(&format!("{unit}-{server}")).unwrap()).unwrap();
+            assert_eq!(
+                link.forward.delay + link.backward.delay,
+                Duration::from_millis(round_trip_ms),
+                "{unit} {server}"
+            );
+            for direction in [&link.forward, &link.backward] {
+                let Rate::Fixed { bits_per_second } = &direction.rate else { panic!("a fixed rate") };
+                assert_eq!(bits_per_second.mbps(), f64::from(mbps), "{unit} {server}");
+            }
+        }
+    }
+}
+
+#[test]
+fn corridor_service_and_walk() {
+    let corridor = shipped("corridor.yaml");
+    let service = &corridor.services[0];
+    assert_eq!(service.kpis.service_time, Duration::from_millis(15));
+    assert_eq!(
+        service.vnfs.iter().map(|v| &v.program).collect::<Vec<_>>(),
+        [&Program::RobotDriver, &Program::Navigation]
+    );
+    assert_eq!(service.vnfs[1].node, "cloud");
+    let walk = corridor.walk(&id("robot")).unwrap();
+    assert_eq!(walk.waypoints.len(), 35);
+    assert_eq!(walk.waypoints.first(), walk.waypoints.last());
+    let length: f64 = walk.waypoints.windows(2).map(|w| w[0].distance(w[1])).sum();
+    assert!((105.0..110.0).contains(&length), "{length}");
+    // Two metres to either side are free.
+    let map = corridor.map.as_ref().unwrap();
+    for at in &walk.waypoints {
+        assert_eq!(map.at(*at), cotorra_graph::Cell::Free);
+    }
+}
+
+/// Without shadowing and with equal powers, the strongest radio unit is the nearest.
+#[test]
+fn strongest_radio_units_follow_the_published_regions() {
+    let corridor = shipped("corridor.yaml");
+    let walk = &corridor.walks[0];
+    let strongest = |at: Position| {
+        let distance = |p: Option<Position>| p.unwrap().distance(at);
+        let units = corridor.graph.radio_units();
+        units
+            .map(|(n, _)| n)
+            .min_by(|a, b| distance(a.position).total_cmp(&distance(b.position)))
+            .unwrap()
+            .id
+            .clone()
+    };
+    let mut passed: Vec<NodeId> = Vec::new();
+    for ends in walk.waypoints.windows(2) {
+        for step in 0..10 {
+            let along = f64::from(step) / 10.0;
+            let [from, to] = [ends[0], ends[1]];
+            let at = Position::new(from.x + (to.x - from.x) * along, from.y + (to.y - from.y) * along);
+            let unit = strongest(at);
+            if passed.last() != Some(&unit) {
+                passed.push(unit);
+            }
+        }
+    }
+    assert_eq!(passed, ["R1", "R3", "R2", "R4", "R5", "R4", "R2", "R3", "R1"]);
+}
+
+#[test]
+fn two_hosts_loads() {
+    let testbed = shipped("two-hosts.yaml");
+    assert_eq!(testbed.graph.hosts().count(), 2);
+    let route = testbed.graph.route(&id("left"), &id("right"), |_| None).unwrap();
+    assert_eq!(route.links, ["left-lan", "lan-right"]);
+    assert_eq!(route.delay, Duration::from_millis(2));
+}
+
+#[test]
+fn routes_cross_only_what_forwards() {
+    let corridor = shipped("corridor.yaml");
+    let r2 = id("R2");
+    let attached = |_: &NodeId| Some(&r2);
+    let route = |from, to| corridor.graph.route(&id(from), &id(to), attached);
+    let to_cloud = route("robot", "cloud").unwrap();
+    assert_eq!(to_cloud.links, ["robot~R2", "R2-cloud"]);
+    assert_eq!(to_cloud.delay, Duration::from_millis(10));
+    assert_eq!(route("fog", "cloud").unwrap().links, ["lan-fog", "lan-cloud"]);
+    // Servers forward nothing, and the robot is attached to R2 only.
+    assert_eq!(route("R1", "R2"), None);
+    assert_eq!(route("R1", "robot"), None);
+    assert_eq!(route("robot", "robot").unwrap().links, [] as [LinkId; 0]);
+}
