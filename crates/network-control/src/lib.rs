@@ -1,1 +1,11 @@
-//! placeholder
+//! The Network Control block: holds what is known of the network (ι of radio units, d and λ of links), changes what
+//! links do (ψ, δ and absolute conditions), steers attachments, and maps VNFs and virtual links (VIM).
+//!
+//! It reaches the emulated network through [`Network`] and what runs VNFs through [`vim::Engine`]; it owns neither a
+//! clock nor a socket, and every call takes the time.
+#![forbid(unsafe_code)]
+
+mod control;
+pub mod vim;
+
+pub use control::{Network, NetworkControl, NetworkGone, Refused};

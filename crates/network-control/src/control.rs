@@ -1,0 +1,179 @@
+//! What Network Control offers to plug-ins and to the API: contexts of the network, and changes to it.
+
+use std::collections::BTreeMap;
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{
+    Attachment, Event, Instruction, NodeId, Placement, Position, Service, Testbed, Timestamp,
+    VirtualLinkMapping, VnfId,
+};
+
+use crate::vim::{Engine, Vim};
+
+/// The emulated network, wherever it runs: on another thread in real time, right here in virtual time.
+pub trait Network {
+    /// Does something with the fabric, at its own time, and gives what came of it.
+    ///
+    /// # Errors
+    /// [`NetworkGone`] once it is stopped.
+    fn with<R: Send + 'static>(
+        &self,
+        action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
+    ) -> Result<R, NetworkGone>;
+}
+
+/// The emulated network was stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the emulated network was stopped")]
+pub struct NetworkGone;
+
+/// Why an instruction was not done; for people.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Refused(pub String);
+
+fn refused(reason: impl ToString) -> Refused {
+    Refused(reason.to_string())
+}
+
+/// The Network Control block.
+pub struct NetworkControl<N, E> {
+    network: N,
+    vim: Vim<E>,
+    services: Vec<Service>,
+    mappings: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
+}
+
+impl<N: Network, E: Engine> NetworkControl<N, E> {
+    /// Controls this network; nothing runs before [`NetworkControl::start`].
+    pub fn new(testbed: &Testbed, network: N, engine: E) -> Self {
+        Self {
+            network,
+            vim: Vim::new(testbed.graph.clone(), &testbed.services, engine),
+            services: testbed.services.clone(),
+            mappings: BTreeMap::new(),
+        }
+    }
+
+    /// Starts the VNFs.
+    pub fn start(&mut self, now: Timestamp) -> Vec<Event> {
+        self.vim.start(now)
+    }
+
+    /// Whether every VNF serves.
+    pub fn all_ready(&self) -> bool {
+        self.vim.all_ready()
+    }
+
+    /// The node on which a VNF runs.
+    pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
+        self.vim.node(vnf)
+    }
+
+    /// a(n) of all nodes.
+    pub fn placements(&self) -> Vec<Placement> {
+        self.vim.placements()
+    }
+
+    /// What became of VNFs, and what happened in the network, since the last call.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn poll(&mut self, now: Timestamp) -> Result<Vec<Event>, NetworkGone> {
+        Ok(self.vim.poll(now))
+    }
+
+    /// When [`NetworkControl::poll`] has something to do by itself.
+    pub fn next_deadline(&self) -> Option<Timestamp> {
+        self.vim.next_deadline()
+    }
+
+    /// Tells the network where robots are, and gives φ of each, in the same order.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn locate(&self, robots: Vec<(NodeId, Position)>) -> Result<Vec<Vec<Attachment>>, NetworkGone> {
+        self.network.with(move |fabric, now| {
+            for (robot, position) in &robots {
+                if let Err(refused) = fabric.move_robot(now, robot, *position) {
+                    tracing::warn!("the network does not know where {robot} is: {refused}");
+                }
+            }
+            robots.iter().map(|(robot, _)| fabric.attachments(robot)).collect()
+        })
+    }
+
+    /// ι of every radio unit, d, λ and conditions of every link, the emulator's lateness, and those virtual links
+    /// that other hardware links carry than at the last call.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn observe(&mut self) -> Result<Vec<Event>, NetworkGone> {
+        let wanted: Vec<_> = self
+            .services
+            .iter()
+            .flat_map(|service| &service.virtual_links)
+            .filter_map(|link| {
+                let ends = (self.vim.node(&link.from)?.clone(), self.vim.node(&link.to)?.clone());
+                Some(((link.from.clone(), link.to.clone()), ends))
+            })
+            .collect();
+        let (mut events, routes) = self.network.with(move |fabric, now| {
+            let radios = fabric.radio_contexts(now).into_iter().map(Event::Radio);
+            let events: Vec<_> = radios.collect();
+            let links: Vec<_> = fabric.link_contexts(now).into_iter().map(Event::Link).collect();
+            let lateness = Event::Lateness(fabric.lateness());
+            let events: Vec<_> = events.into_iter().chain(links).chain([lateness]).collect();
+            let routes: Vec<_> = wanted
+                .into_iter()
+                .map(|(key, (from, to))| (key, fabric.route(&from, &to).unwrap_or_default()))
+                .collect();
+            (events, routes)
+        })?;
+        for ((from, to), links) in routes {
+            let mapping = VirtualLinkMapping { from: from.clone(), to: to.clone(), links };
+            if self.mappings.get(&(from.clone(), to.clone())) != Some(&mapping) {
+                self.mappings.insert((from, to), mapping.clone());
+                events.push(Event::VirtualLink(mapping));
+            }
+        }
+        Ok(events)
+    }
+
+    /// Does what was asked: scans, attachments, placements and conditions. Movements are the Robot Middleware's.
+    ///
+    /// # Errors
+    /// [`Refused`] with the reason; then nothing changed.
+    pub fn instruct(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, Refused> {
+        match instruction.clone() {
+            Instruction::Scan { robot } => {
+                self.network
+                    .with(move |fabric, now| fabric.scan(now, &robot))
+                    .map_err(refused)?
+                    .map_err(refused)?;
+                Ok(Vec::new())
+            }
+            Instruction::Attach { robot, radio_unit } => {
+                let attach = move |fabric: &mut Fabric, now| fabric.attach(now, &robot, &radio_unit);
+                self.network.with(attach).map_err(refused)?.map_err(refused)?;
+                Ok(Vec::new())
+            }
+            Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(refused),
+            Instruction::Condition { link, direction, change } => {
+                let apply = move |fabric: &mut Fabric, now| {
+                    fabric.change(now, &link, direction, &change).map_err(refused)?;
+                    let of_link =
+                        fabric.link_contexts(now).into_iter().filter(|context| context.link == link);
+                    Ok(of_link.map(Event::Link).collect())
+                };
+                self.network.with(apply).map_err(refused)?
+            }
+            Instruction::Move { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
+        }
+    }
+
+    /// Stops every VNF and waits for it.
+    pub fn shut_down(&mut self) {
+        self.vim.shut_down();
+    }
+}

@@ -1,0 +1,242 @@
+//! Runs each VNF as a process in its node's namespace, with limits where cgroups allow and its output in a log.
+//!
+//! One thread watches one process, because whoever starts a process has to be there when it ends.
+
+use std::{
+    collections::BTreeMap,
+    fs::{File, OpenOptions},
+    io::{self, BufRead, BufReader, Write},
+    path::PathBuf,
+    process::{ChildStdout, Command, ExitStatus, Stdio},
+    sync::{Arc, mpsc},
+    thread,
+    time::Duration,
+};
+
+use cotorra_graph::{NodeId, Program, Vnf};
+
+use super::{
+    cgroup::Cgroups,
+    engine::{Engine, EngineEvent, InstanceId, Outcome},
+};
+
+/// How often a process is looked at that says nothing.
+const LOOK: Duration = Duration::from_millis(50);
+/// How long a process may take to end after SIGTERM, in looks.
+const GRACE_LOOKS: u32 = 10;
+/// What the bundled VNFs print first, once they serve.
+pub const READY: &str = "ready";
+
+/// A process inside a node, with all that it started.
+pub trait Process: Send {
+    /// How it ended, if it has.
+    ///
+    /// # Errors
+    /// When the system lost it.
+    fn try_wait(&mut self) -> io::Result<Option<ExitStatus>>;
+
+    /// Asks it to end (SIGTERM).
+    fn terminate(&mut self);
+
+    /// Kills it, and waits until it is gone.
+    fn kill(&mut self);
+
+    /// Its standard output, where the command asked for a pipe.
+    fn stdout(&mut self) -> Option<ChildStdout>;
+}
+
+/// Starts a process inside a node: in its namespace, in these cgroups, gone with this process.
+pub trait Launcher: Send + Sync + 'static {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    fn launch(
+        &self,
+        node: &NodeId,
+        command: Command,
+        cgroup_procs: Vec<PathBuf>,
+    ) -> io::Result<Box<dyn Process>>;
+
+    /// The program and arguments of the bundled navigation VNF.
+    fn navigation(&self, vnf: &Vnf, node: &NodeId) -> Command;
+
+    /// Called from another thread when [`Engine::poll`] has something new.
+    fn wake(&self);
+}
+
+/// Runs VNFs as processes.
+pub struct ProcessEngine<L> {
+    launcher: Arc<L>,
+    logs: PathBuf,
+    cgroups: Option<Arc<Cgroups>>,
+    watched: BTreeMap<InstanceId, Watched>,
+    happened: mpsc::Receiver<EngineEvent>,
+    tell: mpsc::Sender<EngineEvent>,
+}
+
+impl<L> std::fmt::Debug for ProcessEngine<L> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ProcessEngine").field("watched", &self.watched.len()).finish_non_exhaustive()
+    }
+}
+
+struct Watched {
+    stop: mpsc::Sender<()>,
+    thread: thread::JoinHandle<()>,
+}
+
+impl<L: Launcher> ProcessEngine<L> {
+    /// Processes log into `logs/<vnf>.log`, which is appended to. Without cgroups they have no limits.
+    pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
+        let (tell, happened) = mpsc::channel();
+        Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), happened, tell }
+    }
+
+    fn command(&self, vnf: &Vnf, node: &NodeId) -> Result<Command, String> {
+        let mut command = match &vnf.program {
+            Program::Navigation => self.launcher.navigation(vnf, node),
+            Program::Command(words) => {
+                let (program, arguments) = words.split_first().ok_or("its command is empty")?;
+                let mut command = Command::new(program);
+                command.args(arguments);
+                command
+            }
+            Program::RobotDriver => return Err("the robot's driver runs in the Robot Middleware".to_owned()),
+        };
+        command.env("COTORRA_VNF", vnf.id.as_str()).env("COTORRA_NODE", node.as_str());
+        Ok(command)
+    }
+}
+
+impl<L: Launcher> Engine for ProcessEngine<L> {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
+        let mut command = self.command(vnf, node)?;
+        let path = self.logs.join(format!("{}.log", vnf.id));
+        let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
+        let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
+        writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
+        let says_ready = vnf.program == Program::Navigation;
+        let both = log.try_clone().and_then(|stderr| Ok((stderr, log.try_clone()?))).map_err(in_log)?;
+        command.stdin(Stdio::null()).stderr(both.0);
+        command.stdout(if says_ready { Stdio::piped() } else { both.1.into() });
+        let procs = match &self.cgroups {
+            Some(groups) => groups.limit(instance, vnf.cpus, vnf.memory_bytes).map_err(|e| e.to_string())?,
+            None => Vec::new(),
+        };
+        let (stop, stopped) = mpsc::channel();
+        let (launcher, tell, node) = (Arc::clone(&self.launcher), self.tell.clone(), node.clone());
+        let cgroups = self.cgroups.clone();
+        let thread = thread::Builder::new()
+            .name(format!("vnf-{}", vnf.id))
+            .spawn(move || {
+                let say = |outcome| {
+                    // Nobody listens any more only while the engine is dropped.
+                    let _ = tell.send(EngineEvent { instance, outcome });
+                    launcher.wake();
+                };
+                match launcher.launch(&node, command, procs) {
+                    Ok(mut child) => watch(&mut *child, log, says_ready, &stopped, &say),
+                    Err(error) => say(Outcome::Failed(format!("cannot start: {error}"))),
+                }
+                if let Some(groups) = cgroups {
+                    groups.release(instance);
+                }
+            })
+            .map_err(|e| format!("cannot start a thread: {e}"))?;
+        self.watched.insert(instance, Watched { stop, thread });
+        Ok(())
+    }
+
+    fn stop(&mut self, instance: InstanceId) {
+        if let Some(watched) = self.watched.get(&instance) {
+            let _ = watched.stop.send(());
+        }
+    }
+
+    fn poll(&mut self) -> Option<EngineEvent> {
+        let event = self.happened.try_recv().ok();
+        self.watched.retain(|_, watched| !watched.thread.is_finished());
+        event
+    }
+
+    fn shut_down(&mut self) {
+        for watched in self.watched.values() {
+            let _ = watched.stop.send(());
+        }
+        for (_, watched) in std::mem::take(&mut self.watched) {
+            let _ = watched.thread.join();
+        }
+    }
+}
+
+impl<L> Drop for ProcessEngine<L> {
+    fn drop(&mut self) {
+        for (_, watched) in std::mem::take(&mut self.watched) {
+            let _ = watched.stop.send(());
+            let _ = watched.thread.join();
+        }
+    }
+}
+
+/// Stays with a process until it ends, or is to be stopped.
+fn watch(
+    child: &mut dyn Process,
+    log: File,
+    says_ready: bool,
+    stopped: &mpsc::Receiver<()>,
+    say: &(impl Fn(Outcome) + Sync),
+) {
+    thread::scope(|scope| {
+        if let Some(stdout) = child.stdout() {
+            scope.spawn(|| copy_output(stdout, log, says_ready, say));
+        } else {
+            say(Outcome::Ready);
+        }
+        loop {
+            match stopped.recv_timeout(LOOK) {
+                Err(mpsc::RecvTimeoutError::Timeout) => match child.try_wait() {
+                    Ok(None) => {}
+                    Ok(Some(status)) => return say(Outcome::Died(describe(status))),
+                    Err(error) => return say(Outcome::Died(error.to_string())),
+                },
+                // Told to stop, or nobody is left to tell.
+                Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => return terminate(child),
+            }
+        }
+    });
+}
+
+/// Copies what a bundled VNF prints into its log; its first line says that it serves.
+fn copy_output(stdout: impl io::Read, mut log: File, says_ready: bool, say: &impl Fn(Outcome)) {
+    let mut waiting = says_ready;
+    for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+        if waiting && line == READY {
+            waiting = false;
+            say(Outcome::Ready);
+        }
+        // A full disk must not stop the VNF.
+        let _ = writeln!(log, "{line}");
+    }
+}
+
+fn terminate(child: &mut dyn Process) {
+    child.terminate();
+    let (_keep, never) = mpsc::channel::<()>();
+    for _ in 0..GRACE_LOOKS {
+        if !matches!(child.try_wait(), Ok(None)) {
+            return;
+        }
+        let _ = never.recv_timeout(LOOK);
+    }
+    child.kill();
+}
+
+fn describe(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    match (status.code(), status.signal()) {
+        (Some(code), _) => format!("exited with status {code}"),
+        (_, Some(signal)) => format!("was killed by signal {signal}"),
+        _ => status.to_string(),
+    }
+}
