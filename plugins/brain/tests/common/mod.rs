@@ -1,5 +1,6 @@
 //! The corridor of the published testbed as a walk between walls, for tests and benchmarks of the brain alone.
 #![allow(dead_code, reason = "no test or benchmark uses all of it")]
+#![allow(clippy::unwrap_used, reason = "clippy knows helpers of integration tests for no tests")]
 
 use std::{collections::BTreeMap, time::Duration};
 
