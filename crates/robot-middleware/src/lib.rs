@@ -6,6 +6,8 @@
 #![forbid(unsafe_code)]
 
 mod driver;
+#[cfg(test)]
+mod fixtures;
 mod kobuki;
 mod lidar;
 mod middleware;

@@ -103,3 +103,75 @@ fn measured(range: f64, noise: &mut Stream) -> f32 {
         read as f32
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{id, room};
+
+    fn scan(world: &World, from: Position, heading: f64) -> Scan {
+        let mut lidar = Lidar::new(5, &id("robot1"));
+        lidar.sweep(Timestamp::ZERO, RAYS, world, from, heading);
+        lidar.scan().unwrap().clone()
+    }
+
+    /// The error that a range may have: the noise is bounded.
+    fn tolerance(range: f64) -> f64 {
+        12f64.sqrt() * (range * RELATIVE_ERROR).max(LEAST_ERROR) + 1e-6
+    }
+
+    #[test]
+    fn a_room_looks_as_its_geometry_says() {
+        let world = World::new(&room(6.0, 4.0));
+        let scan = scan(&world, Position::new(2.0, 1.5), PI / 2.0);
+        assert_eq!(scan.ranges.len(), 360);
+        // Facing north: back, right, front, left, and 45° to the front left, where the western wall is nearer.
+        for (ray, range) in [(0, 1.5), (90, 4.0), (180, 2.5), (270, 2.0), (225, 2.0 * 2f64.sqrt())] {
+            let seen = f64::from(scan.ranges[ray]);
+            assert!((seen - range).abs() < tolerance(range), "ray {ray}: {seen} m, not {range} m");
+        }
+        assert!((scan.nearest().unwrap() - 1.5).abs() < tolerance(1.5));
+    }
+
+    #[test]
+    fn errors_have_the_deviation_of_the_data_sheet_and_no_bias() {
+        let world = World::new(&room(20.0, 20.0));
+        let mut lidar = Lidar::new(5, &id("robot1"));
+        let mut errors = Vec::new();
+        for _ in 0..400 {
+            lidar.sweep(Timestamp::ZERO, RAYS, &world, Position::new(10.0, 10.0), 0.0);
+            errors.push(f64::from(lidar.scan().unwrap().ranges[180]) / 10.0 - 1.0);
+        }
+        let mean = errors.iter().sum::<f64>() / 400.0;
+        let deviation = (errors.iter().map(|e| e * e).sum::<f64>() / 400.0).sqrt();
+        assert!(mean.abs() < 0.001, "{mean}");
+        assert!((deviation - RELATIVE_ERROR).abs() < 0.0006, "{deviation}");
+    }
+
+    #[test]
+    fn out_of_range_is_infinite_on_its_side() {
+        let world = World::new(&room(30.0, 4.0));
+        let seen = scan(&world, Position::new(15.0, 0.1), 0.0);
+        assert_eq!(seen.ranges[180], f32::INFINITY, "the wall is 15 m ahead");
+        assert_eq!(seen.ranges[90], f32::NEG_INFINITY, "0.1 m to the right is too near");
+        assert_eq!(seen.nearest(), Some(RANGE_MIN));
+        let open = scan(&World::open(), Position::default(), 0.0);
+        assert!(open.ranges.iter().all(|range| *range == f32::INFINITY));
+        assert_eq!(open.nearest(), None);
+    }
+
+    #[test]
+    fn a_turn_is_seen_once_it_is_complete() {
+        let world = World::new(&room(6.0, 4.0));
+        let mut lidar = Lidar::new(5, &id("robot1"));
+        for part in 0..5 {
+            assert!(lidar.scan().is_none());
+            let now = Timestamp::from_nanos(part);
+            lidar.sweep(now, RAYS / 5, &world, Position::new(2.0, 1.5), 0.0);
+        }
+        assert_eq!(lidar.scan().unwrap().at, Timestamp::ZERO);
+        let first = lidar.scan().unwrap().clone();
+        lidar.sweep(Timestamp::from_nanos(9), RAYS / 5, &world, Position::new(2.0, 1.5), 0.0);
+        assert_eq!(lidar.scan().unwrap(), &first);
+    }
+}

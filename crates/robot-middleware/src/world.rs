@@ -114,7 +114,7 @@ impl World {
         let ((enter_x, leave_x), (enter_y, leave_y)) =
             (slab(x, direction.0, self.width), slab(y, direction.1, self.height));
         let (enter, leave) = (enter_x.max(enter_y).max(0.0), leave_x.min(leave_y));
-        (enter <= leave).then_some((enter, leave))
+        (enter < leave).then_some((enter, leave))
     }
 
     /// Distance in metres from a place to the nearest occupied cell, or `within` if none is nearer.
@@ -177,5 +177,159 @@ impl Axis {
         } else {
             cell.clamp(self.cell - clear + 1, self.cell)
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::fixtures::room;
+
+    fn towards(angle: f64) -> (f64, f64) {
+        (angle.cos(), angle.sin())
+    }
+
+    /// A grid of 1 m cells, `#` occupied, the last line at the bottom.
+    fn drawn(lines: &[&str]) -> OccupancyGrid {
+        let cell = |c| match c {
+            b'#' => Cell::Occupied,
+            b'?' => Cell::Unknown,
+            _ => Cell::Free,
+        };
+        let cells = lines.iter().rev().flat_map(|line| line.bytes().map(cell)).collect();
+        OccupancyGrid::new(lines[0].len(), lines.len(), 1.0, Position::default(), cells).unwrap()
+    }
+
+    /// What a ray hits, found the slow way: from cell border to cell border.
+    fn walked(map: &OccupancyGrid, from: Position, (dx, dy): (f64, f64), reach: f64) -> Option<f64> {
+        let cell = |at: f64, origin: f64| ((at - origin) / map.resolution()).floor();
+        let (mut column, mut row) = (cell(from.x, map.origin().x), cell(from.y, map.origin().y));
+        let mut travelled = 0.0;
+        while travelled <= reach && column >= 0.0 && row >= 0.0 {
+            if map.cell(column as usize, row as usize) == Cell::Occupied {
+                return Some(travelled);
+            }
+            if column >= map.width() as f64 || row >= map.height() as f64 {
+                return None;
+            }
+            let exit = |cell: f64, step: f64, start: f64, origin: f64| {
+                let border = origin + (cell + if step > 0.0 { 1.0 } else { 0.0 }) * map.resolution();
+                (border - start) / step
+            };
+            let exit_x = exit(column, dx, from.x, map.origin().x);
+            let exit_y = exit(row, dy, from.y, map.origin().y);
+            if exit_x < exit_y {
+                (column, travelled) = (column + dx.signum(), exit_x);
+            } else {
+                (row, travelled) = (row + dy.signum(), exit_y);
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn rays_in_a_room_end_at_its_walls() {
+        let world = World::new(&room(6.0, 4.0));
+        let from = Position::new(2.0, 1.5);
+        for degrees in 0..360 {
+            let (dx, dy) = towards(f64::from(degrees).to_radians());
+            let along = |at: f64, step: f64, side: f64| match step {
+                step if step > 0.0 => (side - at) / step,
+                step if step < 0.0 => -at / step,
+                _ => f64::INFINITY,
+            };
+            let expected = along(from.x, dx, 6.0).min(along(from.y, dy, 4.0));
+            let range = world.cast(from, (dx, dy), 12.0).unwrap();
+            assert!((range - expected).abs() < 1e-9, "{degrees}°: {range} m, not {expected} m");
+        }
+    }
+
+    #[test]
+    fn rays_end_at_their_reach_and_at_the_map() {
+        let world = World::new(&room(20.0, 4.0));
+        let from = Position::new(1.0, 2.0);
+        assert_eq!(world.cast(from, (1.0, 0.0), 12.0), None);
+        assert!((world.cast(from, (1.0, 0.0), 19.01).unwrap() - 19.0).abs() < 1e-9);
+        assert_eq!(World::open().cast(from, (1.0, 0.0), 12.0), None);
+        // From off the map, the outer face of the wall.
+        let outside = Position::new(-3.0, 2.0);
+        assert!((world.cast(outside, (1.0, 0.0), 12.0).unwrap() - 2.95).abs() < 1e-9);
+        assert_eq!(world.cast(outside, (-1.0, 0.0), 12.0), None);
+        assert_eq!(world.cast(Position::new(-3.0, 9.0), (1.0, 0.0), 12.0), None);
+    }
+
+    #[test]
+    fn only_what_is_known_to_be_there_stops_a_ray() {
+        let world = World::new(&drawn(&[".?..#"]));
+        assert_eq!(world.cast(Position::new(0.5, 0.5), (1.0, 0.0), 9.0), Some(3.5));
+        assert_eq!(world.cast(Position::new(4.5, 0.5), (1.0, 0.0), 9.0), Some(0.0));
+    }
+
+    #[test]
+    fn no_ray_slips_between_two_cells_that_touch_at_a_corner() {
+        let world = World::new(&drawn(&["#..", ".#.", "..."]));
+        for step in 0..100 {
+            let from = Position::new(0.1 + f64::from(step) * 0.002, 1.1 + f64::from(step) * 0.002);
+            assert!(world.cast(from, towards(PI / 4.0), 9.0).is_some());
+        }
+    }
+
+    #[test]
+    fn distance_is_to_the_nearest_face_or_corner() {
+        let world = World::new(&drawn(&[".....", "..#..", "....."]));
+        assert_eq!(world.distance(Position::new(0.5, 1.5), 5.0), 1.5);
+        assert_eq!(world.distance(Position::new(1.0, 0.0), 5.0), 2f64.sqrt());
+        assert_eq!(world.distance(Position::new(2.5, 1.5), 5.0), 0.0);
+        assert_eq!(world.distance(Position::new(0.5, 1.5), 1.0), 1.0);
+        assert_eq!(world.distance(Position::new(-2.0, 1.5), 5.0), 4.0);
+        assert_eq!(World::open().distance(Position::new(0.0, 0.0), 5.0), 5.0);
+    }
+
+    #[test]
+    fn extreme_places_and_directions_are_answered() {
+        let world = World::new(&room(6.0, 4.0));
+        for far in [1e300, -1e300, 1e12] {
+            assert_eq!(world.cast(Position::new(far, 1.0), (0.0, 1.0), 12.0), None);
+            assert_eq!(world.distance(Position::new(far, 1.0), 0.2), 0.2);
+        }
+        assert!((world.cast(Position::new(2.0, 1.0), towards(FRAC_PI_2), 12.0).unwrap() - 3.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn skipping_free_cells_hits_what_walking_through_them_hits(
+            occupied in proptest::collection::vec(proptest::bool::weighted(0.06), 24 * 17),
+            x in 0.0f64..24.0, y in 0.0f64..17.0, angle in -3.0f64..3.0, reach in 0.0f64..40.0,
+        ) {
+            let cells = occupied.iter().map(|&o| if o { Cell::Occupied } else { Cell::Free }).collect();
+            let map = OccupancyGrid::new(24, 17, 0.25, Position::new(-1.0, 2.0), cells).unwrap();
+            let from = Position::new(-1.0 + x * 0.25, 2.0 + y * 0.25);
+            let skipped = World::new(&map).cast(from, towards(angle), reach);
+            let walked = walked(&map, from, towards(angle), reach);
+            prop_assert!(
+                skipped.zip(walked).map_or(skipped == walked, |(s, w)| (s - w).abs() < 1e-9),
+                "{skipped:?} is not {walked:?}"
+            );
+        }
+
+        #[test]
+        fn distance_is_that_of_the_nearest_of_all_cells(
+            occupied in proptest::collection::vec(proptest::bool::weighted(0.03), 20 * 20),
+            x in -3.0f64..23.0, y in -3.0f64..23.0, within in 0.0f64..8.0,
+        ) {
+            let cells = occupied.iter().map(|&o| if o { Cell::Occupied } else { Cell::Free }).collect();
+            let map = OccupancyGrid::new(20, 20, 1.0, Position::default(), cells).unwrap();
+            let gap = |at: f64, cell: usize| (cell as f64 - at).max(at - cell as f64 - 1.0).max(0.0);
+            let nearest = (0..400)
+                .filter(|&i| occupied[i])
+                .map(|i| gap(x, i % 20).hypot(gap(y, i / 20)))
+                .fold(within, f64::min);
+            let found = World::new(&map).distance(Position::new(x, y), within);
+            prop_assert!((found - nearest).abs() < 1e-9);
+        }
     }
 }

@@ -1,1 +1,260 @@
+use std::collections::BTreeMap;
 
+use cotorra_graph::{
+    BitRate, DomainId, HardwareGraph, Kpis, PoseSource, Service, ServiceId, ServiceTime, VirtualLink, Vnf,
+    VnfId,
+};
+
+use super::*;
+use crate::fixtures::{id, robot, room, walk};
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+fn at(millis: u64) -> Timestamp {
+    Timestamp::ZERO + ms(millis)
+}
+
+fn testbed() -> Testbed {
+    let vnf = |name: &str, program| Vnf {
+        id: VnfId::new(name).unwrap(),
+        program,
+        cpus: 1.0,
+        memory_bytes: 1 << 20,
+        pinned_to: None,
+        node: id("robot1"),
+    };
+    let service = Service {
+        id: ServiceId::new("navigation").unwrap(),
+        robot: id("robot1"),
+        vnfs: vec![vnf("driver", Program::RobotDriver), vnf("brain", Program::Navigation)],
+        virtual_links: vec![VirtualLink {
+            from: VnfId::new("driver").unwrap(),
+            to: VnfId::new("brain").unwrap(),
+            rate: BitRate::from_bits_per_second(6_000_000).unwrap(),
+        }],
+        kpis: Kpis { service_time: ms(15), reliability: None, area: None, radio: None },
+    };
+    Testbed {
+        name: "room".to_owned(),
+        description: String::new(),
+        graph: HardwareGraph {
+            domains: vec![DomainId::new("main").unwrap()],
+            nodes: vec![robot("robot1", None), robot("idle", Some(Position::new(1.0, 3.0)))],
+            links: Vec::new(),
+            wireless: BTreeMap::new(),
+        },
+        services: vec![service],
+        map: Some(room(6.0, 4.0)),
+        walks: vec![walk("robot1", &[(1.0, 1.0), (3.0, 1.0), (5.0, 1.0)])],
+        plugins: Vec::new(),
+        seed: 1,
+    }
+}
+
+fn middleware() -> RobotMiddleware {
+    RobotMiddleware::simulated(&testbed(), 1, ms(100)).unwrap()
+}
+
+fn route(_: &NodeId) -> Route {
+    Route { attachment: Some(id("R1")), server: id("cloud") }
+}
+
+fn attached(_: &NodeId) -> Vec<Attachment> {
+    vec![Attachment { radio_unit: id("R1"), attached: true, signal: None }]
+}
+
+fn events(middleware: &mut RobotMiddleware) -> Vec<Stamped> {
+    std::iter::from_fn(|| middleware.poll_event()).collect()
+}
+
+/// Runs the loop in virtual time against a brain that drives straight on and answers after `delay`.
+fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<Stamped>) {
+    let mut middleware = RobotMiddleware::simulated(&testbed(), seed, ms(100)).unwrap();
+    let mut answers = VecDeque::new();
+    let mut told = Vec::new();
+    loop {
+        let arrival = answers.front().map_or(Timestamp::MAX, |(arrival, _)| *arrival);
+        let now = middleware.next_deadline().min(arrival);
+        if now > until || middleware.finished() {
+            return (middleware, told);
+        }
+        middleware.advance(now, attached);
+        while let Some(packet) = middleware.poll_position(now, route) {
+            let pose = packet.pose.pose.planar(PoseSource::Simulator);
+            let waypoint = if pose.x > 4.9 {
+                3
+            } else if pose.x > 2.9 {
+                2
+            } else {
+                1
+            };
+            let velocity = Velocity { linear: 0.3, angular: 0.0 };
+            answers.push_back((now + delay, NavigationPacket::answering(&packet, waypoint, velocity.into())));
+        }
+        while let Some((_, answer)) = answers.pop_front_if(|(arrival, _)| *arrival <= now) {
+            middleware.receive(now, &id("robot1"), &answer);
+        }
+        told.extend(events(&mut middleware));
+    }
+}
+
+fn service_times(told: &[Stamped]) -> Vec<&ServiceTime> {
+    told.iter().filter_map(|s| if let Event::ServiceTime(t) = &s.event { Some(t) } else { None }).collect()
+}
+
+#[test]
+fn a_walk_is_walked_and_every_answer_measured() {
+    let (middleware, told) = run(at(60_000), ms(11), 1);
+    assert!(middleware.finished());
+    let end = told.last().unwrap();
+    assert_eq!(end.event, Event::WalkFinished { robot: id("robot1") });
+    // 3.9 m at 0.3 m/s, and the ramp.
+    assert!((13.0..14.5).contains(&end.at.as_secs_f64()), "{}", end.at);
+    let times = service_times(&told);
+    assert!((64..=72).contains(&times.len()), "{}", times.len());
+    assert!(times.iter().all(|t| t.took == Some(ms(11)) && t.server == id("cloud")));
+    assert!(times.iter().enumerate().all(|(i, t)| t.sequence as usize == i));
+    assert!(!told.iter().any(|s| matches!(s.event, Event::Notice { .. })));
+}
+
+#[test]
+fn the_same_seed_tells_the_same() {
+    assert_eq!(run(at(5000), ms(11), 1).1, run(at(5000), ms(11), 1).1);
+    assert_ne!(run(at(5000), ms(11), 1).1, run(at(5000), ms(11), 2).1);
+}
+
+#[test]
+fn answers_that_come_too_late_are_given_up() {
+    let (_, told) = run(at(5000), ms(700), 1);
+    let times = service_times(&told);
+    assert!(times.len() >= 20);
+    assert!(times.iter().all(|t| t.took.is_none()));
+}
+
+#[test]
+fn without_answers_the_robot_stops() {
+    let mut middleware = middleware();
+    let packet = loop {
+        let now = middleware.next_deadline();
+        middleware.advance(now, attached);
+        if let Some(packet) = middleware.poll_position(now, route) {
+            break packet;
+        }
+    };
+    let answer = NavigationPacket::answering(&packet, 1, Velocity { linear: 0.3, angular: 0.0 }.into());
+    let received = packet.emitted + ms(10);
+    middleware.receive(received, &id("robot1"), &answer);
+    middleware.advance(received + ms(590), attached);
+    assert!(middleware.sensors(&id("robot1")).unwrap().velocity.linear > 0.25);
+    middleware.advance(received + ms(1200), attached);
+    let stopped = middleware.sensors(&id("robot1")).unwrap();
+    assert_eq!(stopped.velocity, Velocity::default());
+    middleware.advance(received + ms(9000), attached);
+    assert_eq!(middleware.sensors(&id("robot1")).unwrap().pose, stopped.pose);
+}
+
+#[test]
+fn contexts_come_at_their_interval_with_the_attachments_of_then() {
+    let mut middleware = middleware();
+    let mut contexts = Vec::new();
+    for now in (0..=1000).step_by(10) {
+        middleware.advance(at(now), attached);
+        contexts.extend(events(&mut middleware).into_iter().filter_map(|s| match s.event {
+            Event::Robot(context) => Some((s.at, context)),
+            _ => None,
+        }));
+    }
+    let times: Vec<Timestamp> =
+        contexts.iter().filter(|(_, c)| c.robot == "robot1").map(|(at, _)| *at).collect();
+    assert_eq!(times, (0..=10).map(|i| at(100 * i)).collect::<Vec<_>>());
+    assert_eq!(contexts.len(), 22, "the robot that has no walk is told of as well");
+    let (_, context) = &contexts[1];
+    assert_eq!(context.attached_to(), Some(&id("R1")));
+    assert_eq!(context.sensors.pose.source, PoseSource::Simulator);
+    assert_eq!(middleware.next_deadline(), middleware.next_deadline().min(at(1100)));
+}
+
+#[test]
+fn contexts_that_were_missed_are_not_made_up_for() {
+    let mut middleware = middleware();
+    middleware.advance(at(1050), attached);
+    let contexts = events(&mut middleware).into_iter().filter(|s| matches!(s.event, Event::Robot(_))).count();
+    assert_eq!(contexts, 2);
+    middleware.advance(at(1099), attached);
+    assert!(!events(&mut middleware).iter().any(|s| matches!(s.event, Event::Robot(_))));
+}
+
+#[test]
+fn instructions_move_a_robot_and_say_why_not() {
+    let mut middleware = middleware();
+    let drive = |linear| Velocity { linear, angular: 0.0 };
+    middleware.instruct(at(0), &id("idle"), drive(0.2), 0).unwrap();
+    middleware.advance(at(600), attached);
+    assert!(middleware.sensors(&id("idle")).unwrap().pose.x > 1.05);
+    middleware.stop(at(600), &id("idle"));
+    middleware.advance(at(1200), attached);
+    assert_eq!(middleware.sensors(&id("idle")).unwrap().velocity, Velocity::default());
+
+    let refused = |result: Result<(), MoveRefused>| result.unwrap_err().to_string();
+    assert_eq!(
+        refused(middleware.instruct(at(0), &id("nobody"), drive(0.2), 0)),
+        "there is no robot `nobody`"
+    );
+    assert_eq!(
+        refused(middleware.instruct(at(0), &id("robot1"), drive(0.2), 4)),
+        "the walk of robot `robot1` has no waypoint 4"
+    );
+    assert!(
+        refused(middleware.instruct(at(0), &id("robot1"), drive(f64::NAN), 2)).contains("no finite number")
+    );
+}
+
+#[test]
+fn a_refused_instruction_leaves_the_waypoint() {
+    let mut middleware = middleware();
+    middleware.instruct(at(0), &id("robot1"), Velocity::default(), 1).unwrap();
+    let wrong = Velocity { linear: f64::NAN, angular: 0.0 };
+    assert!(middleware.instruct(at(0), &id("robot1"), wrong, 2).is_err());
+    middleware.advance(at(0), attached);
+    let told = events(&mut middleware);
+    assert!(
+        told.iter().any(|s| matches!(&s.event, Event::Robot(c) if c.robot == "robot1" && c.waypoint == 1))
+    );
+}
+
+#[test]
+fn an_instruction_to_the_end_of_the_walk_ends_it_once() {
+    let mut middleware = middleware();
+    for _ in 0..2 {
+        middleware.instruct(at(0), &id("robot1"), Velocity { linear: 0.3, angular: 0.0 }, 3).unwrap();
+    }
+    let ends =
+        events(&mut middleware).iter().filter(|s| matches!(s.event, Event::WalkFinished { .. })).count();
+    assert_eq!(ends, 1);
+    assert!(middleware.finished());
+}
+
+#[test]
+fn what_a_robot_cannot_do_is_told_once_until_it_can_again() {
+    let mut middleware = middleware();
+    let mut told = |linear| {
+        let _ = middleware.instruct(at(0), &id("idle"), Velocity { linear, angular: 0.0 }, 0);
+        events(&mut middleware).len()
+    };
+    assert_eq!(told(0.5), 0);
+    assert_eq!(told(5.0), 1);
+    assert_eq!(told(6.0), 0);
+    assert_eq!(told(0.5), 0);
+    assert_eq!(told(f64::INFINITY), 1);
+}
+
+#[test]
+fn robots_are_where_they_say() {
+    let middleware = middleware();
+    let positions: Vec<_> = middleware.positions().map(|(robot, p)| (robot.as_str(), p)).collect();
+    assert_eq!(positions, [("idle", Position::new(1.0, 3.0)), ("robot1", Position::new(1.0, 1.0))]);
+    assert!(!middleware.finished());
+    assert!(middleware.driver(&id("robot1")).is_some());
+}

@@ -1,1 +1,160 @@
+use cotorra_graph::{NodeId, PoseSource};
 
+use super::*;
+use crate::{
+    COMMAND_TIMEOUT,
+    fixtures::{id, walk},
+};
+
+fn endpoint(seed: u64) -> ServiceEndpoint {
+    let walk = walk("robot1", &[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]);
+    ServiceEndpoint::new(ServiceId::new("navigation").unwrap(), &walk, COMMAND_TIMEOUT, seed)
+}
+
+fn route() -> Route {
+    Route { attachment: Some(id("R1")), server: id("cloud") }
+}
+
+fn pose() -> Pose {
+    Pose { x: 1.0, y: 2.0, heading: 0.5, covariance: [0.0; 9], source: PoseSource::Simulator }
+}
+
+fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+/// Emits the next packet when it is due.
+fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
+    endpoint.emit(endpoint.next_emission, &pose(), route()).unwrap()
+}
+
+fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
+    NavigationPacket::answering(position, waypoint, Velocity { linear: 0.3, angular: 0.1 }.into())
+}
+
+#[test]
+fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
+    let phases: Vec<Timestamp> = (0..50).map(|seed| endpoint(seed).next_deadline().unwrap()).collect();
+    assert!(phases.iter().all(|phase| *phase < Timestamp::ZERO + ms(200)));
+    assert!(phases.iter().any(|phase| *phase > Timestamp::ZERO + ms(150)));
+    assert_eq!(phases[0], endpoint(0).next_deadline().unwrap());
+
+    let mut endpoint = endpoint(1);
+    let first = emit(&mut endpoint);
+    let second = emit(&mut endpoint);
+    assert_eq!((first.sequence, second.sequence), (0, 1));
+    assert_eq!(second.emitted.since(first.emitted), ms(200));
+    assert!(endpoint.emit(second.emitted + ms(199), &pose(), route()).is_none());
+}
+
+#[test]
+fn a_packet_says_who_where_when_and_what_is_next() {
+    let packet = emit(&mut endpoint(1));
+    assert_eq!((packet.robot.as_str(), packet.waypoint), ("robot1", 0));
+    assert_eq!(packet.pose.pose.planar(PoseSource::Simulator), pose());
+    assert_eq!(packet.pose.header, Header::new(packet.emitted, "map"));
+}
+
+#[test]
+fn packets_that_were_missed_are_not_made_up_for() {
+    let mut endpoint = endpoint(1);
+    let due = endpoint.next_deadline().unwrap();
+    let late = endpoint.emit(due + ms(450), &pose(), route()).unwrap();
+    assert_eq!(late.emitted, due + ms(450));
+    assert!(endpoint.emit(due + ms(599), &pose(), route()).is_none());
+    assert_eq!(endpoint.emit(due + ms(600), &pose(), route()).unwrap().sequence, 1);
+}
+
+#[test]
+fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    let answer = endpoint.receive(packet.emitted + ms(11), &answer(&packet, 2));
+    let measured = answer.service_time.unwrap();
+    assert_eq!((measured.sequence, measured.emitted, measured.took), (0, packet.emitted, Some(ms(11))));
+    assert_eq!((measured.attachment, measured.server), (Some(id("R1")), NodeId::new("cloud").unwrap()));
+    assert_eq!(answer.velocity, Some(Velocity { linear: 0.3, angular: 0.1 }));
+    assert_eq!(endpoint.waypoint(), 2);
+    assert!(endpoint.expire(packet.emitted + ms(5000)).is_none());
+}
+
+#[test]
+fn a_duplicate_changes_nothing() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    endpoint.receive(packet.emitted + ms(11), &answer(&packet, 2));
+    let again = endpoint.receive(packet.emitted + ms(12), &answer(&packet, 1));
+    assert_eq!(again, Answer { service_time: None, velocity: None, finished: false });
+    assert_eq!(endpoint.waypoint(), 2);
+}
+
+#[test]
+fn an_answer_that_was_overtaken_is_measured_and_not_followed() {
+    let mut endpoint = endpoint(1);
+    let (first, second) = (emit(&mut endpoint), emit(&mut endpoint));
+    endpoint.receive(second.emitted + ms(10), &answer(&second, 2));
+    let stale = endpoint.receive(second.emitted + ms(20), &answer(&first, 1));
+    assert_eq!(stale.service_time.unwrap().took, Some(ms(220)));
+    assert_eq!(stale.velocity, None);
+    assert_eq!(endpoint.waypoint(), 2);
+}
+
+#[test]
+fn without_an_answer_in_time_it_is_given_up() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    assert!(endpoint.expire(packet.emitted + ms(599)).is_none());
+    let missing = endpoint.expire(packet.emitted + ms(600)).unwrap();
+    assert_eq!((missing.sequence, missing.took), (0, None));
+    assert!(endpoint.expire(packet.emitted + ms(600)).is_none());
+    // It comes after all: nothing newer was followed, so the robot follows it.
+    let late = endpoint.receive(packet.emitted + ms(700), &answer(&packet, 1));
+    assert_eq!(late.service_time, None);
+    assert!(late.velocity.is_some());
+}
+
+#[test]
+fn an_answer_at_the_timeout_is_given_up_whoever_looks_first() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    assert_eq!(endpoint.receive(packet.emitted + ms(600), &answer(&packet, 1)).service_time, None);
+    assert_eq!(endpoint.expire(packet.emitted + ms(600)).unwrap().took, None);
+}
+
+#[test]
+fn deadlines_are_the_next_packet_and_the_end_of_a_wait() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    assert_eq!(endpoint.next_deadline(), Some(packet.emitted + ms(200)));
+    emit(&mut endpoint);
+    emit(&mut endpoint);
+    assert_eq!(endpoint.next_deadline(), Some(packet.emitted + ms(600)));
+}
+
+#[test]
+fn what_was_never_asked_is_ignored() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    let mut invented = answer(&packet, 1);
+    invented.sequence = 9;
+    let ignored = Answer { service_time: None, velocity: None, finished: false };
+    assert_eq!(endpoint.receive(packet.emitted, &invented), ignored);
+    let mut foreign = answer(&packet, 1);
+    foreign.emitted = packet.emitted + ms(1);
+    assert_eq!(endpoint.receive(packet.emitted, &foreign), ignored);
+    assert!(endpoint.receive(packet.emitted + ms(5), &answer(&packet, 1)).service_time.is_some());
+}
+
+#[test]
+fn the_walk_ends_once_and_packets_with_it() {
+    let mut endpoint = endpoint(1);
+    let packet = emit(&mut endpoint);
+    let beyond = endpoint.receive(packet.emitted + ms(5), &answer(&packet, 4));
+    assert!(beyond.service_time.is_some() && beyond.velocity.is_none());
+    let packet = emit(&mut endpoint);
+    assert!(endpoint.receive(packet.emitted + ms(5), &answer(&packet, 3)).finished);
+    assert!(endpoint.finished());
+    assert_eq!(endpoint.next_deadline(), None);
+    assert!(endpoint.emit(packet.emitted + ms(5000), &pose(), route()).is_none());
+    assert!(!endpoint.receive(packet.emitted + ms(6), &answer(&packet, 3)).finished);
+}

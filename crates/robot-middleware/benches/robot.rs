@@ -1,0 +1,85 @@
+//! What a simulated robot costs. `cargo bench -p cotorra-robot-middleware`
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{
+    Capacity, Cell, Dbm, DomainId, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
+    RobotModel, Timestamp, Velocity,
+};
+use cotorra_robot_middleware::{RobotDriver, Scan, SimulatedRobot, World};
+use divan::{Bencher, black_box};
+
+fn main() {
+    divan::main();
+}
+
+/// A corridor 60 m long with walls 2 m to either side, in cells of 0.05 m, on a map of 60 m × 40 m.
+fn corridor() -> OccupancyGrid {
+    let (width, height) = (1200, 800);
+    let wall = |row: usize, column: usize| {
+        !(1..width - 1).contains(&column) || (row.abs_diff(400) > 40 && row.abs_diff(400) < 44)
+    };
+    let cells = (0..width * height)
+        .map(|i| if wall(i / width, i % width) { Cell::Occupied } else { Cell::Free })
+        .collect();
+    OccupancyGrid::new(width, height, 0.05, Position::default(), cells).expect("the numbers agree")
+}
+
+/// A hall without a wall in reach: the longest rays.
+fn hall() -> OccupancyGrid {
+    OccupancyGrid::new(1200, 800, 0.05, Position::default(), vec![Cell::Free; 1200 * 800])
+        .expect("the numbers agree")
+}
+
+fn robot(world: Arc<World>) -> SimulatedRobot {
+    let robot = Robot {
+        capacity: Capacity { cpus: 2.0, memory_bytes: 8 << 30 },
+        model: RobotModel::Turtlebot2,
+        network: "corridor".to_owned(),
+        tx_power: Dbm(15.0),
+        heading: 0.0,
+        roaming: Roaming::Instructed,
+    };
+    let node = Node {
+        id: NodeId::new("robot1").expect("a name"),
+        domain: DomainId::new("main").expect("a name"),
+        position: Some(Position::new(10.0, 20.0)),
+        kind: NodeKind::Robot(robot),
+    };
+    SimulatedRobot::new(&node, None, world, 1).expect("a robot with a place")
+}
+
+#[divan::bench(args = ["corridor", "hall"])]
+fn cast_360_rays(bencher: Bencher<'_, '_>, place: &str) {
+    let world = World::new(&if place == "hall" { hall() } else { corridor() });
+    let directions: Vec<(f64, f64)> = (0..360)
+        .map(|ray| {
+            let (sin, cos) = (Scan::angle(ray) + 0.01).sin_cos();
+            (cos, sin)
+        })
+        .collect();
+    let from = Position::new(30.012, 20.034);
+    bencher.bench_local(|| {
+        directions.iter().filter(|direction| world.cast(black_box(from), **direction, 12.0).is_some()).count()
+    });
+}
+
+/// Fifty steps of physics, ten turns of the lidar.
+#[divan::bench]
+fn one_robot_second(bencher: Bencher<'_, '_>) {
+    let world = Arc::new(World::new(&corridor()));
+    bencher.with_inputs(|| robot(Arc::clone(&world))).bench_local_values(|mut robot| {
+        for ms in (0..1000).step_by(200) {
+            let now = Timestamp::ZERO + Duration::from_millis(ms);
+            let _ = robot.command(now, Velocity { linear: 0.3, angular: 0.05 });
+        }
+        robot.advance(Timestamp::ZERO + Duration::from_secs(1));
+        robot
+    });
+}
+
+#[divan::bench]
+fn prepare_a_million_cells(bencher: Bencher<'_, '_>) {
+    let map = corridor();
+    bencher.bench_local(|| World::new(black_box(&map)));
+}
