@@ -1,0 +1,622 @@
+//! The fabric itself: it takes frames from hosts, leads them over links, switches and radio units, and hands them
+//! out where and when they are due.
+
+use std::collections::{HashMap, VecDeque};
+
+use cotorra_graph::{
+    Attachment, ConditionChange, Direction, HardwareGraph, HostAddress, Lateness, LinkContext, LinkId, Node,
+    NodeId, NodeKind, Position, RadioContext, Stamped, Timestamp,
+};
+
+use crate::{
+    frame::Frame,
+    lateness::Histogram,
+    pipe::{Packet, Pipe},
+    pool::Pool,
+    radio::{Arrival, Radio},
+    random::stream,
+    routes::{Cost, Routes, Target, Vertex},
+    settings::{Refusal, Settings},
+    timers::Timers,
+};
+
+/// A host's place in [`HardwareGraph::hosts`], from 0; its interface has the addresses [`HostAddress::of`] that.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PortId(pub usize);
+
+/// Why a graph makes no fabric.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FabricError {
+    /// A link ends nowhere.
+    #[error("link `{link}` ends at `{node}`, which is no node of the graph")]
+    UnknownEnd {
+        /// The link.
+        link: LinkId,
+        /// The node that does not exist.
+        node: NodeId,
+    },
+    /// Two nodes or two links of one name.
+    #[error("`{0}` names two things: names are unique")]
+    Duplicate(String),
+    /// More hosts than there are addresses.
+    #[error("{0} hosts are too many: there are addresses for {max}", max = HostAddress::MAX_HOSTS)]
+    TooManyHosts(usize),
+    /// Conditions that cannot be.
+    #[error("`{link}`: {refusal}")]
+    Conditions {
+        /// The link, or the wireless network by its SSID.
+        link: String,
+        /// What is wrong.
+        refusal: Refusal,
+    },
+}
+
+/// Frames that the fabric could not lead anywhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Drops {
+    /// What their senders left undone cannot be what they say (see [`crate::Malformed`]).
+    pub malformed: u64,
+    /// They were for their own sender, or no path led to their destination.
+    pub unroutable: u64,
+}
+
+/// How many addresses are learnt; frames to others go to all hosts.
+const MOST_LEARNT: usize = 65_536;
+
+/// The emulated network between hosts. See the [crate's documentation](crate) for how to drive it.
+#[derive(Debug)]
+pub struct Fabric {
+    /// The latest time that it was told.
+    now: Timestamp,
+    ports: Vec<Port>,
+    /// Vertices are nodes, in the graph's order.
+    vertices: HashMap<NodeId, usize>,
+    port_of_vertex: Vec<Option<PortId>>,
+    routes: Routes,
+    links: Vec<LinkId>,
+    link_by_name: HashMap<LinkId, usize>,
+    /// By edge of the routes: forward and backward of each link in turn.
+    pipes: Vec<Pipe>,
+    timers: Timers,
+    radio: Radio,
+    radio_deadline: Option<Timestamp>,
+    arrivals: Vec<Arrival>,
+    /// Addresses that hosts use beside their own.
+    learnt: HashMap<[u8; 6], PortId>,
+    /// Packets that have come to a vertex and go on from there at once.
+    pending: Vec<(usize, Packet)>,
+    /// Frames to hand out, with their due times.
+    outbox: VecDeque<(Timestamp, PortId, Frame)>,
+    pool: Pool,
+    lateness: Histogram,
+    drops: Drops,
+}
+
+#[derive(Debug)]
+struct Port {
+    node: NodeId,
+    vertex: usize,
+    access: Access,
+}
+
+/// How a host reaches the network.
+#[derive(Debug, Clone, Copy)]
+enum Access {
+    Wired,
+    /// By the radio unit that it is attached to.
+    Wireless,
+    /// By either, whichever is faster; what is for all goes by wire. The delay of the air, in nanoseconds.
+    Both(u64),
+}
+
+/// Where a packet goes from a vertex.
+#[derive(Debug, Clone, Copy)]
+enum Hop {
+    Edge(usize),
+    /// Down to the station.
+    Air,
+}
+
+impl Fabric {
+    /// A fabric at rest, at time zero. The same graph and seed, driven the same way, give the same bytes.
+    ///
+    /// # Errors
+    /// [`FabricError`] for a graph that a testbed file could not have described.
+    pub fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, FabricError> {
+        let hosts = graph.hosts().count();
+        if hosts > HostAddress::MAX_HOSTS {
+            return Err(FabricError::TooManyHosts(hosts));
+        }
+        let mut vertices = HashMap::new();
+        for (i, node) in graph.nodes.iter().enumerate() {
+            if vertices.insert(node.id.clone(), i).is_some() {
+                return Err(FabricError::Duplicate(node.id.to_string()));
+            }
+        }
+        let vertex = |node: &Node| Vertex { forwards: node.forwards(), is_host: node.is_host() };
+        let mut routes = Routes::new(graph.nodes.iter().map(vertex).collect());
+        let mut link_by_name = HashMap::new();
+        let mut pipes = Vec::new();
+        for (i, link) in graph.links.iter().enumerate() {
+            if link_by_name.insert(link.id.clone(), i).is_some() {
+                return Err(FabricError::Duplicate(link.id.to_string()));
+            }
+            let end = |node: &NodeId| {
+                let unknown = || FabricError::UnknownEnd { link: link.id.clone(), node: node.clone() };
+                vertices.get(node).copied().ok_or_else(unknown)
+            };
+            let [a, b] = [end(&link.ends[0])?, end(&link.ends[1])?];
+            for (from, to, conditions, direction) in
+                [(a, b, &link.forward, "forward"), (b, a, &link.backward, "backward")]
+            {
+                let settings = Settings::new(conditions.clone(), link.medium)
+                    .map_err(|refusal| FabricError::Conditions { link: link.id.to_string(), refusal })?;
+                routes.connect(from, to, settings.effective().delay);
+                let rng = stream(seed, &format!("link {} {direction}", link.id));
+                pipes.push(Pipe::new(settings, rng));
+            }
+        }
+        let port = |node: &Node| {
+            let vertex = vertices[&node.id];
+            let access = match &node.kind {
+                NodeKind::Robot(robot) if routes.is_wired(vertex) => {
+                    let air = graph.wireless.get(&robot.network).map(|n| n.delay.as_nanos() as u64);
+                    air.map_or(Access::Wired, Access::Both)
+                }
+                NodeKind::Robot(_) => Access::Wireless,
+                _ => Access::Wired,
+            };
+            Port { node: node.id.clone(), vertex, access }
+        };
+        let ports: Vec<Port> = graph.hosts().map(port).collect();
+        let mut port_of_vertex = vec![None; graph.nodes.len()];
+        for (i, port) in ports.iter().enumerate() {
+            port_of_vertex[port.vertex] = Some(PortId(i));
+        }
+        let radio = Radio::new(graph, seed)?;
+        Ok(Self {
+            now: Timestamp::ZERO,
+            ports,
+            vertices,
+            port_of_vertex,
+            routes,
+            links: graph.links.iter().map(|l| l.id.clone()).collect(),
+            link_by_name,
+            timers: Timers::new(pipes.len()),
+            pipes,
+            radio_deadline: radio.deadline(),
+            radio,
+            arrivals: Vec::new(),
+            learnt: HashMap::new(),
+            pending: Vec::new(),
+            outbox: VecDeque::new(),
+            pool: Pool::default(),
+            lateness: Histogram::default(),
+            drops: Drops::default(),
+        })
+    }
+
+    /// The port of a host; `None` for a switch or an unknown name.
+    pub fn port(&self, host: &NodeId) -> Option<PortId> {
+        self.port_of_vertex[*self.vertices.get(host)?]
+    }
+
+    /// The host at a port.
+    pub fn host(&self, port: PortId) -> Option<&NodeId> {
+        self.ports.get(port.0).map(|p| &p.node)
+    }
+
+    /// A host sends a frame. What comes of it is told by [`Self::poll`], which is to be called after the last of
+    /// the frames that are there to push.
+    pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
+        let now = self.advance(now);
+        if port.0 >= self.ports.len() {
+            return self.drop_unroutable(frame);
+        }
+        if frame.check().is_err() {
+            self.drops.malformed += 1;
+            return self.pool.put(frame);
+        }
+        self.learn(port, &frame);
+        let Port { vertex, access, .. } = self.ports[port.0];
+        let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
+        let by_air = match (access, &target) {
+            (Access::Wired, _) | (Access::Both(_), Target::All { .. }) => false,
+            (Access::Wireless, _) => true,
+            (Access::Both(air_delay), &Target::Port(to)) => self.prefers_air(port, air_delay, to),
+        };
+        if by_air {
+            return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
+        }
+        self.leave(now, vertex, Packet { frame, target, entered: now });
+        self.settle(now);
+    }
+
+    /// Hands out every frame that is due and says when the next might be; `None`: not before another is pushed or
+    /// something is changed.
+    ///
+    /// A poll that comes late changes nothing inside: frames go on as of the time that they were due.
+    pub fn poll(&mut self, now: Timestamp, deliver: &mut dyn FnMut(PortId, Frame)) -> Option<Timestamp> {
+        let now = self.advance(now);
+        while let Some((due, port, frame)) = self.outbox.pop_front() {
+            self.lateness.record(now.since(due));
+            deliver(port, frame);
+        }
+        match (self.timers.next(), self.radio_deadline) {
+            (Some((wired, _)), Some(air)) => Some(wired.min(air)),
+            (wired, air) => wired.map(|(deadline, _)| deadline).or(air),
+        }
+    }
+
+    /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`.
+    pub fn next_event(&mut self) -> Option<Stamped> {
+        self.radio.next_event()
+    }
+
+    /// Changes what a link does, in one direction or both. What is in flight stays in flight, and in order: a lower
+    /// delay brings it forward, a higher one leaves it; another rate goes for what is left of the frame that is being
+    /// sent; a shorter queue keeps what it holds.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such link or the conditions cannot be; nothing has changed then.
+    pub fn change(
+        &mut self,
+        now: Timestamp,
+        link: &LinkId,
+        direction: Option<Direction>,
+        change: &ConditionChange,
+    ) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let Some(&index) = self.link_by_name.get(link) else {
+            let changed = self.radio.change(now, link, direction, change);
+            self.radio_deadline = self.radio.deadline();
+            return changed;
+        };
+        let edges = match direction {
+            None => 2 * index..2 * index + 2,
+            Some(direction) => edge(index, direction)..edge(index, direction) + 1,
+        };
+        let changed = |edge: usize| self.pipes[edge].settings().changed(change).map(|s| (edge, s));
+        for (edge, settings) in edges.map(changed).collect::<Result<Vec<_>, _>>()? {
+            self.routes.set_delay(edge, settings.effective().delay);
+            self.pipes[edge].change(now, settings, &mut self.pool);
+            self.timers.set(edge, self.pipes[edge].deadline());
+        }
+        Ok(())
+    }
+
+    /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
+    /// then those of the air that are in use.
+    pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
+        let now = self.advance(now);
+        let directions = [Direction::Forward, Direction::Backward];
+        let wired = self.links.iter().enumerate().flat_map(|(i, link)| directions.map(|d| (i, link, d)));
+        let mut contexts: Vec<_> = wired
+            .map(|(i, link, direction)| self.pipes[edge(i, direction)].context(now, link.clone(), direction))
+            .collect();
+        contexts.extend(self.radio.link_contexts(now));
+        contexts
+    }
+
+    /// ι(R) of every radio unit.
+    pub fn radio_contexts(&self, now: Timestamp) -> Vec<RadioContext> {
+        self.radio.contexts(now)
+    }
+
+    /// φ(r,R) of a robot for every radio unit of its network; empty for what is no robot.
+    pub fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
+        self.radio.attachments(robot)
+    }
+
+    /// The radio unit that a robot is attached to.
+    pub fn attached_to(&self, robot: &NodeId) -> Option<&NodeId> {
+        let unit = self.radio.attached_to(self.port(robot)?)?;
+        self.host(unit)
+    }
+
+    /// A robot is somewhere else now.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRobot`].
+    pub fn move_robot(&mut self, now: Timestamp, robot: &NodeId, place: Position) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let done = self.radio.move_robot(now, robot, place);
+        self.radio_deadline = self.radio.deadline();
+        done
+    }
+
+    /// Lets a robot's radio leave its channel and scan all others; `Scanned` tells when it is back.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such robot or its radio is busy.
+    pub fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let done = self.radio.scan(now, robot);
+        self.radio_deadline = self.radio.deadline();
+        done
+    }
+
+    /// Lets a robot go over to a radio unit; `Handover` tells when it is there. Nothing happens if it is.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such robot or radio unit, or the robot cannot go there.
+    pub fn attach(&mut self, now: Timestamp, robot: &NodeId, radio_unit: &NodeId) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let done = self.radio.attach(now, robot, radio_unit);
+        self.radio_deadline = self.radio.deadline();
+        done
+    }
+
+    /// The links that a frame between two nodes would take now; `None` if no path is there.
+    pub fn route(&self, from: &NodeId, to: &NodeId) -> Option<Vec<LinkId>> {
+        let (from, to) = (*self.vertices.get(from)?, *self.vertices.get(to)?);
+        if from == to {
+            return Some(Vec::new());
+        }
+        let mut best: Option<(Cost, Vec<LinkId>)> = None;
+        for (start, up, up_cost) in self.accesses(from) {
+            for (end, down, down_cost) in self.accesses(to) {
+                let Some((cost, edges)) = self.routes.path(start, end) else { continue };
+                let cost = plus(cost, plus(up_cost, down_cost));
+                if best.as_ref().is_none_or(|(least, _)| cost < *least) {
+                    let wired = edges.iter().map(|edge| self.links[edge / 2].clone());
+                    best = Some((cost, up.iter().cloned().chain(wired).chain(down).collect()));
+                }
+            }
+        }
+        best.map(|(_, links)| links)
+    }
+
+    /// How late frames were handed out.
+    pub fn lateness(&self) -> Lateness {
+        self.lateness.summary()
+    }
+
+    /// How late frames came out of one direction of a wired link; `None` for any other.
+    pub fn link_lateness(&self, link: &LinkId, direction: Direction) -> Option<Lateness> {
+        let index = *self.link_by_name.get(link)?;
+        Some(self.pipes[edge(index, direction)].lateness().summary())
+    }
+
+    /// Frames that the fabric could not lead anywhere.
+    pub fn drops(&self) -> Drops {
+        self.drops
+    }
+
+    /// How many packets, as they are on the wire, are on wired links.
+    pub fn in_flight(&self) -> u64 {
+        self.pipes.iter().map(Pipe::in_flight).sum()
+    }
+
+    /// An empty buffer with room for a frame of `length` bytes, used before if there is one.
+    pub fn buffer(&mut self, length: usize) -> Vec<u8> {
+        self.pool.take(length)
+    }
+
+    /// Takes back the buffer of a frame that was handed out.
+    pub fn recycle(&mut self, frame: Frame) {
+        self.pool.put(frame);
+    }
+
+    /// Does everything that is due by `now`, in the order in which it is due.
+    fn advance(&mut self, now: Timestamp) -> Timestamp {
+        self.now = self.now.max(now);
+        let now = self.now;
+        loop {
+            let wired = self.timers.next().filter(|(at, _)| *at <= now);
+            let air = self.radio_deadline.filter(|at| *at <= now);
+            match (wired, air) {
+                (Some((at, edge)), air) if air.is_none_or(|air| at < air) => self.poll_pipe(at, edge),
+                (_, Some(at)) => self.poll_radio(at),
+                (_, None) => return now,
+            }
+        }
+    }
+
+    fn poll_pipe(&mut self, at: Timestamp, edge: usize) {
+        while let Some(packet) = self.pipes[edge].poll(at, self.now, &mut self.pool) {
+            self.pending.push((self.routes.end(edge), packet));
+            self.settle(at);
+        }
+        self.timers.set(edge, self.pipes[edge].deadline());
+    }
+
+    fn poll_radio(&mut self, at: Timestamp) {
+        let mut arrivals = std::mem::take(&mut self.arrivals);
+        self.radio_deadline = self.radio.poll(at, &mut self.pool, &mut arrivals);
+        for Arrival { due, from, at, frame } in arrivals.drain(..) {
+            let vertex = self.ports[at.0].vertex;
+            if !self.routes.vertex(vertex).forwards {
+                if self.is_for_station(at, &frame) {
+                    self.outbox.push_back((due, at, frame));
+                } else {
+                    self.pool.put(frame);
+                }
+                continue;
+            }
+            match self.target(from, vertex, &frame) {
+                Some(target) => self.pending.push((vertex, Packet { frame, target, entered: due })),
+                None => self.drop_unroutable(frame),
+            }
+            self.settle(due);
+        }
+        self.arrivals = arrivals;
+    }
+
+    /// Whether a station takes a frame from its radio unit: one that has a wire gets there what is for all.
+    fn is_for_station(&self, port: PortId, frame: &Frame) -> bool {
+        let wired = matches!(self.ports[port.0].access, Access::Both(_));
+        !wired || frame.destination().and_then(|address| self.owner(address)) == Some(port)
+    }
+
+    /// Leads on all packets that go on at once.
+    fn settle(&mut self, now: Timestamp) {
+        while let Some((vertex, packet)) = self.pending.pop() {
+            let here = self.port_of_vertex[vertex];
+            match &packet.target {
+                Target::Port(port) if here == Some(*port) => {
+                    self.outbox.push_back((now, *port, packet.frame));
+                    continue;
+                }
+                Target::Port(_) => {}
+                Target::All { source, .. } => {
+                    if let Some(port) = here.filter(|port| port != source) {
+                        let copy = self.pool.copy(&packet.frame);
+                        self.outbox.push_back((now, port, copy));
+                    }
+                }
+            }
+            if self.routes.vertex(vertex).forwards {
+                self.leave(now, vertex, packet);
+            } else {
+                self.pool.put(packet.frame);
+            }
+        }
+    }
+
+    /// Sends a packet on from a vertex.
+    fn leave(&mut self, now: Timestamp, vertex: usize, packet: Packet) {
+        match &packet.target {
+            &Target::Port(port) => match self.hop(vertex, port) {
+                Some((_, Hop::Edge(edge))) => self.cross(now, edge, packet),
+                Some((_, Hop::Air)) => {
+                    let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
+                    self.on_air(packet.frame, |radio, frame| radio.push_down(now, unit, port, frame));
+                }
+                None => self.drop_unroutable(packet.frame),
+            },
+            Target::All { tree, source } => {
+                for edge in tree.branches(vertex) {
+                    let frame = self.pool.copy(&packet.frame);
+                    self.cross(now, edge, Packet { frame, target: packet.target.clone(), entered: now });
+                }
+                match self.port_of_vertex[vertex] {
+                    Some(unit) if self.routes.vertex(vertex).forwards => {
+                        let source = *source;
+                        self.on_air(packet.frame, |radio, frame| radio.push_group(now, unit, source, frame));
+                    }
+                    _ => self.pool.put(packet.frame),
+                }
+            }
+        }
+    }
+
+    fn cross(&mut self, now: Timestamp, edge: usize, packet: Packet) {
+        match self.pipes[edge].push(now, packet, &mut self.pool) {
+            Some(packet) => self.pending.push((self.routes.end(edge), packet)),
+            None => self.timers.set(edge, self.pipes[edge].deadline()),
+        }
+    }
+
+    /// Gives the radio a frame; super-packets are cut, since the air carries packets.
+    fn on_air(&mut self, frame: Frame, mut push: impl FnMut(&mut Radio, Frame)) {
+        frame
+            .segment_with(&mut self.pool, |packet| push(&mut self.radio, packet))
+            .expect("a frame's offload is checked where it enters the fabric");
+        self.radio_deadline = self.radio.deadline();
+    }
+
+    /// The next hop from a vertex that forwards towards a host, and what the way costs.
+    fn hop(&mut self, vertex: usize, to: PortId) -> Option<(Cost, Hop)> {
+        let Port { vertex: end, access, .. } = self.ports[to.0];
+        let wired = match access {
+            Access::Wireless => None,
+            Access::Wired | Access::Both(_) => self.routes.step(vertex, end),
+        };
+        let wired = wired.map(|step| (step.cost, Hop::Edge(step.edge as usize)));
+        let air_delay = match access {
+            Access::Wired => return wired,
+            Access::Wireless => 0,
+            Access::Both(delay) => delay,
+        };
+        let by_air = self.radio.attached_to(to).and_then(|unit| {
+            let above = self.ports[unit.0].vertex;
+            let air = (air_delay, 1);
+            if above == vertex {
+                return Some((air, Hop::Air));
+            }
+            let step = self.routes.step(vertex, above)?;
+            Some((plus(step.cost, air), Hop::Edge(step.edge as usize)))
+        });
+        match (wired, by_air) {
+            (Some(wired), Some(by_air)) => Some(if by_air.0 < wired.0 { by_air } else { wired }),
+            (wired, by_air) => wired.or(by_air),
+        }
+    }
+
+    /// Whether a robot that has a wire, too, reaches a host faster by its radio.
+    fn prefers_air(&mut self, robot: PortId, air_delay: u64, to: PortId) -> bool {
+        let Some(unit) = self.radio.attached_to(robot) else { return false };
+        let wired = self.hop(self.ports[robot.0].vertex, to);
+        let rest =
+            if unit == to { Some((0, 0)) } else { self.hop(self.ports[unit.0].vertex, to).map(|h| h.0) };
+        match (wired, rest) {
+            (Some((wired, _)), Some(rest)) => plus(rest, (air_delay, 1)) < wired,
+            (wired, rest) => wired.is_none() && rest.is_some(),
+        }
+    }
+
+    /// Where a frame goes that enters the wired network at a vertex; `None` if it is for its own sender.
+    fn target(&mut self, source: PortId, vertex: usize, frame: &Frame) -> Option<Target> {
+        let to_all = |fabric: &mut Self| Target::All { tree: fabric.routes.tree(vertex), source };
+        let destination = frame.destination()?;
+        if destination[0] & GROUP != 0 {
+            return Some(to_all(self));
+        }
+        match self.owner(destination) {
+            Some(port) => (port != source).then_some(Target::Port(port)),
+            None => Some(to_all(self)),
+        }
+    }
+
+    /// The host that has an address.
+    fn owner(&self, address: [u8; 6]) -> Option<PortId> {
+        self.assigned(address).or_else(|| self.learnt.get(&address).copied())
+    }
+
+    /// The host that an address was assigned to: [`HostAddress::of`] the other way round.
+    fn assigned(&self, address: [u8; 6]) -> Option<PortId> {
+        let place = usize::from(u16::from_be_bytes([address[4], address[5]])).checked_sub(1)?;
+        (place < self.ports.len() && HostAddress::of(place).mac == address).then_some(PortId(place))
+    }
+
+    /// Notes that a host uses an address beside its own, as containers and macvlan interfaces do.
+    fn learn(&mut self, port: PortId, frame: &Frame) {
+        let Some(source) = frame.source() else { return };
+        if source[0] & GROUP != 0 || self.assigned(source).is_some() {
+            return;
+        }
+        if self.learnt.len() < MOST_LEARNT || self.learnt.contains_key(&source) {
+            self.learnt.insert(source, port);
+        }
+    }
+
+    fn drop_unroutable(&mut self, frame: Frame) {
+        self.drops.unroutable += 1;
+        self.pool.put(frame);
+    }
+
+    /// Where a node's ways into the wired network begin, each with the wireless link there and its cost.
+    fn accesses(&self, vertex: usize) -> impl Iterator<Item = (usize, Option<LinkId>, Cost)> {
+        let port = self.port_of_vertex[vertex];
+        let unit = port.and_then(|port| self.radio.attached_to(port));
+        let by_air = port.zip(unit).map(|(port, unit)| {
+            let (robot, unit) = (&self.ports[port.0], &self.ports[unit.0]);
+            let delay = if let Access::Both(delay) = robot.access { delay } else { 0 };
+            (unit.vertex, Some(LinkId::wireless(&robot.node, &unit.node)), (delay, 1))
+        });
+        std::iter::once((vertex, None, (0, 0))).chain(by_air)
+    }
+}
+
+/// Set in the first byte of an address of many hosts (IEEE 802, the I/G bit).
+const GROUP: u8 = 0x01;
+
+/// The edge of a link's direction.
+fn edge(link: usize, direction: Direction) -> usize {
+    2 * link + direction as usize
+}
+
+fn plus(a: Cost, b: Cost) -> Cost {
+    (a.0 + b.0, a.1 + b.1)
+}

@@ -1,0 +1,391 @@
+//! Ethernet frames with the work that a sender left undone: checksums to fill in and super-packets to cut. Both are
+//! put off for as long as no link needs them done, since that is where a fast path's speed comes from.
+
+use std::ops::Range;
+
+use crate::{checksum, pool::Pool};
+
+/// Length of an Ethernet header without tags.
+pub(crate) const ETHERNET_HEADER: usize = 14;
+
+/// A checksum left to whoever needs it: the ones' complement sum of everything from `start` on belongs at
+/// `start + offset`, where the sum of the pseudo header stands already (virtio 1.2, 5.1.6.2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Checksum {
+    /// First byte that it covers, from the beginning of the frame.
+    pub start: u16,
+    /// Where it belongs, from `start`.
+    pub offset: u16,
+}
+
+/// What a super-packet holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SegmentationKind {
+    /// TCP over IPv4 (TSO).
+    Tcp4,
+    /// TCP over IPv6 (TSO).
+    Tcp6,
+    /// UDP over either (USO).
+    Udp,
+}
+
+/// A super-packet: how to cut it into packets as they are on the wire.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Segmentation {
+    /// What it holds.
+    pub kind: SegmentationKind,
+    /// Bytes of payload in a packet (the MSS); the last may have fewer.
+    pub size: u16,
+    /// Length of all headers, Ethernet to transport. A sender's figure is a hint; a frame out of the fabric has the
+    /// right one.
+    pub header_len: u16,
+}
+
+/// What the sender left undone: what a `virtio_net_hdr` says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Offload {
+    /// A checksum to complete.
+    pub checksum: Option<Checksum>,
+    /// A super-packet to cut.
+    pub segmentation: Option<Segmentation>,
+}
+
+impl Offload {
+    /// Nothing was left undone.
+    pub const NONE: Self = Self { checksum: None, segmentation: None };
+}
+
+/// Why a frame's offload cannot be what it says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Malformed {
+    /// Shorter than its Ethernet header.
+    #[error("a frame has an Ethernet header of 14 bytes; this one is shorter")]
+    Short,
+    /// The checksum lies behind the frame's end.
+    #[error("the checksum's place lies behind the frame's end")]
+    ChecksumBeyondEnd,
+    /// The checksum is not the transport's.
+    #[error("the checksum to complete is not that of the super-packet's transport header")]
+    ChecksumElsewhere,
+    /// Cut into packets of nothing.
+    #[error("a super-packet is cut into packets of 1 byte or more, not 0")]
+    NoSize,
+    /// Other headers than it says.
+    #[error("the super-packet's headers are not those of its kind, or are cut off")]
+    Headers,
+}
+
+/// An Ethernet frame, destination address first and without FCS, and what its sender left undone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Frame {
+    bytes: Vec<u8>,
+    offload: Offload,
+}
+
+/// Where a super-packet's headers are.
+struct Layout {
+    ip: usize,
+    version: IpVersion,
+    transport: usize,
+    payload: usize,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum IpVersion {
+    V4,
+    V6,
+}
+
+const TCP: u8 = 6;
+const UDP: u8 = 17;
+/// Where the checksum stands in the transport's header.
+const TCP_CHECKSUM: usize = 16;
+const UDP_CHECKSUM: usize = 6;
+const TCP_FLAGS: usize = 13;
+const FIN_AND_PSH: u8 = 0x09;
+const CWR: u8 = 0x80;
+
+impl Frame {
+    /// A frame with nothing left to do.
+    pub fn new(bytes: Vec<u8>) -> Self {
+        Self { bytes, offload: Offload::NONE }
+    }
+
+    /// A frame with what its sender left undone.
+    pub fn with_offload(bytes: Vec<u8>, offload: Offload) -> Self {
+        Self { bytes, offload }
+    }
+
+    /// The frame, destination address first.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// How many bytes it has; on the wire there can be more, see [`Frame::wire_bytes`].
+    #[expect(clippy::len_without_is_empty, reason = "an Ethernet frame has a header, it is never empty")]
+    pub fn len(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// What is left to do.
+    pub fn offload(&self) -> Offload {
+        self.offload
+    }
+
+    /// The buffer, to be used again.
+    pub fn into_bytes(self) -> Vec<u8> {
+        self.bytes
+    }
+
+    /// How many packets it is on the wire.
+    pub fn wire_packets(&self) -> u32 {
+        match self.offload.segmentation {
+            None => 1,
+            Some(s) => {
+                let payload = self.bytes.len().saturating_sub(usize::from(s.header_len));
+                payload.div_ceil(usize::from(s.size.max(1))).max(1) as u32
+            }
+        }
+    }
+
+    /// How many bytes it is on the wire, without preamble, FCS and gap; each packet of a super-packet has headers
+    /// of its own.
+    pub fn wire_bytes(&self) -> u64 {
+        let headers = self
+            .offload
+            .segmentation
+            .map_or(0, |s| u64::from(self.wire_packets() - 1) * u64::from(s.header_len));
+        self.bytes.len() as u64 + headers
+    }
+
+    /// Destination address.
+    pub(crate) fn destination(&self) -> Option<[u8; 6]> {
+        self.bytes.first_chunk().copied()
+    }
+
+    /// Source address.
+    pub(crate) fn source(&self) -> Option<[u8; 6]> {
+        self.bytes.get(6..12)?.first_chunk().copied()
+    }
+
+    /// Checks that its offload can be what it says and corrects the length of its headers, so that all that
+    /// follows can rely on both.
+    ///
+    /// # Errors
+    /// [`Malformed`], with what is wrong.
+    pub fn check(&mut self) -> Result<(), Malformed> {
+        if self.bytes.len() < ETHERNET_HEADER {
+            return Err(Malformed::Short);
+        }
+        if let Some(checksum) = self.offload.checksum {
+            self.checksum_place(checksum).ok_or(Malformed::ChecksumBeyondEnd)?;
+        }
+        let Some(segmentation) = self.offload.segmentation else { return Ok(()) };
+        let layout = self.layout(segmentation)?;
+        let single = self.bytes.len() - layout.payload <= usize::from(segmentation.size);
+        self.offload.segmentation =
+            (!single).then_some(Segmentation { header_len: layout.payload as u16, ..segmentation });
+        Ok(())
+    }
+
+    /// Fills in the checksum that was left undone, if one was.
+    ///
+    /// # Errors
+    /// [`Malformed::ChecksumBeyondEnd`]; the frame is as before.
+    pub fn complete_checksum(&mut self) -> Result<(), Malformed> {
+        let Some(checksum) = self.offload.checksum else { return Ok(()) };
+        let place = self.checksum_place(checksum).ok_or(Malformed::ChecksumBeyondEnd)?;
+        let sum = checksum::sum(&self.bytes[usize::from(checksum.start)..]);
+        self.bytes[place].copy_from_slice(&checksum::complement(sum).to_be_bytes());
+        self.offload.checksum = None;
+        Ok(())
+    }
+
+    /// Cuts a super-packet into the packets that it is on the wire and appends them to `out`; a frame that is none
+    /// goes there as it is. A checksum left undone is left undone in each packet; one that was done is done.
+    ///
+    /// As a network card does it: TCP sequence numbers and IPv4 identifications count on, FIN and PSH go with the
+    /// last packet, CWR with the first (RFC 3168, 6.1.2).
+    ///
+    /// # Errors
+    /// [`Malformed`]; `out` is as before.
+    pub fn segment(self, out: &mut Vec<Self>) -> Result<(), Malformed> {
+        self.segment_with(&mut Pool::default(), |packet| out.push(packet))
+    }
+
+    /// [`Frame::segment`] with buffers from a pool, which gets this frame's.
+    pub(crate) fn segment_with(
+        mut self,
+        pool: &mut Pool,
+        mut each: impl FnMut(Self),
+    ) -> Result<(), Malformed> {
+        self.check()?;
+        let Some(segmentation) = self.offload.segmentation else {
+            each(self);
+            return Ok(());
+        };
+        let layout = self.layout(segmentation)?;
+        let offload = Offload { segmentation: None, ..self.offload };
+        let (headers, payload) = self.bytes.split_at(layout.payload);
+        let size = usize::from(segmentation.size);
+        let last = payload.len().div_ceil(size) - 1;
+        for (i, part) in payload.chunks(size).enumerate() {
+            let mut bytes = pool.take(headers.len() + part.len());
+            bytes.extend_from_slice(headers);
+            bytes.extend_from_slice(part);
+            layout.renumber(&mut bytes, segmentation.kind, i, size, i == last);
+            let mut packet = Self::with_offload(bytes, offload);
+            if offload.checksum.is_none() {
+                let offset = checksum_offset(segmentation.kind) as u16;
+                packet.offload.checksum = Some(Checksum { start: layout.transport as u16, offset });
+                packet.complete_checksum()?;
+            }
+            each(packet);
+        }
+        pool.put(self);
+        Ok(())
+    }
+
+    /// Flips one bit behind the Ethernet header, the `choice`-th of them (modulo their number), with all checksums
+    /// done before, so that the receiver can tell. `false` if there is nothing behind it.
+    pub(crate) fn flip_bit(&mut self, choice: u64) -> bool {
+        let bits = self.bytes.len().saturating_sub(ETHERNET_HEADER) as u64 * 8;
+        if bits == 0 || self.complete_checksum().is_err() {
+            return false;
+        }
+        let bit = choice % bits;
+        self.bytes[ETHERNET_HEADER + (bit / 8) as usize] ^= 1 << (bit % 8);
+        true
+    }
+
+    fn checksum_place(&self, checksum: Checksum) -> Option<Range<usize>> {
+        let at = usize::from(checksum.start) + usize::from(checksum.offset);
+        (at + 2 <= self.bytes.len()).then_some(at..at + 2)
+    }
+
+    fn layout(&self, segmentation: Segmentation) -> Result<Layout, Malformed> {
+        if segmentation.size == 0 {
+            return Err(Malformed::NoSize);
+        }
+        let layout = Layout::of(&self.bytes, segmentation.kind).ok_or(Malformed::Headers)?;
+        let here =
+            Checksum { start: layout.transport as u16, offset: checksum_offset(segmentation.kind) as u16 };
+        if self.offload.checksum.is_some_and(|c| c != here) {
+            return Err(Malformed::ChecksumElsewhere);
+        }
+        Ok(layout)
+    }
+}
+
+fn checksum_offset(kind: SegmentationKind) -> usize {
+    match kind {
+        SegmentationKind::Tcp4 | SegmentationKind::Tcp6 => TCP_CHECKSUM,
+        SegmentationKind::Udp => UDP_CHECKSUM,
+    }
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    bytes.get(at..)?.first_chunk().copied().map(u16::from_be_bytes)
+}
+
+impl Layout {
+    /// Finds the headers of a super-packet; `None` if they are not those of its kind.
+    fn of(bytes: &[u8], kind: SegmentationKind) -> Option<Self> {
+        let (ip, version) = Self::ip(bytes)?;
+        let (protocol, transport) = match version {
+            IpVersion::V4 => Self::ipv4(bytes, ip)?,
+            IpVersion::V6 => Self::ipv6(bytes, ip)?,
+        };
+        let payload = match (kind, version, protocol) {
+            (SegmentationKind::Tcp4, IpVersion::V4, TCP) | (SegmentationKind::Tcp6, IpVersion::V6, TCP) => {
+                let length = usize::from(bytes.get(transport + 12)? >> 4) * 4;
+                (length >= 20).then_some(transport + length)?
+            }
+            (SegmentationKind::Udp, _, UDP) => transport + 8,
+            _ => return None,
+        };
+        (payload < bytes.len()).then_some(Self { ip, version, transport, payload })
+    }
+
+    /// Where the IP header begins, behind any VLAN tags, and its version.
+    fn ip(bytes: &[u8]) -> Option<(usize, IpVersion)> {
+        let mut at = ETHERNET_HEADER - 2;
+        // IEEE 802.1Q allows two tags.
+        for _ in 0..3 {
+            match u16_at(bytes, at)? {
+                0x8100 | 0x88a8 => at += 4,
+                0x0800 => return Some((at + 2, IpVersion::V4)),
+                0x86dd => return Some((at + 2, IpVersion::V6)),
+                _ => return None,
+            }
+        }
+        None
+    }
+
+    fn ipv4(bytes: &[u8], ip: usize) -> Option<(u8, usize)> {
+        let first = *bytes.get(ip)?;
+        let length = usize::from(first & 0x0f) * 4;
+        let whole = usize::from(u16_at(bytes, ip + 2)?) == bytes.len() - ip;
+        // "More fragments" and the offset: a fragment has no transport header to copy.
+        let fragment = u16_at(bytes, ip + 6)? & 0x3fff != 0;
+        (first >> 4 == 4 && length >= 20 && whole && !fragment).then_some((*bytes.get(ip + 9)?, ip + length))
+    }
+
+    fn ipv6(bytes: &[u8], ip: usize) -> Option<(u8, usize)> {
+        let whole = usize::from(u16_at(bytes, ip + 4)?) + 40 == bytes.len() - ip;
+        if bytes.get(ip)? >> 4 != 6 || !whole {
+            return None;
+        }
+        let (mut protocol, mut at) = (*bytes.get(ip + 6)?, ip + 40);
+        // Hop-by-hop options, routing, destination options (RFC 8200, 4.1); others carry no super-packet.
+        while matches!(protocol, 0 | 43 | 60) {
+            protocol = *bytes.get(at)?;
+            at += (usize::from(*bytes.get(at + 1)?) + 1) * 8;
+        }
+        Some((protocol, at))
+    }
+
+    /// Makes the copied headers those of the `i`-th packet.
+    fn renumber(&self, bytes: &mut [u8], kind: SegmentationKind, i: usize, size: usize, last: bool) {
+        let ip_length = bytes.len() - self.ip;
+        let transport_length = bytes.len() - self.transport;
+        let put = |bytes: &mut [u8], at: usize, value: u16| {
+            bytes[at..at + 2].copy_from_slice(&value.to_be_bytes());
+        };
+        match self.version {
+            IpVersion::V4 => {
+                put(bytes, self.ip + 2, ip_length as u16);
+                let id = u16::from_be_bytes([bytes[self.ip + 4], bytes[self.ip + 5]]);
+                put(bytes, self.ip + 4, id.wrapping_add(i as u16));
+                put(bytes, self.ip + 10, 0);
+                let header = self.ip..self.ip + usize::from(bytes[self.ip] & 0x0f) * 4;
+                let sum = !checksum::fold(checksum::sum(&bytes[header]));
+                put(bytes, self.ip + 10, sum);
+            }
+            IpVersion::V6 => put(bytes, self.ip + 4, (ip_length - 40) as u16),
+        }
+        let protocol = if kind == SegmentationKind::Udp {
+            put(bytes, self.transport + 4, transport_length as u16);
+            UDP
+        } else {
+            let at = self.transport + 4;
+            let before = [bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]];
+            let sequence = u32::from_be_bytes(before).wrapping_add((i * size) as u32);
+            bytes[at..at + 4].copy_from_slice(&sequence.to_be_bytes());
+            if !last {
+                bytes[self.transport + TCP_FLAGS] &= !FIN_AND_PSH;
+            }
+            if i > 0 {
+                bytes[self.transport + TCP_FLAGS] &= !CWR;
+            }
+            TCP
+        };
+        // The sum of the pseudo header, where the rest is added to it.
+        let addresses = match self.version {
+            IpVersion::V4 => self.ip + 12..self.ip + 20,
+            IpVersion::V6 => self.ip + 8..self.ip + 40,
+        };
+        let pseudo = checksum::sum(&bytes[addresses]) + u64::from(protocol) + transport_length as u64;
+        put(bytes, self.transport + checksum_offset(kind), checksum::fold(pseudo));
+    }
+}

@@ -1,0 +1,96 @@
+//! What one direction of a link gave: packets and bytes since the run began, delay and throughput over the last
+//! second. Wired and wireless links share it.
+
+use std::time::Duration;
+
+use cotorra_graph::{LinkCounters, Timestamp};
+
+/// The last second is kept in so many slices.
+const SLICES: usize = 20;
+const SLICE_NS: u64 = 1_000_000_000 / SLICES as u64;
+
+/// Counts what crosses one direction of a link.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Meter {
+    /// Packets and bytes since the run began.
+    pub(crate) counters: LinkCounters,
+    slices: [Slice; SLICES],
+}
+
+/// What crossed within one slice of time.
+#[derive(Debug, Clone, Copy, Default)]
+struct Slice {
+    /// Which slice since the run began.
+    number: u64,
+    packets: u64,
+    bytes: u64,
+    delay_ns: u64,
+}
+
+impl Meter {
+    /// Packets that entered at a time came out at another.
+    pub(crate) fn crossed(&mut self, entered: Timestamp, left: Timestamp, packets: u32, bytes: u64) {
+        let packets = u64::from(packets);
+        self.counters.packets += packets;
+        self.counters.bytes += bytes;
+        let number = left.as_nanos() / SLICE_NS;
+        let slice = &mut self.slices[(number % SLICES as u64) as usize];
+        if slice.number != number {
+            *slice = Slice { number, ..Slice::default() };
+        }
+        slice.packets += packets;
+        slice.bytes += bytes;
+        slice.delay_ns += left.as_nanos().saturating_sub(entered.as_nanos()) * packets;
+    }
+
+    /// d: the mean time that packets took over the last second; `None` if none crossed.
+    pub(crate) fn delay(&self, now: Timestamp) -> Option<Duration> {
+        let (packets, delay_ns) =
+            self.last_second(now).fold((0, 0u64), |(p, d), s| (p + s.packets, d.saturating_add(s.delay_ns)));
+        delay_ns.checked_div(packets).map(Duration::from_nanos)
+    }
+
+    /// λ: what crossed over the last second, bit/s.
+    pub(crate) fn throughput_bps(&self, now: Timestamp) -> f64 {
+        let bytes: u64 = self.last_second(now).map(|s| s.bytes).sum();
+        // The current slice is not over, nor has a run that just began lasted a second.
+        let covered = now.as_nanos().min((SLICES as u64 - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
+        bytes as f64 * 8e9 / covered.max(SLICE_NS) as f64
+    }
+
+    fn last_second(&self, now: Timestamp) -> impl Iterator<Item = &Slice> {
+        let number = now.as_nanos() / SLICE_NS;
+        self.slices.iter().filter(move |s| s.number <= number && number - s.number < SLICES as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Timestamp {
+        Timestamp::from_nanos(ms * 1_000_000)
+    }
+
+    #[test]
+    fn tells_the_last_second_and_counts_for_ever() {
+        let mut meter = Meter::default();
+        assert_eq!((meter.delay(at(0)), meter.throughput_bps(at(0))), (None, 0.0));
+        // 1 Mbit/s for three seconds, each packet 7 ms on its way.
+        for i in 0..3000 {
+            meter.crossed(at(i), at(i + 7), 1, 125);
+        }
+        let now = at(3007);
+        assert_eq!(meter.delay(now), Some(Duration::from_millis(7)));
+        assert!((meter.throughput_bps(now) / 1e6 - 1.0).abs() < 0.01, "{}", meter.throughput_bps(now));
+        assert_eq!((meter.counters.packets, meter.counters.bytes), (3000, 375_000));
+        assert_eq!((meter.delay(at(4100)), meter.throughput_bps(at(4100))), (None, 0.0));
+    }
+
+    #[test]
+    fn a_run_that_just_began_is_not_underrated() {
+        let mut meter = Meter::default();
+        (0..100).for_each(|i| meter.crossed(at(i), at(i), 1, 125));
+        assert!((meter.throughput_bps(at(100)) / 1e6 - 1.0).abs() < 0.02);
+    }
+}

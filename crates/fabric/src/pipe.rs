@@ -1,0 +1,313 @@
+//! One direction of a wired link: a drop-tail queue, a transmitter, and a line on which packets are under way. What
+//! was due is worked out in the packets' own time, so that a late poll delays nothing but the delivery itself.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::{Conditions, Direction, LinkContext, LinkId, QueueLimit, Rate, Timestamp};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::{
+    frame::Frame,
+    impairment::{Impairments, jittered},
+    lateness::Histogram,
+    meter::Meter,
+    pool::Pool,
+    routes::Target,
+    settings::{Settings, is_impaired, needs_packets},
+    transmitter::Transmitter,
+};
+
+/// A frame on its way through the fabric.
+#[derive(Debug)]
+pub(crate) struct Packet {
+    pub(crate) frame: Frame,
+    pub(crate) target: Target,
+    /// When it came to the link that it is on.
+    pub(crate) entered: Timestamp,
+}
+
+impl Packet {
+    fn copy(&self, pool: &mut Pool) -> Self {
+        Self { frame: pool.copy(&self.frame), target: self.target.clone(), entered: self.entered }
+    }
+}
+
+/// A packet on the line.
+#[derive(Debug)]
+struct InFlight {
+    due: Timestamp,
+    sent: Timestamp,
+    /// In units of the jitter's deviation.
+    deviate: f64,
+    packet: Packet,
+}
+
+/// One direction of a wired link.
+#[derive(Debug)]
+pub(crate) struct Pipe {
+    settings: Settings,
+    impairments: Impairments,
+    transmitter: Transmitter<Packet>,
+    queue: VecDeque<Packet>,
+    queued_packets: u64,
+    queued_bytes: u64,
+    /// In order of `due`.
+    line: VecDeque<InFlight>,
+    /// Whether packets pass through in no time and untouched, unless some are on the line.
+    clear: bool,
+    needs_packets: bool,
+    impaired: bool,
+    meter: Meter,
+    lateness: Histogram,
+    /// Room for the packets that a super-packet is cut into.
+    cut: Vec<Packet>,
+}
+
+impl Pipe {
+    /// A pipe that does what the settings say and draws from that stream.
+    pub(crate) fn new(settings: Settings, rng: Xoshiro256PlusPlus) -> Self {
+        let conditions = settings.effective();
+        Self {
+            impairments: Impairments::new(conditions, rng),
+            transmitter: Transmitter::new(&conditions.rate, Timestamp::ZERO),
+            queue: VecDeque::new(),
+            queued_packets: 0,
+            queued_bytes: 0,
+            line: VecDeque::new(),
+            clear: is_clear(conditions),
+            needs_packets: needs_packets(conditions),
+            impaired: is_impaired(conditions),
+            meter: Meter::default(),
+            lateness: Histogram::default(),
+            cut: Vec::new(),
+            settings,
+        }
+    }
+
+    /// What it was asked to do.
+    pub(crate) fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// How late packets came out of it.
+    pub(crate) fn lateness(&self) -> &Histogram {
+        &self.lateness
+    }
+
+    /// How many packets, as they are on the wire, are in it.
+    pub(crate) fn in_flight(&self) -> u64 {
+        let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
+        let line: u64 = self.line.iter().map(|f| u64::from(f.packet.frame.wire_packets())).sum();
+        self.queued_packets + sending + line
+    }
+
+    /// d, λ, conditions and counters, under the name of the link's direction.
+    pub(crate) fn context(&self, now: Timestamp, link: LinkId, direction: Direction) -> LinkContext {
+        LinkContext {
+            link,
+            direction,
+            delay: self.meter.delay(now),
+            throughput_bps: self.meter.throughput_bps(now),
+            asked: self.settings.asked().clone(),
+            scale: self.settings.scale(),
+            effective: self.settings.effective().clone(),
+            counters: self.meter.counters,
+        }
+    }
+
+    /// A packet comes to the link. Where nothing holds it, it is returned and has crossed already.
+    pub(crate) fn push(&mut self, now: Timestamp, mut packet: Packet, pool: &mut Pool) -> Option<Packet> {
+        if self.clear && self.line.is_empty() {
+            self.meter.crossed(now, now, packet.frame.wire_packets(), packet.frame.wire_bytes());
+            self.lateness.record(Duration::ZERO);
+            return Some(packet);
+        }
+        packet.entered = now;
+        let whole = !self.needs_packets && (!self.transmitter.is_busy() || self.fits(&packet.frame));
+        if whole {
+            self.enter(now, packet, pool);
+        } else {
+            self.for_each_packet(packet, pool, |pipe, packet, pool| pipe.enter(now, packet, pool));
+        }
+        None
+    }
+
+    /// When the pipe wants to be polled next.
+    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+        let due = self.line.front().map(|f| f.due);
+        match (self.transmitter.deadline(), due) {
+            (Some(sent), Some(due)) => Some(sent.min(due)),
+            (sent, due) => sent.or(due),
+        }
+    }
+
+    /// Takes the next packet that has crossed by `at`, its deadline; `now` is when that is noticed.
+    pub(crate) fn poll(&mut self, at: Timestamp, now: Timestamp, pool: &mut Pool) -> Option<Packet> {
+        while let Some((packet, sent)) = self.transmitter.finish(at) {
+            self.depart(sent, packet, pool);
+            self.send_queued(sent, pool);
+        }
+        if self.line.front()?.due > at {
+            return None;
+        }
+        let InFlight { due, packet, .. } = self.line.pop_front()?;
+        let frame = &packet.frame;
+        self.meter.crossed(packet.entered, due, frame.wire_packets(), frame.wire_bytes());
+        self.lateness.record(now.since(due));
+        Some(packet)
+    }
+
+    /// Goes on with other settings. All that was due by `now` has been polled.
+    pub(crate) fn change(&mut self, now: Timestamp, settings: Settings, pool: &mut Pool) {
+        let shorter = settings.effective().delay < self.settings.effective().delay
+            || settings.effective().jitter != self.settings.effective().jitter;
+        let other_rate = settings.effective().rate != self.settings.effective().rate;
+        self.settings = settings;
+        let conditions = self.settings.effective();
+        self.impairments.change(conditions);
+        self.clear = is_clear(conditions);
+        self.needs_packets = needs_packets(conditions);
+        self.impaired = is_impaired(conditions);
+        if self.needs_packets {
+            for packet in std::mem::take(&mut self.queue) {
+                self.for_each_packet(packet, pool, |pipe, packet, _| pipe.queue.push_back(packet));
+            }
+        }
+        if shorter {
+            self.pull_forward(now);
+        }
+        if other_rate {
+            let stopped = self.transmitter.stop(now);
+            self.transmitter = Transmitter::new(&self.settings.effective().rate, now);
+            if let Some((packet, bits)) = stopped {
+                self.transmitter.wake(now);
+                self.send(now, packet, bits, pool);
+                self.send_queued(now, pool);
+            }
+        }
+    }
+
+    fn fits(&self, frame: &Frame) -> bool {
+        match self.settings.effective().queue {
+            QueueLimit::Packets(limit) => {
+                self.queued_packets + u64::from(frame.wire_packets()) <= u64::from(limit)
+            }
+            QueueLimit::Bytes(limit) => self.queued_bytes + frame.wire_bytes() <= limit,
+        }
+    }
+
+    fn enter(&mut self, now: Timestamp, packet: Packet, pool: &mut Pool) {
+        if !self.transmitter.is_busy() {
+            self.transmitter.wake(now);
+            let bits = packet.frame.wire_bytes() * 8;
+            self.send(now, packet, bits, pool);
+        } else if self.fits(&packet.frame) {
+            self.queued_packets += u64::from(packet.frame.wire_packets());
+            self.queued_bytes += packet.frame.wire_bytes();
+            self.queue.push_back(packet);
+        } else {
+            self.meter.counters.overflowed += u64::from(packet.frame.wire_packets());
+            pool.put(packet.frame);
+        }
+    }
+
+    /// Begins to send a packet of which so many bits are left.
+    fn send(&mut self, now: Timestamp, packet: Packet, bits: u64, pool: &mut Pool) {
+        if let Some(packet) = self.transmitter.begin(now, packet, bits) {
+            self.depart(now, packet, pool);
+        }
+    }
+
+    /// Begins to send the next of the queue; all of it where that takes no time.
+    fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
+        while !self.transmitter.is_busy() {
+            let Some(packet) = self.queue.pop_front() else { return };
+            self.queued_packets -= u64::from(packet.frame.wire_packets());
+            self.queued_bytes -= packet.frame.wire_bytes();
+            let bits = packet.frame.wire_bytes() * 8;
+            self.send(now, packet, bits, pool);
+        }
+    }
+
+    /// Does something with each packet that this one is on the wire.
+    fn for_each_packet(
+        &mut self,
+        packet: Packet,
+        pool: &mut Pool,
+        mut each: impl FnMut(&mut Self, Packet, &mut Pool),
+    ) {
+        if packet.frame.offload().segmentation.is_none() {
+            return each(self, packet, pool);
+        }
+        let mut cut = std::mem::take(&mut self.cut);
+        let Packet { frame, target, entered } = packet;
+        frame
+            .segment_with(pool, |frame| cut.push(Packet { frame, target: target.clone(), entered }))
+            .expect("a frame's offload is checked where it enters the fabric");
+        cut.drain(..).for_each(|packet| each(self, packet, pool));
+        self.cut = cut;
+    }
+
+    /// A packet is sent; chance has its say, and what is left of it is on the line.
+    fn depart(&mut self, sent: Timestamp, packet: Packet, pool: &mut Pool) {
+        if self.impaired {
+            self.for_each_packet(packet, pool, |pipe, packet, pool| pipe.impair(sent, packet, pool));
+        } else {
+            self.line_up(sent, 0.0, packet);
+        }
+    }
+
+    fn impair(&mut self, sent: Timestamp, mut packet: Packet, pool: &mut Pool) {
+        if self.impairments.loses() {
+            self.meter.counters.lost += 1;
+            return pool.put(packet.frame);
+        }
+        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(&mut packet.frame));
+        let copy = self.impairments.duplicates().then(|| packet.copy(pool));
+        self.meter.counters.duplicated += u64::from(copy.is_some());
+        if self.impairments.reorders() {
+            for packet in [Some(packet), copy].into_iter().flatten() {
+                self.overtake(sent, packet);
+            }
+        } else {
+            let deviate = self.impairments.deviate();
+            for packet in [Some(packet), copy].into_iter().flatten() {
+                self.line_up(sent, deviate, packet);
+            }
+        }
+    }
+
+    /// To the end of the line, never before the one before.
+    fn line_up(&mut self, sent: Timestamp, deviate: f64, packet: Packet) {
+        let due = sent + self.delay(deviate);
+        let due = self.line.back().map_or(due, |before| due.max(before.due));
+        self.line.push_back(InFlight { due, sent, deviate, packet });
+    }
+
+    /// To the head of the line, behind those that are due.
+    fn overtake(&mut self, sent: Timestamp, packet: Packet) {
+        let place = self.line.partition_point(|f| f.due <= sent);
+        self.line.insert(place, InFlight { due: sent, sent, deviate: 0.0, packet });
+    }
+
+    fn delay(&self, deviate: f64) -> Duration {
+        let Conditions { delay, jitter, .. } = self.settings.effective();
+        jittered(*delay, deviate, *jitter)
+    }
+
+    /// Lets those on the line profit from a shorter delay, so that who comes behind need not wait for them.
+    fn pull_forward(&mut self, now: Timestamp) {
+        let mut before = now;
+        for i in 0..self.line.len() {
+            let InFlight { due, sent, deviate, .. } = self.line[i];
+            let due = due.min(sent + self.delay(deviate)).max(before);
+            self.line[i].due = due;
+            before = due;
+        }
+    }
+}
+
+/// Whether such a link does nothing to packets.
+fn is_clear(conditions: &Conditions) -> bool {
+    conditions.delay.is_zero() && conditions.rate == Rate::Unlimited && !is_impaired(conditions)
+}

@@ -1,0 +1,71 @@
+//! Buffers that come back: a frame dropped or delivered leaves its memory to the next one, so that nothing is
+//! allocated per packet in the steady state.
+
+use crate::frame::Frame;
+
+/// Room for a frame of an ordinary link, its header and a VLAN tag.
+const SMALL: usize = 2048;
+/// Room for the largest super-packet: 64 KiB and its Ethernet header.
+const LARGE: usize = 66 * 1024;
+/// How many buffers of each size wait at most; more are given back to the allocator.
+const SMALL_KEPT: usize = 16 * 1024;
+const LARGE_KEPT: usize = 512;
+
+/// Buffers that wait for the next frame.
+#[derive(Debug, Default)]
+pub(crate) struct Pool {
+    small: Vec<Vec<u8>>,
+    large: Vec<Vec<u8>>,
+}
+
+impl Pool {
+    /// An empty buffer with room for `length` bytes.
+    pub(crate) fn take(&mut self, length: usize) -> Vec<u8> {
+        let (kept, capacity) =
+            if length <= SMALL { (&mut self.small, SMALL) } else { (&mut self.large, LARGE.max(length)) };
+        match kept.pop() {
+            Some(buffer) if buffer.capacity() >= length => buffer,
+            _ => Vec::with_capacity(capacity),
+        }
+    }
+
+    /// Takes a frame's buffer back.
+    pub(crate) fn put(&mut self, frame: Frame) {
+        let mut buffer = frame.into_bytes();
+        let (kept, limit) = match buffer.capacity() {
+            0..SMALL => return,
+            SMALL..LARGE => (&mut self.small, SMALL_KEPT),
+            _ => (&mut self.large, LARGE_KEPT),
+        };
+        if kept.len() < limit {
+            buffer.clear();
+            kept.push(buffer);
+        }
+    }
+
+    /// A second frame like this one.
+    pub(crate) fn copy(&mut self, frame: &Frame) -> Frame {
+        let mut buffer = self.take(frame.bytes().len());
+        buffer.extend_from_slice(frame.bytes());
+        Frame::with_offload(buffer, frame.offload())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_buffer_comes_back_empty_and_with_its_room() {
+        let mut pool = Pool::default();
+        for length in [60, SMALL, SMALL + 1, LARGE, LARGE + 1] {
+            let mut buffer = pool.take(length);
+            buffer.resize(length, 7);
+            let place = buffer.as_ptr();
+            pool.put(Frame::new(buffer));
+            let again = pool.take(length);
+            assert_eq!(again.as_ptr(), place);
+            assert!(again.is_empty() && again.capacity() >= length);
+        }
+    }
+}

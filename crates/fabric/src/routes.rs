@@ -1,0 +1,216 @@
+//! Which way frames go: shortest paths by delay over the wired links, towards each destination, and spanning trees
+//! away from each sender for what goes to all. Both are worked out when first needed, and again after a delay changed.
+
+use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc, time::Duration};
+
+use crate::PortId;
+
+/// Where a frame goes.
+#[derive(Debug, Clone)]
+pub(crate) enum Target {
+    /// To one host.
+    Port(PortId),
+    /// To all hosts but the one at the source port, along a tree that stays the one it set out on.
+    All { tree: Arc<Tree>, source: PortId },
+}
+
+/// What a path costs: its delay in nanoseconds, then its hops.
+pub(crate) type Cost = (u64, u32);
+
+/// The next step towards a destination.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Step {
+    /// What the rest of the way costs, this step included.
+    pub(crate) cost: Cost,
+    /// The edge to take.
+    pub(crate) edge: u32,
+}
+
+/// A spanning tree without the branches on which there is no host.
+#[derive(Debug)]
+pub(crate) struct Tree {
+    /// (from vertex, edge), in order.
+    branches: Vec<(u32, u32)>,
+}
+
+impl Tree {
+    /// The edges that lead on from a vertex.
+    pub(crate) fn branches(&self, vertex: usize) -> impl Iterator<Item = usize> + '_ {
+        let begin = self.branches.partition_point(|(from, _)| (*from as usize) < vertex);
+        self.branches[begin..]
+            .iter()
+            .take_while(move |(from, _)| *from as usize == vertex)
+            .map(|(_, edge)| *edge as usize)
+    }
+}
+
+/// What a vertex is to the routes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Vertex {
+    /// It passes on what is not for it.
+    pub(crate) forwards: bool,
+    /// It is a place where frames are delivered.
+    pub(crate) is_host: bool,
+}
+
+#[derive(Debug)]
+struct Edge {
+    ends: [u32; 2],
+    delay_ns: u64,
+}
+
+/// Steps of all vertices; [`UNREACHABLE`] where there is none.
+type Steps = Box<[Step]>;
+
+const UNREACHABLE: Step = Step { cost: (u64::MAX, u32::MAX), edge: u32::MAX };
+
+/// Something worked out for the routes of a certain version.
+type Cached<T> = Option<(u64, T)>;
+
+/// The wired part of the network, as routes see it.
+#[derive(Debug)]
+pub(crate) struct Routes {
+    vertices: Vec<Vertex>,
+    edges: Vec<Edge>,
+    /// Edges that leave and that enter each vertex.
+    adjacent: [Vec<Vec<u32>>; 2],
+    version: u64,
+    towards: Vec<Cached<Steps>>,
+    away: Vec<Cached<Arc<Tree>>>,
+}
+
+/// Which way edges are followed.
+#[derive(Debug, Clone, Copy)]
+enum Sense {
+    /// Away from the root.
+    Away = 0,
+    /// Towards the root.
+    Towards = 1,
+}
+
+impl Routes {
+    /// Routes among these vertices, without an edge yet.
+    pub(crate) fn new(vertices: Vec<Vertex>) -> Self {
+        let count = vertices.len();
+        Self {
+            vertices,
+            edges: Vec::new(),
+            adjacent: std::array::from_fn(|_| vec![Vec::new(); count]),
+            version: 0,
+            towards: vec![None; count],
+            away: vec![None; count],
+        }
+    }
+
+    /// Adds an edge; edges are numbered from 0 in the order in which they come.
+    pub(crate) fn connect(&mut self, from: usize, to: usize, delay: Duration) {
+        let edge = self.edges.len() as u32;
+        self.edges.push(Edge { ends: [from as u32, to as u32], delay_ns: delay.as_nanos() as u64 });
+        self.adjacent[Sense::Away as usize][from].push(edge);
+        self.adjacent[Sense::Towards as usize][to].push(edge);
+        self.version += 1;
+    }
+
+    /// Changes the delay of an edge.
+    pub(crate) fn set_delay(&mut self, edge: usize, delay: Duration) {
+        let delay_ns = delay.as_nanos() as u64;
+        if std::mem::replace(&mut self.edges[edge].delay_ns, delay_ns) != delay_ns {
+            self.version += 1;
+        }
+    }
+
+    /// Where an edge leads.
+    pub(crate) fn end(&self, edge: usize) -> usize {
+        self.edges[edge].ends[1] as usize
+    }
+
+    /// What a vertex is.
+    pub(crate) fn vertex(&self, vertex: usize) -> Vertex {
+        self.vertices[vertex]
+    }
+
+    /// Whether a vertex has edges.
+    pub(crate) fn is_wired(&self, vertex: usize) -> bool {
+        self.adjacent.iter().any(|a| !a[vertex].is_empty())
+    }
+
+    /// The next step from a vertex towards another; `None` if no wired path leads there.
+    pub(crate) fn step(&mut self, from: usize, to: usize) -> Option<Step> {
+        if self.towards[to].as_ref().is_none_or(|(version, _)| *version != self.version) {
+            self.towards[to] = Some((self.version, self.shortest(to, Sense::Towards).0));
+        }
+        let (_, steps) = self.towards[to].as_ref()?;
+        Some(steps[from]).filter(|step| *step != UNREACHABLE)
+    }
+
+    /// The edges of the path from a vertex to another, and its cost; `None` if no wired path leads there.
+    pub(crate) fn path(&self, from: usize, to: usize) -> Option<(Cost, Vec<usize>)> {
+        let (steps, _) = self.shortest(to, Sense::Towards);
+        let mut path = Vec::new();
+        let mut at = from;
+        while at != to {
+            let step = Some(steps[at]).filter(|step| *step != UNREACHABLE)?;
+            path.push(step.edge as usize);
+            at = self.end(step.edge as usize);
+        }
+        let cost = if from == to { (0, 0) } else { steps[from].cost };
+        Some((cost, path))
+    }
+
+    /// The tree on which a frame goes from a vertex to all hosts.
+    pub(crate) fn tree(&mut self, root: usize) -> Arc<Tree> {
+        if let Some((version, tree)) = &self.away[root]
+            && *version == self.version
+        {
+            return Arc::clone(tree);
+        }
+        let (steps, order) = self.shortest(root, Sense::Away);
+        let mut leads_to_host: Vec<bool> = self.vertices.iter().map(|v| v.is_host).collect();
+        let mut branches = Vec::new();
+        // From the leaves inwards.
+        for &vertex in order.iter().rev().filter(|v| **v as usize != root) {
+            if leads_to_host[vertex as usize] {
+                let edge = steps[vertex as usize].edge;
+                let from = self.edges[edge as usize].ends[0];
+                leads_to_host[from as usize] = true;
+                branches.push((from, edge));
+            }
+        }
+        branches.sort_unstable();
+        let tree = Arc::new(Tree { branches });
+        self.away[root] = Some((self.version, Arc::clone(&tree)));
+        tree
+    }
+
+    /// Shortest paths between the root and all vertices (Dijkstra 1959), and the order in which they were found.
+    /// Equal delays are told apart by hops, equal hops by the order of edges; since every step makes a cost less,
+    /// no path has a loop.
+    fn shortest(&self, root: usize, sense: Sense) -> (Steps, Vec<u32>) {
+        let mut steps = vec![UNREACHABLE; self.vertices.len()].into_boxed_slice();
+        let mut order = Vec::new();
+        let mut found = vec![false; self.vertices.len()];
+        let mut heap = BinaryHeap::from([Reverse(((0, 0), root as u32))]);
+        while let Some(Reverse((cost, vertex))) = heap.pop() {
+            if std::mem::replace(&mut found[vertex as usize], true) {
+                continue;
+            }
+            order.push(vertex);
+            if vertex as usize != root && !self.vertices[vertex as usize].forwards {
+                continue;
+            }
+            for &edge in &self.adjacent[sense as usize][vertex as usize] {
+                let Edge { ends, delay_ns } = &self.edges[edge as usize];
+                let far = ends[1 - sense as usize] as usize;
+                let step = Step { cost: (cost.0 + delay_ns, cost.1 + 1), edge };
+                let before = steps[far];
+                if !found[far] && (step.cost, step.edge) < (before.cost, before.edge) {
+                    if step.cost < before.cost {
+                        heap.push(Reverse((step.cost, far as u32)));
+                    }
+                    steps[far] = step;
+                }
+            }
+        }
+        (steps, order)
+    }
+}

@@ -1,0 +1,391 @@
+//! What one direction of a link is asked to do, how that changes while it runs, and what is refused. Wired and
+//! wireless links share it, so that a change means the same on both.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{
+    BitRate, ConditionChange, Conditions, Jitter, LinkId, Loss, NodeId, Probability, QueueLimit, Rate, Scale,
+    Trace,
+};
+
+/// Why the fabric does not do what it was asked. Nothing has changed then.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// No link of that name.
+    #[error("there is no link `{0}`")]
+    UnknownLink(LinkId),
+    /// No robot of that name.
+    #[error("there is no robot `{0}`")]
+    UnknownRobot(NodeId),
+    /// No radio unit of that name.
+    #[error("there is no radio unit `{0}`")]
+    UnknownRadioUnit(NodeId),
+    /// The radio unit serves a network that the robot does not join.
+    #[error("`{radio_unit}` serves another network than the one that `{robot}` joins")]
+    OtherNetwork {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
+    /// The radio unit's signal is too weak at the robot for the lowest rate.
+    #[error("`{radio_unit}` is out of the reach of `{robot}`")]
+    OutOfReach {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
+    /// A station does one thing at a time.
+    #[error("`{0}` is scanning or changing its radio unit: ask again when it is done")]
+    Busy(NodeId),
+    /// A delay that no link can have.
+    #[error("a delay of {0} ms cannot be: it is between 0 ms and one hour, before and after scaling")]
+    Delay(f64),
+    /// A jitter that no link can have.
+    #[error("a jitter of {0} ms cannot be: its deviation is one hour at most, before and after scaling")]
+    Jitter(f64),
+    /// ψ is no factor.
+    #[error("a delay scale of {0} cannot be: it is a number, 0 or more, and 1 leaves the delay as it is")]
+    DelayScale(f64),
+    /// δ is no divisor.
+    #[error("a drop scale of {0} cannot be: it is a number above 0, and 1 leaves the throughput as it is")]
+    DropScale(f64),
+    /// More than the medium carries.
+    #[error("{asked_mbps} Mbit/s are above the {medium} that the medium carries")]
+    AboveMedium {
+        /// What the rate would be, after scaling.
+        asked_mbps: f64,
+        /// What the medium carries.
+        medium: BitRate,
+    },
+    /// Scaled down to nothing.
+    #[error("a drop scale of {0} leaves less than 1 bit/s, or less than a delivery opportunity in 1000")]
+    BelowOneBit(f64),
+    /// A bursty loss that never stops.
+    #[error("a bursty loss of {0} cannot be: with a share of 1 all packets are lost, which is no burst")]
+    BurstyRate(f64),
+    /// A burst of less than one packet.
+    #[error("a mean burst of {0} packets cannot be: it is a number, 1 or more")]
+    MeanBurst(f64),
+    /// Bursts so short and losses so many that the good state would end before it began.
+    #[error("a share of {rate} cannot be lost in bursts of {mean_burst}: they must be {at_least} or longer")]
+    BurstsTooShort {
+        /// Share lost.
+        rate: f64,
+        /// Mean length asked for.
+        mean_burst: f64,
+        /// Shortest mean length for that share.
+        at_least: f64,
+    },
+    /// A queue for nothing.
+    #[error("a queue limit of 0 cannot be: give 1 or more packets or bytes")]
+    Queue,
+    /// A setting that only wired links have.
+    #[error("a wireless link has no `{0}` of its own: its medium decides on it")]
+    NotOnWireless(&'static str),
+}
+
+/// The longest delay or jitter deviation.
+const LONGEST: Duration = Duration::from_secs(3600);
+
+/// How coarsely a trace is thinned: into one opportunity in so many.
+const TRACE_RESOLUTION: f64 = 1000.0;
+
+/// What one direction of a link was asked to do, what its medium can carry, and what follows from both.
+///
+/// There is no way to make one whose conditions cannot be.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Settings {
+    asked: Conditions,
+    scale: Scale,
+    medium: BitRate,
+    effective: Conditions,
+}
+
+impl Settings {
+    /// Settings that begin with these conditions, unscaled.
+    pub(crate) fn new(asked: Conditions, medium: BitRate) -> Result<Self, Refusal> {
+        let scale = Scale::default();
+        let effective = effective(&asked, scale, medium)?;
+        Ok(Self { asked, scale, medium, effective })
+    }
+
+    /// The settings after a change.
+    pub(crate) fn changed(&self, change: &ConditionChange) -> Result<Self, Refusal> {
+        let mut asked = self.asked.clone();
+        if let Some(ms) = change.delay_ms {
+            asked.delay = from_ms(ms).ok_or(Refusal::Delay(ms))?;
+        }
+        if let Some(jitter) = change.jitter {
+            asked.jitter = (!jitter.deviation.is_zero()).then_some(jitter);
+        }
+        asked.loss = change.loss.unwrap_or(asked.loss);
+        asked.duplication = change.duplication.unwrap_or(asked.duplication);
+        asked.corruption = change.corruption.unwrap_or(asked.corruption);
+        asked.reordering = change.reordering.unwrap_or(asked.reordering);
+        asked.rate = change.rate.clone().unwrap_or(asked.rate);
+        asked.queue = change.queue.unwrap_or(asked.queue);
+        let scale = Scale {
+            delay_scale: change.delay_scale.unwrap_or(self.scale.delay_scale),
+            drop_scale: change.drop_scale.unwrap_or(self.scale.drop_scale),
+        };
+        let effective = effective(&asked, scale, self.medium)?;
+        Ok(Self { asked, scale, medium: self.medium, effective })
+    }
+
+    /// What was asked, unscaled.
+    pub(crate) fn asked(&self) -> &Conditions {
+        &self.asked
+    }
+
+    /// ψ and δ.
+    pub(crate) fn scale(&self) -> Scale {
+        self.scale
+    }
+
+    /// What the link does: what was asked, scaled.
+    pub(crate) fn effective(&self) -> &Conditions {
+        &self.effective
+    }
+}
+
+/// A duration from milliseconds, in whole nanoseconds; `None` below zero, above an hour, and for NaN.
+fn from_ms(ms: f64) -> Option<Duration> {
+    let duration = (0.0..=LONGEST.as_secs_f64() * 1e3).contains(&ms);
+    duration.then(|| Duration::from_nanos((ms * 1e6).round() as u64))
+}
+
+fn scaled(duration: Duration, factor: f64) -> Option<Duration> {
+    if factor == 1.0 {
+        return (duration <= LONGEST).then_some(duration);
+    }
+    from_ms(duration.as_secs_f64() * 1e3 * factor)
+}
+
+fn effective(asked: &Conditions, scale: Scale, medium: BitRate) -> Result<Conditions, Refusal> {
+    let Scale { delay_scale, drop_scale } = scale;
+    if !(delay_scale.is_finite() && delay_scale >= 0.0) {
+        return Err(Refusal::DelayScale(delay_scale));
+    }
+    if !(drop_scale.is_finite() && drop_scale > 0.0) {
+        return Err(Refusal::DropScale(drop_scale));
+    }
+    let ms = |d: Duration| d.as_secs_f64() * 1e3;
+    let delay = scaled(asked.delay, delay_scale).ok_or(Refusal::Delay(ms(asked.delay) * delay_scale))?;
+    let jitter = match asked.jitter {
+        None => None,
+        Some(jitter) => {
+            let refusal = Refusal::Jitter(ms(jitter.deviation) * delay_scale);
+            let deviation = scaled(jitter.deviation, delay_scale).ok_or(refusal)?;
+            (!deviation.is_zero()).then_some(Jitter { deviation, ..jitter })
+        }
+    };
+    check_loss(asked.loss)?;
+    if matches!(asked.queue, QueueLimit::Packets(0) | QueueLimit::Bytes(0)) {
+        return Err(Refusal::Queue);
+    }
+    let rate = scaled_rate(&asked.rate, drop_scale, medium)?;
+    Ok(Conditions { delay, jitter, rate, ..asked.clone() })
+}
+
+fn check_loss(loss: Loss) -> Result<(), Refusal> {
+    let Loss::Bursty { rate, mean_burst } = loss else { return Ok(()) };
+    let rate = rate.get();
+    if rate >= 1.0 {
+        return Err(Refusal::BurstyRate(rate));
+    }
+    if !(mean_burst.is_finite() && mean_burst >= 1.0) {
+        return Err(Refusal::MeanBurst(mean_burst));
+    }
+    let at_least = rate / (1.0 - rate);
+    if mean_burst < at_least {
+        return Err(Refusal::BurstsTooShort { rate, mean_burst, at_least });
+    }
+    Ok(())
+}
+
+/// λ/δ; the medium's own rate is what an unlimited one is scaled from.
+fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Refusal> {
+    let within = |bits_per_second: f64| {
+        if bits_per_second > medium.bits_per_second() as f64 {
+            Err(Refusal::AboveMedium { asked_mbps: bits_per_second / 1e6, medium })
+        } else {
+            Ok(bits_per_second)
+        }
+    };
+    let fixed = |bits_per_second: BitRate| {
+        if drop_scale == 1.0 {
+            within(bits_per_second.bits_per_second() as f64)?;
+            return Ok(Rate::Fixed { bits_per_second });
+        }
+        let scaled = within(bits_per_second.bits_per_second() as f64 / drop_scale)?;
+        let bits_per_second =
+            BitRate::from_bits_per_second(scaled.round() as u64).ok_or(Refusal::BelowOneBit(drop_scale))?;
+        Ok(Rate::Fixed { bits_per_second })
+    };
+    match rate {
+        Rate::Unlimited if drop_scale == 1.0 => Ok(Rate::Unlimited),
+        Rate::Unlimited => fixed(medium),
+        Rate::Fixed { bits_per_second } => fixed(*bits_per_second),
+        Rate::Trace { trace } => {
+            within(trace.mean_bits_per_second() / drop_scale)?;
+            Ok(Rate::Trace { trace: thinned(trace, drop_scale)? })
+        }
+    }
+}
+
+/// The trace with its opportunities divided by δ: evenly thinned above 1, multiplied below. It is unrolled first
+/// for as many periods as keep its mean rate within 0.1 %.
+fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, Refusal> {
+    if drop_scale == 1.0 {
+        return Ok(Arc::clone(trace));
+    }
+    if drop_scale > TRACE_RESOLUTION {
+        return Err(Refusal::BelowOneBit(drop_scale));
+    }
+    let times = trace.opportunities_ms();
+    let periods = ((TRACE_RESOLUTION * drop_scale).ceil() as usize).div_ceil(times.len()) as u64;
+    let total = times.len() as u64 * periods;
+    // Counted from the end, where the copies begin with at least one, so that the last opportunity, which sets
+    // the period, stays.
+    let before = |from_end: u64| (from_end as f64 / drop_scale).ceil() as u64;
+    let mut kept = Vec::new();
+    for (i, ms) in (0..periods).flat_map(|p| times.iter().map(move |t| t + p * trace.period_ms())).enumerate()
+    {
+        let from_end = total - 1 - i as u64;
+        let copies = before(from_end + 1) - before(from_end);
+        kept.extend(std::iter::repeat_n(ms, copies as usize));
+    }
+    let kept = Trace::try_from(kept).expect("a trace's own times, thinned, never fall and end where it ends");
+    Ok(Arc::new(kept))
+}
+
+/// Whether packets must be treated one by one: a random impairment, or a rate at which a super-packet would hold
+/// the link for as long as many packets.
+pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
+    /// At 1 Gbit/s a super-packet of 64 KiB takes half a millisecond.
+    const COARSE: u64 = 1_000_000_000;
+    let slow = match &conditions.rate {
+        Rate::Unlimited => false,
+        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() < COARSE,
+        Rate::Trace { .. } => true,
+    };
+    slow || is_impaired(conditions)
+}
+
+/// Whether anything random happens to packets.
+pub(crate) fn is_impaired(conditions: &Conditions) -> bool {
+    let random = [conditions.duplication, conditions.corruption, conditions.reordering];
+    conditions.loss != Loss::None
+        || conditions.jitter.is_some()
+        || random.into_iter().any(|p| p != Probability::ZERO)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mbps(rate: f64) -> BitRate {
+        BitRate::from_mbps(rate).unwrap()
+    }
+
+    fn fixed(rate: f64) -> Rate {
+        Rate::Fixed { bits_per_second: mbps(rate) }
+    }
+
+    fn settings(asked: Conditions) -> Settings {
+        Settings::new(asked, mbps(1000.0)).unwrap()
+    }
+
+    fn refused(change: ConditionChange) -> Refusal {
+        let before = settings(Conditions { rate: fixed(100.0), ..Conditions::default() });
+        before.changed(&change).unwrap_err()
+    }
+
+    #[test]
+    fn scales_multiply_the_delay_and_divide_the_rate() {
+        let jitter = Jitter { deviation: Duration::from_millis(2), distribution: Default::default() };
+        let asked = Conditions {
+            delay: Duration::from_millis(10),
+            jitter: Some(jitter),
+            rate: fixed(100.0),
+            ..Conditions::default()
+        };
+        let change =
+            ConditionChange { delay_scale: Some(1.5), drop_scale: Some(4.0), ..ConditionChange::default() };
+        let after = settings(asked.clone()).changed(&change).unwrap();
+        assert_eq!(after.asked(), &asked);
+        assert_eq!(after.effective().delay, Duration::from_millis(15));
+        assert_eq!(after.effective().jitter.unwrap().deviation, Duration::from_millis(3));
+        assert_eq!(after.effective().rate, fixed(25.0));
+        let back =
+            ConditionChange { delay_scale: Some(1.0), drop_scale: Some(1.0), ..ConditionChange::default() };
+        assert_eq!(after.changed(&back).unwrap().effective(), &asked);
+    }
+
+    #[test]
+    fn an_unlimited_rate_scales_from_the_medium() {
+        let change = ConditionChange { drop_scale: Some(10.0), ..ConditionChange::default() };
+        let after = settings(Conditions::default()).changed(&change).unwrap();
+        assert_eq!(after.effective().rate, fixed(100.0));
+    }
+
+    #[test]
+    fn a_scaled_trace_keeps_its_period_and_gets_its_share() {
+        for text in ["1", "0\n0\n3\n7\n10"] {
+            let trace = Arc::new(Trace::parse(text).unwrap());
+            for drop_scale in [1.5, 2.0, 3.7, 100.0, 999.0, 0.25] {
+                let scaled = thinned(&trace, drop_scale).unwrap();
+                let share = scaled.mean_bits_per_second() * drop_scale / trace.mean_bits_per_second();
+                assert!((share - 1.0).abs() < 0.0011, "{text:?} by {drop_scale}: {share}");
+                assert_eq!(scaled.period_ms() % trace.period_ms(), 0);
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_with_its_reason() {
+        let base = ConditionChange::default;
+        for ms in [-1.0, f64::NAN, f64::INFINITY, 3_600_001.0] {
+            assert!(matches!(refused(ConditionChange { delay_ms: Some(ms), ..base() }), Refusal::Delay(_)));
+        }
+        assert!(matches!(
+            refused(ConditionChange { delay_ms: Some(10.0), delay_scale: Some(1e9), ..base() }),
+            Refusal::Delay(_)
+        ));
+        for scale in [-0.1, f64::NAN, f64::INFINITY] {
+            let change = ConditionChange { delay_scale: Some(scale), ..base() };
+            assert!(matches!(refused(change), Refusal::DelayScale(_)));
+        }
+        for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let change = ConditionChange { drop_scale: Some(scale), ..base() };
+            assert!(matches!(refused(change), Refusal::DropScale(_)));
+        }
+        let above = Refusal::AboveMedium { asked_mbps: 2000.0, medium: mbps(1000.0) };
+        assert_eq!(refused(ConditionChange { rate: Some(fixed(2000.0)), ..base() }), above);
+        assert_eq!(refused(ConditionChange { drop_scale: Some(0.05), ..base() }), above);
+        assert_eq!(refused(ConditionChange { drop_scale: Some(1e12), ..base() }), Refusal::BelowOneBit(1e12));
+        let bursty = |rate, mean_burst| {
+            let rate = Probability::new(rate).unwrap();
+            refused(ConditionChange { loss: Some(Loss::Bursty { rate, mean_burst }), ..base() })
+        };
+        assert_eq!(bursty(1.0, 3.0), Refusal::BurstyRate(1.0));
+        assert_eq!(bursty(0.1, 0.5), Refusal::MeanBurst(0.5));
+        assert!(matches!(bursty(0.1, f64::NAN), Refusal::MeanBurst(_)));
+        assert!(matches!(bursty(0.8, 2.0), Refusal::BurstsTooShort { .. }));
+        for queue in [QueueLimit::Packets(0), QueueLimit::Bytes(0)] {
+            assert_eq!(refused(ConditionChange { queue: Some(queue), ..base() }), Refusal::Queue);
+        }
+    }
+
+    #[test]
+    fn only_what_needs_packets_says_so() {
+        assert!(!needs_packets(&Conditions::default()));
+        assert!(!needs_packets(&Conditions { rate: fixed(1000.0), ..Conditions::default() }));
+        assert!(needs_packets(&Conditions { rate: fixed(999.0), ..Conditions::default() }));
+        let loss = Loss::Independent { rate: Probability::new(0.01).unwrap() };
+        assert!(needs_packets(&Conditions { loss, ..Conditions::default() }));
+        assert!(!needs_packets(&Conditions { delay: Duration::from_millis(5), ..Conditions::default() }));
+    }
+}

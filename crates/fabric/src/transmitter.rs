@@ -1,0 +1,185 @@
+//! How packets leave a link's queue: at once, bit by bit at a fixed rate, or when a trace gives an opportunity.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{BitRate, Rate, Timestamp, Trace};
+
+const NANOS: u128 = 1_000_000_000;
+const NANOS_PER_MS: u64 = 1_000_000;
+
+/// Sends one packet of type `P` after the other.
+#[derive(Debug)]
+pub(crate) enum Transmitter<P> {
+    /// In no time.
+    Unlimited,
+    /// At a fixed rate.
+    Fixed(Fixed<P>),
+    /// When a trace says so.
+    Traced(Traced<P>),
+}
+
+/// At a fixed rate, which is kept exactly over packets that follow each other: what a packet would have needed of
+/// its last nanosecond is carried over to the next.
+#[derive(Debug)]
+pub(crate) struct Fixed<P> {
+    rate: BitRate,
+    carried: u64,
+    /// The packet, and when its last bit is sent.
+    sending: Option<(P, Timestamp)>,
+}
+
+/// By delivery opportunities, as Mahimahi does (Netravali et al., USENIX ATC 2015): each delivers 1500 bytes of what
+/// waits, whole packets or parts of them; what nobody uses is gone.
+#[derive(Debug)]
+pub(crate) struct Traced<P> {
+    trace: Arc<Trace>,
+    /// When the trace began.
+    origin: Timestamp,
+    /// The next opportunity: of which period, and which in it.
+    next: (u64, usize),
+    /// The opportunity at hand, and what is left of it.
+    at_hand: (Timestamp, u64),
+    /// The packet, and how many bytes of it are to be sent.
+    sending: Option<(P, u64)>,
+}
+
+impl<P> Transmitter<P> {
+    /// An idle transmitter; a trace begins now.
+    pub(crate) fn new(rate: &Rate, now: Timestamp) -> Self {
+        match rate {
+            Rate::Unlimited => Self::Unlimited,
+            Rate::Fixed { bits_per_second } => {
+                Self::Fixed(Fixed { rate: *bits_per_second, carried: 0, sending: None })
+            }
+            Rate::Trace { trace } => Self::Traced(Traced {
+                trace: Arc::clone(trace),
+                origin: now,
+                next: (0, 0),
+                at_hand: (now, 0),
+                sending: None,
+            }),
+        }
+    }
+
+    /// Whether a packet is being sent.
+    pub(crate) fn is_busy(&self) -> bool {
+        match self {
+            Self::Unlimited => false,
+            Self::Fixed(fixed) => fixed.sending.is_some(),
+            Self::Traced(traced) => traced.sending.is_some(),
+        }
+    }
+
+    /// The packet that is being sent.
+    pub(crate) fn sending(&self) -> Option<&P> {
+        match self {
+            Self::Unlimited => None,
+            Self::Fixed(fixed) => fixed.sending.as_ref().map(|(packet, _)| packet),
+            Self::Traced(traced) => traced.sending.as_ref().map(|(packet, _)| packet),
+        }
+    }
+
+    /// Gets ready for a packet that finds the transmitter idle: nothing of the past is left for it.
+    pub(crate) fn wake(&mut self, now: Timestamp) {
+        match self {
+            Self::Unlimited => {}
+            Self::Fixed(fixed) => fixed.carried = 0,
+            Self::Traced(traced) => traced.seek(now),
+        }
+    }
+
+    /// Begins to send a packet of which so many bits are left, right behind the one before or after
+    /// [`Self::wake`]. One that is sent at once comes back.
+    pub(crate) fn begin(&mut self, now: Timestamp, packet: P, bits: u64) -> Option<P> {
+        debug_assert!(!self.is_busy());
+        match self {
+            Self::Unlimited => return Some(packet),
+            Self::Fixed(fixed) => {
+                let rate = u128::from(fixed.rate.bits_per_second());
+                let scaled = u128::from(bits) * NANOS + u128::from(fixed.carried);
+                fixed.carried = (scaled % rate) as u64;
+                fixed.sending = Some((packet, now + Duration::from_nanos((scaled / rate) as u64)));
+            }
+            Self::Traced(traced) => traced.sending = Some((packet, bits.div_ceil(8))),
+        }
+        None
+    }
+
+    /// When something more is sent; `None` if idle.
+    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+        match self {
+            Self::Unlimited => None,
+            Self::Fixed(fixed) => fixed.sending.as_ref().map(|(_, end)| *end),
+            Self::Traced(traced) => traced.sending.as_ref().map(|_| match traced.at_hand {
+                (_, 0) => traced.time_of_next(),
+                (time, _) => time,
+            }),
+        }
+    }
+
+    /// Takes the packet whose last bit is sent by `at`, and when that was.
+    pub(crate) fn finish(&mut self, at: Timestamp) -> Option<(P, Timestamp)> {
+        match self {
+            Self::Unlimited => None,
+            Self::Fixed(fixed) => fixed.sending.take_if(|(_, end)| *end <= at),
+            Self::Traced(traced) => traced.finish(at),
+        }
+    }
+
+    /// Stops; gives the packet that was being sent, and how many bits of it are left.
+    pub(crate) fn stop(&mut self, now: Timestamp) -> Option<(P, u64)> {
+        match self {
+            Self::Unlimited => None,
+            Self::Fixed(Fixed { rate, sending, .. }) => sending.take().map(|(packet, end)| {
+                let bits = end.since(now).as_nanos() * u128::from(rate.bits_per_second());
+                (packet, bits.div_ceil(NANOS) as u64)
+            }),
+            Self::Traced(traced) => traced.sending.take().map(|(packet, bytes)| (packet, bytes * 8)),
+        }
+    }
+}
+
+impl<P> Traced<P> {
+    fn time_of_next(&self) -> Timestamp {
+        let (period, index) = self.next;
+        let ms = period * self.trace.period_ms() + self.trace.opportunities_ms()[index];
+        self.origin + Duration::from_nanos(ms.saturating_mul(NANOS_PER_MS))
+    }
+
+    /// Goes to the first opportunity after now; one right now belongs to those who were there before.
+    fn seek(&mut self, now: Timestamp) {
+        self.at_hand.1 = 0;
+        let since_ms = now.since(self.origin).as_nanos() as u64 / NANOS_PER_MS;
+        // Opportunities come at whole milliseconds, and the last one at its period's end.
+        let into = since_ms % self.trace.period_ms();
+        let index = self.trace.opportunities_ms().partition_point(|ms| *ms <= into);
+        self.next = (since_ms / self.trace.period_ms(), index);
+    }
+
+    /// Takes the next opportunity.
+    fn seize(&mut self) {
+        self.at_hand = (self.time_of_next(), Trace::BYTES as u64);
+        let (period, index) = self.next;
+        let wraps = index + 1 == self.trace.opportunities_ms().len();
+        self.next = if wraps { (period + 1, 0) } else { (period, index + 1) };
+    }
+
+    fn finish(&mut self, at: Timestamp) -> Option<(P, Timestamp)> {
+        let (packet, mut left) = self.sending.take()?;
+        loop {
+            if self.at_hand.1 == 0 {
+                if self.time_of_next() > at {
+                    self.sending = Some((packet, left));
+                    return None;
+                }
+                self.seize();
+            }
+            let bytes = self.at_hand.1.min(left);
+            self.at_hand.1 -= bytes;
+            left -= bytes;
+            if left == 0 {
+                return Some((packet, self.at_hand.0));
+            }
+        }
+    }
+}
