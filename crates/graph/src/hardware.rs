@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// The hardware graph. Made by [`crate::testbed_file`], which checks what this type takes for granted: names are
-/// unique, ends of links exist, every host can be reached from every other.
+/// unique, ends of links exist, every server can be reached from every other node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct HardwareGraph {

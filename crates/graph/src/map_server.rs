@@ -239,3 +239,83 @@ fn number(rest: &mut &[u8]) -> Option<usize> {
     *rest = behind;
     std::str::from_utf8(number).ok()?.parse().ok()
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const YAML: &str = "image: x.pgm\nresolution: 0.5\norigin: [-1, 2, 0]\n";
+
+    fn read(yaml: &str, image: &[u8]) -> Result<OccupancyGrid, Diagnostics> {
+        parse("map.yaml", yaml, |name| {
+            assert_eq!(name, "x.pgm");
+            Ok(image.to_vec())
+        })
+    }
+
+    fn cells(grid: &OccupancyGrid) -> Vec<Cell> {
+        (0..grid.height())
+            .flat_map(|row| (0..grid.width()).map(move |column| grid.cell(column, row)))
+            .collect()
+    }
+
+    #[test]
+    fn thresholds_as_map_server_reads_them() {
+        // map_saver writes 254 for free, 0 for occupied, 205 for unknown; the uppermost row comes first.
+        let image = b"P2 # comment\n3 2 # size\n255\n254 0 205\n0 254 205\n";
+        let grid = read(YAML, image).unwrap();
+        use Cell::{Free, Occupied, Unknown};
+        assert_eq!(cells(&grid), [Occupied, Free, Unknown, Free, Occupied, Unknown]);
+        assert_eq!(grid.origin(), Position::new(-1.0, 2.0));
+        assert_eq!(grid.at(Position::new(-0.9, 2.9)), Free);
+
+        // Occupancy 0.995, 0 and 0.80: white is occupied.
+        let negated = read(&format!("{YAML}negate: 1\n"), image).unwrap();
+        assert_eq!(cells(&negated)[..3], [Free, Occupied, Occupied]);
+        let strict = read(&format!("{YAML}occupied_thresh: 0.9\nfree_thresh: 0.21\n"), image).unwrap();
+        assert_eq!(cells(&strict)[2], Free);
+    }
+
+    #[test]
+    fn pictures_that_are_none() {
+        let wrong = |image: &[u8]| read(YAML, image).unwrap_err().list[0].message.clone();
+        assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is no PGM picture: it begins with neither P2 nor P5");
+        assert_eq!(wrong(b"P5 2"), "`x.pgm`: its height is missing or no whole number");
+        assert_eq!(wrong(b"P5 2 2 0\n"), "`x.pgm`: its maximum value is 0, but PGM has 1 to 65535");
+        assert_eq!(wrong(b"P5 2 2 255\nabc"), "`x.pgm`: it ends after 3 of 4 pixels");
+        assert_eq!(wrong(b"P2 2 2 9\n1 2 3 10"), "`x.pgm`: pixel 3 is `10`, but the maximum is 9");
+        assert_eq!(
+            wrong(b"P5 99999 99999 255\n"),
+            "`x.pgm`: it has 99999 × 99999 pixels, but a map has 1 to 67108864 cells"
+        );
+    }
+
+    proptest! {
+        /// Every kind of PGM gives the same map.
+        #[test]
+        fn formats_agree(width in 1_usize..9, values in prop::collection::vec(0_u8..=255, 1..60)) {
+            let height = values.len() / width;
+            prop_assume!(height > 0);
+            let values = &values[..width * height];
+            let text: String = values.iter().map(|v| format!("{v}\n")).collect();
+            let p2 = format!("P2\n{width} {height}\n255\n{text}").into_bytes();
+            let mut p5 = format!("P5\n{width} {height}\n255\n").into_bytes();
+            p5.extend(values);
+            // 65535 = 257 · 255: the same shares in 16 bits.
+            let mut wide = format!("P5\n{width} {height}\n65535\n").into_bytes();
+            wide.extend(values.iter().flat_map(|&v| (u16::from(v) * 257).to_be_bytes()));
+            let grid = read(YAML, &p2).unwrap();
+            prop_assert_eq!((grid.width(), grid.height()), (width, height));
+            prop_assert_eq!(&grid, &read(YAML, &p5).unwrap());
+            prop_assert_eq!(&grid, &read(YAML, &wide).unwrap());
+        }
+
+        #[test]
+        fn no_picture_panics(image in prop::collection::vec(any::<u8>(), 0..60), header in "P[25] [0-9]{1,2} [0-9]{1,2} [0-9]{1,5}\n") {
+            _ = read(YAML, &image);
+            _ = read(YAML, &[header.as_bytes(), &image].concat());
+        }
+    }
+}

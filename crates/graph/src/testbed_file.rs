@@ -49,3 +49,158 @@ pub fn schema() -> Json {
     schema["title"] = json!("cotorra testbed file");
     schema
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{hardware::HostAddress, yaml::decode::Node};
+
+    fn testbeds() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
+    }
+
+    /// Why a value is not what a schema asks for; the keywords that the schema uses, but for patterns.
+    fn violation(value: &Json, schema: &Json, path: &str) -> Option<String> {
+        if let Some(any) = schema.get("anyOf").or_else(|| schema.get("oneOf")).and_then(Json::as_array) {
+            let fitting = any.iter().filter(|s| violation(value, s, path).is_none()).count();
+            return (fitting != 1).then(|| format!("{path}: fits {fitting} of {} kinds", any.len()));
+        }
+        let wrong = |what: &str| Some(format!("{path}: {what}"));
+        if schema.get("const").is_some_and(|c| c != value) {
+            return wrong("another constant");
+        }
+        if schema.get("enum").and_then(Json::as_array).is_some_and(|all| !all.contains(value)) {
+            return wrong("not in the enumeration");
+        }
+        let fits = match schema.get("type").and_then(Json::as_str) {
+            Some("object") => value.is_object(),
+            Some("array") => value.is_array(),
+            Some("string") => value.is_string(),
+            Some("boolean") => value.is_boolean(),
+            Some("number") => value.is_number(),
+            Some("integer") => value.is_u64(),
+            Some(other) => panic!("{path}: the schema says `{other}`"),
+            None => schema.get("const").or(schema.get("enum")).is_some(),
+        };
+        if !fits {
+            return wrong("another type");
+        }
+        if let Some(object) = value.as_object() {
+            for key in schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str) {
+                if !object.contains_key(key) {
+                    return wrong(&format!("`{key}` is missing"));
+                }
+            }
+            for (key, value) in object {
+                let below = format!("{path}/{key}");
+                let violation = match (schema["properties"].get(key), schema.get("additionalProperties")) {
+                    (None, Some(Json::Bool(false))) => Some(format!("{below}: unknown key")),
+                    (Some(schema), _) | (None, Some(schema)) => violation(value, schema, &below),
+                    (None, None) => None,
+                };
+                if violation.is_some() {
+                    return violation;
+                }
+            }
+        }
+        let mut items = value.as_array().into_iter().flatten().enumerate();
+        items.find_map(|(i, item)| violation(item, &schema["items"], &format!("{path}/{i}")))
+    }
+
+    fn json_of(text: &str) -> Json {
+        let mut sink = Sink::default();
+        yaml::parse(text, &mut sink).map(|root: Node| root.to_json()).unwrap()
+    }
+
+    #[test]
+    fn shipped_files_fit_the_schema() {
+        let schema = schema();
+        for name in ["corridor.yaml", "two-hosts.yaml"] {
+            let text = std::fs::read_to_string(testbeds().join(name)).unwrap();
+            assert_eq!(violation(&json_of(&text), &schema, name), None);
+        }
+        let wrong = json_of("name: x\nnodes: { a: { kind: switch, tier: fog } }\n");
+        assert!(violation(&wrong, &schema, "").is_some());
+    }
+
+    /// Every default of the schema is accepted by the decoder of its key, and every key is described.
+    #[test]
+    fn schema_describes_every_key() {
+        fn walk(schema: &Json, path: &str) {
+            if let Some(properties) = schema.get("properties").and_then(Json::as_object) {
+                for (key, below) in properties {
+                    let path = format!("{path}/{key}");
+                    assert!(below.get("description").is_some() || below.get("const").is_some(), "{path}");
+                    walk(below, &path);
+                }
+            }
+            for (i, below) in
+                ["anyOf", "oneOf"].iter().filter_map(|k| schema.get(*k)?.as_array()).flatten().enumerate()
+            {
+                walk(below, &format!("{path}/{i}"));
+            }
+            for key in ["items", "additionalProperties"] {
+                if let Some(below) = schema.get(key) {
+                    walk(below, &format!("{path}/{key}"));
+                }
+            }
+        }
+        walk(&schema(), "");
+    }
+
+    #[test]
+    fn defaults_are_what_the_schema_says() {
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  r: { kind: robot, position: [0, 0] }\n  \
+                    R: { kind: radio_unit, position: [0, 0], channel: 1 }\n";
+        let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let (_, robot) = testbed.graph.robots().next().unwrap();
+        assert_eq!(robot.network, "w");
+        assert_eq!(robot.capacity.memory_bytes, 8_000_000_000);
+        assert_eq!(testbed.graph.domains, ["local"]);
+        assert_eq!(testbed.seed, 1);
+    }
+
+    #[test]
+    fn no_more_hosts_than_addresses() {
+        let mut text = String::from("name: x\nnodes:\n  lan: { kind: switch }\n");
+        for i in 0..=HostAddress::MAX_HOSTS {
+            text += &format!("  h{i}: {{ kind: server, tier: fog, cpus: 1, memory: 1 GB }}\n");
+        }
+        let wrong = parse("x.yaml", &text, Path::new("")).unwrap_err();
+        assert_eq!(wrong.list[0].message, "there are 65001 hosts");
+    }
+
+    fn check_places(wrong: &Diagnostics) {
+        assert!(!wrong.list.is_empty());
+        for d in &wrong.list {
+            assert!(wrong.source_text.get(d.span.clone()).is_some(), "{d:?}");
+        }
+        _ = wrong.to_string();
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "\\PC{0,80}|([a-z\\[\\]{}&*!|>'\": \n-]{0,60})") {
+            if let Err(wrong) = parse("x.yaml", &text, Path::new("nowhere")) {
+                check_places(&wrong);
+            }
+        }
+
+        /// A file that was cut, or in which something was written over, is accepted or told about, in its place.
+        #[test]
+        fn no_spoilt_file_panics(at in 0_usize..5000, cut in 0_usize..40, put in "\\PC{0,8}") {
+            let text = std::fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
+            let text = text.replace("map: maps/corridor.yaml", "");
+            let start = text.floor_char_boundary(at % text.len());
+            let end = text.floor_char_boundary((start + cut).min(text.len()));
+            let spoilt = [&text[..start], &put, &text[end..]].concat();
+            if let Err(wrong) = parse("x.yaml", &spoilt, &testbeds()) {
+                check_places(&wrong);
+            }
+        }
+    }
+}

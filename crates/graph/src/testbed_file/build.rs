@@ -28,13 +28,14 @@ use crate::{
     units::{BitRate, Position, Probability},
     yaml::{
         Bytes, Sink, Span,
-        decode::{Amount, Either, Spanned, nearest, words},
+        decode::{Amount, Either, Name as _, Spanned, nearest, there_are, words},
     },
 };
 
 /// Builds and checks the testbed; `None` when it cannot be, which the sink then knows.
 pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> Option<Testbed> {
-    name(&record.name, sink);
+    // The testbed's name becomes part of the name of a run's folder, and keeps the rules of all names.
+    ServiceId::read_or_report(&record.name.value, &record.name.span, sink);
     let mut builder = Builder {
         domains: domains(&record.domains, sink),
         nodes: record.nodes.0.iter().map(|(id, node)| (id.value.as_str(), node)).collect(),
@@ -74,13 +75,6 @@ fn each<T, U, C: FromIterator<U>>(items: &[T], mut f: impl FnMut(&T) -> Option<U
     built.into_iter().collect()
 }
 
-/// The name becomes part of a folder's.
-fn name(name: &Spanned<String>, sink: &mut Sink) {
-    if let Err(error) = ServiceId::new(&name.value) {
-        sink.error(&name.span, error.to_string()).help("the name becomes part of the name of a run's folder");
-    }
-}
-
 fn domains(listed: &[Spanned<DomainId>], sink: &mut Sink) -> Vec<DomainId> {
     let mut seen = HashSet::new();
     for domain in listed {
@@ -116,7 +110,7 @@ impl Builder<'_> {
             match nearest(name, there.iter().copied()) {
                 Some(near) => format!("did you mean `{near}`?"),
                 None if there.is_empty() => format!("this file has no {what} at all"),
-                None => format!("there are {}", words(&there)),
+                None => there_are(&there),
             },
         );
     }
@@ -151,15 +145,10 @@ impl Builder<'_> {
             Ok(grid) => Some(Some(grid)),
             Err(found) => {
                 for d in found.list {
-                    let at = if found.source_text.is_empty() {
-                        String::new()
-                    } else {
-                        format!("{}:{}:{}: ", path.value, d.line, d.column)
-                    };
-                    self.sink
-                        .error(&path.span, format!("{at}{}", d.message))
-                        .label("in this map")
-                        .help(d.help.unwrap_or_default());
+                    let of_file = found.source_text.is_empty();
+                    let place = format!("{}:{}:{}: ", path.value, d.line, d.column);
+                    let message = if of_file { d.message } else { place + &d.message };
+                    self.sink.error(&path.span, message).help(d.help.unwrap_or_default());
                 }
                 None
             }
@@ -227,7 +216,8 @@ impl Builder<'_> {
     }
 
     fn build_node(&mut self, id: &Spanned<NodeId>, record: &NodeRecord) -> Option<Node> {
-        let (domain, position, kind) = match record {
+        let domain = self.domain(record.domain());
+        let (position, kind) = match record {
             NodeRecord::Robot(r) => {
                 let position = self.start(id, r.position.as_ref());
                 let network = self.network(id, r.network.as_ref());
@@ -244,7 +234,7 @@ impl Builder<'_> {
                     heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
                     roaming: r.roaming,
                 };
-                (&r.domain, Some(position?), NodeKind::Robot(robot))
+                (Some(position?), NodeKind::Robot(robot))
             }
             NodeRecord::RadioUnit(r) => {
                 let unit = RadioUnit {
@@ -253,9 +243,9 @@ impl Builder<'_> {
                     channel: r.channel.value,
                     tx_power: r.tx_power,
                 };
-                (&r.domain, Some(r.position), NodeKind::RadioUnit(unit))
+                (Some(r.position), NodeKind::RadioUnit(unit))
             }
-            NodeRecord::Switch(s) => (&s.domain, s.position, NodeKind::Switch),
+            NodeRecord::Switch(s) => (s.position, NodeKind::Switch),
             NodeRecord::Server(s) => {
                 let server = Server {
                     tier: s.tier,
@@ -263,11 +253,10 @@ impl Builder<'_> {
                     cost: s.cost.0,
                     reliability: self.reliability(&s.reliability),
                 };
-                (&s.domain, s.position, NodeKind::Server(server))
+                (s.position, NodeKind::Server(server))
             }
         };
-        let domain = self.domain(domain.as_ref())?;
-        Some(Node { id: id.value.clone(), domain, position, kind })
+        Some(Node { id: id.value.clone(), domain: domain?, position, kind })
     }
 
     fn domain(&mut self, wanted: Option<&Spanned<DomainId>>) -> Option<DomainId> {

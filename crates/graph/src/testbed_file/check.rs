@@ -5,13 +5,17 @@ use std::collections::{HashMap, HashSet};
 
 use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
 use crate::{
-    hardware::{Capacity, HardwareGraph, NodeKind, WifiStandard},
+    hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
     id::NodeId,
     map::Cell,
     routing::{Edge, Topology},
     service::{Program, Service, Vnf},
     testbed::Testbed,
-    yaml::{Sink, decode::words},
+    units::Position,
+    yaml::{
+        Sink,
+        decode::{Either, Spanned, words},
+    },
 };
 
 /// Checks the whole. Tables of the record and lists of the testbed have the same order.
@@ -32,7 +36,6 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
 /// Links have names of their own.
 fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     let spans = record.links.iter().flat_map(|link| {
-        use crate::yaml::decode::Either;
         let ends = link.ends.value.iter().map(|end| match end {
             Either::Short(_) => 1,
             Either::Long(several) => several.len(),
@@ -116,27 +119,29 @@ fn reach(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) -> bool
     if roots.is_empty() {
         roots.extend((0..graph.nodes.len()).find(is_fixed));
     }
-    // Servers that hang on the same forwarding nodes reach the same: one of them answers for all.
+    // Servers with the same neighbours reach the same: one of them answers for all.
     let mut asked = HashSet::new();
-    let mut lost = HashMap::new();
-    for &root in &roots {
-        if !asked.insert(topology.neighbours(root)) {
-            continue;
-        }
+    for &root in roots.iter().filter(|root| asked.insert(topology.neighbours(**root))) {
         let reached = topology.shortest(&[(root, 0)], Edge::delay_ns);
-        for node in (0..graph.nodes.len()).filter(|i| is_fixed(i) && reached[*i].is_none()) {
-            lost.entry(node).or_insert(root);
+        let others = || (0..graph.nodes.len()).filter(|i| is_fixed(i) && *i != root);
+        let lost: Vec<_> = others().filter(|i| reached[*i].is_none()).collect();
+        let help = "link it to a switch or a radio unit that leads there: servers and robots forward nothing";
+        let mut error = |node: usize, message| {
+            sink.error(&record.nodes.0[node].0.span, message).help(help);
+        };
+        let name = |node: usize| &graph.nodes[node].id;
+        if lost.is_empty() {
+            continue;
+        } else if lost.len() == others().count() {
+            error(root, format!("`{}` reaches nothing", name(root)));
+        } else {
+            lost.iter().for_each(|&node| {
+                error(node, format!("`{}` cannot be reached from `{}`", name(node), name(root)))
+            });
         }
+        return false;
     }
-    // A server that nothing reaches would make all others look lost as well.
-    let alone: HashSet<_> =
-        roots.iter().filter(|root| topology.neighbours(**root).is_empty()).copied().collect();
-    for (&node, root) in lost.iter().filter(|(node, root)| alone.contains(node) || !alone.contains(root)) {
-        let (id, root) = (&record.nodes.0[node].0, &graph.nodes[*root].id);
-        sink.error(&id.span, format!("`{}` and `{root}` cannot reach each other", id.value))
-            .help("link it to a switch or a radio unit that leads there: servers and robots forward nothing");
-    }
-    lost.is_empty()
+    true
 }
 
 /// VNFs have names of their own, run on hosts that can carry them, and navigation has a robot that it drives.
@@ -185,12 +190,13 @@ fn able<'a>(graph: &'a HardwareGraph, vnf: &Vnf) -> Vec<&'a str> {
     graph.nodes.iter().filter(|node| carries(node, vnf)).map(|node| node.id.as_str()).collect()
 }
 
-fn carries(node: &crate::hardware::Node, vnf: &Vnf) -> bool {
+fn carries(node: &Node, vnf: &Vnf) -> bool {
     node.capacity().is_some_and(|c| vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes)
 }
 
 fn amount(cpus: f64, memory_bytes: u64) -> String {
-    format!("{cpus} CPUs and {:.2} GB", memory_bytes as f64 / 1e9)
+    let s = if cpus == 1.0 { "" } else { "s" };
+    format!("{cpus} CPU{s} and {:.2} GB", memory_bytes as f64 / 1e9)
 }
 
 /// Navigation answers the position packets of a robot on its walk.
@@ -243,20 +249,31 @@ fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                 .help("write an interval above zero, such as `200 ms`");
         }
         for at in &walk.waypoints.value {
-            let Some(map) = &testbed.map else { continue };
-            let lies = match (map.index(at.value), map.at(at.value)) {
-                (None, _) => "off the map",
-                (_, Cell::Occupied) => "in a wall",
-                (_, Cell::Unknown) => "where the map knows nothing",
-                (_, Cell::Free) => continue,
-            };
-            let far = map.centre(map.width() - 1, map.height() - 1);
-            sink.error(&at.span, format!("the waypoint {} lies {lies}", at.value)).help(format!(
-                "place it on free ground of the map, which reaches from {} to {far}",
-                map.origin()
-            ));
+            free(at, "waypoint", testbed, sink);
         }
     }
+    for (_, node) in &record.nodes.0 {
+        if let NodeRecord::Robot(robot) = node
+            && let Some(at) = &robot.position
+        {
+            free(at, "position", testbed, sink);
+        }
+    }
+}
+
+/// A robot can be there.
+fn free(at: &Spanned<Position>, what: &str, testbed: &Testbed, sink: &mut Sink) {
+    let Some(map) = &testbed.map else { return };
+    let lies = match (map.index(at.value), map.at(at.value)) {
+        (None, _) => "off the map",
+        (_, Cell::Occupied) => "in a wall",
+        (_, Cell::Unknown) => "where the map knows nothing",
+        (_, Cell::Free) => return,
+    };
+    let (near, side) = (map.origin(), map.resolution());
+    let far = Position::new(near.x + map.width() as f64 * side, near.y + map.height() as f64 * side);
+    sink.error(&at.span, format!("the {what} {} lies {lies}", at.value))
+        .help(format!("choose free ground of the map, which reaches from {near} to {far}"));
 }
 
 /// KPIs that some placement can keep.
@@ -299,7 +316,7 @@ fn kpis(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut
 
 /// The hosts that could carry a VNF.
 fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
-    let fits = |node: &crate::hardware::Node| match &vnf.pinned_to {
+    let fits = |node: &Node| match &vnf.pinned_to {
         Some(pinned) => node.id == *pinned,
         None => carries(node, vnf),
     };

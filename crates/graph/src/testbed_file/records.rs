@@ -23,22 +23,22 @@ record! {
         /// Seed of everything random; a run with the same seed is the same run.
         seed: u64 = 1,
         /// Administrative domains. Without them there is one, `local`.
-        domains: Vec<Spanned<DomainId>>,
+        domains: Vec<Spanned<DomainId>> = [],
         /// The map that robots move on: path of a ROS map_server YAML file, from this file's folder. Without one
         /// there is open space.
         map: Option<Spanned<String>>,
         /// Wireless networks by SSID.
-        wireless: Table<String, WirelessRecord>,
+        wireless: Table<String, WirelessRecord> = {},
         /// Robots, radio units, switches and servers by name.
         nodes: Table<NodeId, NodeRecord>,
         /// Wired links.
-        links: Vec<LinkRecord>,
+        links: Vec<LinkRecord> = [],
         /// Services that robots use, by name.
-        services: Table<ServiceId, ServiceRecord>,
+        services: Table<ServiceId, ServiceRecord> = {},
         /// Where each robot goes.
-        walks: Table<NodeId, WalkRecord>,
+        walks: Table<NodeId, WalkRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
-        plugins: Vec<Spanned<Either<String, PluginRecord>>>,
+        plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
     }
 }
 
@@ -135,6 +135,18 @@ tagged! {
         "radio_unit" => RadioUnit(RadioUnitRecord),
         "switch" => Switch(SwitchRecord),
         "server" => Server(ServerRecord),
+    }
+}
+
+impl NodeRecord {
+    /// The domain that it names.
+    pub fn domain(&self) -> Option<&Spanned<DomainId>> {
+        match self {
+            Self::Robot(r) => r.domain.as_ref(),
+            Self::RadioUnit(r) => r.domain.as_ref(),
+            Self::Switch(s) => s.domain.as_ref(),
+            Self::Server(s) => s.domain.as_ref(),
+        }
     }
 }
 
@@ -285,7 +297,7 @@ record! {
         /// Its VNFs by name, in the order in which packets visit them.
         vnfs: Table<VnfId, VnfRecord>,
         /// Links between its VNFs.
-        virtual_links: Vec<VirtualLinkRecord>,
+        virtual_links: Vec<VirtualLinkRecord> = [],
     }
 }
 
@@ -366,7 +378,7 @@ record! {
         /// A program and its arguments; it finds the API at the URL in `COTORRA_API`.
         command: Option<Spanned<Vec<String>>>,
         /// Its own settings.
-        settings: serde_json::Map<String, serde_json::Value>,
+        settings: serde_json::Map<String, serde_json::Value> = {},
     }
 }
 

@@ -160,7 +160,7 @@ fn example(schema: &Json) -> String {
     if let Some(word) = schema.pointer("/enum/0").and_then(Json::as_str) {
         return word.to_owned();
     }
-    "…".to_owned()
+    if schema["type"] == "array" { "[…]" } else { "…" }.to_owned()
 }
 
 /// The candidate that was probably meant.
@@ -168,9 +168,14 @@ pub(crate) fn nearest<'a>(word: &str, candidates: impl Iterator<Item = &'a str>)
     let word = word.to_lowercase();
     candidates
         .map(|c| (strsim::damerau_levenshtein(&word, &c.to_lowercase()), c))
-        .filter(|&(distance, c)| distance <= word.chars().count().max(c.chars().count()).div_ceil(3))
+        .filter(|&(distance, c)| distance <= word.chars().count().max(c.chars().count()) / 3)
         .min_by_key(|&(distance, _)| distance)
         .map(|(_, c)| c)
+}
+
+/// Which there are: a help where the choice is closed.
+pub(crate) fn there_are<S: AsRef<str>>(all: &[S]) -> String {
+    format!("there {} {}", if all.len() == 1 { "is only" } else { "are" }, words(all))
 }
 
 /// `a`, `b` and `c`.
@@ -321,8 +326,8 @@ pub(crate) fn choose(
     }
     sink.error(&node.span, format!("{} is no {what}", node.describe())).help(
         match nearest(text, among.iter().copied()) {
-            Some(near) => format!("did you mean `{near}`? There are {}", words(among)),
-            None => format!("there are {}", words(among)),
+            Some(near) => format!("did you mean `{near}`? ({})", there_are(among)),
+            None => there_are(among),
         },
     );
     None
@@ -381,9 +386,6 @@ impl<T: Decode> Decode for Vec<T> {
         let read: Vec<_> = items.iter().map(|item| T::decode(item, sink)).collect();
         read.into_iter().collect()
     }
-    fn absent() -> Option<Self> {
-        Some(Vec::new())
-    }
 }
 
 /// A short form, which is one word or figure, or a long one, which is a mapping or list.
@@ -409,8 +411,19 @@ impl<Short: Decode, Long: Decode> Decode for Either<Short, Long> {
 pub(crate) trait Name: Sized {
     /// Its JSON Schema.
     fn schema() -> Json;
+    /// What makes a name one.
+    fn rule() -> String;
     /// Reads it.
-    fn read(text: &str) -> Result<Self, String>;
+    fn read(text: &str) -> Option<Self>;
+
+    /// Reads it; `None` when it is wrong, which the sink then knows.
+    fn read_or_report(text: &str, span: &Span, sink: &mut Sink) -> Option<Self> {
+        let name = Self::read(text);
+        if name.is_none() {
+            sink.error(span, format!("`{}` is no name", shorten(text))).help(Self::rule());
+        }
+        name
+    }
 }
 
 /// Named values, in the file's order.
@@ -433,9 +446,7 @@ impl<K: Name, V: Decode> Decode for Table<K, V> {
         };
         let mut all = Some(Vec::with_capacity(entries.len()));
         for entry in entries {
-            let key = K::read(&entry.key)
-                .map_err(|message| _ = sink.error(&entry.key_span, message))
-                .ok()
+            let key = K::read_or_report(&entry.key, &entry.key_span, sink)
                 .map(|value| Spanned { value, span: entry.key_span.clone() });
             match (key, V::decode(&entry.value, sink), &mut all) {
                 (Some(key), Some(value), Some(all)) => all.push((key, value)),
@@ -443,9 +454,6 @@ impl<K: Name, V: Decode> Decode for Table<K, V> {
             }
         }
         all.map(Self)
-    }
-    fn absent() -> Option<Self> {
-        Some(Self(Vec::new()))
     }
 }
 
@@ -456,8 +464,14 @@ macro_rules! ids {
                 let rest = Self::LONGEST - 1;
                 json!({ "type": "string", "pattern": format!("^[A-Za-z0-9][A-Za-z0-9_.~-]{{0,{rest}}}$") })
             }
-            fn read(text: &str) -> Result<Self, String> {
-                Self::new(text).map_err(|e| e.to_string())
+            fn rule() -> String {
+                format!(
+                    "use 1 to {} letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit",
+                    Self::LONGEST
+                )
+            }
+            fn read(text: &str) -> Option<Self> {
+                Self::new(text).ok()
             }
         }
 
@@ -470,7 +484,7 @@ macro_rules! ids {
                     expected(node, "a name", "write one name, such as `R1`", sink);
                     return None;
                 };
-                Self::read(text).map_err(|message| _ = sink.error(&node.span, message)).ok()
+                Self::read_or_report(text, &node.span, sink)
             }
         }
     )*};
@@ -482,8 +496,11 @@ impl Name for String {
     fn schema() -> Json {
         json!({ "type": "string", "minLength": 1 })
     }
-    fn read(text: &str) -> Result<Self, String> {
-        if text.is_empty() { Err("a name is empty".to_owned()) } else { Ok(text.to_owned()) }
+    fn rule() -> String {
+        "use one character or more".to_owned()
+    }
+    fn read(text: &str) -> Option<Self> {
+        (!text.is_empty()).then(|| text.to_owned())
     }
 }
 
@@ -569,7 +586,7 @@ pub(crate) struct Amount(pub f64);
 
 impl Decode for Amount {
     fn schema() -> Json {
-        json!({ "type": "number", "minimum": 0 })
+        json!({ "type": "number", "minimum": 0, "examples": [2] })
     }
     fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
         let number = number(node).filter(|&n| n >= 0.0);
@@ -627,8 +644,5 @@ impl Decode for serde_json::Map<String, Json> {
                 None
             }
         }
-    }
-    fn absent() -> Option<Self> {
-        Some(Self::new())
     }
 }

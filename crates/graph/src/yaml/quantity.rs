@@ -72,14 +72,19 @@ impl Kind {
         };
         let names: Vec<_> = self.units.iter().map(|(name, _)| *name).collect();
         let Some(place) = names.iter().position(|name| *name == unit) else {
-            let message = if unit.is_empty() {
-                format!("`{text}` has no unit")
-            } else {
-                format!("{} has no unit that fits {}", node.describe(), self.what)
+            let units = match &names[..] {
+                [only] => format!("the unit is `{only}`"),
+                several => format!("the units are {}", words(several)),
             };
-            let help = match nearest(unit, names.iter().copied()) {
-                Some(near) => format!("did you mean `{figure} {near}`?"),
-                None => format!("write it like `{}`; the units are {}", self.example, words(&names)),
+            let usual = self.example.split(' ').next_back().unwrap_or_default();
+            let (message, help) = if unit.is_empty() {
+                (format!("`{text}` has no unit"), format!("write it like `{figure} {usual}`; {units}"))
+            } else {
+                let help = match nearest(unit, names.iter().copied()) {
+                    Some(near) => format!("did you mean `{figure} {near}`?"),
+                    None => format!("write it like `{figure} {usual}`; {units}"),
+                };
+                (format!("{} has no unit of {}", node.describe(), self.what), help)
             };
             return refuse(message, help);
         };
@@ -255,5 +260,64 @@ impl Decode for Rate {
             return Some(Self::Unlimited);
         }
         BitRate::decode(node, sink).map(|bits_per_second| Self::Fixed { bits_per_second })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn read<T: Decode>(text: &str) -> Option<T> {
+        let node = Node::from_json(&Json::String(text.to_owned()));
+        let mut sink = Sink::default();
+        let value = T::decode(&node, &mut sink);
+        assert_eq!(value.is_some(), sink.is_empty(), "{text}");
+        value
+    }
+
+    #[test]
+    fn figures_with_their_units() {
+        assert_eq!(read("4.5 ms"), Some(Duration::from_micros(4500)));
+        assert_eq!(read("4.5ms"), Some(Duration::from_micros(4500)));
+        assert_eq!(read("1e-3 s"), Some(Duration::from_millis(1)));
+        assert_eq!(read("0.001 ms"), Some(Duration::from_nanos(1000)));
+        assert_eq!(read("3 µs"), Some(Duration::from_micros(3)));
+        assert_eq!(read("10 Gbit/s"), BitRate::from_bits_per_second(10_000_000_000));
+        assert_eq!(read("8 GB"), Some(Bytes(8_000_000_000)));
+        assert_eq!(read("8 GiB"), Some(Bytes(8 << 30)));
+        assert_eq!(read("-95 dBm"), Some(Dbm(-95.0)));
+        assert_eq!(read("0.1 %"), Probability::new(0.001));
+        assert_eq!(read("100 %"), Some(Probability::ONE));
+        assert_eq!(read("180 deg"), Some(Angle(PI)));
+        assert_eq!(read("1 packet"), Some(QueueLimit::Packets(1)));
+        assert_eq!(read("64 KiB"), Some(QueueLimit::Bytes(65536)));
+        assert_eq!(read("unlimited"), Some(Rate::Unlimited));
+    }
+
+    proptest! {
+        #[test]
+        fn durations_come_back(nanos in 0_u64..86_400_000_000_000) {
+            prop_assert_eq!(read(&format!("{nanos} ns")), Some(Duration::from_nanos(nanos)));
+        }
+
+        #[test]
+        fn rates_come_back(rate in 1_u64..1_000_000_000_000) {
+            prop_assert_eq!(read(&format!("{rate} bit/s")), BitRate::from_bits_per_second(rate));
+        }
+
+        #[test]
+        fn nothing_else_is_a_figure(text in "\\PC{0,12}") {
+            if let Some(duration) = read::<Duration>(&text) {
+                prop_assert!(duration <= Duration::from_secs(86_400));
+            }
+            if let Some(share) = read::<Probability>(&text) {
+                prop_assert!((0.0..=1.0).contains(&share.get()));
+            }
+            if let Some(QueueLimit::Bytes(bytes)) = read::<QueueLimit>(&text) {
+                prop_assert!(bytes <= 4_000_000_000);
+            }
+        }
     }
 }

@@ -167,7 +167,7 @@ pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
     }
     let root = builder.root;
     if root.is_none() {
-        sink.error(&(0..0), "the file is empty").help("a testbed file begins with `name: my-testbed`");
+        sink.error(&(0..0), "the file is empty").help("write `key: value` lines");
     }
     root
 }
