@@ -35,6 +35,7 @@ pub struct History {
 
 /// Something and when it was so.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Sample<T> {
     /// Nanoseconds since the run began.
     pub at: Timestamp,
@@ -45,6 +46,7 @@ pub struct Sample<T> {
 
 /// What is known about the whole graph at a time: the last of everything.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GraphState {
     /// When.
     pub at: Timestamp,

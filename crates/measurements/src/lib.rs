@@ -12,6 +12,8 @@ mod memory;
 mod recorder;
 mod sqlite;
 mod store;
+#[cfg(test)]
+mod testing;
 
 pub use error::{Error, Result};
 pub use history::{GraphState, History, Sample};

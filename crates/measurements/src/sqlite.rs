@@ -2,6 +2,8 @@
 //! SQLite call fsync at every commit, so that a committed batch survives both kill -9 and a loss of power.
 
 mod read;
+#[cfg(test)]
+mod tests;
 mod write;
 
 use std::{
@@ -39,8 +41,9 @@ type Fallible<T> = std::result::Result<T, rusqlite::Error>;
 /// A database file.
 pub(crate) struct Sqlite {
     path: Arc<Path>,
-    writer: Mutex<Writer>,
     readers: Mutex<Vec<Reader>>,
+    /// Dropped last: the last connection to close folds the log into the file, and one that only reads cannot.
+    writer: Mutex<Writer>,
 }
 
 impl Sqlite {

@@ -32,7 +32,7 @@ pub(crate) struct Reader {
 }
 
 /// Which rows of a kind, as SQL: all of them, or those of one series.
-fn select(kind: Kind, series: bool) -> String {
+pub fn select(kind: Kind, series: bool) -> String {
     let table = kind.as_str();
     let columns = columns(kind, "e.");
     if !series {

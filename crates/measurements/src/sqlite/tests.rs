@@ -1,0 +1,330 @@
+use std::{fs, path::PathBuf};
+
+use cotorra_graph::{
+    Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, RadioContext, Scale,
+    StationContext,
+};
+use tempfile::TempDir;
+
+use super::*;
+use crate::{
+    History, Kind,
+    testing::{notice, placement, run_info},
+};
+
+fn folder() -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    (folder, path)
+}
+
+fn refusal(path: &Path) -> Error {
+    match Sqlite::open(path) {
+        Ok(_) => panic!("{} is no history that can be opened", path.display()),
+        Err(error) => error,
+    }
+}
+
+fn everything(history: &History, run: RunId) -> Vec<Stamped> {
+    history.events(run, &[], .., PageRequest::first(PageRequest::MAX)).unwrap().items
+}
+
+#[test]
+fn a_history_is_there_when_it_is_opened_again() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("first")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    let events = [placement(0, "brain", "fog"), notice(3, "one"), placement(5, "brain", "edge")];
+    for stamped in &events {
+        recorder.record(stamped.clone());
+    }
+    history.end_run(run, Timestamp::from_nanos(9)).unwrap();
+    drop((history, recorder));
+    assert!(!path.with_file_name("history.sqlite-wal").exists(), "a history at rest is one file");
+
+    let history = History::open(&path).unwrap();
+    assert_eq!(history.run(run).unwrap().ended, Some(Timestamp::from_nanos(9)));
+    assert_eq!(everything(&history, run), events);
+    // Its run may be continued, and another begun.
+    let recorder = history.recorder(run).unwrap();
+    recorder.record(notice(3, "two"));
+    recorder.flush().unwrap();
+    assert_eq!(everything(&history, run)[2], notice(3, "two"));
+    assert_ne!(history.begin_run(&run_info("second")).unwrap(), run);
+}
+
+#[test]
+fn two_processes_may_share_a_file() {
+    let (_folder, path) = folder();
+    let both = [History::open(&path).unwrap(), History::open(&path).unwrap()];
+    let runs = both.each_ref().map(|history| history.begin_run(&run_info("shared")).unwrap());
+    let recorders = [0, 1].map(|i| both[i].recorder(runs[i]).unwrap());
+    for t in 0..50 {
+        for (recorder, node) in recorders.iter().zip(["fog", "edge"]) {
+            recorder.record(placement(t, "brain", node));
+            recorder.flush().unwrap();
+        }
+    }
+    for (run, node) in runs.into_iter().zip(["fog", "edge"]) {
+        let wanted: Vec<_> = (0..50).map(|t| placement(t, "brain", node)).collect();
+        assert!(both.iter().all(|history| everything(history, run) == wanted));
+    }
+}
+
+#[test]
+fn refuses_what_is_no_history_and_leaves_it_alone() {
+    let (folder, path) = folder();
+    fs::write(&path, "# a testbed file, not a history\n".repeat(100)).unwrap();
+    assert!(matches!(refusal(&path), Error::NotAHistory { .. }));
+    assert!(fs::read_to_string(&path).unwrap().starts_with("# a testbed file"));
+
+    let alien = folder.path().join("alien.sqlite");
+    Connection::open(&alien).unwrap().execute_batch("CREATE TABLE songs (title TEXT)").unwrap();
+    let before = fs::read(&alien).unwrap();
+    assert!(matches!(refusal(&alien), Error::NotAHistory { .. }));
+    assert_eq!(fs::read(&alien).unwrap(), before);
+
+    assert!(matches!(refusal(folder.path()), Error::Open { .. }));
+    assert!(matches!(refusal(&folder.path().join("no/such/folder")), Error::Open { .. }));
+}
+
+#[test]
+fn refuses_a_newer_schema_and_leaves_it_alone() {
+    let (_folder, path) = folder();
+    drop(Sqlite::open(&path).unwrap());
+    let newer = MIGRATIONS.len() as u32 + 1;
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", newer).unwrap();
+    let error = refusal(&path);
+    assert!(matches!(error, Error::NewerSchema { found, known, .. } if found == newer && known == newer - 1));
+    let found: u32 =
+        Connection::open(&path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap();
+    assert_eq!(found, newer);
+}
+
+#[test]
+fn refuses_a_file_that_it_may_not_write() {
+    let (_folder, path) = folder();
+    drop(Sqlite::open(&path).unwrap());
+    let mut permissions = fs::metadata(&path).unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&path, permissions).unwrap();
+    // To the superuser nothing is read-only.
+    if fs::OpenOptions::new().append(true).open(&path).is_err() {
+        assert!(matches!(refusal(&path), Error::ReadOnly { .. }));
+    }
+}
+
+#[test]
+fn goes_on_when_writing_is_forbidden_for_a_while() {
+    let (_folder, path) = folder();
+    let store = Arc::new(Sqlite::open(&path).unwrap());
+    let history = History::of(store.clone()).unwrap();
+    let run = history.begin_run(&run_info("read-only")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    let forbid = |on: bool| store.write(|w| w.connection.pragma_update(None, "query_only", on)).unwrap();
+
+    forbid(true);
+    recorder.record(placement(1, "brain", "fog"));
+    assert!(matches!(recorder.flush(), Err(Error::ReadOnly { .. })));
+    assert!(matches!(history.begin_run(&run_info("another")), Err(Error::ReadOnly { .. })));
+    assert!(everything(&history, run).is_empty());
+
+    forbid(false);
+    recorder.flush().unwrap();
+    assert_eq!(everything(&history, run), [placement(1, "brain", "fog")]);
+}
+
+#[test]
+fn a_full_disk_is_told_and_loses_nothing() {
+    let (_folder, path) = folder();
+    let store = Arc::new(Sqlite::open(&path).unwrap());
+    let history = History::of(store.clone()).unwrap();
+    let run = history.begin_run(&run_info("full")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    let allow = |pages: u32| {
+        let set = |w: &mut Writer| {
+            w.connection.pragma_update_and_check(None, "max_page_count", pages, |row| row.get::<_, u32>(0))
+        };
+        store.write(set).unwrap()
+    };
+
+    let room = allow(1) + 20; // What is asked below what there is gives what there is.
+    allow(room);
+    let events: Vec<_> = (0..1000).map(|t| notice(t, &"x".repeat(200))).collect();
+    let mut failures = 0;
+    for batch in events.chunks(100) {
+        for stamped in batch {
+            recorder.record(stamped.clone());
+        }
+        match recorder.flush() {
+            Ok(()) => assert_eq!(failures, 0, "what does not fit now did not fit before"),
+            Err(Error::Full { .. }) => failures += 1,
+            Err(other) => panic!("{other}"),
+        }
+    }
+    assert!(failures > 0);
+    let kept = everything(&history, run);
+    assert!(!kept.is_empty() && kept == events[..kept.len()]);
+
+    allow(100_000);
+    recorder.flush().unwrap();
+    assert!(everything(&history, run) == events);
+    assert!(history.gaps(run, .., PageRequest::default()).unwrap().items.is_empty());
+}
+
+/// A name, conditions and a stretch that a transaction wrote which then failed must be written again.
+#[test]
+fn forgets_what_was_rolled_back() {
+    let (_folder, path) = folder();
+    let store = Sqlite::open(&path).unwrap();
+    let run = store.begin_run(&run_info("rolled back")).unwrap();
+    let entry = |run| Entry {
+        run,
+        stamped: Stamped {
+            at: Timestamp::ZERO,
+            event: Event::Link(LinkContext {
+                link: LinkId::new("a-b").unwrap(),
+                direction: Direction::Forward,
+                delay: None,
+                throughput_bps: 0.0,
+                asked: Conditions::default(),
+                scale: Scale::default(),
+                effective: Conditions::default(),
+                counters: LinkCounters::default(),
+            }),
+        },
+    };
+    // The second one's run does not exist, so that both are rolled back.
+    store.append(&[entry(run), entry(RunId(99))], &[]).unwrap_err();
+    assert!(store.latest(run, i64::MAX).unwrap().is_empty());
+    store.append(&[entry(run)], &[]).unwrap();
+    assert_eq!(store.latest(run, i64::MAX).unwrap(), [entry(run).stamped]);
+}
+
+/// Whatever is damaged, there is an error or an answer; nothing panics, and nothing hangs.
+#[test]
+fn a_damaged_file_is_told() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("damaged")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    for t in 0..5000 {
+        recorder.record(placement(t * 10_000_000, ["brain", "map"][t as usize % 2], "fog"));
+    }
+    history.end_run(run, Timestamp::from_nanos(5000)).unwrap();
+    drop((history, recorder));
+    let whole = fs::read(&path).unwrap();
+    let pages = whole.len() / 4096;
+    assert!(pages > 20);
+
+    let mut told = 0;
+    for page in (0..pages).step_by(2) {
+        let mut bytes = whole.clone();
+        bytes[page * 4096..][..4096].fill(0x5a);
+        fs::write(&path, bytes).unwrap();
+        for leftover in ["history.sqlite-wal", "history.sqlite-shm"] {
+            let _ = fs::remove_file(path.with_file_name(leftover));
+        }
+        let ask = || -> Result<usize> {
+            let history = History::open(&path)?;
+            history.state_at(run, Timestamp::MAX)?;
+            history.recorder(run)?.record(notice(0, "one more"));
+            history.end_run(run, Timestamp::ZERO)?;
+            Ok(history.events(run, &[Kind::Placement], .., PageRequest::first(10_000))?.items.len())
+        };
+        match ask() {
+            Ok(events) => assert!(events <= 5000),
+            Err(Error::Corrupt { .. } | Error::NotAHistory { .. }) => told += 1,
+            Err(Error::Engine { cause, .. }) => {
+                assert!(matches!(*cause, rusqlite::Error::SqliteFailure(..)), "{cause}");
+                told += 1;
+            }
+            Err(other) => panic!("{other}"),
+        }
+    }
+    assert!(told > 0);
+}
+
+/// A clock that steps back sorts its events in where they say they belong, in answers of every sort.
+#[test]
+fn a_clock_may_step_back() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("clock")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    for (second, node) in [(100, "fog"), (10, "edge"), (50, "cloud"), (10, "robot")] {
+        recorder.record(placement(second * 1_000_000_000, "brain", node));
+        recorder.flush().unwrap();
+    }
+    let at = |second: f64| {
+        let state = history.state_at(run, Timestamp::from_secs_f64(second)).unwrap();
+        state.placements.first().map(|sample| sample.value.node.to_string())
+    };
+    assert_eq!(at(9.9), None);
+    assert_eq!(at(10.0).as_deref(), Some("robot"));
+    assert_eq!(at(50.0).as_deref(), Some("cloud"));
+    assert_eq!(at(1e6).as_deref(), Some("fog"));
+    let nodes: Vec<_> = history
+        .placements(run, .., PageRequest::default())
+        .unwrap()
+        .items
+        .into_iter()
+        .map(|sample| sample.value.node.to_string())
+        .collect();
+    assert_eq!(nodes, ["edge", "robot", "cloud", "fog"]);
+}
+
+/// What is no number stays none, and what is infinite stays so.
+#[test]
+fn odd_figures_come_back() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("odd")).unwrap();
+    let unit = NodeId::new("ap1").unwrap();
+    let context = RadioContext {
+        radio_unit: unit.clone(),
+        channel: 1,
+        load: f64::NAN,
+        stations: vec![StationContext {
+            robot: NodeId::new("r1").unwrap(),
+            signal: Dbm(f64::NEG_INFINITY),
+            downlink_mbps: f64::NAN,
+            uplink_mbps: 0.1 + 0.2,
+        }],
+    };
+    let recorder = history.recorder(run).unwrap();
+    recorder.record(Stamped { at: Timestamp::ZERO, event: Event::Radio(context.clone()) });
+    recorder.flush().unwrap();
+    let found = history.radio_series(run, &unit, .., PageRequest::default()).unwrap();
+    assert_eq!(format!("{:?}", found.items[0].value), format!("{context:?}"));
+}
+
+/// No question goes through a whole table, or sorts what it found.
+#[test]
+fn questions_use_the_keys() {
+    let (_folder, path) = folder();
+    let store = Sqlite::open(&path).unwrap();
+    let run = store.begin_run(&run_info("plans")).unwrap();
+    store.append(&[Entry { run, stamped: placement(0, "brain", "fog") }], &[]).unwrap();
+    let plan = |sql: &str| -> Vec<String> {
+        store
+            .write(|w| {
+                let mut statement = w.connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
+                let unbound = rusqlite::params_from_iter(vec![0; statement.parameter_count()]);
+                statement.query_map(unbound, |row| row.get(3))?.collect()
+            })
+            .unwrap()
+    };
+    for kind in Kind::ALL {
+        let series = !crate::codec::table(kind).series.is_empty();
+        for (sql, steps) in
+            [(Some(read::select(kind, false)), 1), (series.then(|| read::select(kind, true)), 2)]
+        {
+            let Some(sql) = sql else { continue };
+            let plan = plan(&sql);
+            assert_eq!(plan.len(), steps, "{plan:?}");
+            assert!(plan.iter().all(|step| step.starts_with("SEARCH")), "{plan:?}");
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Events for tests: any that can be, from a small set of names so that series meet themselves again.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{
+    Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
+    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement,
+    PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, Scale, SensorData,
+    ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping,
+    VnfEvent, VnfId, VnfState,
+};
+use proptest::{
+    collection::vec,
+    num::f64::{INFINITE, NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO},
+    option::of,
+    prelude::*,
+    sample::select,
+};
+
+use crate::RunInfo;
+
+pub fn run_info(name: &str) -> RunInfo {
+    RunInfo {
+        name: name.to_owned(),
+        seed: u64::MAX,
+        started_at_unix_ns: 1_800_000_000_000_000_000,
+        testbed: "name: corridor\n".to_owned(),
+    }
+}
+
+pub fn notice(at: u64, message: &str) -> Stamped {
+    Stamped { at: Timestamp::from_nanos(at), event: Event::Notice { message: message.to_owned() } }
+}
+
+pub fn placement(at: u64, vnf: &str, node: &str) -> Stamped {
+    let (vnf, node) = (VnfId::new(vnf).unwrap(), NodeId::new(node).unwrap());
+    Stamped { at: Timestamp::from_nanos(at), event: Event::Placement(Placement { vnf, node }) }
+}
+
+/// Any number but NaN, which equals nothing.
+fn real() -> impl Strategy<Value = f64> {
+    POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO | INFINITE
+}
+
+fn finite() -> impl Strategy<Value = f64> {
+    POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO
+}
+
+fn share() -> impl Strategy<Value = Probability> {
+    (0.0..=1.0).prop_map(|p| Probability::new(p).unwrap())
+}
+
+fn duration() -> impl Strategy<Value = Duration> {
+    (0..=i64::MAX.cast_unsigned()).prop_map(Duration::from_nanos)
+}
+
+/// What survives the milliseconds of a [`ConditionChange`]'s JSON.
+fn hours() -> impl Strategy<Value = Duration> {
+    (0..1_000_000_000_000_u64).prop_map(Duration::from_nanos)
+}
+
+macro_rules! names {
+    ($name:ident: $id:ident) => {
+        fn $name() -> impl Strategy<Value = $id> {
+            select(vec!["a", "b", "c~d", "9.x_y"]).prop_map(|name| $id::new(name).unwrap())
+        }
+    };
+}
+names!(node: NodeId);
+names!(link: LinkId);
+names!(vnf: VnfId);
+names!(service: ServiceId);
+names!(plugin: PluginId);
+
+fn direction() -> impl Strategy<Value = Direction> {
+    select(vec![Direction::Forward, Direction::Backward])
+}
+
+prop_compose! {
+    fn pose()(
+        (x, y, heading) in (real(), real(), real()),
+        covariance in proptest::array::uniform9(real()),
+        source in select(vec![PoseSource::Simulator, PoseSource::Odometry, PoseSource::Localization]),
+    ) -> Pose {
+        Pose { x, y, heading, covariance, source }
+    }
+}
+
+fn velocity() -> impl Strategy<Value = Velocity> {
+    (real(), real()).prop_map(|(linear, angular)| Velocity { linear, angular })
+}
+
+prop_compose! {
+    fn attachment()(radio_unit in node(), attached: bool, signal in of(real().prop_map(Dbm))) -> Attachment {
+        Attachment { radio_unit, attached, signal }
+    }
+}
+
+prop_compose! {
+    fn robot_context()(
+        robot in node(),
+        attachments in vec(attachment(), 0..4),
+        (pose, odometry, velocity) in (pose(), pose(), velocity()),
+        bumper: bool,
+        nearest_obstacle_m in of(real()),
+        waypoint: u32,
+    ) -> RobotContext {
+        let sensors = SensorData { pose, odometry, velocity, bumper, nearest_obstacle_m };
+        RobotContext { robot, attachments, sensors, waypoint }
+    }
+}
+
+prop_compose! {
+    fn station()(
+        robot in node(), signal in real().prop_map(Dbm), downlink_mbps in real(), uplink_mbps in real(),
+    ) -> StationContext {
+        StationContext { robot, signal, downlink_mbps, uplink_mbps }
+    }
+}
+
+prop_compose! {
+    fn radio_context()(
+        radio_unit in node(), channel: u8, load in real(), stations in vec(station(), 0..4),
+    ) -> RadioContext {
+        RadioContext { radio_unit, channel, load, stations }
+    }
+}
+
+fn jitter(deviation: impl Strategy<Value = Duration>) -> impl Strategy<Value = Jitter> {
+    let shapes = vec![JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
+    (deviation, select(shapes)).prop_map(|(deviation, distribution)| Jitter { deviation, distribution })
+}
+
+fn loss(mean_burst: impl Strategy<Value = f64>) -> impl Strategy<Value = Loss> {
+    prop_oneof![
+        Just(Loss::None),
+        share().prop_map(|rate| Loss::Independent { rate }),
+        (share(), mean_burst).prop_map(|(rate, mean_burst)| Loss::Bursty { rate, mean_burst }),
+    ]
+}
+
+fn rate() -> impl Strategy<Value = Rate> {
+    let trace = vec(1..1000_u64, 1..5).prop_map(|mut times| {
+        times.sort_unstable();
+        Rate::Trace { trace: Arc::new(Trace::try_from(times).unwrap()) }
+    });
+    let fixed = (1..=u64::MAX)
+        .prop_map(|rate| Rate::Fixed { bits_per_second: BitRate::from_bits_per_second(rate).unwrap() });
+    prop_oneof![Just(Rate::Unlimited), fixed, trace]
+}
+
+fn queue() -> impl Strategy<Value = QueueLimit> {
+    prop_oneof![any::<u32>().prop_map(QueueLimit::Packets), any::<u64>().prop_map(QueueLimit::Bytes)]
+}
+
+prop_compose! {
+    fn conditions()(
+        delay in duration(),
+        jitter in of(jitter(duration())),
+        loss in loss(real()),
+        (duplication, corruption, reordering) in (share(), share(), share()),
+        rate in rate(),
+        queue in queue(),
+    ) -> Conditions {
+        Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue }
+    }
+}
+
+/// Few enough that a link keeps its conditions from one sample to the next now and then.
+fn repeated_conditions() -> impl Strategy<Value = Conditions> {
+    prop_oneof![3 => Just(Conditions::default()), 1 => conditions()]
+}
+
+prop_compose! {
+    fn counters()(figures: [u64; 6]) -> LinkCounters {
+        let [packets, bytes, lost, overflowed, duplicated, corrupted] = figures;
+        LinkCounters { packets, bytes, lost, overflowed, duplicated, corrupted }
+    }
+}
+
+prop_compose! {
+    fn link_context()(
+        (link, direction) in (link(), direction()),
+        delay in of(duration()),
+        throughput_bps in real(),
+        (asked, effective) in (repeated_conditions(), repeated_conditions()),
+        (delay_scale, drop_scale) in (real(), real()),
+        counters in counters(),
+    ) -> LinkContext {
+        let scale = Scale { delay_scale, drop_scale };
+        LinkContext { link, direction, delay, throughput_bps, asked, scale, effective, counters }
+    }
+}
+
+prop_compose! {
+    fn service_time()(
+        (service, robot, server) in (service(), node(), node()),
+        sequence: u32,
+        emitted in any::<u64>().prop_map(Timestamp::from_nanos),
+        took in of(duration()),
+        attachment in of(node()),
+    ) -> ServiceTime {
+        ServiceTime { service, robot, sequence, emitted, took, attachment, server }
+    }
+}
+
+prop_compose! {
+    fn change()(
+        (delay_ms, delay_scale, drop_scale) in (of(finite()), of(finite()), of(finite())),
+        jitter in of(jitter(hours())),
+        loss in of(loss(finite())),
+        (duplication, corruption, reordering) in (of(share()), of(share()), of(share())),
+        (rate, queue) in (of(rate()), of(queue())),
+    ) -> ConditionChange {
+        ConditionChange {
+            delay_ms, jitter, loss, duplication, corruption, reordering, rate, queue, delay_scale, drop_scale,
+        }
+    }
+}
+
+fn instruction() -> impl Strategy<Value = Instruction> {
+    prop_oneof![
+        (node(), velocity(), any::<u32>()).prop_map(|(robot, velocity, waypoint)| Instruction::Move {
+            robot,
+            velocity,
+            waypoint
+        }),
+        node().prop_map(|robot| Instruction::Scan { robot }),
+        (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
+        (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
+        (link(), of(direction()), change()).prop_map(|(link, direction, change)| Instruction::Condition {
+            link,
+            direction,
+            change
+        }),
+    ]
+}
+
+prop_compose! {
+    fn decision()(
+        plugin in plugin(), instruction in instruction(), reason in of(".*"), refused in of(".*"),
+    ) -> Decision {
+        Decision { plugin, instruction, reason, refused }
+    }
+}
+
+fn vnf_event() -> impl Strategy<Value = VnfEvent> {
+    let states = vec![VnfState::Started, VnfState::Died, VnfState::Stopped, VnfState::Failed];
+    (vnf(), node(), select(states), of(".*")).prop_map(|(vnf, node, state, detail)| VnfEvent {
+        vnf,
+        node,
+        state,
+        detail,
+    })
+}
+
+/// Any event that a history can hold.
+pub fn event() -> impl Strategy<Value = Event> {
+    prop_oneof![
+        robot_context().prop_map(Event::Robot),
+        radio_context().prop_map(Event::Radio),
+        link_context().prop_map(Event::Link),
+        (vnf(), node()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
+        (vnf(), vnf(), vec(link(), 0..4))
+            .prop_map(|(from, to, links)| Event::VirtualLink(VirtualLinkMapping { from, to, links })),
+        service_time().prop_map(Event::ServiceTime),
+        (node(), of(node()), node(), any::<bool>(), duration()).prop_map(|(robot, from, to, fast, gap)| {
+            Event::Handover(Handover { robot, from, to, fast, gap })
+        }),
+        (node(), node()).prop_map(|(robot, from)| Event::Detached { robot, from }),
+        node().prop_map(|robot| Event::Scanned { robot }),
+        vnf_event().prop_map(Event::Vnf),
+        decision().prop_map(Event::Decision),
+        (plugin(), ".*").prop_map(|(plugin, reason)| Event::PluginFault { plugin, reason }),
+        (any::<u64>(), real(), real(), real()).prop_map(|(frames, p50_us, p99_us, max_us)| {
+            Event::Lateness(Lateness { frames, p50_us, p99_us, max_us })
+        }),
+        node().prop_map(|robot| Event::WalkFinished { robot }),
+        ".*".prop_map(|message| Event::Notice { message }),
+    ]
+}
+
+/// Times that meet, that lie in few and in far stretches of 5 s, and that end where a history's time ends.
+pub fn time() -> impl Strategy<Value = Timestamp> {
+    let last = i64::MAX.cast_unsigned();
+    prop_oneof![
+        0..5_u64,
+        (0..200_u64).prop_map(|n| n * 250_000_000),
+        4_999_999_998..5_000_000_002_u64,
+        0..=last,
+        last - 2..=last,
+    ]
+    .prop_map(Timestamp::from_nanos)
+}
+
+/// Any event that a history can hold, at any time.
+pub fn stamped() -> impl Strategy<Value = Stamped> {
+    (time(), event()).prop_map(|(at, event)| Stamped { at, event })
+}
