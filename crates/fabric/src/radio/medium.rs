@@ -269,6 +269,15 @@ impl Medium {
     }
 }
 
+#[cfg(test)]
+impl Medium {
+    /// How many frames wait.
+    pub(super) fn waiting(&self) -> u64 {
+        let peers = self.peers.iter().map(|p| p.up.frames.len() + p.down.frames.len());
+        (peers.sum::<usize>() + self.units.iter().map(|u| u.group.frames.len()).sum::<usize>()) as u64
+    }
+}
+
 /// The last second is kept in so many slices.
 const SLICES: u64 = 20;
 const SLICE_NS: u64 = 1_000_000_000 / SLICES;
@@ -298,5 +307,108 @@ impl BusyTime {
         // The current slice is not over, nor has a run that just began lasted a second.
         let covered = now.as_nanos().min((SLICES - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
         (busy as f64 / covered.max(SLICE_NS) as f64).min(1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const AIRTIME: Duration = Duration::from_millis(1);
+    const LIMIT: QueueLimit = QueueLimit::Packets(100);
+
+    fn waiting() -> Waiting {
+        Waiting { frame: Frame::new(vec![0; 100]), since: Timestamp::ZERO, source: None }
+    }
+
+    /// Radio units 0 and 1 on channel 0, 2 on channel 1; stations 0 and 1 with unit 0, 2 with unit 1, 3 with unit 2.
+    fn medium() -> Medium {
+        let mut medium = Medium::new([0, 0, 1].into_iter(), 4);
+        [0, 0, 1, 2].iter().enumerate().for_each(|(station, unit)| medium.enter(station, *unit));
+        medium
+    }
+
+    fn fill(medium: &mut Medium, flow: Flow, frames: usize) {
+        (0..frames).for_each(|_| medium.push(flow, waiting(), LIMIT).unwrap());
+    }
+
+    /// Who sends on a channel, one after the other.
+    fn turns(medium: &mut Medium, channel: usize, most: usize) -> Vec<Flow> {
+        let mut turns = Vec::new();
+        while turns.len() < most {
+            let now = medium.wakes(channel).unwrap_or(Timestamp::ZERO);
+            let Some((flow, _)) = medium.next(channel, now) else { break };
+            medium.occupy(channel, now, AIRTIME);
+            turns.push(flow);
+        }
+        turns
+    }
+
+    #[test]
+    fn one_frame_at_a_time_on_each_channel() {
+        let mut medium = medium();
+        fill(&mut medium, Flow::Up(0), 2);
+        fill(&mut medium, Flow::Up(3), 1);
+        assert!(medium.next(0, Timestamp::ZERO).is_some());
+        medium.occupy(0, Timestamp::ZERO, AIRTIME);
+        assert!(medium.next(0, Timestamp::from_nanos(999_999)).is_none());
+        assert!(medium.next(1, Timestamp::from_nanos(999_999)).is_some(), "another channel is idle");
+        assert_eq!(medium.wakes(0), Some(Timestamp::from_nanos(1_000_000)));
+        assert!(medium.next(0, Timestamp::from_nanos(1_000_000)).is_some());
+    }
+
+    #[test]
+    fn senders_take_turns_and_a_radio_unit_is_one_sender() {
+        let mut medium = medium();
+        fill(&mut medium, Flow::Up(0), 4);
+        fill(&mut medium, Flow::Down(0), 2);
+        fill(&mut medium, Flow::Down(1), 2);
+        fill(&mut medium, Flow::Group(0), 1);
+        fill(&mut medium, Flow::Up(2), 2);
+        let (up, down) = (Flow::Up, Flow::Down);
+        let expected = [up(0), down(0), up(2), up(0), down(1), up(2), up(0), Flow::Group(0)];
+        assert_eq!(turns(&mut medium, 0, 8), expected);
+        assert_eq!(turns(&mut medium, 0, 8), [up(0), down(0), down(1)]);
+    }
+
+    #[test]
+    fn who_is_off_the_channel_keeps_its_frames_and_takes_no_turns() {
+        let mut medium = medium();
+        fill(&mut medium, Flow::Up(0), 2);
+        fill(&mut medium, Flow::Down(0), 1);
+        medium.leave(0);
+        fill(&mut medium, Flow::Up(0), 1);
+        fill(&mut medium, Flow::Up(1), 1);
+        assert_eq!(turns(&mut medium, 0, 9), [Flow::Up(1)]);
+        // Its frames go with it to another radio unit, on another channel.
+        medium.enter(0, 2);
+        assert_eq!(turns(&mut medium, 1, 9), [Flow::Up(0), Flow::Down(0), Flow::Up(0), Flow::Up(0)]);
+    }
+
+    #[test]
+    fn a_full_queue_gives_the_frame_back() {
+        let mut medium = medium();
+        for limit in [QueueLimit::Packets(2), QueueLimit::Bytes(200)] {
+            let pushes = [(); 3].map(|()| medium.push(Flow::Up(0), waiting(), limit).is_ok());
+            assert_eq!(pushes, [true, true, false]);
+            medium.leave(0);
+            assert_eq!(medium.clear(0)[0].len(), 2);
+            medium.enter(0, 0);
+        }
+    }
+
+    #[test]
+    fn load_is_the_share_of_the_last_second_that_was_busy() {
+        let mut medium = medium();
+        for i in 0..2000 {
+            medium.occupy(0, Timestamp::from_nanos(i * 4_000_000), AIRTIME);
+        }
+        let now = Timestamp::from_nanos(8_000_000_000);
+        assert!((medium.load(0, now) - 0.25).abs() < 0.01, "{}", medium.load(0, now));
+        assert_eq!(medium.load(1, now), 0.0);
+        assert_eq!(medium.load(0, now + Duration::from_secs(2)), 0.0);
+        // Of a long frame only what is over counts.
+        medium.occupy(1, now, Duration::from_secs(1));
+        assert!((medium.load(1, now + Duration::from_millis(100)) - 0.1).abs() < 0.02);
     }
 }

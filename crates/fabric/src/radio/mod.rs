@@ -678,7 +678,8 @@ impl Radio {
         }
         let on = station.on_channel();
         self.robots[robot].beacons.reset();
-        if self.robots[robot].moved {
+        // Another radio unit may be better still, or its own lost; who has none finds none where it stands.
+        if on.is_some() || self.robots[robot].moved {
             self.watch(robot, now);
         }
         if let Some(unit) = on {

@@ -82,3 +82,72 @@ impl Beacons {
         if self.missed > 0 || self.stronger.is_some() { Verdict::Watch } else { Verdict::Stay }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const THRESHOLDS: Thresholds =
+        Thresholds { hysteresis_db: 4.0, time_to_trigger: Duration::from_millis(300) };
+
+    /// What a station makes of beacons with these signals of its own radio unit and of two others.
+    fn verdicts(signals: &[(Option<f64>, [f64; 2])], thresholds: Option<Thresholds>) -> Vec<Verdict> {
+        let mut beacons = Beacons::default();
+        let mut now = Timestamp::ZERO;
+        let mut weigh = |(own, others): &(Option<f64>, [f64; 2])| {
+            now = next_beacon(now);
+            let others = others.iter().enumerate().map(|(i, dbm)| (i + 1, Dbm(*dbm)));
+            beacons.weigh(now, own.map(Dbm), others, thresholds)
+        };
+        signals.iter().map(&mut weigh).collect()
+    }
+
+    #[test]
+    fn beacons_come_every_102_4_ms() {
+        assert_eq!(next_beacon(Timestamp::ZERO), Timestamp::from_nanos(102_400_000));
+        assert_eq!(next_beacon(Timestamp::from_nanos(102_400_000)), Timestamp::from_nanos(204_800_000));
+        assert_eq!(next_beacon(Timestamp::from_nanos(204_799_999)), Timestamp::from_nanos(204_800_000));
+    }
+
+    #[test]
+    fn within_the_hysteresis_it_stays() {
+        let signals = [(Some(-70.0), [-66.0, -90.0]); 20];
+        assert_eq!(verdicts(&signals, Some(THRESHOLDS)), [Verdict::Stay; 20]);
+    }
+
+    #[test]
+    fn beyond_it_the_time_to_trigger_must_pass_without_a_break() {
+        let better = (Some(-70.0), [-65.9, -90.0]);
+        let equal = (Some(-70.0), [-70.0, -90.0]);
+        use Verdict::{Roam, Stay, Watch};
+        // 300 ms are three intervals of 102.4 ms.
+        assert_eq!(verdicts(&[better; 4], Some(THRESHOLDS)), [Watch, Watch, Watch, Roam]);
+        let broken = [better, better, equal, better, better, better, better];
+        assert_eq!(verdicts(&broken, Some(THRESHOLDS)), [Watch, Watch, Stay, Watch, Watch, Watch, Roam]);
+        let at_once = Thresholds { time_to_trigger: Duration::ZERO, ..THRESHOLDS };
+        assert_eq!(verdicts(&[better], Some(at_once)), [Roam]);
+    }
+
+    #[test]
+    fn one_that_is_waited_for_is_not_forgotten_for_a_better_one() {
+        let signals = [(Some(-70.0), [-60.0, -90.0]), (Some(-70.0), [-60.0, -50.0])];
+        let signals = [&signals[..], &signals[1..], &signals[1..]].concat();
+        assert_eq!(verdicts(&signals, Some(THRESHOLDS))[3], Verdict::Roam);
+    }
+
+    #[test]
+    fn who_does_not_decide_looks_at_no_other() {
+        assert_eq!(verdicts(&[(Some(-90.0), [-30.0, -30.0]); 9], None), [Verdict::Stay; 9]);
+    }
+
+    #[test]
+    fn seven_beacons_missed_in_a_row_lose_the_radio_unit() {
+        let (missed, heard) = ((None, [-90.0; 2]), (Some(-80.0), [-90.0; 2]));
+        let mut signals = vec![missed; 6];
+        signals.push(heard);
+        signals.extend([missed; 7]);
+        let verdicts = verdicts(&signals, None);
+        assert_eq!(verdicts[5..8], [Verdict::Watch, Verdict::Stay, Verdict::Watch]);
+        assert_eq!(verdicts[12..], [Verdict::Watch, Verdict::Lost]);
+    }
+}

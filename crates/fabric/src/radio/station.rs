@@ -220,3 +220,138 @@ impl Station {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Dbm, GapPolicy, PathLoss, Shadowing, WifiStandard};
+
+    use super::*;
+    use crate::random::stream;
+
+    const fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    fn at(ms: u64) -> Timestamp {
+        Timestamp::from_nanos(ms * 1_000_000)
+    }
+
+    fn station(fast_transition: bool, variation: f64) -> Station {
+        let network = WirelessNetwork {
+            standard: WifiStandard::N,
+            delay: ms(1),
+            rate: None,
+            fast_transition,
+            path_loss: PathLoss::FreeSpace,
+            shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
+            noise_floor: Dbm(-95.0),
+            hysteresis_db: 0.0,
+            time_to_trigger: Duration::ZERO,
+            handover: HandoverTimes {
+                scan: ms(100),
+                authenticate: ms(10),
+                reassociate: ms(20),
+                handshake: ms(40),
+                variation,
+            },
+            gap: GapPolicy::Hold,
+        };
+        let mut station = Station::new(&network, stream(1, "r"));
+        station.begin_attached(0);
+        station
+    }
+
+    /// Lets all phases end, each when it is due; how long that took in all.
+    fn run(
+        station: &mut Station,
+        from: Timestamp,
+        strongest: Option<RadioUnitIndex>,
+    ) -> (Vec<Step>, Duration) {
+        let (mut steps, mut now) = (Vec::new(), from);
+        while let Some(deadline) = station.deadline() {
+            now = deadline;
+            steps.push(station.expire(strongest));
+        }
+        (steps, now.since(from))
+    }
+
+    #[test]
+    fn a_fast_handover_is_authentication_and_reassociation() {
+        let mut station = station(true, 0.0);
+        station.attach(at(5), 1).unwrap();
+        assert_eq!((station.attached(), station.on_channel()), (Some(0), None));
+        let joined = Joined { from: Some(0), to: 1, fast: true, gap: ms(30) };
+        assert_eq!(run(&mut station, at(5), None), (vec![Step::Underway, Step::Attached(joined)], ms(30)));
+        assert_eq!(station.on_channel(), Some(1));
+    }
+
+    #[test]
+    fn a_full_handover_adds_the_handshakes() {
+        let mut station = station(false, 0.0);
+        station.attach(at(0), 1).unwrap();
+        let joined = Joined { from: Some(0), to: 1, fast: false, gap: ms(70) };
+        let (steps, took) = run(&mut station, at(0), None);
+        assert_eq!((steps.last(), took), (Some(&Step::Attached(joined)), ms(70)));
+    }
+
+    #[test]
+    fn who_lost_its_radio_unit_does_the_handshakes_again() {
+        let mut station = station(true, 0.0);
+        assert_eq!(station.detach(), Some(0));
+        station.scan(at(0), Purpose::Roam).unwrap();
+        let joined = Joined { from: None, to: 2, fast: false, gap: ms(170) };
+        let (steps, took) = run(&mut station, at(0), Some(2));
+        assert_eq!((steps[0], steps.last(), took), (Step::Scanned, Some(&Step::Attached(joined)), ms(170)));
+    }
+
+    #[test]
+    fn a_scan_ends_on_the_channel_where_it_began() {
+        let mut station = station(true, 0.0);
+        station.scan(at(0), Purpose::Look).unwrap();
+        assert_eq!(station.on_channel(), None);
+        assert_eq!(run(&mut station, at(0), Some(1)), (vec![Step::Scanned], ms(100)));
+        assert_eq!(station.on_channel(), Some(0));
+        // One that roams stays, too, where none is better.
+        station.scan(at(200), Purpose::Roam).unwrap();
+        assert_eq!(run(&mut station, at(200), Some(0)), (vec![Step::Scanned], ms(100)));
+    }
+
+    #[test]
+    fn a_handover_asked_for_during_a_scan_follows_it() {
+        let mut station = station(true, 0.0);
+        station.scan(at(0), Purpose::Look).unwrap();
+        station.attach(at(50), 1).unwrap();
+        let joined = Joined { from: Some(0), to: 1, fast: true, gap: ms(130) };
+        let steps = vec![Step::Scanned, Step::Underway, Step::Attached(joined)];
+        assert_eq!(run(&mut station, at(0), None), (steps, ms(130)));
+    }
+
+    #[test]
+    fn one_thing_at_a_time() {
+        let mut station = station(true, 0.0);
+        station.attach(at(0), 0).unwrap();
+        assert!(!station.is_away(), "it is there already");
+        station.attach(at(0), 1).unwrap();
+        assert_eq!(station.attach(at(1), 1), Ok(()), "it is on its way");
+        assert_eq!(station.attach(at(1), 2), Err(Busy::HandingOver(1)));
+        assert_eq!(station.scan(at(1), Purpose::Look), Err(Busy::HandingOver(1)));
+        run(&mut station, at(0), None);
+        station.scan(at(100), Purpose::Look).unwrap();
+        assert_eq!(station.scan(at(110), Purpose::Look), Err(Busy::Scanning));
+    }
+
+    #[test]
+    fn phases_vary_as_far_as_asked_and_evenly() {
+        let mut station = station(true, 0.5);
+        let scans: Vec<f64> = (0..2000)
+            .map(|i| {
+                station.scan(at(1000 * i), Purpose::Look).unwrap();
+                run(&mut station, at(1000 * i), None).1.as_secs_f64() * 1e3
+            })
+            .collect();
+        assert!(scans.iter().all(|ms| (50.0..=150.0).contains(ms)));
+        let mean = scans.iter().sum::<f64>() / scans.len() as f64;
+        assert!((mean - 100.0).abs() < 2.0, "{mean}");
+        assert!(scans.iter().any(|ms| *ms < 55.0) && scans.iter().any(|ms| *ms > 145.0));
+    }
+}
