@@ -1,1 +1,314 @@
-//! placeholder
+//! The state of the art to compare with: a robot roams by periodic probing, and its navigation stays where it was put.
+//!
+//! About every 20 to 25 s the robot's radio leaves its channel to scan all others, which holds up its packets
+//! meanwhile; then it attaches to the strongest radio unit. That is what the robot of the published corridor testbed
+//! did by itself (arXiv 2101.07676).
+#![forbid(unsafe_code)]
+
+mod settings;
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp};
+use cotorra_plugin::{Actions, Plugin};
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::{SplitMix64, Xoshiro256PlusPlus};
+
+pub use crate::settings::InvalidSettings;
+use crate::settings::Settings;
+
+/// Lets robots roam by periodic probing: all whose roaming is instructed.
+#[derive(Debug)]
+pub struct Probing {
+    settings: Settings,
+    seed: u64,
+    radios: BTreeMap<NodeId, Radio>,
+}
+
+/// One robot's radio.
+#[derive(Debug)]
+struct Radio {
+    random: Xoshiro256PlusPlus,
+    next_scan: Timestamp,
+    /// It has scanned since its last context: the next one's signals are fresh.
+    scanned: bool,
+}
+
+impl Probing {
+    /// Reads the settings of a testbed file:
+    ///
+    /// - `interval`: the time from one scan to the next, `20 s`, or bounds between which each is drawn, by default
+    ///   `[20 s, 25 s]`; the first scan comes so long after the start;
+    /// - `margin`: a robot leaves its radio unit for one that is stronger by more than this, by default `0 dB`, the
+    ///   published behaviour: the time between scans already keeps it from going back and forth.
+    ///
+    /// # Errors
+    /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
+    pub fn from_settings(
+        settings: &serde_json::Map<String, serde_json::Value>,
+        seed: u64,
+    ) -> Result<Self, InvalidSettings> {
+        Ok(Self { settings: Settings::decode(settings)?, seed, radios: BTreeMap::new() })
+    }
+}
+
+impl Plugin for Probing {
+    fn start(&mut self, now: Timestamp, testbed: &Testbed, _actions: &mut Actions) {
+        let radio = |id: &NodeId| {
+            let mut random = stream(self.seed, id.as_str());
+            let next_scan = now + draw(&mut random, &self.settings);
+            (id.clone(), Radio { random, next_scan, scanned: false })
+        };
+        let robots = testbed.graph.robots().filter(|(_, robot)| robot.roaming == Roaming::Instructed);
+        self.radios = robots.map(|(node, _)| radio(&node.id)).collect();
+    }
+
+    fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
+        match event {
+            Event::Scanned { robot } => {
+                if let Some(radio) = self.radios.get_mut(robot) {
+                    radio.scanned = true;
+                }
+            }
+            Event::Robot(context) => {
+                let radio = self.radios.get_mut(&context.robot);
+                if radio.is_some_and(|radio| std::mem::take(&mut radio.scanned)) {
+                    roam(context, self.settings.margin_db, actions);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        self.radios.values().map(|radio| radio.next_scan).min()
+    }
+
+    fn expire(&mut self, now: Timestamp, actions: &mut Actions) {
+        for (robot, radio) in self.radios.iter_mut().filter(|(_, radio)| radio.next_scan <= now) {
+            radio.next_scan = now + draw(&mut radio.random, &self.settings);
+            actions.instruct(Instruction::Scan { robot: robot.clone() });
+        }
+    }
+}
+
+/// Attaches a robot to the strongest radio unit, if that is not the present one or hardly stronger.
+fn roam(context: &RobotContext, margin_db: f64, actions: &mut Actions) {
+    let heard = |a: &&Attachment| a.signal.is_some_and(|signal| signal.0.is_finite());
+    let strength = |a: &Attachment| a.signal.map_or(f64::NEG_INFINITY, |signal| signal.0);
+    let strongest =
+        context.attachments.iter().filter(heard).max_by(|a, b| strength(a).total_cmp(&strength(b)));
+    let Some(strongest) = strongest.filter(|strongest| !strongest.attached) else { return };
+    let present = context.attachments.iter().find(|a| a.attached);
+    let instruction =
+        Instruction::Attach { robot: context.robot.clone(), radio_unit: strongest.radio_unit.clone() };
+    let better = format!("`{}` is received with {:.1} dBm", strongest.radio_unit, strength(strongest));
+    match present {
+        None => actions.instruct_because(instruction, better),
+        Some(present) if strength(strongest) - strength(present) > margin_db => {
+            let reason = format!("{better}, `{}` with {:.1} dBm", present.radio_unit, strength(present));
+            actions.instruct_because(instruction, reason);
+        }
+        Some(_) => {}
+    }
+}
+
+/// A time from one scan to the next.
+fn draw(random: &mut Xoshiro256PlusPlus, settings: &Settings) -> Duration {
+    let (shortest, longest) = (*settings.interval.start(), *settings.interval.end());
+    let share = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+    shortest + (longest - shortest).mul_f64(share)
+}
+
+/// The robot's own stream of random numbers: the FNV-1a hash of its name, mixed with the seed by splitmix64.
+fn stream(seed: u64, robot: &str) -> Xoshiro256PlusPlus {
+    let hash = robot.bytes().fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    Xoshiro256PlusPlus::seed_from_u64(SplitMix64::seed_from_u64(seed ^ hash).next_u64())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cotorra_graph::{Dbm, Pose, PoseSource, SensorData, Velocity, testbed_file};
+    use proptest::prelude::*;
+    use serde_json::{Map, json};
+
+    use super::*;
+
+    const TESTBED: &str = "
+name: two-robots
+wireless:
+  lab: { standard: n, delay: 1 ms, path_loss: { model: free_space } }
+nodes:
+  r1: { kind: robot, cpus: 1, memory: 1 GB, position: [0, 0], roaming: instructed }
+  r2: { kind: robot, cpus: 1, memory: 1 GB, position: [1, 0], roaming: instructed }
+  r3: { kind: robot, cpus: 1, memory: 1 GB, position: [2, 0], roaming: signal }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  B: { kind: radio_unit, position: [9, 1], channel: 6 }
+links:
+  - { ends: [A, B] }
+";
+
+    fn id(name: &str) -> NodeId {
+        NodeId::new(name).unwrap()
+    }
+
+    fn started(settings: serde_json::Value, seed: u64) -> Probing {
+        let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+        let mut probing = Probing::from_settings(settings.as_object().unwrap(), seed).unwrap();
+        probing.start(Timestamp::ZERO, &testbed, &mut Actions::default());
+        probing
+    }
+
+    /// Runs for `seconds` of virtual time, and tells who scanned when.
+    fn scans(probing: &mut Probing, seconds: f64) -> Vec<(Timestamp, NodeId)> {
+        let mut scans = Vec::new();
+        let mut actions = Actions::default();
+        while let Some(now) = probing.next_deadline().filter(|t| t.as_secs_f64() < seconds) {
+            probing.expire(now, &mut actions);
+            for (instruction, _) in actions.drain() {
+                let Instruction::Scan { robot } = instruction else { panic!("not a scan: {instruction:?}") };
+                scans.push((now, robot));
+            }
+        }
+        scans
+    }
+
+    /// κ with these radio units: name, whether attached, signal.
+    fn context(robot: &str, attachments: &[(&str, bool, Option<f64>)]) -> Event {
+        let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        Event::Robot(RobotContext {
+            robot: id(robot),
+            attachments: attachments
+                .iter()
+                .map(|&(name, attached, signal)| Attachment {
+                    radio_unit: id(name),
+                    attached,
+                    signal: signal.map(Dbm),
+                })
+                .collect(),
+            sensors: SensorData {
+                pose,
+                odometry: pose,
+                velocity: Velocity::default(),
+                bumper: false,
+                nearest_obstacle_m: None,
+            },
+            waypoint: 0,
+        })
+    }
+
+    /// Where the robot goes after a scan, and why.
+    fn roams(margin: &str, attachments: &[(&str, bool, Option<f64>)]) -> Option<(NodeId, String)> {
+        let mut probing = started(json!({ "margin": margin }), 1);
+        let mut actions = Actions::default();
+        probing.handle(Timestamp::ZERO, &Event::Scanned { robot: id("r1") }, &mut actions);
+        probing.handle(Timestamp::ZERO, &context("r1", attachments), &mut actions);
+        assert!(actions.len() < 2);
+        actions.drain().next().map(|(instruction, reason)| match instruction {
+            Instruction::Attach { robot, radio_unit } if robot == "r1" => (radio_unit, reason.unwrap()),
+            other => panic!("not an attachment of r1: {other:?}"),
+        })
+    }
+
+    #[test]
+    fn every_instructed_robot_scans_about_every_20_to_25_seconds() {
+        let mut probing = started(json!({}), 7);
+        let scans = scans(&mut probing, 3600.0);
+        for robot in ["r1", "r2"] {
+            let times: Vec<_> =
+                scans.iter().filter(|(_, r)| *r == robot).map(|(t, _)| t.as_secs_f64()).collect();
+            let gaps: Vec<_> = std::iter::once(&0.0).chain(&times).zip(&times).map(|(a, b)| b - a).collect();
+            assert!(gaps.iter().all(|gap| (20.0..=25.0).contains(gap)), "{gaps:?}");
+            let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
+            assert!((22.0..23.0).contains(&mean), "{mean}");
+        }
+        assert!(scans.iter().all(|(_, robot)| *robot != "r3"), "r3 roams by itself");
+    }
+
+    #[test]
+    fn scans_repeat_with_the_seed_and_differ_by_robot() {
+        let run = |seed| scans(&mut started(json!({}), seed), 100.0);
+        assert_eq!(run(1), run(1));
+        assert_ne!(run(1), run(2));
+        assert_ne!(run(1)[0].0, run(1)[1].0);
+    }
+
+    #[test]
+    fn attaches_to_the_strongest_and_says_why() {
+        let (radio_unit, reason) =
+            roams("0 dB", &[("A", true, Some(-71.25)), ("B", false, Some(-60.0)), ("C", false, None)])
+                .unwrap();
+        assert_eq!(radio_unit, id("B"));
+        assert_eq!(reason, "`B` is received with -60.0 dBm, `A` with -71.2 dBm");
+    }
+
+    #[test]
+    fn stays_where_nothing_is_stronger_by_the_margin() {
+        assert_eq!(roams("0 dB", &[("A", true, Some(-60.0)), ("B", false, Some(-60.0))]), None);
+        assert_eq!(roams("3 dB", &[("A", true, Some(-60.0)), ("B", false, Some(-57.5))]), None);
+        assert!(roams("2 dB", &[("A", true, Some(-60.0)), ("B", false, Some(-57.5))]).is_some());
+        assert_eq!(roams("0 dB", &[("A", true, Some(-60.0)), ("B", false, None)]), None);
+        assert_eq!(roams("0 dB", &[]), None);
+    }
+
+    #[test]
+    fn a_robot_without_a_radio_unit_takes_the_strongest() {
+        let (radio_unit, _) =
+            roams("10 dB", &[("A", false, Some(-90.0)), ("B", false, Some(-88.0))]).unwrap();
+        assert_eq!(radio_unit, id("B"));
+        let (radio_unit, _) = roams("0 dB", &[("A", true, None), ("B", false, Some(-88.0))]).unwrap();
+        assert_eq!(radio_unit, id("B"), "the present one is not heard any more");
+    }
+
+    #[test]
+    fn roams_only_after_a_scan_and_once() {
+        let mut probing = started(json!({}), 1);
+        let mut actions = Actions::default();
+        let weak = context("r1", &[("A", true, Some(-80.0)), ("B", false, Some(-50.0))]);
+        probing.handle(Timestamp::ZERO, &weak, &mut actions);
+        probing.handle(Timestamp::ZERO, &Event::Scanned { robot: id("r2") }, &mut actions);
+        probing.handle(Timestamp::ZERO, &weak, &mut actions);
+        assert!(actions.is_empty());
+        probing.handle(Timestamp::ZERO, &Event::Scanned { robot: id("r1") }, &mut actions);
+        probing.handle(Timestamp::ZERO, &weak, &mut actions);
+        probing.handle(Timestamp::ZERO, &weak, &mut actions);
+        assert_eq!(actions.len(), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn never_leaves_for_a_weaker_one(
+            signals in prop::collection::vec(prop::option::of(-100.0f64..-20.0), 1..8),
+            attached in 0usize..9,
+        ) {
+            let names: Vec<String> = (0..signals.len()).map(|i| format!("R{i}")).collect();
+            let attachments: Vec<_> =
+                signals.iter().enumerate().map(|(i, &signal)| (names[i].as_str(), i == attached, signal)).collect();
+            let strength = |i: usize| signals.get(i).copied().flatten().unwrap_or(f64::NEG_INFINITY);
+            if let Some((to, _)) = roams("0 dB", &attachments) {
+                let to = names.iter().position(|name| to == name.as_str()).unwrap();
+                prop_assert!(to != attached && strength(to) > strength(attached));
+                prop_assert!((0..signals.len()).all(|i| strength(i) <= strength(to)));
+            }
+        }
+
+        #[test]
+        fn any_interval_is_kept(shortest in 1u32..3600, longer in 0u32..100, seed: u64) {
+            let longest = (shortest + longer).min(3600);
+            let settings = json!({ "interval": [format!("{shortest} s"), format!("{longest} s")] });
+            let probing = started(settings, seed);
+            let first = probing.next_deadline().unwrap().as_secs_f64();
+            prop_assert!((f64::from(shortest)..=f64::from(longest)).contains(&first));
+        }
+    }
+
+    #[test]
+    fn without_robots_it_sleeps() {
+        let probing = Probing::from_settings(&Map::new(), 1).unwrap();
+        assert_eq!(probing.next_deadline(), None);
+    }
+}
