@@ -1,1 +1,23 @@
-//! placeholder
+//! Puts a testbed together and runs it: the core of the three blocks, the API, the plug-in host, and what a run leaves.
+//!
+//! [`Run::start`] is the way in, [`Run::finish`] the way out.
+#![forbid(unsafe_code)]
+
+mod api;
+mod core;
+mod core_loop;
+mod live;
+mod navigation;
+mod plugins;
+mod report;
+mod run;
+
+pub use api::{ApiError, Token, openapi};
+pub use live::{Live, Snapshot};
+pub use navigation::{NavigationError, navigation};
+pub use plugins::PluginError;
+pub use report::{
+    Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, PlacementRecord, Quantiles, RegionSummary,
+    Summary, draw,
+};
+pub use run::{Options, Run, RunError, Stopper, clean};

@@ -1,0 +1,189 @@
+//! The HTTP API: what is known, what was, what happens, and instructions. Everything that the bundled plug-ins can do,
+//! a script can do here. Described at `/openapi.json`.
+
+mod auth;
+mod measurements;
+mod routes;
+mod stream;
+mod types;
+
+use std::{
+    collections::BTreeMap,
+    net::SocketAddr,
+    path::PathBuf,
+    sync::{Arc, mpsc},
+};
+
+use axum::{Json, Router, middleware, routing::get};
+use cotorra_graph::{NodeId, Stamped, Testbed};
+use cotorra_measurements::{History, RunId};
+use tokio::sync::{broadcast, oneshot};
+use utoipa::OpenApi as _;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::{core_loop::Message, live::Live};
+
+pub use auth::Token;
+
+/// What the API's handlers need.
+#[derive(Clone)]
+pub(crate) struct Context {
+    pub(crate) testbed: Arc<Testbed>,
+    pub(crate) live: Live,
+    pub(crate) history: Arc<History>,
+    pub(crate) run: RunId,
+    pub(crate) events: broadcast::Sender<Arc<Stamped>>,
+    pub(crate) core: mpsc::Sender<Message>,
+    pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
+}
+
+/// Why the API cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ApiError {
+    /// The address is taken, or not this machine's.
+    #[error("cannot serve the API on {address}: {source}")]
+    Bind {
+        /// Where.
+        address: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The system refuses a thread or a runtime.
+    #[error("cannot start the API's server: {0}")]
+    Start(std::io::Error),
+    /// Another address than loopback needs a token.
+    #[error(
+        "{0} is not a loopback address: set COTORRA_TOKEN, so that not everyone on the network can move the robots"
+    )]
+    TokenMissing(SocketAddr),
+}
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "cotorra",
+        description = "A running testbed: its robots, its network, its measurements and its events. \
+            Times are nanoseconds since the run began unless a name says otherwise. \
+            Where a token is set, every request but this document's needs it as `Authorization: Bearer`.",
+        license(name = "MIT OR Apache-2.0")
+    ),
+    components(schemas(cotorra_graph::Stamped))
+)]
+struct Document;
+
+fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(routes::testbed))
+        .routes(routes!(routes::node))
+        .routes(routes!(routes::robots))
+        .routes(routes!(routes::robot))
+        .routes(routes!(routes::links))
+        .routes(routes!(routes::radio_units))
+        .routes(routes!(routes::placements))
+        .routes(routes!(routes::instruct))
+        .routes(routes!(measurements::robot_history))
+        .routes(routes!(measurements::link_history))
+        .routes(routes!(measurements::service_times))
+        .routes(routes!(measurements::handovers))
+        .routes(routes!(measurements::events))
+        .routes(routes!(measurements::state))
+        .routes(routes!(stream::events))
+        .split_for_parts()
+}
+
+/// The OpenAPI document, as `/openapi.json` serves it.
+pub fn openapi() -> String {
+    router().1.to_pretty_json().expect("the document holds only what JSON can") + "\n"
+}
+
+/// A served API; ends when it is dropped.
+pub(crate) struct Server {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+/// An address that is reserved; nothing is served there yet.
+pub(crate) struct Listener(std::net::TcpListener);
+
+impl Listener {
+    /// Reserves an address; the next free port where it may be `moved`.
+    pub(crate) fn bind(address: SocketAddr, moved: bool, token: Option<&Token>) -> Result<Self, ApiError> {
+        if !address.ip().is_loopback() && token.is_none() {
+            return Err(ApiError::TokenMissing(address));
+        }
+        let any_port = SocketAddr::new(address.ip(), 0);
+        std::net::TcpListener::bind(address)
+            .or_else(|e| if moved { std::net::TcpListener::bind(any_port) } else { Err(e) })
+            .map(Self)
+            .map_err(|source| ApiError::Bind { address, source })
+    }
+
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.0.local_addr().expect("a bound socket has an address")
+    }
+}
+
+impl Server {
+    /// Serves the API on a thread of its own.
+    pub(crate) fn start(
+        listener: Listener,
+        context: Context,
+        token: Option<Token>,
+    ) -> Result<Self, ApiError> {
+        let address = listener.address();
+        listener.0.set_nonblocking(true).map_err(ApiError::Start)?;
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(ApiError::Start)?;
+        let (stop, stopped) = oneshot::channel();
+        let document = openapi();
+        let (router, _) = router();
+        let app = router
+            .layer(middleware::from_fn_with_state(token, auth::check))
+            .route(
+                "/openapi.json",
+                get(move || async move { ([("content-type", "application/json")], document) }),
+            )
+            .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
+            .with_state(context);
+        let thread = std::thread::Builder::new()
+            .name("api".to_owned())
+            .spawn(move || {
+                runtime.block_on(async move {
+                    let listener = match tokio::net::TcpListener::from_std(listener.0) {
+                        Ok(listener) => listener,
+                        Err(error) => return tracing::error!("the API is not served: {error}"),
+                    };
+                    // An open event stream must not keep a finished run alive: stop at once, not gracefully.
+                    tokio::select! {
+                        served = axum::serve(listener, app).into_future() => {
+                            if let Err(error) = served {
+                                tracing::error!("the API is not served any more: {error}");
+                            }
+                        }
+                        _ = stopped => {}
+                    }
+                });
+            })
+            .map_err(ApiError::Start)?;
+        Ok(Self { address, stop: Some(stop), thread: Some(thread) })
+    }
+
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            let _ = stop.send(());
+        }
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A body that a handler gives, or a [`types::Failure`].
+type Answer<T> = Result<Json<T>, types::Failure>;

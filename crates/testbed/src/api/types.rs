@@ -1,0 +1,155 @@
+//! What the API takes and gives beside the types of the graph.
+
+use std::path::PathBuf;
+
+use axum::{
+    Json,
+    extract::{FromRequest, FromRequestParts, rejection},
+    http::StatusCode,
+    response::{IntoResponse, Response},
+};
+use cotorra_graph::{HardwareGraph, HostAddress, Instruction, Node, PluginSpec, Service, Testbed, Walk};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// A testbed.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct TestbedBody {
+    name: String,
+    description: String,
+    graph: HardwareGraph,
+    services: Vec<Service>,
+    walks: Vec<Walk>,
+    plugins: Vec<PluginSpec>,
+    /// Events that came after this are newer than what other paths say.
+    version: &'static str,
+}
+
+impl From<&Testbed> for TestbedBody {
+    fn from(testbed: &Testbed) -> Self {
+        Self {
+            name: testbed.name.clone(),
+            description: testbed.description.clone(),
+            graph: testbed.graph.clone(),
+            services: testbed.services.clone(),
+            walks: testbed.walks.clone(),
+            plugins: testbed.plugins.clone(),
+            version: env!("CARGO_PKG_VERSION"),
+        }
+    }
+}
+
+/// A node and how to reach it.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct NodeBody {
+    #[serde(flatten)]
+    pub(super) node: Node,
+    /// Its addresses; none for a switch.
+    pub(super) address: Option<HostAddress>,
+    /// Its network namespace, for `nsenter --net=`; none for a switch.
+    #[schema(value_type = Option<String>)]
+    pub(super) namespace: Option<PathBuf>,
+}
+
+/// An instruction and why it is given.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InstructionBody {
+    pub(super) instruction: Instruction,
+    /// Kept with the decision.
+    #[serde(default)]
+    pub(super) reason: Option<String>,
+}
+
+/// An instruction was done, or its doing began.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct Done {
+    pub(super) done: bool,
+}
+
+/// Why something was not done.
+#[derive(Debug)]
+pub(super) struct Failure {
+    status: StatusCode,
+    key: &'static str,
+    reason: String,
+}
+
+/// The body of a failure: `error` for a request that cannot be, `refused` for one that the testbed does not do.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct FailureBody {
+    /// What is wrong with the request.
+    error: Option<String>,
+    /// Why the testbed does not do it.
+    refused: Option<String>,
+}
+
+impl Failure {
+    fn new(status: StatusCode, reason: impl Into<String>) -> Self {
+        Self { status, key: "error", reason: reason.into() }
+    }
+
+    pub(super) fn bad_request(reason: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, reason)
+    }
+
+    pub(super) fn unauthorized() -> Self {
+        Self::new(StatusCode::UNAUTHORIZED, "this API needs its token: `Authorization: Bearer …`")
+    }
+
+    pub(super) fn forbidden() -> Self {
+        Self::new(StatusCode::FORBIDDEN, "web pages may not use this API; run it with a token to allow that")
+    }
+
+    pub(super) fn not_found(reason: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, reason)
+    }
+
+    pub(super) fn unavailable(reason: impl Into<String>) -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, reason)
+    }
+
+    pub(super) fn refused(reason: impl Into<String>) -> Self {
+        Self { key: "refused", ..Self::new(StatusCode::CONFLICT, reason) }
+    }
+}
+
+impl IntoResponse for Failure {
+    fn into_response(self) -> Response {
+        let body = serde_json::Map::from_iter([(self.key.to_owned(), self.reason.into())]);
+        (self.status, Json(body)).into_response()
+    }
+}
+
+impl From<rejection::JsonRejection> for Failure {
+    fn from(rejection: rejection::JsonRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+impl From<rejection::QueryRejection> for Failure {
+    fn from(rejection: rejection::QueryRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+impl From<rejection::PathRejection> for Failure {
+    fn from(rejection: rejection::PathRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+/// [`axum::Json`] whose rejection is a [`Failure`].
+#[derive(FromRequest)]
+#[from_request(via(axum::Json), rejection(Failure))]
+pub(super) struct Body<T>(pub(super) T);
+
+/// [`axum::extract::Query`] whose rejection is a [`Failure`].
+#[derive(FromRequestParts)]
+#[from_request(via(axum::extract::Query), rejection(Failure))]
+pub(super) struct Query<T>(pub(super) T);
+
+/// [`axum::extract::Path`] whose rejection is a [`Failure`].
+#[derive(FromRequestParts)]
+#[from_request(via(axum::extract::Path), rejection(Failure))]
+pub(super) struct Path<T>(pub(super) T);

@@ -1,0 +1,205 @@
+//! A testbed's core as a state machine without a clock or a socket: the three blocks, and what passes between them.
+//! In real time a thread drives it; in virtual time anything can.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    net::SocketAddrV4,
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::{
+    Attachment, Decision, Event, Instruction, NodeId, PluginId, Program, Stamped, Testbed, Timestamp, VnfId,
+};
+use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
+use cotorra_plugin::wire::{NAVIGATION_PORT, NavigationPacket};
+use cotorra_robot_middleware::{RobotMiddleware, Route, SimulationError};
+
+/// How often κ is collected.
+const CONTEXT: Duration = Duration::from_millis(100);
+/// How often ι, d and λ are.
+const OBSERVATION: Duration = Duration::from_secs(1);
+
+/// A datagram that a robot emits.
+#[derive(Debug)]
+pub(crate) struct Datagram {
+    pub(crate) robot: NodeId,
+    pub(crate) to: SocketAddrV4,
+    pub(crate) bytes: Vec<u8>,
+}
+
+/// A testbed's core.
+pub(crate) struct Core<N, E> {
+    testbed: Arc<Testbed>,
+    middleware: RobotMiddleware,
+    control: NetworkControl<N, E>,
+    /// The navigation VNF of each robot.
+    navigators: BTreeMap<NodeId, VnfId>,
+    /// φ of each robot as last seen.
+    attachments: BTreeMap<NodeId, Vec<Attachment>>,
+    events: VecDeque<Stamped>,
+    next_context: Timestamp,
+    next_observation: Timestamp,
+    /// Robots stand until everything that they need serves.
+    begun: bool,
+}
+
+impl<N: Network, E: Engine> Core<N, E> {
+    /// # Errors
+    /// When a robot has no place to start from.
+    pub(crate) fn new(
+        testbed: Arc<Testbed>,
+        seed: u64,
+        network: N,
+        engine: E,
+    ) -> Result<Self, SimulationError> {
+        let navigation = |service: &cotorra_graph::Service| {
+            let vnf = service.vnfs.iter().find(|vnf| vnf.program == Program::Navigation)?;
+            Some((service.robot.clone(), vnf.id.clone()))
+        };
+        Ok(Self {
+            middleware: RobotMiddleware::simulated(&testbed, seed, CONTEXT)?,
+            control: NetworkControl::new(&testbed, network, engine),
+            navigators: testbed.services.iter().filter_map(navigation).collect(),
+            attachments: BTreeMap::new(),
+            testbed,
+            events: VecDeque::new(),
+            next_context: Timestamp::ZERO,
+            next_observation: Timestamp::ZERO,
+            begun: false,
+        })
+    }
+
+    /// Starts the VNFs.
+    pub(crate) fn start(&mut self, now: Timestamp) {
+        let events = self.control.start(now);
+        self.tell(now, events);
+    }
+
+    /// Does what is due.
+    pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
+        let events = self.control.poll(now)?;
+        self.tell(now, events);
+        self.begun |= self.control.all_ready();
+        if self.begun {
+            if now >= self.next_context {
+                self.next_context = now + CONTEXT;
+                self.locate()?;
+            }
+            let attachments = &self.attachments;
+            self.middleware.advance(now, |robot| attachments.get(robot).cloned().unwrap_or_default());
+        }
+        if now >= self.next_observation {
+            self.next_observation = now + OBSERVATION;
+            let events = self.control.observe()?;
+            self.tell(now, events);
+        }
+        Ok(())
+    }
+
+    /// Tells the network where the robots are, and learns φ from it.
+    fn locate(&mut self) -> Result<(), NetworkGone> {
+        let places: Vec<_> =
+            self.middleware.positions().map(|(robot, place)| (robot.clone(), place)).collect();
+        let robots: Vec<_> = places.iter().map(|(robot, _)| robot.clone()).collect();
+        let attachments = self.control.locate(places)?;
+        self.attachments = robots.into_iter().zip(attachments).collect();
+        Ok(())
+    }
+
+    /// When [`Core::advance`] has something to do.
+    pub(crate) fn next_deadline(&self) -> Timestamp {
+        let control = self.control.next_deadline().unwrap_or(Timestamp::MAX).min(self.next_observation);
+        if self.begun { control.min(self.next_context).min(self.middleware.next_deadline()) } else { control }
+    }
+
+    /// The next datagram that a robot emits; its emission is `now`.
+    pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
+        if !self.begun {
+            return None;
+        }
+        loop {
+            let mut route = None;
+            let packet = self.middleware.poll_position(now, |robot| {
+                let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
+                let navigator = self.navigators.get(robot).and_then(|vnf| self.control.node(vnf));
+                // Without a navigation VNF the robot talks to itself, and nobody answers.
+                let server = navigator.unwrap_or(robot).clone();
+                let taken = Route { attachment: attached.map(|a| a.radio_unit.clone()), server };
+                route.insert(taken).clone()
+            })?;
+            let address = route.and_then(|route| self.testbed.graph.address(&route.server));
+            let Some(address) = address else { continue };
+            let mut bytes = Vec::with_capacity(512);
+            packet.encode(&mut bytes);
+            let to = SocketAddrV4::new(address.ipv4, NAVIGATION_PORT);
+            return Some(Datagram { robot: packet.robot, to, bytes });
+        }
+    }
+
+    /// A datagram arrived at a robot; what is no navigation packet is ignored.
+    pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, bytes: &[u8]) {
+        match NavigationPacket::decode(bytes) {
+            Ok(packet) => self.middleware.receive(at, robot, &packet),
+            Err(error) => tracing::debug!("{robot} received something else: {error}"),
+        }
+    }
+
+    /// Something happened in the network.
+    pub(crate) fn observe(&mut self, event: Stamped) {
+        if let Event::Handover(_) | Event::Detached { .. } | Event::Scanned { .. } = event.event {
+            // φ changed, or signals are fresh: learnt now, so that the next κ has them.
+            self.next_context = Timestamp::ZERO;
+        }
+        self.events.push_back(event);
+    }
+
+    /// Does what somebody asked for, and tells the decision.
+    pub(crate) fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let done = match &instruction {
+            Instruction::Move { robot, velocity, waypoint } => {
+                let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
+                moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
+            _ => self.control.instruct(now, &instruction),
+        };
+        let refused = done.as_ref().err().map(ToString::to_string);
+        let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
+        self.tell(now, vec![decision]);
+        self.tell(now, done?);
+        Ok(())
+    }
+
+    /// A robot whose controller was cut off stops.
+    pub(crate) fn stop_robot(&mut self, now: Timestamp, robot: &NodeId) {
+        self.middleware.stop(now, robot);
+    }
+
+    /// Whether every walk is done; never where there is none.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.middleware.finished()
+    }
+
+    /// What happened, oldest first.
+    pub(crate) fn poll_event(&mut self) -> Option<Stamped> {
+        self.events.pop_front().or_else(|| self.middleware.poll_event())
+    }
+
+    /// The end: what the network knows is told once more, and VNFs are stopped.
+    pub(crate) fn shut_down(&mut self, now: Timestamp) {
+        if let Ok(events) = self.control.observe() {
+            self.tell(now, events);
+        }
+        self.control.shut_down();
+    }
+
+    fn tell(&mut self, at: Timestamp, events: Vec<Event>) {
+        self.events.extend(events.into_iter().map(|event| Stamped { at, event }));
+    }
+}

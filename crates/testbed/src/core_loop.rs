@@ -1,0 +1,256 @@
+//! The core's thread in real time: waits for messages and deadlines, and keeps [`crate::core::Core`] going. It owns the
+//! clock's side of things; what is to be done is the core's to know.
+
+use std::{
+    collections::BTreeMap,
+    net::{SocketAddr, UdpSocket},
+    sync::{Arc, mpsc},
+};
+
+use cotorra_graph::{Event, Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_measurements::Recorder;
+use cotorra_network_control::{Network, NetworkGone, Refused, vim::Engine};
+use tokio::sync::broadcast;
+
+use crate::{
+    core::Core,
+    live::Live,
+    plugins::{Now, PluginHost, Refusal},
+    report::Report,
+};
+
+/// How often plug-ins are looked at.
+const CHECK: std::time::Duration = std::time::Duration::from_millis(200);
+
+/// What the core's thread is told.
+pub(crate) enum Message {
+    /// A robot received a datagram.
+    Datagram {
+        /// Which robot.
+        robot: NodeId,
+        /// When.
+        at: Timestamp,
+        /// What.
+        bytes: Vec<u8>,
+    },
+    /// Somebody asks for something.
+    Instruct {
+        /// Who.
+        plugin: PluginId,
+        /// What for.
+        instruction: Instruction,
+        /// Why.
+        reason: Option<String>,
+        /// Where to say what came of it.
+        reply: Option<Reply>,
+    },
+    /// A plug-in panicked or ended.
+    PluginFailed {
+        /// Which.
+        plugin: PluginId,
+        /// How.
+        reason: String,
+    },
+    /// The emulated network tells what happened in it.
+    Network(Stamped),
+    /// Something is to be looked at.
+    Wake,
+    /// The run is to end.
+    Stop,
+}
+
+/// Says what came of an instruction.
+pub(crate) type Reply = Box<dyn FnOnce(Result<(), Refused>) + Send>;
+
+/// Where events go.
+pub(crate) struct Readers {
+    pub(crate) live: Live,
+    pub(crate) recorder: Recorder,
+    pub(crate) report: Report,
+    pub(crate) stream: broadcast::Sender<Arc<Stamped>>,
+    pub(crate) plugins: PluginHost,
+}
+
+impl Readers {
+    fn publish(&mut self, event: Stamped) {
+        self.live.absorb(&event);
+        self.report.absorb(&event);
+        let event = Arc::new(event);
+        self.plugins.publish(&event);
+        // Nobody may be listening.
+        let _ = self.stream.send(Arc::clone(&event));
+        self.recorder.record(Arc::unwrap_or_clone(event));
+    }
+}
+
+/// Why a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum End {
+    /// Every walk is done.
+    Walked,
+    /// The time that was asked for is over.
+    Until,
+    /// Somebody stopped it.
+    Stopped,
+    /// The emulated network is gone.
+    Broken,
+}
+
+impl End {
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            Self::Walked => "every walk is done",
+            Self::Until => "the time that was asked for is over",
+            Self::Stopped => "it was stopped",
+            Self::Broken => "the emulated network failed",
+        }
+    }
+}
+
+/// The core's thread.
+pub(crate) struct CoreLoop<N, E> {
+    pub(crate) core: Core<N, E>,
+    pub(crate) readers: Readers,
+    pub(crate) inbox: mpsc::Receiver<Message>,
+    pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
+    pub(crate) now: Now,
+    pub(crate) until: Option<Timestamp>,
+}
+
+impl<N: Network, E: Engine> CoreLoop<N, E> {
+    /// Runs until the end, and gives back what the report is made of.
+    pub(crate) fn run(mut self) -> (Report, Timestamp, End) {
+        let mut next_check = Timestamp::ZERO;
+        let end = loop {
+            let now = (self.now)();
+            if self.until.is_some_and(|until| now >= until) {
+                break End::Until;
+            }
+            if self.core.is_finished() {
+                break End::Walked;
+            }
+            if self.core.advance(now).is_err() {
+                break End::Broken;
+            }
+            self.transmit();
+            if now >= next_check {
+                next_check = now + CHECK;
+                for (plugin, reason) in self.readers.plugins.check(now) {
+                    self.cut_off(now, &plugin, reason);
+                }
+            }
+            self.publish();
+            let deadline =
+                self.core.next_deadline().min(next_check).min(self.until.unwrap_or(Timestamp::MAX));
+            match self.inbox.recv_timeout(deadline.since((self.now)())) {
+                Ok(Message::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break End::Stopped,
+                Ok(message) => self.take(message),
+                Err(mpsc::RecvTimeoutError::Timeout) => {}
+            }
+        };
+        let now = (self.now)();
+        self.core.shut_down(now);
+        self.publish();
+        (self.readers.report, now, end)
+    }
+
+    fn publish(&mut self) {
+        while let Some(event) = self.core.poll_event() {
+            self.readers.publish(event);
+        }
+    }
+
+    fn transmit(&mut self) {
+        while let Some(datagram) = self.core.poll_transmit((self.now)()) {
+            let Some(socket) = self.sockets.get(&datagram.robot) else { continue };
+            // What cannot be sent is lost as on any network; the sample then has no answer.
+            if let Err(error) = socket.send_to(&datagram.bytes, SocketAddr::V4(datagram.to)) {
+                tracing::debug!("{} cannot send to {}: {error}", datagram.robot, datagram.to);
+            }
+        }
+    }
+
+    fn take(&mut self, message: Message) {
+        let now = (self.now)();
+        match message {
+            Message::Datagram { robot, at, bytes } => self.core.receive(at, &robot, &bytes),
+            Message::Instruct { plugin, instruction, reason, reply } => {
+                let done = self.instruct(now, plugin, instruction, reason);
+                if let Some(reply) = reply {
+                    // What the instruction did is told before the answer to it.
+                    self.publish();
+                    reply(done);
+                }
+            }
+            Message::PluginFailed { plugin, reason } => self.cut_off(now, &plugin, reason),
+            Message::Network(event) => self.core.observe(event),
+            Message::Wake | Message::Stop => {}
+        }
+    }
+
+    fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        if let Err(refusal) = self.readers.plugins.admit(now, &plugin) {
+            if refusal == Refusal::Flood {
+                self.cut_off(now, &plugin, refusal.to_string());
+            }
+            return Err(Refused(refusal.to_string()));
+        }
+        if let Instruction::Move { robot, .. } = &instruction {
+            self.readers.plugins.moved(robot, &plugin);
+        }
+        self.core.instruct(now, plugin, instruction, reason)
+    }
+
+    fn cut_off(&mut self, now: Timestamp, plugin: &PluginId, reason: String) {
+        for robot in self.readers.plugins.cut_off(plugin) {
+            self.core.stop_robot(now, &robot);
+        }
+        let event = Event::PluginFault { plugin: plugin.clone(), reason };
+        self.readers.publish(Stamped { at: now, event });
+    }
+}
+
+/// Receives what arrives for a robot, and notes the time before anything else is done.
+pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc::Sender<Message>) {
+    let mut buffer = [0; 2048];
+    loop {
+        match socket.recv_from(&mut buffer) {
+            Ok((length, _)) => {
+                let message =
+                    Message::Datagram { robot: robot.clone(), at: now(), bytes: buffer[..length].to_vec() };
+                if tell.send(message).is_err() {
+                    return;
+                }
+            }
+            Err(error) => match error.kind() {
+                std::io::ErrorKind::Interrupted => {}
+                // The read timeout, which is there to notice that nobody listens any more.
+                std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut => {
+                    if tell.send(Message::Wake).is_err() {
+                        return;
+                    }
+                }
+                _ => return tracing::error!("{robot} can receive nothing any more: {error}"),
+            },
+        }
+    }
+}
+
+/// The emulated network on the datapath's thread.
+#[derive(Clone)]
+pub(crate) struct RealNetwork(pub(crate) cotorra_datapath::Handle);
+
+impl Network for RealNetwork {
+    fn with<R: Send + 'static>(
+        &self,
+        action: impl FnOnce(&mut cotorra_fabric::Fabric, Timestamp) -> R + Send + 'static,
+    ) -> Result<R, NetworkGone> {
+        self.0.with(action).map_err(|_| NetworkGone)
+    }
+}

@@ -1,0 +1,89 @@
+//! What is known right now: the last of every embedding. The API and the terminal read it; only events write it.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, PoisonError, RwLock},
+};
+
+use cotorra_graph::{
+    Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
+    ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId,
+};
+use serde::Serialize;
+
+/// The last of every embedding.
+#[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
+pub struct Snapshot {
+    /// When the last event happened.
+    pub at: Timestamp,
+    /// κ of every robot.
+    pub robots: BTreeMap<NodeId, RobotContext>,
+    /// ι of every radio unit.
+    pub radio_units: BTreeMap<NodeId, RadioContext>,
+    /// d, λ and conditions of every link and direction.
+    #[serde(skip)]
+    pub links: BTreeMap<(LinkId, Direction), LinkContext>,
+    /// a(n).
+    pub placements: BTreeMap<VnfId, Placement>,
+    /// a(n1,n2).
+    pub virtual_links: Vec<VirtualLinkMapping>,
+    /// The last word on every VNF's process.
+    pub vnfs: BTreeMap<VnfId, VnfEvent>,
+    /// The last service time of every robot.
+    pub service_times: BTreeMap<NodeId, ServiceTime>,
+    /// The emulator's lateness.
+    pub lateness: Lateness,
+    /// Robots at the end of their walk.
+    pub finished: Vec<NodeId>,
+    /// Plug-ins that were cut off, with the reason.
+    pub plugin_faults: Vec<String>,
+}
+
+/// A snapshot that many read while one writes.
+#[derive(Debug, Clone, Default)]
+pub struct Live(Arc<RwLock<Snapshot>>);
+
+impl Live {
+    /// Reads it.
+    pub fn read<R>(&self, read: impl FnOnce(&Snapshot) -> R) -> R {
+        // A reader that panicked cannot have left it half written.
+        read(&self.0.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(crate) fn absorb(&self, Stamped { at, event }: &Stamped) {
+        let mut now = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        now.at = now.at.max(*at);
+        match event.clone() {
+            Event::Robot(context) => {
+                now.robots.insert(context.robot.clone(), context);
+            }
+            Event::Radio(context) => {
+                now.radio_units.insert(context.radio_unit.clone(), context);
+            }
+            Event::Link(context) => {
+                now.links.insert((context.link.clone(), context.direction), context);
+            }
+            Event::Placement(placement) => {
+                now.placements.insert(placement.vnf.clone(), placement);
+            }
+            Event::VirtualLink(mapping) => {
+                now.virtual_links.retain(|m| (&m.from, &m.to) != (&mapping.from, &mapping.to));
+                now.virtual_links.push(mapping);
+            }
+            Event::Vnf(event) => {
+                now.vnfs.insert(event.vnf.clone(), event);
+            }
+            Event::ServiceTime(sample) => {
+                now.service_times.insert(sample.robot.clone(), sample);
+            }
+            Event::Lateness(lateness) => now.lateness = lateness,
+            Event::WalkFinished { robot } => now.finished.push(robot),
+            Event::PluginFault { plugin, reason } => now.plugin_faults.push(format!("{plugin}: {reason}")),
+            Event::Handover(_)
+            | Event::Detached { .. }
+            | Event::Scanned { .. }
+            | Event::Decision(_)
+            | Event::Notice { .. } => {}
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! The service time over time in the published figure's layout: the target dashed, the attachment shaded and named.
+
+use cotorra_graph::ServiceTime;
+use kuva::{
+    backend::svg::SvgBackend,
+    plot::{
+        LinePlot,
+        annotations::{ReferenceLine, ShadedRegion, TextAnnotation},
+    },
+    render::{figure::Figure, layout::Layout, plots::Plot},
+};
+
+use super::summary::{RegionSummary, took_ms};
+
+/// The published figure ends here, milliseconds; spikes above are cut.
+const TOP_MS: f64 = 40.0;
+const WIDTH: f64 = 1100.0;
+const HEIGHT: f64 = 360.0;
+/// Regions in turn; light enough for a line in front.
+const SHADES: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#9c755f"];
+
+/// One panel of the figure.
+#[derive(Debug)]
+pub struct Panel<'a> {
+    /// Written above it.
+    pub title: String,
+    /// Its samples.
+    pub samples: &'a [ServiceTime],
+    /// Its shading.
+    pub regions: Vec<RegionSummary>,
+    /// The dashed line.
+    pub target_ms: Option<f64>,
+}
+
+/// Draws the panels, one below the other, as SVG.
+pub fn draw(panels: &[Panel<'_>]) -> String {
+    let end = panels.iter().flat_map(|p| p.samples).map(|s| s.emitted.as_secs_f64()).fold(1.0, f64::max);
+    let (plots, layouts) = panels.iter().map(|panel| draw_panel(panel, end)).unzip();
+    let scene = Figure::new(panels.len(), 1)
+        .with_plots(plots)
+        .with_layouts(layouts)
+        .with_figure_size(WIDTH, HEIGHT * panels.len() as f64)
+        .render();
+    SvgBackend::new().render_scene(&scene)
+}
+
+fn draw_panel(panel: &Panel<'_>, end: f64) -> (Vec<Plot>, Layout) {
+    let mut samples: Vec<_> = panel.samples.iter().collect();
+    samples.sort_by_key(|s| s.emitted);
+    // A sample without an answer is drawn where it would be at best: at the top.
+    let points = samples.iter().map(|s| (s.emitted.as_secs_f64(), took_ms(s).unwrap_or(TOP_MS).min(TOP_MS)));
+    let line = LinePlot::new().with_data(points).with_color("#1f3b5c").with_stroke_width(1.2);
+    let plots = vec![Plot::Line(line)];
+    let mut layout = Layout::auto_from_plots(&plots)
+        .with_title(panel.title.clone())
+        .with_x_label("time (s)")
+        .with_y_label("service time (ms)")
+        .with_show_grid(false)
+        .with_x_axis_min(0.0)
+        .with_x_axis_max((end / 50.0).ceil() * 50.0)
+        .with_y_axis_min(0.0)
+        .with_y_axis_max(TOP_MS);
+    if let Some(target) = panel.target_ms {
+        let line =
+            ReferenceLine::horizontal(target).with_color("#c0392b").with_label(format!("target {target} ms"));
+        layout = layout.with_reference_line(line);
+    }
+    let mut names: Vec<&str> = Vec::new();
+    for (region, to) in close_gaps(&panel.regions) {
+        let name = region.attachment.as_ref().map_or("none", |a| a.as_str());
+        let shade = names.iter().position(|n| *n == name).unwrap_or_else(|| {
+            names.push(name);
+            names.len() - 1
+        });
+        let shading = ShadedRegion::vertical(region.from_s, to)
+            .with_color(SHADES[shade % SHADES.len()])
+            .with_opacity(0.22);
+        layout = layout.with_shaded_region(shading);
+        // A name needs some room to be read.
+        if (to - region.from_s) / end > 0.03 {
+            let middle = (region.from_s + to) / 2.0;
+            layout =
+                layout.with_annotation(TextAnnotation::new(name, middle, TOP_MS * 0.94).with_font_size(13));
+        }
+    }
+    (plots, layout)
+}
+
+/// Regions with the time up to which each is shaded: the next one's beginning.
+fn close_gaps(regions: &[RegionSummary]) -> impl Iterator<Item = (&RegionSummary, f64)> {
+    let ends = regions.iter().skip(1).map(|next| next.from_s).chain(regions.last().map(|last| last.to_s));
+    regions.iter().zip(ends)
+}

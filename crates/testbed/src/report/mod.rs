@@ -1,0 +1,11 @@
+//! What a run leaves: the summary, the samples, the published figure's layout. Everything is read off the events.
+
+mod figure;
+mod folder;
+mod summary;
+
+pub use figure::{Panel, draw};
+pub use folder::{FolderError, RunFolder};
+pub use summary::{
+    Fidelity, HandoverRecord, LatenessSummary, PlacementRecord, Quantiles, RegionSummary, Report, Summary,
+};

@@ -1,0 +1,363 @@
+//! Turns the events of a run into its summary.
+
+use cotorra_graph::{Event, Lateness, NodeId, ServiceTime, Stamped, Testbed, Timestamp, VnfId};
+use serde::Serialize;
+
+/// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
+const VALID_P99_US: f64 = 1000.0;
+/// The same at the median.
+const VALID_P50_US: f64 = 250.0;
+
+/// What `summary.json` holds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// The testbed's name.
+    pub name: String,
+    /// The version of cotorra that ran it.
+    pub version: &'static str,
+    /// The run's seed.
+    pub seed: u64,
+    /// How long it ran, seconds.
+    pub duration_s: f64,
+    /// Why it ended.
+    pub ended: &'static str,
+    /// How many service times were measured, unanswered ones included.
+    pub samples: usize,
+    /// How many of them got no answer within the robot's command timeout.
+    pub unanswered: usize,
+    /// The target service time.
+    pub target_ms: Option<f64>,
+    /// Share of samples over the target; an unanswered one is over any.
+    pub above_target: Option<f64>,
+    /// Service time over all answered samples.
+    pub service_time_ms: Option<Quantiles>,
+    /// Stretches with one attachment and one server, in order.
+    pub regions: Vec<RegionSummary>,
+    /// Changes of attachment, in order.
+    pub handovers: Vec<HandoverRecord>,
+    /// Placements, in order, those at the start included.
+    pub placements: Vec<PlacementRecord>,
+    /// Whether the emulator did what it was asked.
+    pub fidelity: Fidelity,
+    /// Where the robots' poses came from.
+    pub pose_source: &'static str,
+    /// Plug-ins that were cut off, with the reason.
+    pub plugin_faults: Vec<String>,
+    /// Events that the history had no room for.
+    pub history_dropped: u64,
+}
+
+/// Quantiles by linear interpolation between closest ranks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Maximum.
+    pub max: f64,
+}
+
+impl Quantiles {
+    /// Of these values; `None` if there are none.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        let max = *values.last()?;
+        let at = |q: f64| {
+            let rank = q * (values.len() - 1) as f64;
+            let (low, high) = (values[rank.floor() as usize], values[rank.ceil() as usize]);
+            low + (high - low) * rank.fract()
+        };
+        Some(Self { p50: at(0.5), p95: at(0.95), p99: at(0.99), max })
+    }
+}
+
+/// A stretch with one attachment and one server.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RegionSummary {
+    /// The robot.
+    pub robot: NodeId,
+    /// Its radio unit; `None` while it had none.
+    pub attachment: Option<NodeId>,
+    /// Where navigation ran.
+    pub server: NodeId,
+    /// The first sample's emission, seconds.
+    pub from_s: f64,
+    /// The last sample's emission, seconds.
+    pub to_s: f64,
+    /// Samples in it.
+    pub samples: usize,
+    /// Median service time; `None` if no sample was answered.
+    pub p50_ms: Option<f64>,
+}
+
+/// A change of attachment.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HandoverRecord {
+    /// When it was complete.
+    pub at_s: f64,
+    /// The robot.
+    pub robot: NodeId,
+    /// Before.
+    pub from: Option<NodeId>,
+    /// After.
+    pub to: NodeId,
+    /// How long no frame could pass.
+    pub gap_ms: f64,
+    /// Whether fast transition was used.
+    pub fast: bool,
+}
+
+/// A VNF on a node.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PlacementRecord {
+    /// When.
+    pub at_s: f64,
+    /// The VNF.
+    pub vnf: VnfId,
+    /// The node.
+    pub node: NodeId,
+}
+
+/// Whether the emulator did what it was asked.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Fidelity {
+    /// Whether the figures can be trusted.
+    pub valid: bool,
+    /// How late frames were delivered.
+    pub lateness_us: LatenessSummary,
+    /// Frames that it speaks of.
+    pub frames: u64,
+    /// Why it is valid or not, with the limits.
+    pub reason: String,
+}
+
+/// Quantiles of the lateness, µs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LatenessSummary {
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Maximum.
+    pub max: f64,
+}
+
+impl Fidelity {
+    fn of(lateness: Lateness) -> Self {
+        let Lateness { frames, p50_us, p99_us, max_us } = lateness;
+        let (valid, reason) = if frames == 0 {
+            (false, "no frame crossed the emulated network".to_owned())
+        } else if p99_us > VALID_P99_US {
+            (
+                false,
+                format!("1 % of the frames came later than {p99_us:.0} µs; {VALID_P99_US:.0} µs are allowed"),
+            )
+        } else if p50_us > VALID_P50_US {
+            (
+                false,
+                format!(
+                    "half of the frames came later than {p50_us:.0} µs; {VALID_P50_US:.0} µs are allowed"
+                ),
+            )
+        } else {
+            let reason = format!(
+                "lateness p50 {p50_us:.0} µs (limit {VALID_P50_US:.0}), p99 {p99_us:.0} µs (limit {VALID_P99_US:.0})"
+            );
+            (true, reason)
+        };
+        Self { valid, lateness_us: LatenessSummary { p50: p50_us, p99: p99_us, max: max_us }, frames, reason }
+    }
+}
+
+/// Collects the events of a run.
+#[derive(Debug)]
+pub struct Report {
+    name: String,
+    seed: u64,
+    target_ms: Option<f64>,
+    samples: Vec<ServiceTime>,
+    handovers: Vec<HandoverRecord>,
+    placements: Vec<PlacementRecord>,
+    lateness: Lateness,
+    faults: Vec<String>,
+}
+
+impl Report {
+    /// Of a run with that seed; the target is the first service's.
+    pub fn new(testbed: &Testbed, seed: u64) -> Self {
+        Self {
+            name: testbed.name.clone(),
+            seed,
+            target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
+            samples: Vec::new(),
+            handovers: Vec::new(),
+            placements: Vec::new(),
+            lateness: Lateness::default(),
+            faults: Vec::new(),
+        }
+    }
+
+    /// Takes an event in.
+    pub fn absorb(&mut self, Stamped { at, event }: &Stamped) {
+        let at_s = at.as_secs_f64();
+        match event {
+            Event::ServiceTime(sample) => self.samples.push(sample.clone()),
+            Event::Handover(h) => self.handovers.push(HandoverRecord {
+                at_s,
+                robot: h.robot.clone(),
+                from: h.from.clone(),
+                to: h.to.clone(),
+                gap_ms: h.gap.as_secs_f64() * 1e3,
+                fast: h.fast,
+            }),
+            Event::Placement(p) => {
+                self.placements.push(PlacementRecord { at_s, vnf: p.vnf.clone(), node: p.node.clone() });
+            }
+            Event::Lateness(lateness) => self.lateness = *lateness,
+            Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
+            _ => {}
+        }
+    }
+
+    /// The service times so far, in the order of their answers.
+    pub fn samples(&self) -> &[ServiceTime] {
+        &self.samples
+    }
+
+    /// The target, milliseconds.
+    pub fn target_ms(&self) -> Option<f64> {
+        self.target_ms
+    }
+
+    /// The summary, for a run that ended at `end`.
+    pub fn summary(&self, end: Timestamp, ended: &'static str, history_dropped: u64) -> Summary {
+        let answered: Vec<f64> = self.samples.iter().filter_map(took_ms).collect();
+        let above = |target: f64| {
+            let above = self.samples.iter().filter(|s| took_ms(s).is_none_or(|ms| ms > target)).count();
+            (!self.samples.is_empty()).then(|| above as f64 / self.samples.len() as f64)
+        };
+        Summary {
+            name: self.name.clone(),
+            version: env!("CARGO_PKG_VERSION"),
+            seed: self.seed,
+            duration_s: end.as_secs_f64(),
+            ended,
+            samples: self.samples.len(),
+            unanswered: self.samples.len() - answered.len(),
+            target_ms: self.target_ms,
+            above_target: self.target_ms.and_then(above),
+            service_time_ms: Quantiles::of(answered),
+            regions: self.regions(),
+            handovers: self.handovers.clone(),
+            placements: self.placements.clone(),
+            fidelity: Fidelity::of(self.lateness),
+            pose_source: "simulator",
+            plugin_faults: self.faults.clone(),
+            history_dropped,
+        }
+    }
+
+    /// Stretches with one attachment and one server, robot by robot.
+    pub fn regions(&self) -> Vec<RegionSummary> {
+        let mut samples: Vec<_> = self.samples.iter().collect();
+        samples.sort_by(|a, b| (&a.robot, a.emitted).cmp(&(&b.robot, b.emitted)));
+        let same = |a: &&ServiceTime, b: &&ServiceTime| {
+            (&a.robot, &a.attachment, &a.server) == (&b.robot, &b.attachment, &b.server)
+        };
+        let region = |run: &[&ServiceTime]| {
+            let (first, last) = (run.first()?, run.last()?);
+            Some(RegionSummary {
+                robot: first.robot.clone(),
+                attachment: first.attachment.clone(),
+                server: first.server.clone(),
+                from_s: first.emitted.as_secs_f64(),
+                to_s: last.emitted.as_secs_f64(),
+                samples: run.len(),
+                p50_ms: Quantiles::of(run.iter().filter_map(|s| took_ms(s)).collect()).map(|q| q.p50),
+            })
+        };
+        samples.chunk_by(same).filter_map(region).collect()
+    }
+}
+
+/// What a sample took, in milliseconds.
+pub(super) fn took_ms(sample: &ServiceTime) -> Option<f64> {
+    sample.took.map(|took| took.as_secs_f64() * 1e3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn sample(sequence: u32, attachment: &str, took_ms: Option<u64>) -> Stamped {
+        let emitted = Timestamp::from_secs_f64(f64::from(sequence));
+        let event = Event::ServiceTime(ServiceTime {
+            service: "navigation".parse().unwrap(),
+            robot: "robot".parse().unwrap(),
+            sequence,
+            emitted,
+            took: took_ms.map(Duration::from_millis),
+            attachment: Some(attachment.parse().unwrap()),
+            server: "cloud".parse().unwrap(),
+        });
+        Stamped { at: emitted, event }
+    }
+
+    fn report() -> Report {
+        Report {
+            name: "test".into(),
+            seed: 1,
+            target_ms: Some(15.0),
+            samples: Vec::new(),
+            handovers: Vec::new(),
+            placements: Vec::new(),
+            lateness: Lateness::default(),
+            faults: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn quantiles_interpolate_between_ranks() {
+        let q = Quantiles::of((1..=5).map(f64::from).collect()).unwrap();
+        assert_eq!((q.p50, q.p95, q.max), (3.0, 4.8, 5.0));
+        assert_eq!(Quantiles::of(Vec::new()), None);
+    }
+
+    #[test]
+    fn an_unanswered_sample_is_over_any_target() {
+        let mut report = report();
+        for (i, took) in [Some(10), Some(16), None, Some(14)].into_iter().enumerate() {
+            report.absorb(&sample(i as u32, "R1", took));
+        }
+        let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", 0);
+        assert_eq!((summary.samples, summary.unanswered, summary.above_target), (4, 1, Some(0.5)));
+        assert_eq!(summary.service_time_ms.unwrap().max, 16.0);
+    }
+
+    #[test]
+    fn regions_split_where_the_attachment_changes_and_not_where_answers_overtake() {
+        let mut report = report();
+        for (sequence, attachment) in [(0, "R1"), (2, "R1"), (1, "R1"), (3, "R3"), (4, "R1")] {
+            report.absorb(&sample(sequence, attachment, Some(11)));
+        }
+        let regions: Vec<_> = report
+            .regions()
+            .iter()
+            .map(|r| (r.attachment.as_ref().unwrap().to_string(), r.samples))
+            .collect();
+        assert_eq!(regions, [("R1".into(), 3), ("R3".into(), 1), ("R1".into(), 1)]);
+    }
+
+    #[test]
+    fn a_run_without_frames_or_with_late_ones_is_not_valid() {
+        assert!(!Fidelity::of(Lateness::default()).valid);
+        let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
+        assert!(Fidelity::of(good).valid);
+        let late = Fidelity::of(Lateness { p99_us: 1500.0, ..good });
+        assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
+    }
+}

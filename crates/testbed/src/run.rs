@@ -1,0 +1,383 @@
+//! A run: a testbed brought up on this machine with real packets, kept going, and taken down again.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    net::{Ipv4Addr, SocketAddr, UdpSocket},
+    path::{Path, PathBuf},
+    process::{ChildStdout, Command, ExitStatus},
+    sync::{
+        Arc, Mutex,
+        mpsc::{self, Sender},
+    },
+    thread,
+    time::Duration,
+};
+
+use cotorra_datapath::{Child, Datapath, SpawnOptions};
+use cotorra_fabric::Fabric;
+use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId};
+use cotorra_measurements::{History, Recorder, RunId, RunInfo};
+use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
+use tokio::sync::broadcast;
+
+use crate::{
+    api::{self, ApiError, Listener, Server, Token},
+    core::Core,
+    core_loop::{CoreLoop, End, Message, Readers, RealNetwork, receive},
+    live::Live,
+    navigation,
+    plugins::{Now, PluginError, PluginHost, Said},
+    report::{FolderError, Report, RunFolder, Summary},
+};
+
+/// Where the API listens unless it is told.
+const DEFAULT_API: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 7700);
+/// Events that wait for a reader of the stream; one that is further behind misses the oldest.
+const STREAM: usize = 4096;
+/// A robot's receiver looks this often whether it is still wanted.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How a run is to go.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// In place of the testbed file's seed.
+    pub seed: Option<u64>,
+    /// End after so long, walks finished or not.
+    pub until: Option<Duration>,
+    /// Where the run's folder is made.
+    pub out: PathBuf,
+    /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
+    pub api: Option<SocketAddr>,
+    /// What callers of the API must show.
+    pub token: Option<Token>,
+}
+
+/// Why a testbed cannot be brought up, or its run not be finished.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A file of the run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The history.
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+    /// The emulated network's model.
+    #[error(transparent)]
+    Fabric(#[from] cotorra_fabric::FabricError),
+    /// The emulated network's packets.
+    #[error(transparent)]
+    Datapath(#[from] cotorra_datapath::Error),
+    /// The API.
+    #[error(transparent)]
+    Api(#[from] ApiError),
+    /// A plug-in.
+    #[error(transparent)]
+    Plugin(#[from] PluginError),
+    /// A robot.
+    #[error("{0}")]
+    Robot(String),
+    /// A socket or a thread.
+    #[error("cannot {what}: {source}")]
+    System {
+        /// What was to be done.
+        what: String,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The core's thread panicked, which is a bug.
+    #[error("the run broke off; please report this as a bug, with the run's folder")]
+    Panicked,
+}
+
+fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
+    let what = what.into();
+    move |source| RunError::System { what, source }
+}
+
+/// Ends a run early, in order.
+#[derive(Debug, Clone)]
+pub struct Stopper(Sender<Message>);
+
+impl Stopper {
+    /// The run is to end; does nothing if it has.
+    pub fn stop(&self) {
+        let _ = self.0.send(Message::Stop);
+    }
+}
+
+/// A testbed that runs.
+pub struct Run {
+    testbed: Arc<Testbed>,
+    live: Live,
+    folder: RunFolder,
+    history: Arc<History>,
+    recorder: Recorder,
+    run: RunId,
+    tell: Sender<Message>,
+    server: Server,
+    core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
+    // After the core: its thread uses it until it ends.
+    _datapath: Arc<Datapath>,
+}
+
+impl Run {
+    /// Brings a testbed up and sets it going. `text` is the testbed file, found at `file`.
+    ///
+    /// # Errors
+    /// [`RunError`]; then nothing is left but the run's folder.
+    pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
+        clean();
+        let testbed = Arc::new(testbed);
+        let seed = options.seed.unwrap_or(testbed.seed);
+        let moved = options.api.is_none();
+        let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
+        let folder = RunFolder::create(&options.out, &testbed.name, text)?;
+        let history = Arc::new(History::open(&folder.history())?);
+        let run = history.begin_run(&run_info(&testbed, seed, text))?;
+        let recorder = history.recorder(run)?;
+
+        let fabric = Fabric::new(&testbed.graph, seed)?;
+        let (tell, inbox) = mpsc::channel();
+        let from_network = tell.clone();
+        let events: cotorra_datapath::EventSink = Box::new(move |event| {
+            // The core's thread may have ended already.
+            let _ = from_network.send(Message::Network(event));
+        });
+        let with_events = cotorra_datapath::Options { events: Some(events), ..Default::default() };
+        let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);
+        let clock = datapath.clock();
+        let now: Now = Arc::new(move || clock.now());
+
+        let live = Live::default();
+        let (stream, _) = broadcast::channel(STREAM);
+        let mut plugins = PluginHost::new();
+        let to_core = tell.clone();
+        let say = move |said| {
+            let message = match said {
+                Said::Instruct { plugin, instruction, reason } => {
+                    Message::Instruct { plugin, instruction, reason, reply: None }
+                }
+                Said::Failed { plugin, reason } => Message::PluginFailed { plugin, reason },
+            };
+            let _ = to_core.send(message);
+        };
+
+        let sockets = open_sockets(&testbed, &datapath)?;
+        let launcher = NodeLauncher {
+            datapath: Arc::clone(&datapath),
+            testbed_file: absolute(file)?,
+            robots: robots_by_vnf(&testbed),
+            tell: Mutex::new(tell.clone()),
+        };
+        let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
+        let engine = ProcessEngine::new(Arc::new(launcher), folder.logs(), cgroups);
+        let network = RealNetwork(datapath.handle());
+        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine)
+            .map_err(|e| RunError::Robot(e.to_string()))?;
+
+        let namespaces = testbed
+            .graph
+            .hosts()
+            .filter_map(|node| Some((node.id.clone(), datapath.namespace(&node.id).ok()?.path())));
+        let context = api::Context {
+            testbed: Arc::clone(&testbed),
+            live: live.clone(),
+            history: Arc::clone(&history),
+            run,
+            events: stream.clone(),
+            core: tell.clone(),
+            namespaces: Arc::new(namespaces.collect()),
+        };
+        let server = Server::start(listener, context, options.token)?;
+        plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;
+
+        for (robot, socket) in &sockets {
+            let socket = socket.try_clone().map_err(system("share a robot's socket"))?;
+            socket.set_read_timeout(Some(LOOK)).map_err(system("set a socket's timeout"))?;
+            let (robot, now, tell) = (robot.clone(), Arc::clone(&now), tell.clone());
+            thread::Builder::new()
+                .name(format!("robot-{robot}"))
+                .spawn(move || receive(&robot, &socket, &now, &tell))
+                .map_err(system("start a robot's thread"))?;
+        }
+        core.start(now());
+        let report = Report::new(&testbed, seed);
+        let readers = Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins };
+        let until = options.until.map(|until| Timestamp::ZERO + until);
+        let core_loop = CoreLoop { core, readers, inbox, sockets, now, until };
+        let core = thread::Builder::new()
+            .name("core".to_owned())
+            .spawn(move || core_loop.run())
+            .map_err(system("start the core's thread"))?;
+        Ok(Self {
+            testbed,
+            live,
+            folder,
+            history,
+            recorder,
+            run,
+            tell,
+            server,
+            core: Some(core),
+            _datapath: datapath,
+        })
+    }
+
+    /// The testbed.
+    pub fn testbed(&self) -> &Testbed {
+        &self.testbed
+    }
+
+    /// What is known right now.
+    pub fn live(&self) -> &Live {
+        &self.live
+    }
+
+    /// The run's folder; absolute.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Where the API listens.
+    pub fn api_address(&self) -> SocketAddr {
+        self.server.address()
+    }
+
+    /// What ends the run early.
+    pub fn stopper(&self) -> Stopper {
+        Stopper(self.tell.clone())
+    }
+
+    /// Whether it has come to its end; [`Run::finish`] then returns soon.
+    pub fn is_finished(&self) -> bool {
+        self.core.as_ref().is_none_or(thread::JoinHandle::is_finished)
+    }
+
+    /// Waits for the run's end, takes everything down, and writes the report.
+    ///
+    /// # Errors
+    /// [`RunError`] when the report cannot be written, or the run broke.
+    pub fn finish(mut self) -> Result<Summary, RunError> {
+        let core = self.core.take().ok_or(RunError::Panicked)?;
+        let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
+        let dropped = match self.recorder.flush() {
+            Ok(()) => self.recorder.stats().dropped,
+            Err(error) => {
+                tracing::error!("the history is not complete: {error}");
+                self.recorder.stats().dropped
+            }
+        };
+        let summary = report.summary(end, why.as_str(), dropped);
+        self.folder.write_report(&report, &summary)?;
+        self.history.end_run(self.run, end)?;
+        Ok(summary)
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        if let Some(core) = self.core.take() {
+            let _ = self.tell.send(Message::Stop);
+            let _ = core.join();
+        }
+    }
+}
+
+/// Removes what runs left behind whose process was killed; gives what it removed.
+pub fn clean() -> Vec<PathBuf> {
+    Cgroups::clean()
+}
+
+#[allow(
+    clippy::disallowed_types,
+    clippy::disallowed_methods,
+    reason = "the calendar is read once, when a run begins"
+)]
+fn run_info(testbed: &Testbed, seed: u64, text: &str) -> RunInfo {
+    let since_1970 = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
+    RunInfo {
+        name: testbed.name.clone(),
+        seed,
+        started_at_unix_ns: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX),
+        testbed: text.to_owned(),
+    }
+}
+
+fn absolute(file: &Path) -> Result<PathBuf, RunError> {
+    file.canonicalize().map_err(system(format!("find {}", file.display())))
+}
+
+fn open_sockets(testbed: &Testbed, datapath: &Datapath) -> Result<BTreeMap<NodeId, UdpSocket>, RunError> {
+    let open = |id: &NodeId| {
+        let address = testbed.graph.address(id).expect("a robot is a host");
+        let namespace = datapath.namespace(id)?;
+        namespace.udp_socket((address.ipv4, 0)).map_err(system(format!("open the socket of `{id}`")))
+    };
+    testbed.graph.robots().map(|(node, _)| Ok((node.id.clone(), open(&node.id)?))).collect()
+}
+
+fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
+    let of_service = |service: &cotorra_graph::Service| {
+        let robot = service.robot.clone();
+        service.vnfs.iter().map(move |vnf| (vnf.id.clone(), robot.clone())).collect::<Vec<_>>()
+    };
+    testbed.services.iter().flat_map(of_service).collect()
+}
+
+/// Starts VNFs in the nodes of a datapath.
+struct NodeLauncher {
+    datapath: Arc<Datapath>,
+    testbed_file: PathBuf,
+    robots: BTreeMap<VnfId, NodeId>,
+    tell: Mutex<Sender<Message>>,
+}
+
+impl Launcher for NodeLauncher {
+    fn launch(&self, node: &NodeId, command: Command, cgroups: Vec<PathBuf>) -> io::Result<Box<dyn Process>> {
+        let options = SpawnOptions { cgroups, ..SpawnOptions::default() };
+        let child = self.datapath.spawn(node, command, options).map_err(io::Error::other)?;
+        Ok(Box::new(NodeProcess(child)))
+    }
+
+    fn navigation(&self, vnf: &Vnf, _node: &NodeId) -> Command {
+        debug_assert_eq!(vnf.program, Program::Navigation);
+        // The very file that runs, even if another was put in its place since.
+        let mut command = Command::new("/proc/self/exe");
+        command.args(["vnf", "navigation"]).env(navigation::TESTBED, &self.testbed_file);
+        if let Some(robot) = self.robots.get(&vnf.id) {
+            command.env(navigation::ROBOT, robot.as_str());
+        }
+        command
+    }
+
+    fn wake(&self) {
+        if let Ok(tell) = self.tell.lock() {
+            let _ = tell.send(Message::Wake);
+        }
+    }
+}
+
+struct NodeProcess(Child);
+
+impl Process for NodeProcess {
+    fn try_wait(&mut self) -> io::Result<Option<ExitStatus>> {
+        self.0.try_wait()
+    }
+
+    fn terminate(&mut self) {
+        if let Err(error) = self.0.terminate() {
+            tracing::warn!("{error}");
+        }
+    }
+
+    fn kill(&mut self) {
+        if let Err(error) = self.0.kill() {
+            tracing::warn!("cannot kill a VNF: {error}");
+        }
+    }
+
+    fn stdout(&mut self) -> Option<ChildStdout> {
+        self.0.pipes().1
+    }
+}
