@@ -89,6 +89,8 @@ pub struct Fabric {
     outbox: VecDeque<(Timestamp, PortId, Frame)>,
     pool: Pool,
     lateness: Histogram,
+    /// Of what crossed the air, by who sent it and who got it.
+    air_lateness: HashMap<[PortId; 2], Histogram>,
     drops: Drops,
 }
 
@@ -192,6 +194,7 @@ impl Fabric {
             outbox: VecDeque::new(),
             pool: Pool::default(),
             lateness: Histogram::default(),
+            air_lateness: HashMap::new(),
             drops: Drops::default(),
         })
     }
@@ -372,10 +375,20 @@ impl Fabric {
         self.lateness.summary()
     }
 
-    /// How late frames came out of one direction of a wired link; `None` for any other.
+    /// How late frames came out of one direction of a link, which for all but the last on a frame's way only says
+    /// how late that was noticed. `None` for a link that does not exist, or a wireless one that nothing crossed.
     pub fn link_lateness(&self, link: &LinkId, direction: Direction) -> Option<Lateness> {
-        let index = *self.link_by_name.get(link)?;
-        Some(self.pipes[edge(index, direction)].lateness().summary())
+        if let Some(&index) = self.link_by_name.get(link) {
+            return Some(self.pipes[edge(index, direction)].lateness().summary());
+        }
+        let is_it = |[from, at]: &[PortId; 2]| {
+            let [robot, unit] = match direction {
+                Direction::Forward => [from, at],
+                Direction::Backward => [at, from],
+            };
+            LinkId::wireless(&self.ports[robot.0].node, &self.ports[unit.0].node) == *link
+        };
+        self.air_lateness.iter().find(|(ends, _)| is_it(ends)).map(|(_, histogram)| histogram.summary())
     }
 
     /// Frames that the fabric could not lead anywhere.
@@ -425,6 +438,7 @@ impl Fabric {
         let mut arrivals = std::mem::take(&mut self.arrivals);
         self.radio_deadline = self.radio.poll(at, &mut self.pool, &mut arrivals);
         for Arrival { due, from, at, frame } in arrivals.drain(..) {
+            self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
             let vertex = self.ports[at.0].vertex;
             if !self.routes.vertex(vertex).forwards {
                 if self.is_for_station(at, &frame) {

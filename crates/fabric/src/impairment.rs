@@ -150,3 +150,175 @@ pub(crate) fn jittered(delay: Duration, deviate: f64, jitter: Option<Jitter>) ->
     let extra = deviate * jitter.deviation.as_nanos() as f64;
     Duration::from_nanos((delay.as_nanos() as f64 + extra).round() as u64)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::stream;
+
+    const PACKETS: usize = 1_000_000;
+
+    fn impairments(conditions: &Conditions) -> Impairments {
+        Impairments::new(conditions, stream(7, "impairment"))
+    }
+
+    fn p(p: f64) -> Probability {
+        Probability::new(p).unwrap()
+    }
+
+    fn losses(loss: Loss) -> Vec<bool> {
+        let mut impairments = impairments(&Conditions { loss, ..Conditions::default() });
+        (0..PACKETS).map(|_| impairments.loses()).collect()
+    }
+
+    /// Lengths of the runs of lost packets.
+    fn bursts(lost: &[bool]) -> Vec<usize> {
+        lost.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len).collect()
+    }
+
+    fn share(lost: &[bool]) -> f64 {
+        lost.iter().filter(|lost| **lost).count() as f64 / lost.len() as f64
+    }
+
+    #[test]
+    fn independent_loss_lies_in_its_binomial_interval() {
+        for rate in [0.0001, 0.01, 0.05, 0.5, 0.9] {
+            let lost = share(&losses(Loss::Independent { rate: p(rate) }));
+            // Two-sided, 99 %.
+            let bound = 2.576 * (rate * (1.0 - rate) / PACKETS as f64).sqrt();
+            assert!((lost - rate).abs() <= bound, "{lost} for {rate} ± {bound}");
+        }
+    }
+
+    #[test]
+    fn never_and_always_are_exact() {
+        assert_eq!(share(&losses(Loss::None)), 0.0);
+        assert_eq!(share(&losses(Loss::Independent { rate: Probability::ZERO })), 0.0);
+        assert_eq!(share(&losses(Loss::Independent { rate: Probability::ONE })), 1.0);
+        assert_eq!(share(&losses(Loss::Bursty { rate: Probability::ZERO, mean_burst: 4.0 })), 0.0);
+    }
+
+    #[test]
+    fn bursts_have_their_share_and_their_mean_length() {
+        for (rate, mean_burst) in [(0.01, 4.0), (0.001, 1.0), (0.1, 20.0), (0.5, 3.0)] {
+            let lost = losses(Loss::Bursty { rate: p(rate), mean_burst });
+            // States follow each other with correlation 1 - p - r, which widens the interval of the share.
+            let leave = 1.0 / mean_burst;
+            let correlation = 1.0 - leave - leave * rate / (1.0 - rate);
+            let widened = (1.0 + correlation) / (1.0 - correlation);
+            let bound = 2.576 * (rate * (1.0 - rate) * widened / PACKETS as f64).sqrt();
+            assert!((share(&lost) - rate).abs() <= bound, "{} for {rate} ± {bound}", share(&lost));
+            let bursts = bursts(&lost);
+            let mean = bursts.iter().sum::<usize>() as f64 / bursts.len() as f64;
+            // Lengths are geometric, with variance (1 - r)/r².
+            let bound = 2.576 * ((1.0 - leave).sqrt() / leave) / (bursts.len() as f64).sqrt() + 1e-9;
+            assert!((mean - mean_burst).abs() <= bound, "{mean} for {mean_burst} ± {bound}");
+        }
+    }
+
+    #[test]
+    fn asking_for_the_same_bursts_again_leaves_the_burst_as_it_is() {
+        let conditions =
+            Conditions { loss: Loss::Bursty { rate: p(0.5), mean_burst: 1e9 }, ..Conditions::default() };
+        let mut impairments = impairments(&conditions);
+        let state = impairments.loses();
+        for _ in 0..1000 {
+            impairments.change(&conditions);
+            assert_eq!(impairments.loses(), state);
+        }
+    }
+
+    /// Share of bursts of 1, 2, 3, 4 and 5 packets: (1 - r)^(k - 1)·r.
+    #[test]
+    fn burst_lengths_are_as_they_were() {
+        let mut table = String::new();
+        for mean_burst in [1.5, 3.0, 8.0] {
+            let bursts = bursts(&losses(Loss::Bursty { rate: p(0.05), mean_burst }));
+            let of = |k| bursts.iter().filter(|b| **b == k).count() as f64 / bursts.len() as f64;
+            let row: Vec<_> = (1..=5).map(|k| format!("{:.3}", of(k))).collect();
+            table += &format!("{mean_burst}: {}\n", row.join(" "));
+        }
+        assert_eq!(table, GOLDEN_BURSTS);
+        for (row, mean_burst) in GOLDEN_BURSTS.lines().zip([1.5f64, 3.0, 8.0]) {
+            for (k, got) in row.split(' ').skip(1).enumerate() {
+                let leave = 1.0 / mean_burst;
+                let expected = (1.0 - leave).powi(k as i32) * leave;
+                assert!((got.parse::<f64>().unwrap() - expected).abs() < 0.01);
+            }
+        }
+    }
+
+    const GOLDEN_BURSTS: &str = "\
+1.5: 0.665 0.223 0.076 0.024 0.008
+3: 0.331 0.223 0.150 0.102 0.064
+8: 0.125 0.116 0.089 0.083 0.070
+";
+
+    const DISTRIBUTIONS: [JitterDistribution; 3] =
+        [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
+
+    fn deviates(distribution: JitterDistribution) -> Vec<f64> {
+        let jitter = Some(Jitter { deviation: Duration::from_millis(1), distribution });
+        let mut impairments = impairments(&Conditions { jitter, ..Conditions::default() });
+        let mut deviates: Vec<_> = (0..PACKETS).map(|_| impairments.deviate()).collect();
+        deviates.sort_by(f64::total_cmp);
+        deviates
+    }
+
+    #[test]
+    fn jitter_has_mean_zero_and_the_deviation_asked_for() {
+        for (distribution, deviation, tolerance) in DISTRIBUTIONS
+            .into_iter()
+            // The variance of a Pareto distribution with shape 3 converges slowly: its fourth moment is infinite.
+            .zip([(1.0 / 3f64.sqrt(), 0.002), (1.0, 0.002), (1.0, 0.1)])
+            .map(|(d, (s, t))| (d, s, t))
+        {
+            let deviates = deviates(distribution);
+            let mean = deviates.iter().sum::<f64>() / PACKETS as f64;
+            let variance = deviates.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / PACKETS as f64;
+            assert!(mean.abs() < 0.004, "{distribution:?}: {mean}");
+            assert!((variance.sqrt() / deviation - 1.0).abs() < tolerance, "{distribution:?}: {variance}");
+        }
+    }
+
+    /// Quantiles at 1, 5, 25, 50, 75, 95 and 99 %, in deviations.
+    #[test]
+    fn jitter_quantiles_are_as_they_were() {
+        let quantiles = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99];
+        let mut table = String::new();
+        for distribution in DISTRIBUTIONS {
+            let deviates = deviates(distribution);
+            let row: Vec<_> =
+                quantiles.map(|q| format!("{:.2}", deviates[(q * PACKETS as f64) as usize])).into();
+            table += &format!("{distribution:?}: {}\n", row.join(" "));
+        }
+        assert_eq!(table, GOLDEN_JITTER);
+        // Φ⁻¹, and (1 - q)^(-1/3) less its mean 3/2 over its deviation √3/2.
+        let normal = [-2.326, -1.645, -0.674, 0.0, 0.674, 1.645, 2.326];
+        let expected = |row: usize, i: usize| match row {
+            0 => 2.0 * quantiles[i] - 1.0,
+            1 => normal[i],
+            _ => ((1.0 - quantiles[i]).powf(-1.0 / 3.0) - 1.5) / 0.75f64.sqrt(),
+        };
+        for (r, row) in GOLDEN_JITTER.lines().enumerate() {
+            for (i, got) in row.split(' ').skip(1).enumerate() {
+                assert!((got.parse::<f64>().unwrap() - expected(r, i)).abs() < 0.03, "{row}");
+            }
+        }
+    }
+
+    const GOLDEN_JITTER: &str = "\
+Uniform: -0.98 -0.90 -0.50 0.00 0.50 0.90 0.98
+Normal: -2.33 -1.64 -0.68 -0.00 0.67 1.64 2.33
+Pareto: -0.57 -0.56 -0.46 -0.28 0.10 1.40 3.63
+";
+
+    #[test]
+    fn a_jittered_delay_is_never_below_zero() {
+        let jitter = Some(Jitter { deviation: Duration::from_millis(10), distribution: Default::default() });
+        let delay = Duration::from_millis(4);
+        assert_eq!(jittered(delay, -1.0, jitter), Duration::ZERO);
+        assert_eq!(jittered(delay, 0.5, jitter), Duration::from_millis(9));
+        assert_eq!(jittered(delay, 5.0, None), delay);
+    }
+}

@@ -183,3 +183,94 @@ impl<P> Traced<P> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: f64) -> Timestamp {
+        Timestamp::from_nanos((ms * 1e6) as u64)
+    }
+
+    fn fixed(bits_per_second: u64) -> Rate {
+        Rate::Fixed { bits_per_second: BitRate::from_bits_per_second(bits_per_second).unwrap() }
+    }
+
+    fn traced(text: &str) -> Rate {
+        Rate::Trace { trace: Arc::new(Trace::parse(text).unwrap()) }
+    }
+
+    /// When each of so many packets, all there at `now`, is sent.
+    fn back_to_back(rate: &Rate, now: Timestamp, packets: usize, bytes: u64) -> Vec<Timestamp> {
+        let mut transmitter = Transmitter::new(rate, Timestamp::ZERO);
+        transmitter.wake(now);
+        let mut begins = now;
+        let mut send = |i| {
+            assert!(transmitter.begin(begins, i, bytes * 8).is_none());
+            loop {
+                let deadline = transmitter.deadline().unwrap();
+                if let Some((packet, end)) = transmitter.finish(deadline) {
+                    assert_eq!((packet, end), (i, deadline));
+                    begins = end;
+                    return end;
+                }
+            }
+        };
+        (0..packets).map(&mut send).collect()
+    }
+
+    #[test]
+    fn a_fixed_rate_is_exact_over_many_packets() {
+        for (rate, bytes) in [(10_000_000_000, 64), (3_333_333_333, 60), (8_000_000, 1514), (7, 1)] {
+            let packets = 10_000;
+            let end = *back_to_back(&fixed(rate), ms(3.0), packets, bytes).last().unwrap();
+            let exact = (packets as u64 * bytes * 8) as f64 * 1e9 / rate as f64;
+            assert!((end.since(ms(3.0)).as_nanos() as f64 - exact).abs() <= 1.0);
+        }
+    }
+
+    #[test]
+    fn opportunities_carry_whole_packets_and_parts() {
+        // 1000 bytes and 500 of the next, its other 500 and 1000 of the third; the fourth waits for the next.
+        let sent = back_to_back(&traced("1\n1\n5"), Timestamp::ZERO, 4, 1000);
+        assert_eq!(sent, [1.0, 1.0, 1.0, 5.0].map(ms));
+        // A packet larger than an opportunity takes several, round the trace's end.
+        let sent = back_to_back(&traced("1\n1\n5"), Timestamp::ZERO, 2, 4000);
+        assert_eq!(sent, [5.0, 10.0].map(ms));
+    }
+
+    #[test]
+    fn unused_opportunities_are_gone() {
+        let rate = traced("1\n1\n5");
+        // The second at 1 ms was there before the packet was; so was the one at 5 ms.
+        assert_eq!(back_to_back(&rate, ms(1.0), 1, 100), [ms(5.0)]);
+        assert_eq!(back_to_back(&rate, ms(1.2), 1, 100), [ms(5.0)]);
+        assert_eq!(back_to_back(&rate, ms(5.0), 1, 100), [ms(6.0)]);
+        assert_eq!(back_to_back(&rate, ms(7_000_003.0), 1, 100), [ms(7_000_005.0)]);
+        // An opportunity at 0 comes again at each period's end.
+        assert_eq!(back_to_back(&traced("0\n4"), ms(3.9), 3, 1500), [4.0, 4.0, 8.0].map(ms));
+    }
+
+    #[test]
+    fn what_is_left_of_an_opportunity_is_not_kept_for_later() {
+        let mut transmitter = Transmitter::new(&traced("1\n5"), Timestamp::ZERO);
+        transmitter.wake(Timestamp::ZERO);
+        assert!(transmitter.begin(Timestamp::ZERO, 'a', 800).is_none());
+        assert_eq!(transmitter.finish(ms(1.0)), Some(('a', ms(1.0))));
+        transmitter.wake(ms(1.0));
+        assert!(transmitter.begin(ms(1.0), 'b', 800).is_none());
+        assert_eq!(transmitter.deadline(), Some(ms(5.0)));
+    }
+
+    #[test]
+    fn stopping_tells_what_is_left() {
+        let mut transmitter = Transmitter::new(&fixed(8_000_000), Timestamp::ZERO);
+        assert!(transmitter.begin(Timestamp::ZERO, 'a', 8000).is_none());
+        assert_eq!(transmitter.stop(ms(0.25)), Some(('a', 6000)));
+        assert!(!transmitter.is_busy());
+        let mut transmitter = Transmitter::new(&traced("1\n5"), Timestamp::ZERO);
+        assert!(transmitter.begin(Timestamp::ZERO, 'a', 2000 * 8).is_none());
+        assert_eq!(transmitter.finish(ms(1.0)), None);
+        assert_eq!(transmitter.stop(ms(2.0)), Some(('a', 500 * 8)));
+    }
+}

@@ -1,0 +1,155 @@
+//! How many packets a second one core leads through the fabric. Run with `cargo bench -p cotorra-fabric`.
+//!
+//! What is timed is pushing a batch of frames and polling until all are delivered, buffers taken from the fabric and
+//! given back as a data plane does; `alloc` shows that nothing is allocated on the way.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_fabric::{Checksum, Fabric, Frame, Offload, PortId, Segmentation, SegmentationKind};
+use cotorra_graph::{
+    BitRate, Capacity, Conditions, DomainId, HardwareGraph, HostAddress, Jitter, Link, Loss, Node, NodeId,
+    NodeKind, Probability, Rate, Server, Tier, Timestamp,
+};
+use divan::{
+    AllocProfiler, Bencher,
+    counter::{BytesCount, ItemsCount},
+};
+
+#[global_allocator]
+static ALLOCATIONS: AllocProfiler = AllocProfiler::system();
+
+fn main() {
+    divan::main();
+}
+
+const BATCH: usize = 64;
+const HOPS: [usize; 3] = [1, 3, 10];
+
+fn name(i: usize) -> NodeId {
+    format!("n{i}").parse().expect("a letter and a number make a name")
+}
+
+/// Two servers with so many links between them, all alike.
+fn chain(hops: usize, conditions: &Conditions) -> Fabric {
+    let domain: DomainId = "home".parse().expect("letters make a name");
+    let server = || {
+        let capacity = Capacity { cpus: 1.0, memory_bytes: 1 << 30 };
+        NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0 })
+    };
+    let node = |i| {
+        let kind = if i == 0 || i == hops { server() } else { NodeKind::Switch };
+        Node { id: name(i), domain: domain.clone(), position: None, kind }
+    };
+    let link = |i: usize| Link {
+        id: format!("l{i}").parse().expect("a letter and a number make a name"),
+        ends: [name(i), name(i + 1)],
+        forward: conditions.clone(),
+        backward: conditions.clone(),
+        medium: BitRate::from_bits_per_second(100_000_000_000).expect("the rate is above 0"),
+        reliability: 1.0,
+    };
+    let graph = HardwareGraph {
+        domains: vec![domain.clone()],
+        nodes: (0..=hops).map(node).collect(),
+        links: (0..hops).map(link).collect(),
+        wireless: BTreeMap::new(),
+    };
+    Fabric::new(&graph, 1).expect("the chain is a sound graph")
+}
+
+fn small_packet(mut buffer: Vec<u8>) -> Frame {
+    buffer.resize(60, 0);
+    buffer[..6].copy_from_slice(&HostAddress::of(1).mac);
+    buffer[6..12].copy_from_slice(&HostAddress::of(0).mac);
+    buffer[12..14].copy_from_slice(&[0x88, 0xb5]);
+    Frame::new(buffer)
+}
+
+/// 64 KiB of TCP over IPv4.
+fn super_packet(mut buffer: Vec<u8>) -> Frame {
+    const PAYLOAD: usize = 64_000;
+    buffer.resize(14 + 20 + 20 + PAYLOAD, 0);
+    buffer[..6].copy_from_slice(&HostAddress::of(1).mac);
+    buffer[6..12].copy_from_slice(&HostAddress::of(0).mac);
+    buffer[12..15].copy_from_slice(&[0x08, 0x00, 0x45]);
+    buffer[16..18].copy_from_slice(&(40 + PAYLOAD as u16).to_be_bytes());
+    buffer[23] = 6;
+    buffer[46] = 0x50;
+    Frame::with_offload(
+        buffer,
+        Offload {
+            checksum: Some(Checksum { start: 34, offset: 16 }),
+            segmentation: Some(Segmentation { kind: SegmentationKind::Tcp4, size: 1448, header_len: 54 }),
+        },
+    )
+}
+
+/// Pushes a batch and polls until it is delivered; as many rounds as divan wants, in virtual time.
+fn through(bencher: Bencher, fabric: &mut Fabric, batch: usize, length: usize, make: fn(Vec<u8>) -> Frame) {
+    let mut delivered = Vec::with_capacity(batch * 64);
+    let mut now = Timestamp::ZERO;
+    let mut round = || {
+        for _ in 0..batch {
+            let frame = make(fabric.buffer(length));
+            fabric.push(now, PortId(0), frame);
+        }
+        while let Some(next) = fabric.poll(now, &mut |_, frame| delivered.push(frame)) {
+            now = next;
+        }
+        delivered.drain(..).for_each(|frame| fabric.recycle(frame));
+        now = now + Duration::from_micros(100);
+    };
+    // All buffers and queues grow to what they need.
+    (0..10).for_each(|_| round());
+    bencher.bench_local(round);
+}
+
+fn packets(bencher: Bencher, hops: usize, conditions: &Conditions) {
+    let bencher = bencher.counter(ItemsCount::new(BATCH));
+    through(bencher, &mut chain(hops, conditions), BATCH, 60, small_packet);
+}
+
+#[divan::bench(args = HOPS)]
+fn unimpaired(bencher: Bencher, hops: usize) {
+    packets(bencher, hops, &Conditions::default());
+}
+
+#[divan::bench(args = HOPS)]
+fn delay(bencher: Bencher, hops: usize) {
+    packets(bencher, hops, &Conditions { delay: Duration::from_millis(1), ..Conditions::default() });
+}
+
+#[divan::bench(args = HOPS)]
+fn delay_and_rate(bencher: Bencher, hops: usize) {
+    let bits_per_second = BitRate::from_bits_per_second(10_000_000_000).expect("the rate is above 0");
+    let rate = Rate::Fixed { bits_per_second };
+    packets(bencher, hops, &Conditions { delay: Duration::from_millis(1), rate, ..Conditions::default() });
+}
+
+fn lossy() -> Conditions {
+    let jitter = Some(Jitter { deviation: Duration::from_micros(100), distribution: Default::default() });
+    let loss = Loss::Independent { rate: Probability::new(0.01).expect("0.01 is a probability") };
+    Conditions { delay: Duration::from_millis(1), jitter, loss, ..Conditions::default() }
+}
+
+#[divan::bench(args = HOPS)]
+fn jitter_and_loss(bencher: Bencher, hops: usize) {
+    packets(bencher, hops, &lossy());
+}
+
+#[divan::bench]
+fn super_packets_whole(bencher: Bencher) {
+    let conditions = Conditions { delay: Duration::from_millis(1), ..Conditions::default() };
+    through(
+        bencher.counter(BytesCount::new(64_000usize)),
+        &mut chain(1, &conditions),
+        1,
+        64_054,
+        super_packet,
+    );
+}
+
+#[divan::bench]
+fn super_packets_cut(bencher: Bencher) {
+    through(bencher.counter(BytesCount::new(64_000usize)), &mut chain(1, &lossy()), 1, 64_054, super_packet);
+}

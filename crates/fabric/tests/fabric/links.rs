@@ -1,0 +1,281 @@
+//! What a link does to packets, and how that changes in place.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_fabric::Refusal;
+use cotorra_graph::{
+    ConditionChange, Conditions, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability,
+    QueueLimit, Rate, Timestamp, Trace,
+};
+
+use crate::common::{A, B, Delivery, Network, context, delay, frame, ms, number, pair, rate, run};
+
+fn p(p: f64) -> Probability {
+    Probability::new(p).unwrap()
+}
+
+fn link() -> LinkId {
+    "a-b".parse().unwrap()
+}
+
+fn arrivals(out: &[Delivery]) -> Vec<(u32, Timestamp)> {
+    out.iter().map(|d| (number(&d.frame), d.at)).collect()
+}
+
+/// 8 Mbit/s: a frame of 1000 bytes takes a millisecond.
+fn slow() -> Conditions {
+    Conditions { rate: rate(8.0), ..Conditions::default() }
+}
+
+#[test]
+fn frames_are_serialised_one_after_the_other() {
+    let mut fabric = pair(Conditions { delay: Duration::from_millis(5), ..slow() }, 1);
+    (0..3).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+    let out = run(&mut fabric, ms(0.0), ms(100.0));
+    assert_eq!(arrivals(&out), [(0, ms(6.0)), (1, ms(7.0)), (2, ms(8.0))]);
+    let context = context(&mut fabric, ms(8.0), "a-b");
+    assert_eq!(context.delay, Some(Duration::from_millis(7)));
+    assert_eq!((context.counters.packets, context.counters.bytes), (3, 3000));
+}
+
+#[test]
+fn the_rate_is_kept_over_many_packets() {
+    for (mbps, length) in [(0.5, 60), (8.0, 1514), (300.0, 700), (10_000.0, 60)] {
+        let queue = QueueLimit::Packets(5000);
+        let mut fabric = pair(Conditions { rate: rate(mbps), queue, ..Conditions::default() }, 1);
+        (0..5000).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, length)));
+        let out = run(&mut fabric, ms(0.0), Timestamp::MAX);
+        let seconds = out.last().unwrap().at.as_secs_f64();
+        let got = 5000.0 * length as f64 * 8.0 / seconds / 1e6;
+        assert!((got / mbps - 1.0).abs() < 0.005, "{got} instead of {mbps} Mbit/s");
+    }
+}
+
+#[test]
+fn a_full_queue_drops_at_its_tail() {
+    for (queue, kept) in [(QueueLimit::Packets(3), 4), (QueueLimit::Bytes(2999), 3)] {
+        let mut fabric = pair(Conditions { queue, ..slow() }, 1);
+        (0..10).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+        let out = run(&mut fabric, ms(0.0), ms(100.0));
+        let numbers: Vec<_> = out.iter().map(|d| number(&d.frame)).collect();
+        // The one in transmission does not count.
+        assert_eq!(numbers, (0..kept).collect::<Vec<_>>());
+        assert_eq!(context(&mut fabric, ms(100.0), "a-b").counters.overflowed, u64::from(10 - kept));
+    }
+}
+
+#[test]
+fn a_trace_sets_the_pace() {
+    let trace = Arc::new(Trace::parse("2\n2\n10").unwrap());
+    let mut fabric = pair(Conditions { rate: Rate::Trace { trace }, ..delay(1) }, 1);
+    (0..4).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1500)));
+    let out = run(&mut fabric, ms(0.0), ms(100.0));
+    assert_eq!(arrivals(&out), [(0, ms(3.0)), (1, ms(3.0)), (2, ms(11.0)), (3, ms(13.0))]);
+}
+
+#[test]
+fn a_million_packets_lose_their_share() {
+    let conditions = Conditions { loss: Loss::Independent { rate: p(0.02) }, ..Conditions::default() };
+    let mut fabric = pair(conditions, 11);
+    let mut delivered = 0u32;
+    for i in 0..10_000 {
+        let now = ms(f64::from(i));
+        for n in 0..100 {
+            let mut bytes = fabric.buffer(60);
+            bytes.extend_from_slice(frame(A, B, n, 60).bytes());
+            fabric.push(now, A, cotorra_fabric::Frame::new(bytes));
+        }
+        let mut out = Vec::with_capacity(100);
+        fabric.poll(now, &mut |_, frame| out.push(frame));
+        delivered += out.len() as u32;
+        out.into_iter().for_each(|frame| fabric.recycle(frame));
+    }
+    let lost = 1e6 - f64::from(delivered);
+    let bound = 2.576 * (1e6 * 0.02 * 0.98f64).sqrt();
+    assert!((lost - 20_000.0).abs() <= bound, "{lost} lost");
+    assert_eq!(context(&mut fabric, ms(1e4), "a-b").counters.lost, lost as u64);
+}
+
+#[test]
+fn jitter_keeps_order_and_its_mean() {
+    for distribution in [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto]
+    {
+        let jitter = Some(Jitter { deviation: Duration::from_millis(2), distribution });
+        let mut fabric = pair(Conditions { jitter, ..delay(20) }, 5);
+        let mut out = Vec::new();
+        // So far apart that order costs nothing.
+        for i in 0..5000 {
+            let now = ms(100.0 * f64::from(i));
+            fabric.push(now, A, frame(A, B, i, 60));
+            out.extend(run(&mut fabric, now, now + Duration::from_millis(100)));
+        }
+        let late = |d: &Delivery| d.at.as_secs_f64() * 1e3 - 100.0 * f64::from(number(&d.frame));
+        let mean = out.iter().map(late).sum::<f64>() / 5000.0;
+        assert!((mean - 20.0).abs() < 0.1, "{distribution:?}: {mean} ms");
+        // And so close that it is at stake.
+        (0..5000).for_each(|i| fabric.push(ms(1e6 + 0.01 * f64::from(i)), A, frame(A, B, i, 60)));
+        let out = run(&mut fabric, ms(1e6), Timestamp::MAX);
+        assert!(out.is_sorted_by_key(|d| number(&d.frame)));
+    }
+}
+
+#[test]
+fn reordered_packets_skip_the_delay() {
+    let mut fabric = pair(Conditions { reordering: p(0.3), ..delay(10) }, 3);
+    let mut out = Vec::new();
+    for i in 0..1000 {
+        let now = ms(f64::from(i));
+        fabric.push(now, A, frame(A, B, i, 60));
+        out.extend(run(&mut fabric, now, now + Duration::from_nanos(999_999)));
+    }
+    out.extend(run(&mut fabric, ms(1000.0), Timestamp::MAX));
+    let at_once = out.iter().filter(|d| d.at == ms(f64::from(number(&d.frame)))).count();
+    let delayed = out.iter().filter(|d| d.at == ms(f64::from(number(&d.frame)) + 10.0)).count();
+    assert_eq!(at_once + delayed, 1000);
+    assert!((250..350).contains(&at_once), "{at_once}");
+}
+
+#[test]
+fn duplicates_arrive_twice_and_corrupted_packets_differ_by_a_bit() {
+    let conditions = Conditions { duplication: p(0.2), corruption: p(0.1), ..delay(1) };
+    let mut fabric = pair(conditions, 3);
+    (0..1000).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 200)));
+    let out = run(&mut fabric, ms(0.0), ms(10.0));
+    let counters = context(&mut fabric, ms(10.0), "a-b").counters;
+    assert_eq!(counters.packets, 1000 + counters.duplicated);
+    assert_eq!(out.len() as u64, counters.packets);
+    assert!((160..240).contains(&counters.duplicated) && (70..130).contains(&counters.corrupted));
+    let sent: Vec<_> = (0..1000).map(|i| frame(A, B, i, 200)).collect();
+    let flipped = |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| (a ^ b).count_ones()).sum::<u32>();
+    let mut original = 0;
+    let mut bits = 0;
+    for pair in out.chunk_by(|a, b| a.frame == b.frame) {
+        let flips = flipped(pair[0].frame.bytes(), sent[original].bytes());
+        assert_eq!(pair[0].frame.bytes()[..14], sent[original].bytes()[..14]);
+        assert!(flips <= 1);
+        bits += u64::from(flips);
+        original += 1;
+    }
+    assert_eq!((original, bits), (1000, counters.corrupted));
+}
+
+#[test]
+fn a_lower_delay_brings_forward_what_is_in_flight() {
+    let mut fabric = pair(delay(100), 1);
+    [0.0, 30.0, 60.0].into_iter().zip(0..).for_each(|(at, i)| fabric.push(ms(at), A, frame(A, B, i, 60)));
+    let lower = ConditionChange { delay_ms: Some(20.0), ..ConditionChange::default() };
+    fabric.change(ms(70.0), &link(), None, &lower).unwrap();
+    fabric.push(ms(70.0), A, frame(A, B, 3, 60));
+    let out = run(&mut fabric, ms(70.0), Timestamp::MAX);
+    assert_eq!(arrivals(&out), [(0, ms(70.0)), (1, ms(70.0)), (2, ms(80.0)), (3, ms(90.0))]);
+}
+
+#[test]
+fn a_higher_delay_leaves_what_is_in_flight() {
+    let mut fabric = pair(delay(10), 1);
+    fabric.push(ms(0.0), A, frame(A, B, 0, 60));
+    let higher = ConditionChange { delay_scale: Some(3.0), ..ConditionChange::default() };
+    fabric.change(ms(5.0), &link(), Some(Direction::Forward), &higher).unwrap();
+    fabric.push(ms(5.0), A, frame(A, B, 1, 60));
+    fabric.push(ms(5.0), B, frame(B, A, 2, 60));
+    let out = run(&mut fabric, ms(5.0), Timestamp::MAX);
+    assert_eq!(arrivals(&out), [(0, ms(10.0)), (2, ms(15.0)), (1, ms(35.0))]);
+}
+
+#[test]
+fn a_lower_delay_leaves_each_packet_its_own_jitter() {
+    let jitter =
+        Some(Jitter { deviation: Duration::from_millis(2), distribution: JitterDistribution::Uniform });
+    let mut fabric = pair(Conditions { jitter, ..delay(50) }, 1);
+    (0..10).for_each(|i| fabric.push(ms(5.0 * f64::from(i)), A, frame(A, B, i, 60)));
+    let lower = ConditionChange { delay_ms: Some(49.0), ..ConditionChange::default() };
+    fabric.change(ms(46.0), &link(), None, &lower).unwrap();
+    let out = run(&mut fabric, ms(46.0), Timestamp::MAX);
+    let off: Vec<_> =
+        out.iter().map(|d| d.at.as_secs_f64() * 1e3 - 49.0 - 5.0 * f64::from(number(&d.frame))).collect();
+    assert!(off.iter().any(|o| *o > 0.2) && off.iter().any(|o| *o < -0.2), "{off:?}");
+    assert!(off.iter().all(|o| o.abs() <= 2.0), "{off:?}");
+}
+
+#[test]
+fn another_rate_goes_for_what_is_left_of_the_frame_being_sent() {
+    let trace = Rate::Trace { trace: Arc::new(Trace::parse("1").unwrap()) };
+    for (to, first, second) in [
+        (rate(16.0), 0.75, 1.25),
+        (rate(4.0), 1.5, 3.5),
+        (Rate::Unlimited, 0.5, 0.5),
+        // 500 bytes are left; the rest of the first opportunity and the second take the other frame.
+        (trace, 1.5, 1.5),
+    ] {
+        let mut fabric = pair(slow(), 1);
+        (0..2).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+        let change = ConditionChange { rate: Some(to), ..ConditionChange::default() };
+        fabric.change(ms(0.5), &link(), None, &change).unwrap();
+        let out = run(&mut fabric, ms(0.5), Timestamp::MAX);
+        assert_eq!(arrivals(&out), [(0, ms(first)), (1, ms(second))]);
+    }
+}
+
+#[test]
+fn a_shorter_queue_keeps_what_it_holds() {
+    let mut fabric = pair(slow(), 1);
+    (0..10).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
+    let shorter = ConditionChange { queue: Some(QueueLimit::Packets(2)), ..ConditionChange::default() };
+    fabric.change(ms(0.5), &link(), None, &shorter).unwrap();
+    fabric.push(ms(0.5), A, frame(A, B, 10, 1000));
+    let numbers: Vec<_> = arrivals(&run(&mut fabric, ms(0.5), Timestamp::MAX)).iter().map(|a| a.0).collect();
+    assert_eq!(numbers, (0..10).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_refused_change_changes_neither_direction() {
+    let mut fabric = pair(delay(1), 1);
+    let halve = ConditionChange { drop_scale: Some(2.0), ..ConditionChange::default() };
+    fabric.change(ms(0.0), &link(), Some(Direction::Forward), &halve).unwrap();
+    let before = fabric.link_contexts(ms(0.0));
+    // Forward it would be 50 Gbit/s over 2, backward 200 Gbit/s.
+    let faster =
+        ConditionChange { rate: Some(rate(200_000.0)), delay_ms: Some(9.0), ..ConditionChange::default() };
+    let refusal = fabric.change(ms(0.0), &link(), None, &faster).unwrap_err();
+    assert!(matches!(refusal, Refusal::AboveMedium { .. }), "{refusal}");
+    assert_eq!(fabric.link_contexts(ms(0.0)), before);
+    let unknown: LinkId = "a-c".parse().unwrap();
+    assert_eq!(fabric.change(ms(0.0), &unknown, None, &faster), Err(Refusal::UnknownLink(unknown)));
+}
+
+#[test]
+fn contexts_tell_what_was_asked_what_is_done_and_what_came_of_it() {
+    let mut fabric = pair(Conditions { rate: rate(100.0), ..delay(10) }, 1);
+    let change =
+        ConditionChange { delay_scale: Some(2.0), drop_scale: Some(4.0), ..ConditionChange::default() };
+    fabric.change(ms(0.0), &link(), Some(Direction::Forward), &change).unwrap();
+    let mut now = ms(0.0);
+    // 1250 bytes each 10 ms are 1 Mbit/s.
+    for i in 0..200 {
+        now = ms(10.0 * f64::from(i));
+        fabric.push(now, A, frame(A, B, i, 1250));
+    }
+    let forward = context(&mut fabric, now, "a-b");
+    assert_eq!((forward.asked.delay, forward.asked.rate), (Duration::from_millis(10), rate(100.0)));
+    assert_eq!((forward.effective.delay, forward.effective.rate), (Duration::from_millis(20), rate(25.0)));
+    assert_eq!((forward.scale.delay_scale, forward.scale.drop_scale), (2.0, 4.0));
+    assert_eq!(forward.delay, Some(Duration::from_micros(20_400)));
+    assert!((forward.throughput_bps / 1e6 - 1.0).abs() < 0.06, "{}", forward.throughput_bps);
+    let backward = &fabric.link_contexts(now)[1];
+    assert_eq!(
+        (backward.direction, backward.delay, backward.throughput_bps),
+        (Direction::Backward, None, 0.0)
+    );
+    assert_eq!(backward.effective, backward.asked);
+}
+
+#[test]
+fn conditions_that_cannot_be_make_no_fabric() {
+    let loss = Loss::Bursty { rate: p(0.9), mean_burst: 2.0 };
+    let graph = Network::new().servers(&["a", "b"]).link("a", "b", Conditions { loss, ..delay(1) }).graph();
+    let error = cotorra_fabric::Fabric::new(&graph, 1).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "`a-b`: a share of 0.9 cannot be lost in bursts of 2: they must be 9.000000000000002 or longer"
+    );
+}

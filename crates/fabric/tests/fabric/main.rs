@@ -1,0 +1,8 @@
+//! What the fabric promises to those who drive it, in virtual time.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+mod common;
+mod forwarding;
+mod invariants;
+mod links;
+mod offloads;
