@@ -2,9 +2,39 @@
 //!
 //! A [`Plugin`] is a state machine without a clock: it is told the time with every event, says when it wants to be
 //! woken next, and leaves its instructions in [`Actions`]. The same plug-in so runs against real and virtual time,
-//! in process or behind the HTTP API.
+//! in process or behind the HTTP API: a program that calls [`client::run`] is one, too, once a testbed file names it
+//! as a command, or it is started with the testbed's address in `COTORRA_API`.
+//!
+//! This one keeps robots off a radio unit, as long as they hear another:
+//!
+//! ```no_run
+//! use cotorra_graph::{Event, Instruction, NodeId, Timestamp};
+//! use cotorra_plugin::{Actions, Plugin, client};
+//!
+//! struct Avoid(NodeId);
+//!
+//! impl Plugin for Avoid {
+//!     fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
+//!         let Event::Robot(context) = event else { return };
+//!         if context.attached_to() != Some(&self.0) {
+//!             return;
+//!         }
+//!         let others = context.attachments.iter().filter(|a| !a.attached && a.signal.is_some());
+//!         if let Some(other) = others.max_by(|a, b| a.signal.partial_cmp(&b.signal).expect("signals are numbers")) {
+//!             let (robot, radio_unit) = (context.robot.clone(), other.radio_unit.clone());
+//!             actions.instruct_because(Instruction::Attach { robot, radio_unit }, "it is to be avoided");
+//!         }
+//!     }
+//! }
+//!
+//! client::run(&mut Avoid(NodeId::new("R4")?))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! [`messages`] and [`wire`] are for VNFs, which talk to robots over the network under test.
 #![forbid(unsafe_code)]
 
+pub mod client;
 pub mod messages;
 pub mod wire;
 

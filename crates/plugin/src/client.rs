@@ -1,0 +1,384 @@
+//! The client of a testbed's HTTP API, for plug-ins that are programs of their own.
+//!
+//! [`run`] drives any [`Plugin`] over the API, so that one plug-in runs in process or apart; [`Client`] asks and
+//! instructs directly. Both block, as a plug-in has nothing else to do.
+
+mod events;
+mod run;
+
+use std::time::Duration;
+
+use cotorra_graph::{
+    HardwareGraph, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId, PluginSpec, RadioContext,
+    RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, Walk, id::InvalidId,
+};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::Plugin;
+pub use events::Events;
+
+/// Everything but a stream is answered within this time, or not at all.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// A stream that is silent for so long, though the server keeps it alive every 15 s, has ended.
+const SILENCE: Duration = Duration::from_secs(60);
+/// The largest answer that is read, bytes: 10,000 contexts of a testbed with a few hundred radio units.
+const LARGEST_ANSWER: u64 = 256 << 20;
+
+/// Runs a plug-in against the testbed that `COTORRA_API` names, until the testbed's run ends.
+///
+/// # Errors
+/// [`ClientError`] if the environment names no API, or that cannot be used. What the testbed refuses is none: it is
+/// recorded there, and told as a decision.
+pub fn run(plugin: &mut dyn Plugin) -> Result<(), ClientError> {
+    Client::from_env()?.run(plugin)
+}
+
+/// A connection to a testbed's API.
+#[derive(Debug, Clone)]
+pub struct Client {
+    agent: ureq::Agent,
+    api: String,
+    token: Option<String>,
+    plugin: Option<PluginId>,
+}
+
+/// Why the API gives no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The environment does not say where the API is.
+    #[error("COTORRA_API is not set: let it name the testbed's API, as in http://127.0.0.1:7700")]
+    NotSet,
+    /// That is no address of an API.
+    #[error("`{0}` is not the address of an API: write it like http://127.0.0.1:7700")]
+    Address(String),
+    /// The plug-in's name can be none.
+    #[error("COTORRA_PLUGIN: {0}")]
+    Name(#[from] InvalidId),
+    /// Nobody answers there.
+    #[error("the API at {url} cannot be reached: {source}")]
+    Unreachable {
+        /// What was asked.
+        url: String,
+        /// Why.
+        source: Box<ureq::Error>,
+    },
+    /// The testbed does not do what an instruction asks for.
+    #[error("refused: {0}")]
+    Refused(String),
+    /// The request cannot be answered.
+    #[error("{url} answers {status}: {reason}")]
+    Failed {
+        /// What was asked.
+        url: String,
+        /// HTTP status.
+        status: u16,
+        /// Why.
+        reason: String,
+    },
+    /// The answer is not what this version of cotorra expects.
+    #[error("{url} answers what this client does not understand: {reason}")]
+    Malformed {
+        /// What was asked.
+        url: String,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// Which part of a history is wanted; by default all of it, from its beginning, up to the server's limit.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Part {
+    /// From here on.
+    pub from: Timestamp,
+    /// Up to here, this excluded.
+    pub to: Option<Timestamp>,
+    /// How many at the most.
+    pub limit: Option<usize>,
+    /// The [`Page::next`] of the page before.
+    pub after: Option<String>,
+}
+
+/// A part of a history.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Page<T> {
+    /// In the order of time.
+    pub items: Vec<T>,
+    /// Where the next page begins; `None` on the last.
+    pub next: Option<String>,
+}
+
+/// Something measured, and when.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Sample<T> {
+    /// When.
+    pub at: Timestamp,
+    /// What.
+    #[serde(flatten)]
+    pub value: T,
+}
+
+/// What was known of the whole graph at a time: the last of everything.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct GraphState {
+    /// When.
+    pub at: Timestamp,
+    /// κ(r).
+    pub robots: Vec<Sample<RobotContext>>,
+    /// ι(R).
+    pub radio_units: Vec<Sample<RadioContext>>,
+    /// d, λ, ψ, δ, by link and direction.
+    pub links: Vec<Sample<LinkContext>>,
+    /// a(n).
+    pub placements: Vec<Sample<Placement>>,
+    /// a(n1,n2).
+    pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
+}
+
+#[derive(Serialize)]
+struct InstructionBody<'a> {
+    instruction: &'a Instruction,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'a str>,
+}
+
+#[derive(Deserialize)]
+struct Done {}
+
+#[derive(Deserialize)]
+struct TestbedBody {
+    name: String,
+    #[serde(default)]
+    description: String,
+    graph: HardwareGraph,
+    services: Vec<Service>,
+    walks: Vec<Walk>,
+    #[serde(default)]
+    plugins: Vec<PluginSpec>,
+    #[serde(default)]
+    seed: u64,
+}
+
+/// What a failure says: `refused` if the testbed does not do it, else `error`.
+#[derive(Default, Deserialize)]
+struct Failure {
+    refused: Option<String>,
+    error: Option<String>,
+}
+
+impl Client {
+    /// The client of the API that `COTORRA_API` names, with the token in `COTORRA_TOKEN` if one is set, under the
+    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts.
+    ///
+    /// # Errors
+    /// [`ClientError`] if one of them is missing or cannot be used. Whether somebody answers shows later.
+    pub fn from_env() -> Result<Self, ClientError> {
+        let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
+        let mut client = Self::new(&variable("COTORRA_API").ok_or(ClientError::NotSet)?)?;
+        client.token = variable("COTORRA_TOKEN");
+        client.plugin = variable("COTORRA_PLUGIN").as_deref().map(PluginId::new).transpose()?;
+        Ok(client)
+    }
+
+    /// The client of the API at that address, as in `http://127.0.0.1:7700`.
+    ///
+    /// # Errors
+    /// [`ClientError::Address`] if it is none.
+    pub fn new(api: &str) -> Result<Self, ClientError> {
+        let api = api.trim_end_matches('/');
+        if api.strip_prefix("http://").is_none_or(|host| host.is_empty() || host.contains(['/', ' ', '?'])) {
+            return Err(ClientError::Address(api.to_owned()));
+        }
+        // A proxy that the environment names is for the world outside, not for the testbed.
+        let config = ureq::Agent::config_builder().http_status_as_error(false).proxy(None).max_redirects(0);
+        let agent =
+            config.timeout_connect(Some(PATIENCE)).timeout_recv_response(Some(PATIENCE)).build().into();
+        Ok(Self { agent, api: api.to_owned(), token: None, plugin: None })
+    }
+
+    /// The same with a token.
+    pub fn with_token(self, token: impl Into<String>) -> Self {
+        Self { token: Some(token.into()), ..self }
+    }
+
+    /// The same under that name: decisions are recorded with it.
+    pub fn named(self, plugin: PluginId) -> Self {
+        Self { plugin: Some(plugin), ..self }
+    }
+
+    /// The testbed, without its map, which the API does not give.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn testbed(&self) -> Result<Testbed, ClientError> {
+        let TestbedBody { name, description, graph, services, walks, plugins, seed } =
+            self.get("testbed", &[])?;
+        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, seed })
+    }
+
+    /// κ of every robot.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn robots(&self) -> Result<Vec<RobotContext>, ClientError> {
+        self.get("robots", &[])
+    }
+
+    /// κ of a robot.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if nothing is known of it.
+    pub fn robot(&self, robot: &NodeId) -> Result<RobotContext, ClientError> {
+        self.get(&format!("robots/{robot}"), &[])
+    }
+
+    /// d, λ and conditions of every link, in both directions.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn links(&self) -> Result<Vec<LinkContext>, ClientError> {
+        self.get("network/links", &[])
+    }
+
+    /// ι of every radio unit.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn radio_units(&self) -> Result<Vec<RadioContext>, ClientError> {
+        self.get("network/radio-units", &[])
+    }
+
+    /// a(n): where every VNF runs.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn placements(&self) -> Result<Vec<Placement>, ClientError> {
+        self.get("network/placements", &[])
+    }
+
+    /// κ of a robot over time.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if there is no such robot.
+    pub fn robot_history(
+        &self,
+        robot: &NodeId,
+        part: &Part,
+    ) -> Result<Page<Sample<RobotContext>>, ClientError> {
+        self.get(&format!("measurements/robots/{robot}"), &part.query())
+    }
+
+    /// d, λ and conditions of a link over time, forward.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if there is no such link.
+    pub fn link_history(&self, link: &LinkId, part: &Part) -> Result<Page<Sample<LinkContext>>, ClientError> {
+        self.get(&format!("measurements/links/{link}"), &part.query())
+    }
+
+    /// Service times.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn service_times(&self, part: &Part) -> Result<Page<Sample<ServiceTime>>, ClientError> {
+        self.get("measurements/service-times", &part.query())
+    }
+
+    /// The whole graph at a time; now if it is `None`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn state(&self, at: Option<Timestamp>) -> Result<GraphState, ClientError> {
+        let query = at.map(|at| ("at_s", at.as_secs_f64().to_string()));
+        self.get("measurements/state", query.as_slice())
+    }
+
+    /// Gives an instruction; done, or begun, when this returns.
+    ///
+    /// # Errors
+    /// [`ClientError::Refused`], with the testbed's reason, if it does not do it.
+    pub fn instruct(&self, instruction: &Instruction, reason: Option<&str>) -> Result<(), ClientError> {
+        let url = self.url("instructions");
+        let body = InstructionBody { instruction, reason };
+        let request = self.identify(self.agent.post(&url)).config().timeout_global(Some(PATIENCE)).build();
+        let _: Done = read(&url, self.answer(&url, request.send_json(&body))?)?;
+        Ok(())
+    }
+
+    /// What happens from now on: events of these kinds (`robot`, `handover`, …), of all if none is named.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn events(&self, kinds: &[&str]) -> Result<Events, ClientError> {
+        let url = self.url("events");
+        let mut request =
+            self.identify(self.agent.get(&url)).config().timeout_per_read(Some(SILENCE)).build();
+        if !kinds.is_empty() {
+            request = request.query("kinds", kinds.join(","));
+        }
+        Ok(Events::new(url.clone(), self.answer(&url, request.call())?.into_body().into_reader()))
+    }
+
+    fn get<T: DeserializeOwned>(&self, path: &str, query: &[(&str, String)]) -> Result<T, ClientError> {
+        let url = self.url(path);
+        let request =
+            query.iter().fold(self.agent.get(&url), |request, (name, value)| request.query(*name, value));
+        let request = self.identify(request).config().timeout_global(Some(PATIENCE)).build();
+        read(&url, self.answer(&url, request.call())?)
+    }
+
+    fn url(&self, path: &str) -> String {
+        format!("{}/api/v1/{path}", self.api)
+    }
+
+    fn identify<B>(&self, request: ureq::RequestBuilder<B>) -> ureq::RequestBuilder<B> {
+        let request = match &self.token {
+            Some(token) => request.header("authorization", format!("Bearer {token}")),
+            None => request,
+        };
+        match &self.plugin {
+            Some(plugin) => request.header("x-cotorra-plugin", plugin.as_str()),
+            None => request,
+        }
+    }
+
+    /// The answer, if it is a good one.
+    fn answer(&self, url: &str, response: Result<Response, ureq::Error>) -> Result<Response, ClientError> {
+        let mut response = response
+            .map_err(|source| ClientError::Unreachable { url: url.to_owned(), source: source.into() })?;
+        let status = response.status();
+        if status.is_success() {
+            return Ok(response);
+        }
+        let said = response.body_mut().read_to_string().unwrap_or_default();
+        let failure: Failure = serde_json::from_str(&said).unwrap_or_default();
+        match failure {
+            Failure { refused: Some(reason), .. } => Err(ClientError::Refused(reason)),
+            Failure { error, .. } => {
+                let reason =
+                    error.or_else(|| status.canonical_reason().map(str::to_owned)).unwrap_or_default();
+                Err(ClientError::Failed { url: url.to_owned(), status: status.as_u16(), reason })
+            }
+        }
+    }
+}
+
+type Response = ureq::http::Response<ureq::Body>;
+
+fn read<T: DeserializeOwned>(url: &str, mut response: Response) -> Result<T, ClientError> {
+    let body = response.body_mut().with_config().limit(LARGEST_ANSWER);
+    body.read_json()
+        .map_err(|error| ClientError::Malformed { url: url.to_owned(), reason: error.to_string() })
+}
+
+impl Part {
+    fn query(&self) -> Vec<(&'static str, String)> {
+        let from = Some(("from_s", self.from.as_secs_f64().to_string()));
+        let to = self.to.map(|to| ("to_s", to.as_secs_f64().to_string()));
+        let limit = self.limit.map(|limit| ("limit", limit.to_string()));
+        let after = self.after.clone().map(|after| ("after", after));
+        [from, to, limit, after].into_iter().flatten().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+use std::{
+    io::{BufRead, BufReader, Read, Write},
+    net::TcpListener,
+    sync::mpsc,
+    thread,
+};
+
+use cotorra_graph::{Event, Velocity};
+use serde_json::{Value, json};
+
+use super::*;
+use crate::Actions;
+
+/// What a server was asked.
+#[derive(Debug)]
+struct Request {
+    /// Method and path with query.
+    line: String,
+    headers: Vec<String>,
+    body: String,
+}
+
+/// A peer that answers the n-th connection with the n-th of these, closes it, and tells what it was asked.
+fn server(answers: Vec<String>) -> (Client, mpsc::Receiver<Request>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let client = Client::new(&format!("http://{}/", listener.local_addr().unwrap())).unwrap();
+    let (tell, asked) = mpsc::channel();
+    thread::spawn(move || {
+        for answer in answers {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut lines = BufReader::new(stream.try_clone().unwrap());
+            let mut line = || {
+                let mut line = String::new();
+                lines.read_line(&mut line).unwrap();
+                line.trim_end().to_owned()
+            };
+            let first = line().trim_end_matches(" HTTP/1.1").to_owned();
+            let headers: Vec<_> =
+                std::iter::from_fn(|| Some(line()).filter(|line| !line.is_empty())).collect();
+            let length = headers.iter().find_map(|h| h.strip_prefix("content-length: ")?.parse().ok());
+            let mut body = vec![0; length.unwrap_or(0)];
+            lines.read_exact(&mut body).unwrap();
+            let _ = tell.send(Request { line: first, headers, body: String::from_utf8(body).unwrap() });
+            stream.write_all(answer.as_bytes()).unwrap();
+        }
+    });
+    (client, asked)
+}
+
+fn response(status: &str, body: &str) -> String {
+    let length = body.len();
+    format!("HTTP/1.1 {status}\r\ncontent-length: {length}\r\nconnection: close\r\n\r\n{body}")
+}
+
+fn ok(body: &Value) -> String {
+    response("200 OK", &body.to_string())
+}
+
+/// A stream that breaks off, as when the testbed's process ends.
+fn stream(events: &str) -> String {
+    format!(
+        "HTTP/1.1 200 OK\r\ncontent-type: text/event-stream\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n{events}\r\n",
+        events.len()
+    )
+}
+
+fn id(name: &str) -> NodeId {
+    NodeId::new(name).unwrap()
+}
+
+fn scan() -> Instruction {
+    Instruction::Scan { robot: id("robot") }
+}
+
+fn testbed() -> Value {
+    json!({
+        "name": "lab", "services": [], "walks": [], "version": "0.1.0",
+        "graph": { "domains": [], "nodes": [], "links": [], "wireless": {} },
+    })
+}
+
+#[test]
+fn an_instruction_goes_out_with_its_reason_and_who_gives_it() {
+    let (client, asked) = server(vec![ok(&json!({ "done": true }))]);
+    let client = client.with_token("secret").named(PluginId::new("mine").unwrap());
+    let instruction = Instruction::Move {
+        robot: id("robot"),
+        velocity: Velocity { linear: 0.5, angular: -0.25 },
+        waypoint: 3,
+    };
+    client.instruct(&instruction, Some("why not")).unwrap();
+    let request = asked.recv().unwrap();
+    assert_eq!(request.line, "POST /api/v1/instructions");
+    assert!(request.headers.contains(&"authorization: Bearer secret".to_owned()), "{:?}", request.headers);
+    assert!(request.headers.contains(&"x-cotorra-plugin: mine".to_owned()), "{:?}", request.headers);
+    let expected = json!({
+        "instruction": {
+            "instruction": "move", "robot": "robot", "velocity": { "linear": 0.5, "angular": -0.25 }, "waypoint": 3,
+        },
+        "reason": "why not",
+    });
+    assert_eq!(serde_json::from_str::<Value>(&request.body).unwrap(), expected);
+}
+
+#[test]
+fn a_refusal_and_a_failure_say_why() {
+    let (client, _asked) = server(vec![
+        response("409 Conflict", r#"{"refused": "robot `robot` is out of reach"}"#),
+        response("401 Unauthorized", r#"{"error": "this API needs its token"}"#),
+        response("502 Bad Gateway", "<html>"),
+        response("200 OK", "surprise"),
+    ]);
+    let said = || client.instruct(&scan(), None).unwrap_err();
+    let refused = said();
+    assert!(matches!(&refused, ClientError::Refused(reason) if reason == "robot `robot` is out of reach"));
+    let (unauthorized, gateway, surprise) = (said().to_string(), said().to_string(), said().to_string());
+    assert!(
+        unauthorized.ends_with("/api/v1/instructions answers 401: this API needs its token"),
+        "{unauthorized}"
+    );
+    assert!(gateway.ends_with("answers 502: Bad Gateway"), "{gateway}");
+    assert!(surprise.contains("answers what this client does not understand"), "{surprise}");
+}
+
+#[test]
+fn an_api_that_is_not_there_is_named() {
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let error = Client::new(&format!("http://{free}")).unwrap().robots().unwrap_err().to_string();
+    assert!(
+        error.starts_with(&format!("the API at http://{free}/api/v1/robots cannot be reached")),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_is_no_address_is_refused_at_once() {
+    for wrong in ["", "127.0.0.1:7700", "https://127.0.0.1:7700", "http://", "http://host/path", "http://a b"]
+    {
+        assert!(matches!(Client::new(wrong), Err(ClientError::Address(_))), "{wrong}");
+    }
+}
+
+#[test]
+fn histories_are_asked_for_by_time_and_page() {
+    let sample = json!({ "at": 7, "service": "s", "robot": "robot", "sequence": 1, "emitted": 5, "took_ms": 11.5,
+        "attachment": "R1", "server": "cloud" });
+    let (client, asked) = server(vec![
+        ok(&json!({ "items": [sample], "next": "7-1" })),
+        ok(&json!({ "items": [], "next": null })),
+    ]);
+    let page = client.service_times(&Part::default()).unwrap();
+    assert_eq!(page.items[0].at, Timestamp::from_nanos(7));
+    assert_eq!(page.items[0].value.took, Some(Duration::from_micros(11_500)));
+    assert_eq!(asked.recv().unwrap().line, "GET /api/v1/measurements/service-times?from_s=0");
+    let part = Part {
+        from: Timestamp::from_secs_f64(1.5),
+        to: Some(Timestamp::from_secs_f64(20.0)),
+        limit: Some(10),
+        after: page.next,
+    };
+    assert_eq!(client.robot_history(&id("robot"), &part).unwrap(), Page { items: Vec::new(), next: None });
+    let line = asked.recv().unwrap().line;
+    assert_eq!(line, "GET /api/v1/measurements/robots/robot?from_s=1.5&to_s=20&limit=10&after=7-1");
+}
+
+#[test]
+fn events_are_filtered_by_the_server() {
+    let (client, asked) =
+        server(vec![stream("data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n")]);
+    let events: Vec<_> = client.events(&["robot", "scanned"]).unwrap().map(Result::unwrap).collect();
+    assert_eq!(
+        events,
+        [cotorra_graph::Stamped {
+            at: Timestamp::from_nanos(5),
+            event: Event::Scanned { robot: id("robot") },
+        }]
+    );
+    assert_eq!(asked.recv().unwrap().line, "GET /api/v1/events?kinds=robot%2Cscanned");
+}
+
+/// Scans when it starts, when its deadline comes, and after each scan.
+#[derive(Default)]
+struct Scanner {
+    calls: Vec<(&'static str, Timestamp)>,
+    deadline: Option<Timestamp>,
+}
+
+impl Plugin for Scanner {
+    fn start(&mut self, now: Timestamp, testbed: &Testbed, actions: &mut Actions) {
+        assert_eq!(testbed.name, "lab");
+        self.calls.push(("start", now));
+        self.deadline = Some(now);
+        actions.instruct(scan());
+    }
+
+    fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions) {
+        assert!(matches!(event, Event::Scanned { .. }));
+        self.calls.push(("handle", now));
+        actions.instruct_because(scan(), "once more");
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        self.deadline
+    }
+
+    fn expire(&mut self, now: Timestamp, _actions: &mut Actions) {
+        self.calls.push(("expire", now));
+        self.deadline = None;
+    }
+}
+
+#[test]
+fn a_plug_in_runs_apart_until_the_run_ends() {
+    let events = "data: {\"at\": 5000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
+                  data: {\"at\": 900000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
+    let (client, asked) = server(vec![
+        stream(events),
+        ok(&testbed()),
+        ok(&json!({ "done": true })),
+        response("409 Conflict", r#"{"refused": "no"}"#),
+        ok(&json!({ "done": true })),
+    ]);
+    let mut plugin = Scanner::default();
+    client.run(&mut plugin).unwrap();
+    let names: Vec<_> = plugin.calls.iter().map(|call| call.0).collect();
+    assert_eq!(names, ["start", "handle", "expire", "handle"], "the deadline is not starved by events");
+    assert!(plugin.calls.is_sorted_by_key(|call| call.1), "time never falls: {:?}", plugin.calls);
+    assert_eq!(plugin.calls[0].1, Timestamp::from_secs_f64(5.0));
+    assert!(plugin.calls[3].1 >= Timestamp::from_secs_f64(900.0));
+    let lines: Vec<_> = asked.try_iter().map(|request| request.line).collect();
+    let post = "POST /api/v1/instructions";
+    assert_eq!(lines, ["GET /api/v1/events", "GET /api/v1/testbed", post, post, post]);
+}
+
+#[test]
+fn a_plug_in_ends_with_a_run_that_ends_before_it() {
+    let (client, _asked) = server(vec![stream(":\n\n"), ok(&testbed())]);
+    client.run(&mut Scanner::default()).unwrap();
+    let one = "data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
+    let ended = response("503 Service Unavailable", r#"{"error": "the run has ended"}"#);
+    let (client, _asked) = server(vec![stream(one), ok(&testbed()), ended]);
+    client.run(&mut Scanner::default()).unwrap();
+}
