@@ -33,6 +33,19 @@ pub fn run(plugin: &mut dyn Plugin) -> Result<(), ClientError> {
     Client::from_env()?.run(plugin)
 }
 
+/// The plug-in's settings in the testbed file, which a testbed passes on in `COTORRA_SETTINGS`; empty without it.
+///
+/// # Errors
+/// [`ClientError::Settings`] if that is no JSON object.
+pub fn settings() -> Result<serde_json::Map<String, serde_json::Value>, ClientError> {
+    match std::env::var("COTORRA_SETTINGS") {
+        Ok(settings) if !settings.is_empty() => {
+            serde_json::from_str(&settings).map_err(ClientError::Settings)
+        }
+        _ => Ok(serde_json::Map::new()),
+    }
+}
+
 /// A connection to a testbed's API.
 #[derive(Debug, Clone)]
 pub struct Client {
@@ -54,6 +67,9 @@ pub enum ClientError {
     /// The plug-in's name can be none.
     #[error("COTORRA_PLUGIN: {0}")]
     Name(#[from] InvalidId),
+    /// The plug-in's settings cannot be read.
+    #[error("COTORRA_SETTINGS is not a JSON object: {0}")]
+    Settings(#[source] serde_json::Error),
     /// Nobody answers there.
     #[error("the API at {url} cannot be reached: {source}")]
     Unreachable {
