@@ -63,11 +63,11 @@ const QOS_CONTROL: u32 = 2;
 /// Delimiter of the A-MPDU that a VHT frame always is (9.7.1).
 const AMPDU_DELIMITER: u32 = 4;
 
-/// Slot of all the modelled layers; in 802.11g the short one (Tables 17-21, 18-5, 19-25 and 21-28).
+/// Slot of all the modelled layers; in 802.11g the short one (17.4.4, 18.5.4, 19.4.4, 21.4.4).
 const SLOT_US: u64 = 9;
-/// Smallest contention window (same tables).
+/// Smallest contention window (as above).
 const CW_MIN: u32 = 15;
-/// Largest contention window (same tables).
+/// Largest contention window (as above).
 const CW_MAX: u32 = 1023;
 /// dot11ShortRetryLimit by default (10.3.4.4).
 const ATTEMPTS: u32 = 7;
@@ -88,7 +88,7 @@ pub(super) struct Phy {
     overhead_bytes: u32,
 }
 
-/// 802.11a and g (Table 17-4).
+/// 802.11a and g (17.3.2.2, Table 17-4).
 const OFDM: &[Mode] = &[
     Mode::new(24, Constellation::Bpsk, Coding::Half),
     Mode::new(36, Constellation::Bpsk, Coding::ThreeQuarters),
@@ -100,7 +100,7 @@ const OFDM: &[Mode] = &[
     Mode::new(216, Constellation::Qam64, Coding::ThreeQuarters),
 ];
 
-/// 802.11ac, 20 MHz, one stream, MCS 0 to 8 (Table 21-30); the first eight are those of 802.11n (Table 19-27).
+/// 802.11ac, 20 MHz, one stream, MCS 0 to 8 (21.5); the first eight are those of 802.11n (19.5).
 const VHT: &[Mode] = &[
     Mode::new(26, Constellation::Bpsk, Coding::Half),
     Mode::new(52, Constellation::Qpsk, Coding::Half),
@@ -284,7 +284,7 @@ impl Reception {
         Exchange { first: Duration::from_micros(first), retries: Duration::from_micros(retries), received }
     }
 
-    /// Probability that a group-addressed frame is lost: sent once, at the lowest basic rate (10.6.5.1).
+    /// Probability that a group-addressed frame is lost: sent once, at the lowest basic rate (10.6.5).
     pub(super) fn group_error_rate(&self, frame_bytes: usize) -> f64 {
         self.error_rate(0, frame_bytes)
     }
@@ -341,13 +341,13 @@ fn erfc(x: f64) -> f64 {
     let gauss = (-x * x).exp() / std::f64::consts::PI.sqrt();
     if x < 2.0 {
         let (mut term, mut sum) = (x, x);
-        for n in 1..50 {
+        for n in 1..30 {
             term *= 2.0 * x * x / f64::from(2 * n + 1);
             sum += term;
         }
         1.0 - 2.0 * gauss * sum
     } else {
-        gauss / (1..50).rev().fold(x, |tail, n| x + 0.5 * f64::from(n) / tail)
+        gauss / (1..30).rev().fold(x, |tail, n| x + 0.5 * f64::from(n) / tail)
     }
 }
 

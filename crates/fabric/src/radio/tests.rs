@@ -1,12 +1,13 @@
 //! What the radio promises, seen from the fabric: frames in, frames and events out, in virtual time.
 
 use cotorra_graph::{
-    BitRate, Capacity, DomainId, HandoverTimes, Loss, Node, NodeKind, PathLoss, Probability, RadioUnit, Rate,
-    Robot, RobotModel, Shadowing, WifiStandard,
+    BitRate, Capacity, Conditions, DomainId, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
+    PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
 
 use super::*;
+use crate::fabric::Fabric;
 
 const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
@@ -580,6 +581,58 @@ fn the_same_seed_gives_the_same_run_and_another_another() {
     let (first, second, other) = (run(1), run(1), run(2));
     assert!(first == second);
     assert!(first != other);
+}
+
+#[test]
+fn frames_follow_the_robot_through_the_fabric() {
+    let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0 };
+    let wire = |unit: &str, delay: Duration| {
+        let conditions = Conditions { delay, ..Conditions::default() };
+        Link {
+            id: LinkId::new(&format!("{unit}-s")).unwrap(),
+            ends: [id(unit), id("s")],
+            forward: conditions.clone(),
+            backward: conditions,
+            medium: mbps(10_000.0),
+            reliability: 1.0,
+        }
+    };
+    let graph = HardwareGraph {
+        domains: vec![DomainId::new("d").unwrap()],
+        nodes: vec![
+            robot("r", 5.0, Roaming::Instructed),
+            unit("R1", 0.0, 1),
+            unit("R2", 30.0, 6),
+            node("s", 0.0, NodeKind::Server(server)),
+        ],
+        links: vec![wire("R1", ms(2)), wire("R2", ms(5))],
+        wireless: [("lab".to_owned(), network())].into(),
+    };
+    let mut fabric = Fabric::new(&graph, 1).unwrap();
+    let (r, s) = (PortId(0), PortId(3));
+    let frame = |from: PortId, to: PortId| {
+        let [to, from] = [to, from].map(|port| HostAddress::of(port.0).mac);
+        Frame::new([&to[..], &from[..], &[8, 0], &[0; 100]].concat())
+    };
+    // Pushes a frame, and tells when and where it came out.
+    let cross = |fabric: &mut Fabric, now, from, to| {
+        let mut delivered = None;
+        let mut next = Some(now);
+        fabric.push(now, from, frame(from, to));
+        while let Some(now) = next.filter(|_| delivered.is_none()) {
+            next = fabric.poll(now, &mut |port, _| delivered = Some((now, port)));
+        }
+        delivered.unwrap()
+    };
+    assert_eq!(cross(&mut fabric, at(10), r, s), (at(13), s));
+    assert_eq!(cross(&mut fabric, at(20), s, r), (at(23), r));
+    // In the gap of 30 ms: held at the robot, and at the radio unit that it leaves; then the other way round.
+    fabric.attach(at(100), &id("r"), &id("R2")).unwrap();
+    assert_eq!(cross(&mut fabric, at(110), r, s), (at(136), s));
+    assert_eq!(cross(&mut fabric, at(210), s, r), (at(216), r));
+    fabric.attach(at(300), &id("r"), &id("R1")).unwrap();
+    assert_eq!(cross(&mut fabric, at(310), s, r), (at(331), r));
+    assert_eq!(cross(&mut fabric, at(410), r, s), (at(413), s));
 }
 
 /// What can happen to a radio.
