@@ -1,1 +1,40 @@
-//! placeholder
+//! Runs a [`Fabric`](cotorra_fabric::Fabric) on the wall clock with real packets: one network namespace a host, ports
+//! that are TAPs or packet sockets with offloads, programs started in nodes, and nothing left behind however the
+//! process ends. Linux 5.11 or later; the only crate with unsafe code.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let graph: cotorra_graph::HardwareGraph = unimplemented!();
+//! # let robot: cotorra_graph::NodeId = unimplemented!();
+//! cotorra_datapath::enter_user_namespace_if_needed()?;
+//! let fabric = cotorra_fabric::Fabric::new(&graph, 1)?;
+//! let datapath = cotorra_datapath::Datapath::start(&graph, fabric, Default::default())?;
+//! let socket = datapath.namespace(&robot)?.udp_socket("0.0.0.0:7711")?;
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod bench;
+mod capability;
+mod clock;
+mod datapath;
+mod engine;
+mod error;
+mod hosts;
+mod init;
+mod namespace;
+mod netlink;
+mod port;
+mod privilege;
+mod process;
+mod sys;
+mod vnet;
+
+pub use capability::{Capability, CapabilityState, probe};
+pub use clock::Clock;
+pub use datapath::{BusyPoll, Datapath, Options, PortKind};
+pub use engine::{EventSink, Handle};
+pub use error::Error;
+pub use namespace::{Namespace, enter};
+pub use privilege::{Privilege, enter_user_namespace_if_needed};
+pub use process::{Child, HostsFile, SpawnOptions};

@@ -1,0 +1,370 @@
+//! Measures the emulator on the machine that it runs on: what `cotorra bench` prints. Everything goes through the
+//! public interface and real sockets, as a user's traffic would.
+#![allow(clippy::disallowed_methods, reason = "a benchmark waits for the kernel on the wall clock")]
+
+use std::{
+    fs,
+    io::{self, Read, Write},
+    net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket},
+    os::fd::AsFd,
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{
+    BitRate, Capacity, Conditions, DomainId, HardwareGraph, HostAddress, Link, LinkId, Node, NodeId,
+    NodeKind, Rate, Server, Tier, Timestamp,
+};
+
+use crate::{
+    clock::Clock,
+    datapath::{BusyPoll, Datapath, Options, PortKind},
+    error::{Action, Error},
+    namespace::{Namespace, on_a_thread},
+    netlink::{self, Netlink},
+    sys,
+};
+
+/// How a benchmark runs its datapath.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Setting {
+    /// Kind of port.
+    pub port: PortKind,
+    /// Spinning.
+    pub busy_poll: BusyPoll,
+}
+
+impl Setting {
+    fn start(self, graph: &HardwareGraph) -> Result<Datapath, Error> {
+        let options = Options { port: self.port, busy_poll: self.busy_poll, events: None };
+        let fabric = Fabric::new(graph, 1).expect("the graphs of benchmarks are sound");
+        Datapath::start(graph, fabric, options)
+    }
+}
+
+/// How something is spread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Percentiles {
+    /// The median.
+    pub p50: Duration,
+    /// What 1 in 100 exceeds.
+    pub p99: Duration,
+    /// The largest.
+    pub max: Duration,
+}
+
+impl Percentiles {
+    /// Of at least one sample.
+    fn of(mut samples: Vec<Duration>) -> Self {
+        samples.sort_unstable();
+        let at = |share: f64| samples[((samples.len() - 1) as f64 * share) as usize];
+        Self { p50: at(0.5), p99: at(0.99), max: at(1.0) }
+    }
+}
+
+/// How much longer a round trip takes than a link of that one-way delay makes it, over so many round trips: UDP
+/// packets of 64 bytes, one at a time.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn round_trip(setting: Setting, one_way: Duration, round_trips: usize) -> Result<Percentiles, Error> {
+    let datapath = setting.start(&line(2, 1, &Conditions { delay: one_way, ..Conditions::default() }))?;
+    let [client, server] = [0, 1].map(|place| socket(&datapath, place));
+    let (client, server) = (client?, server?);
+    let clock = datapath.clock();
+    let done = AtomicBool::new(false);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            be_punctual();
+            let mut buffer = [0; 64];
+            while !done.load(Ordering::Relaxed) {
+                if let Ok((length, from)) = server.recv_from(&mut buffer) {
+                    let _ = server.send_to(&buffer[..length], from);
+                }
+            }
+        });
+        let samples = scope.spawn(|| {
+            be_punctual();
+            // The first few find out each other's addresses.
+            let samples = (0..round_trips + 10).map(|_| one_round_trip(&client, clock, one_way)).skip(10);
+            let samples: Result<Vec<_>, _> = samples.collect();
+            done.store(true, Ordering::Relaxed);
+            samples
+        });
+        let samples = samples.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        samples.map(Percentiles::of).action("send a packet through the fabric")
+    })
+}
+
+fn one_round_trip(client: &UdpSocket, clock: Clock, one_way: Duration) -> io::Result<Duration> {
+    let sent = clock.now();
+    client.send_to(&[0; 64], (HostAddress::of(1).ipv4, PORT))?;
+    client.recv_from(&mut [0; 64])?;
+    Ok(clock.now().since(sent).saturating_sub(one_way * 2))
+}
+
+/// What TCP carries in bit/s through so many links in a row, each with these conditions, for that long; its first
+/// fifth, in which it gets up to speed, not counted.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn tcp_throughput(
+    setting: Setting,
+    conditions: &Conditions,
+    links: usize,
+    length: Duration,
+) -> Result<f64, Error> {
+    let datapath = setting.start(&line(2, links, conditions))?;
+    let listener = host(&datapath, 1).run(|| TcpListener::bind((Ipv4Addr::UNSPECIFIED, PORT)));
+    let listener = listener.action("listen in a node")?;
+    let clock = datapath.clock();
+    thread::scope(|scope| {
+        let receiver = scope.spawn(move || receive_for(&listener, clock, length));
+        let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
+        let sender = host(&datapath, 0).run(|| TcpStream::connect(to));
+        let mut sender = sender.action("connect through the fabric")?;
+        let chunk = vec![0; 1 << 20];
+        // The receiver hangs up when it has seen enough.
+        while sender.write_all(&chunk).is_ok() {}
+        let rate = receiver.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        rate.action("receive in a node")
+    })
+}
+
+fn receive_for(listener: &TcpListener, clock: Clock, length: Duration) -> io::Result<f64> {
+    let (mut receiver, _) = listener.accept()?;
+    let mut buffer = vec![0; 1 << 20];
+    let begin = clock.now();
+    let (mut bytes, mut from) = (0, None);
+    loop {
+        bytes += receiver.read(&mut buffer)? as u64;
+        let now = clock.now();
+        match from {
+            None if now.since(begin) > length / 5 => (bytes, from) = (0, Some(now)),
+            Some(from) if now.since(begin) > length => {
+                return Ok(bytes as f64 * 8.0 / now.since(from).as_secs_f64());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// How many small packets the fabric's thread carries.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PacketRate {
+    /// Packets that arrived, a second.
+    pub delivered: f64,
+    /// Packets that arrived, a second that the fabric's thread ran: what one core would carry.
+    pub per_core: f64,
+}
+
+/// Sends UDP packets of 64 bytes through one link for that long, as fast as the sender can.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn packet_rate(setting: Setting, length: Duration) -> Result<PacketRate, Error> {
+    let datapath = setting.start(&line(2, 1, &Conditions::default()))?;
+    let (client, server) = (socket(&datapath, 0)?, socket(&datapath, 1)?);
+    let clock = datapath.clock();
+    let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
+    let done = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let received = scope.spawn(|| {
+            let mut received = 0u64;
+            while !done.load(Ordering::Relaxed) {
+                received += u64::from(server.recv_from(&mut [0; 64]).is_ok());
+            }
+            received
+        });
+        let busy_before = fabric_thread_busy();
+        let begin = clock.now();
+        while clock.now().since(begin) < length {
+            for _ in 0..64 {
+                let _ = client.send_to(&[0; 64], to);
+            }
+        }
+        let seconds = clock.now().since(begin).as_secs_f64();
+        let busy = fabric_thread_busy().saturating_sub(busy_before).as_secs_f64();
+        done.store(true, Ordering::Relaxed);
+        let received = received.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)) as f64;
+        Ok(PacketRate { delivered: received / seconds, per_core: received / busy })
+    })
+}
+
+/// How long the fabric's thread has run so far.
+fn fabric_thread_busy() -> Duration {
+    let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let mut fabric =
+        tasks.filter(|t| fs::read_to_string(t.path().join("comm")).is_ok_and(|n| n.trim() == "fabric"));
+    let nanos = fabric.next().and_then(|task| {
+        let stat = fs::read_to_string(task.path().join("schedstat")).ok()?;
+        stat.split_whitespace().next()?.parse().ok()
+    });
+    Duration::from_nanos(nanos.unwrap_or_default())
+}
+
+/// By which share the rate of a link differs from what it was asked for: frames of 1442 bytes (Ethernet without
+/// preamble, FCS and gap) are sent faster than the link takes them, for that long.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn rate_error(setting: Setting, rate: BitRate, length: Duration) -> Result<f64, Error> {
+    const PAYLOAD: usize = 1400;
+    const FRAME: usize = 14 + 20 + 8 + PAYLOAD;
+    let rate_limited = Rate::Fixed { bits_per_second: rate };
+    let datapath = setting.start(&line(2, 1, &Conditions { rate: rate_limited, ..Conditions::default() }))?;
+    let (client, server) = (socket(&datapath, 0)?, socket(&datapath, 1)?);
+    let clock = datapath.clock();
+    let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
+    let done = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let received = scope.spawn(|| {
+            be_punctual();
+            let mut arrivals: Vec<Timestamp> = Vec::new();
+            while !done.load(Ordering::Relaxed) {
+                if server.recv_from(&mut [0; PAYLOAD]).is_ok() {
+                    arrivals.push(clock.now());
+                }
+            }
+            arrivals
+        });
+        let begin = clock.now();
+        let mut sent = 0u64;
+        while clock.now().since(begin) < length {
+            // A fifth more than fits keeps the queue full without keeping a core busy.
+            let due = clock.now().since(begin).as_secs_f64() * rate.bits_per_second() as f64 * 1.2;
+            while (sent * FRAME as u64 * 8) as f64 <= due {
+                let _ = client.send_to(&[0; PAYLOAD], to);
+                sent += 1;
+            }
+            thread::sleep(Duration::from_micros(200));
+        }
+        done.store(true, Ordering::Relaxed);
+        let arrivals = received.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        // The queue fills at first.
+        let steady = &arrivals[arrivals.len() / 10..];
+        let (Some(first), Some(last)) = (steady.first(), steady.last()) else {
+            return Err(Error::Stopped);
+        };
+        let bits = (steady.len() - 1) as f64 * FRAME as f64 * 8.0;
+        let measured = bits / last.since(*first).as_secs_f64();
+        Ok((measured / rate.bits_per_second() as f64 - 1.0).abs())
+    })
+}
+
+/// What it takes to bring hosts up and to be rid of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BringUp {
+    /// Until every host can send.
+    pub up: Duration,
+    /// Until all interfaces are gone.
+    pub down: Duration,
+    /// Memory that the machine had less of while they were up, the kernel's included.
+    pub memory_bytes: u64,
+}
+
+/// Brings so many hosts up and down, each at a switch of its own, the switches in a line: Mininet's `linear` topology.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn bring_up(setting: Setting, hosts: usize) -> Result<BringUp, Error> {
+    let graph = line(hosts, 1, &Conditions::default());
+    let clock = Clock::start();
+    let before = available_memory();
+    let begin = clock.now();
+    let datapath = setting.start(&graph)?;
+    let up = clock.now().since(begin);
+    let memory_bytes = before.saturating_sub(available_memory());
+    let begin = clock.now();
+    drop(datapath);
+    wait_for_the_kernel()?;
+    Ok(BringUp { up, down: clock.now().since(begin), memory_bytes })
+}
+
+/// Waits until the kernel removed the namespaces that were closed before: it does so in their order, so that one
+/// more is closed, whose interface can be seen from outside.
+fn wait_for_the_kernel() -> Result<(), Error> {
+    on_a_thread(|| {
+        let outside = Namespace::enter_new().action("make a network namespace")?;
+        on_a_thread(|| {
+            Namespace::enter_new()?;
+            Netlink::open()?.execute(vec![netlink::veth("inside", "outside", 100, outside.as_fd())])
+        })
+        .action("make a virtual Ethernet pair")?;
+        while sys::interface_index(c"outside").is_ok() {
+            thread::sleep(Duration::from_millis(1));
+        }
+        Ok(())
+    })
+}
+
+fn available_memory() -> u64 {
+    let info = fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = info.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let kib = line.and_then(|l| l.trim().trim_end_matches(" kB").parse::<u64>().ok());
+    kib.unwrap_or_default() * 1024
+}
+
+const PORT: u16 = 7711;
+
+/// The probes run before everything but the fabric, so that they measure it and not the machine's other load.
+fn be_punctual() {
+    // Not everyone may.
+    let _ = sys::set_fifo(1);
+}
+
+fn host(datapath: &Datapath, place: usize) -> &Namespace {
+    datapath.namespace(&server_name(place)).expect("a line has that many hosts")
+}
+
+/// A socket that gives up waiting now and then, so that its thread can end.
+fn socket(datapath: &Datapath, place: usize) -> Result<UdpSocket, Error> {
+    let address = (IpAddr::from(Ipv4Addr::UNSPECIFIED), PORT);
+    let socket = host(datapath, place).udp_socket(address).action("open a socket in a node")?;
+    socket.set_read_timeout(Some(Duration::from_secs(1))).action("set a timeout")?;
+    Ok(socket)
+}
+
+fn server_name(place: usize) -> NodeId {
+    NodeId::new(&format!("h{place}")).expect("a letter and digits")
+}
+
+fn switch_name(place: usize) -> NodeId {
+    NodeId::new(&format!("s{place}")).expect("a letter and digits")
+}
+
+/// Switches in a line with one host each. Two hosts and n links: the hosts are at the ends of n links in a row, with
+/// n - 1 switches between.
+fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
+    let domain = DomainId::new("bench").expect("letters");
+    let node = |id, kind| Node { id, domain: domain.clone(), position: None, kind };
+    let server = NodeKind::Server(Server {
+        tier: Tier::Fog,
+        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
+        cost: 0.0,
+        reliability: 1.0,
+    });
+    let link = |a: NodeId, b: NodeId| Link {
+        id: LinkId::new(&format!("{a}-{b}")).expect("two names and a dash"),
+        ends: [a, b],
+        forward: conditions.clone(),
+        backward: conditions.clone(),
+        medium: BitRate::from_bits_per_second(100_000_000_000).expect("above zero"),
+        reliability: 1.0,
+    };
+    let mut nodes: Vec<Node> = (0..hosts).map(|i| node(server_name(i), server.clone())).collect();
+    let switches = if hosts == 2 { links - 1 } else { hosts };
+    nodes.extend((0..switches).map(|i| node(switch_name(i), NodeKind::Switch)));
+    let mut wires: Vec<Link> = (1..switches).map(|i| link(switch_name(i - 1), switch_name(i))).collect();
+    match (hosts, switches) {
+        (2, 0) => wires.push(link(server_name(0), server_name(1))),
+        (2, _) => {
+            wires.push(link(server_name(0), switch_name(0)));
+            wires.push(link(switch_name(switches - 1), server_name(1)));
+        }
+        _ => wires.extend((0..hosts).map(|i| link(server_name(i), switch_name(i)))),
+    }
+    HardwareGraph { domains: vec![domain.clone()], nodes, links: wires, wireless: Default::default() }
+}

@@ -1,0 +1,248 @@
+//! What this machine lets cotorra do, found by trying it where nothing is left behind. `cotorra doctor` prints it.
+
+use std::{
+    env,
+    fs::{self, OpenOptions},
+    io,
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+};
+
+use crate::{
+    namespace::{Namespace, on_a_thread},
+    netlink::{self, Netlink},
+    privilege, sys,
+};
+
+/// One thing that a machine can or cannot do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Capability {
+    /// What.
+    pub name: &'static str,
+    /// What cotorra does with it.
+    pub purpose: &'static str,
+    /// Whether it is there.
+    pub state: CapabilityState,
+}
+
+/// Whether a machine can do something.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CapabilityState {
+    /// It can; with a detail for people, which may be empty.
+    Available(String),
+    /// It cannot.
+    Missing {
+        /// Why.
+        reason: String,
+        /// What to do about it.
+        remedy: &'static str,
+    },
+}
+
+impl CapabilityState {
+    fn of(result: io::Result<String>, remedy: &'static str) -> Self {
+        match result {
+            Ok(detail) => Self::Available(detail),
+            Err(e) => Self::Missing { reason: e.to_string(), remedy },
+        }
+    }
+
+    /// Whether it can.
+    pub fn is_available(&self) -> bool {
+        matches!(self, Self::Available(_))
+    }
+}
+
+/// Tries everything. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
+pub fn probe() -> Vec<Capability> {
+    let capability = |name, purpose, result, remedy| Capability {
+        name,
+        purpose,
+        state: CapabilityState::of(result, remedy),
+    };
+    vec![
+        capability(
+            "network namespaces",
+            "one for each host: nothing runs without",
+            network_namespaces(),
+            "run as root, or allow user namespaces: sysctl kernel.unprivileged_userns_clone=1 (Debian), \
+             kernel.apparmor_restrict_unprivileged_userns=0 (Ubuntu), user.max_user_namespaces=10000",
+        ),
+        capability(
+            "user namespaces",
+            "emulation as an ordinary user",
+            sys::try_unshare(libc::CLONE_NEWUSER).map(|()| String::new()),
+            "run as root, or allow them: sysctl kernel.unprivileged_userns_clone=1, user.max_user_namespaces=10000",
+        ),
+        capability(
+            "process and mount namespaces",
+            "programs in nodes: none outlives a run, nodes have names",
+            process_namespaces(),
+            "run as root, or allow user namespaces",
+        ),
+        capability(
+            "TAP with offloads",
+            "the faster kind of port",
+            tap(),
+            "not needed: ports are packet sockets then; otherwise run as root, or `chmod 0666 /dev/net/tun` \
+             (in a container: `--device /dev/net/tun`)",
+        ),
+        capability(
+            "packet sockets with offloads",
+            "ports where /dev/net/tun cannot be opened",
+            packet_sockets(),
+            "load the module veth: `modprobe veth`",
+        ),
+        capability(
+            "real-time scheduling",
+            "packets leave on time on a busy machine",
+            on_a_thread(|| sys::set_fifo(1)).map(|()| "SCHED_FIFO".into()),
+            "run as root, or grant it: `setcap cap_sys_nice+ep` on the program, or rtprio in limits.conf",
+        ),
+        capability(
+            "spare core",
+            "packets leave on time to the microsecond",
+            spare_core(),
+            "give the machine more than two cores; the run report says what lateness it had",
+        ),
+        capability(
+            "NetEm",
+            "emulation on real links by the kernel",
+            netem(),
+            "not needed for emulated links; otherwise `modprobe sch_netem`, from linux-modules-extra or similar",
+        ),
+        capability(
+            "mac80211_hwsim",
+            "simulated Wi-Fi hardware for real hostapd and wpa_supplicant",
+            hwsim(),
+            "not needed for emulated radio; otherwise a kernel with the module mac80211_hwsim, and `modprobe` it",
+        ),
+        capability(
+            "control groups",
+            "limits on CPU and memory of programs in nodes",
+            control_groups(),
+            "not needed: programs run without limits then; otherwise run as root, or in a delegated group: \
+             `systemd-run --user --scope -p Delegate=yes …`",
+        ),
+        capability(
+            "container engine",
+            "VNFs from images",
+            container_engine(),
+            "not needed: VNFs run as processes; otherwise install docker or podman and start its socket",
+        ),
+    ]
+}
+
+fn network_namespaces() -> io::Result<String> {
+    on_a_thread(Namespace::enter_new)?;
+    Ok(if sys::effective_ids().0 == 0 && fs::read_to_string("/proc/self/uid_map")?.contains("4294967295") {
+        "as root".into()
+    } else {
+        "in a user namespace".into()
+    })
+}
+
+fn process_namespaces() -> io::Result<String> {
+    sys::try_unshare(libc::CLONE_NEWPID | libc::CLONE_NEWNS).map(|()| String::new())
+}
+
+fn tap() -> io::Result<String> {
+    on_a_thread(|| {
+        Namespace::enter_new()?;
+        let device = OpenOptions::new().read(true).write(true).open("/dev/net/tun")?;
+        sys::make_tap(&device, c"probe").map(|()| String::new())
+    })
+}
+
+fn packet_sockets() -> io::Result<String> {
+    on_a_thread(|| {
+        let peer_space = Namespace::enter_new()?;
+        sys::packet_socket(1, 1 << 20)?;
+        use std::os::fd::AsFd;
+        Netlink::open()?.execute(vec![netlink::veth("probe", "peer", 100, peer_space.as_fd())])?;
+        Ok(String::new())
+    })
+}
+
+fn spare_core() -> io::Result<String> {
+    let cores = std::thread::available_parallelism()?.get();
+    let cores_are = format!("{cores} cores");
+    if crate::engine::can_spare_a_core() { Ok(cores_are) } else { Err(io::Error::other(cores_are)) }
+}
+
+fn netem() -> io::Result<String> {
+    const LOOPBACK: u32 = 1;
+    on_a_thread(|| {
+        Namespace::enter_new()?;
+        match Netlink::open()?.execute(vec![netlink::netem(LOOPBACK)]) {
+            Err(e) if e.raw_os_error() == Some(libc::ENOENT) => {
+                Err(io::Error::other("this kernel has no sch_netem, nor finds the module"))
+            }
+            result => result.map(|()| String::new()),
+        }
+    })
+}
+
+fn hwsim() -> io::Result<String> {
+    const NAME: &str = "mac80211_hwsim";
+    if Path::new("/sys/class").join(NAME).exists() {
+        return Ok("loaded".into());
+    }
+    let release = fs::read_to_string("/proc/sys/kernel/osrelease")?;
+    let modules = Path::new("/lib/modules").join(release.trim());
+    let listed = fs::read_to_string(modules.join("modules.dep")).is_ok_and(|list| list.contains(NAME));
+    if !listed {
+        return Err(io::Error::other("this kernel neither has it nor finds the module"));
+    }
+    if privilege::have_rights() && sys::effective_ids().0 == 0 {
+        Ok("as a module, not loaded yet".into())
+    } else {
+        Err(io::Error::other("the module is there, but only root can load it"))
+    }
+}
+
+/// Where the process's own control groups are, and whether it may make others beneath them.
+fn control_groups() -> io::Result<String> {
+    let own = fs::read_to_string("/proc/self/cgroup")?;
+    let mut writable = Vec::new();
+    let mut version = "v1";
+    for line in own.lines() {
+        let mut parts = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(path)) = (parts.next(), parts.next()) else { continue };
+        let path = path.trim_start_matches('/');
+        if controllers.is_empty() {
+            let group = Path::new("/sys/fs/cgroup").join(path);
+            let Ok(list) = fs::read_to_string(group.join("cgroup.controllers")) else { continue };
+            version = "v2";
+            if may_make_groups_in(&group) {
+                writable.extend(list.split_whitespace().map(str::to_owned));
+            }
+        } else {
+            let group = Path::new("/sys/fs/cgroup").join(controllers).join(path);
+            if may_make_groups_in(&group) {
+                writable.extend(controllers.split(',').map(str::to_owned));
+            }
+        }
+    }
+    writable.retain(|controller| ["cpu", "memory", "cpuset", "pids"].contains(&controller.as_str()));
+    if writable.is_empty() {
+        return Err(io::Error::other("no group with the controllers cpu or memory can be made"));
+    }
+    Ok(format!("{version}: {}", writable.join(", ")))
+}
+
+fn may_make_groups_in(group: &Path) -> bool {
+    let probe = group.join(format!("cotorra-probe-{}", std::process::id()));
+    fs::create_dir(&probe).is_ok() && fs::remove_dir(&probe).is_ok()
+}
+
+fn container_engine() -> io::Result<String> {
+    let user = env::var_os("XDG_RUNTIME_DIR").map(|dir| Path::new(&dir).join("podman/podman.sock"));
+    let system = ["/run/docker.sock", "/run/podman/podman.sock"].map(PathBuf::from);
+    for socket in user.into_iter().chain(system) {
+        if UnixStream::connect(&socket).is_ok() {
+            return Ok(socket.display().to_string());
+        }
+    }
+    Err(io::Error::other("no socket of docker or podman answers"))
+}

@@ -1,0 +1,179 @@
+//! A fabric at work: a namespace with a real interface for each host, and the thread that carries packets between
+//! them.
+
+use std::{
+    collections::HashMap,
+    fmt::Write,
+    process::Command,
+    sync::Arc,
+    thread::{self, JoinHandle},
+};
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{HardwareGraph, HostAddress, NodeId};
+
+use crate::{
+    clock::Clock,
+    engine::{self, Engine, EventSink, Handle, Shared},
+    error::{Action, Error},
+    hosts::{self, Host},
+    namespace::Namespace,
+    port::Port,
+    process::{Child, HostsFile, SpawnOptions},
+    sys,
+};
+
+/// Which kind of port hosts have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PortKind {
+    /// TAPs where `/dev/net/tun` can be opened, else packet sockets.
+    #[default]
+    Auto,
+    /// A TAP in the host's namespace.
+    Tap,
+    /// A virtual Ethernet pair with a packet socket at its other end.
+    PacketSocket,
+}
+
+/// Whether the fabric's thread spins just before a deadline instead of sleeping up to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BusyPoll {
+    /// On a machine with more than two cores.
+    #[default]
+    Auto,
+    /// Whatever it takes from others.
+    Always,
+    /// Never.
+    Never,
+}
+
+/// How a datapath works.
+#[derive(Default)]
+pub struct Options {
+    /// Kind of port.
+    pub port: PortKind,
+    /// Spinning.
+    pub busy_poll: BusyPoll,
+    /// Who gets the fabric's events.
+    pub events: Option<EventSink>,
+}
+
+/// A fabric that carries real packets between hosts that are network namespaces. Dropping it ends all: programs
+/// started by [`Self::spawn`] are the caller's to drop before.
+pub struct Datapath {
+    hosts: Vec<Namespace>,
+    places: HashMap<NodeId, usize>,
+    hosts_file: Option<HostsFile>,
+    kind: PortKind,
+    clock: Clock,
+    handle: Handle,
+    thread: Option<JoinHandle<std::io::Result<Fabric>>>,
+}
+
+impl Datapath {
+    /// Brings the hosts of the graph up and lets the fabric, made from the same graph, carry their packets. The
+    /// run begins now.
+    ///
+    /// # Errors
+    /// [`Error::Kernel`], with what the kernel refused.
+    pub fn start(graph: &HardwareGraph, fabric: Fabric, options: Options) -> Result<Self, Error> {
+        sys::raise_open_files();
+        let places: HashMap<_, _> = graph.hosts().enumerate().map(|(i, node)| (node.id.clone(), i)).collect();
+        let kind = hosts::resolve(options.port);
+        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(places.len(), kind)?
+            .into_iter()
+            .map(|Host { namespace, port }| (namespace, Port::new(port)))
+            .unzip();
+        let hosts_file = HostsFile::new(&names(graph))
+            .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
+            .ok();
+        let spin = match options.busy_poll {
+            BusyPoll::Auto => engine::can_spare_a_core(),
+            BusyPoll::Always => true,
+            BusyPoll::Never => false,
+        };
+        let shared = Arc::new(Shared::new().action("make an eventfd")?);
+        let clock = Clock::start();
+        let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), spin, options.events)
+            .action("wait for the ports with epoll")?;
+        let thread = thread::Builder::new()
+            .name("fabric".into())
+            .spawn(|| engine.run())
+            .action("start the fabric's thread")?;
+        Ok(Self { hosts, places, hosts_file, kind, clock, handle: Handle(shared), thread: Some(thread) })
+    }
+
+    /// The run's clock.
+    pub fn clock(&self) -> Clock {
+        self.clock
+    }
+
+    /// A way to the fabric.
+    pub fn handle(&self) -> Handle {
+        self.handle.clone()
+    }
+
+    /// The kind of port in use: never [`PortKind::Auto`].
+    pub fn port_kind(&self) -> PortKind {
+        self.kind
+    }
+
+    /// The namespace of a host.
+    ///
+    /// # Errors
+    /// [`Error::NoSuchHost`].
+    pub fn namespace(&self, host: &NodeId) -> Result<&Namespace, Error> {
+        let place = self.places.get(host).ok_or_else(|| Error::NoSuchHost(host.clone()))?;
+        Ok(&self.hosts[*place])
+    }
+
+    /// Starts a program in a host, in which it can use the names of all others; see [`Namespace::spawn`].
+    ///
+    /// # Errors
+    /// [`Error::NoSuchHost`], [`Error::Spawn`].
+    pub fn spawn(&self, host: &NodeId, command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
+        let hosts = options.hosts.or(self.hosts_file.as_ref());
+        let hostname = options.hostname.or(Some(host.as_str()));
+        self.namespace(host)?.spawn(command, SpawnOptions { hosts, hostname, ..options })
+    }
+
+    /// Frames that a port did not take since the run began: an interface was down, or its queue full.
+    pub fn dropped_frames(&self) -> u64 {
+        self.handle.0.dropped()
+    }
+
+    /// Ends it and gives the fabric back, for its last figures.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] if its thread has ended before, [`Error::Kernel`] if that was the kernel's doing.
+    pub fn stop(mut self) -> Result<Fabric, Error> {
+        self.end().ok_or(Error::Stopped)?.action("wait for packets")
+    }
+
+    fn end(&mut self) -> Option<std::io::Result<Fabric>> {
+        self.handle.0.stop();
+        self.thread.take()?.join().ok()
+    }
+}
+
+impl Drop for Datapath {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+impl std::fmt::Debug for Datapath {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Datapath").field("hosts", &self.hosts.len()).field("kind", &self.kind).finish()
+    }
+}
+
+/// The text of `/etc/hosts` in every host.
+fn names(graph: &HardwareGraph) -> String {
+    let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
+    for (i, node) in graph.hosts().enumerate() {
+        let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);
+        writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id).expect("a string takes all");
+    }
+    text
+}

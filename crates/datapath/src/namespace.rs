@@ -1,0 +1,101 @@
+//! Network namespaces that nobody has to clean up: each is held by a descriptor alone, so that the kernel removes it,
+//! with all that is in it, when the process ends, however it ends.
+
+use std::{
+    fs::File,
+    io,
+    net::{ToSocketAddrs, UdpSocket},
+    os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd},
+    path::{Path, PathBuf},
+    thread,
+};
+
+use crate::{
+    error::{Action, Error},
+    privilege, sys,
+};
+
+/// A network namespace.
+#[derive(Debug)]
+pub struct Namespace(OwnedFd);
+
+impl Namespace {
+    /// Makes an empty one: a loopback interface that is down.
+    ///
+    /// # Errors
+    /// [`Error::Kernel`] without the right to make one; see [`crate::enter_user_namespace_if_needed`].
+    pub fn new() -> Result<Self, Error> {
+        on_a_thread(Self::enter_new).action("make a network namespace")
+    }
+
+    /// Makes one and leaves the calling thread, which others must not share, in it.
+    pub(crate) fn enter_new() -> io::Result<Self> {
+        sys::unshare(libc::CLONE_NEWNET)?;
+        Self::current()
+    }
+
+    /// The calling thread's.
+    pub(crate) fn current() -> io::Result<Self> {
+        Ok(Self(File::open("/proc/thread-self/ns/net")?.into()))
+    }
+
+    /// Moves the calling thread there, which must be a short-lived one.
+    pub(crate) fn enter(&self) -> io::Result<()> {
+        sys::setns(self.as_fd(), libc::CLONE_NEWNET)
+    }
+
+    /// Runs a closure inside, on a short-lived thread. Sockets that it opens stay inside for good; it must not hand
+    /// work to other threads, which are elsewhere.
+    ///
+    /// # Panics
+    /// If the closure does.
+    pub fn run<T: Send>(&self, inside: impl FnOnce() -> T + Send) -> T {
+        on_a_thread(|| {
+            self.enter().expect("whoever made a namespace may enter it");
+            inside()
+        })
+    }
+
+    /// A UDP socket inside, bound to the address.
+    ///
+    /// # Errors
+    /// As [`UdpSocket::bind`].
+    pub fn udp_socket(&self, bind: impl ToSocketAddrs + Send) -> io::Result<UdpSocket> {
+        self.run(|| UdpSocket::bind(bind))
+    }
+
+    /// A path under which another process of the same user finds it, as long as this process lives and holds it:
+    /// what [`enter`] takes.
+    pub fn path(&self) -> PathBuf {
+        format!("/proc/{}/fd/{}", std::process::id(), self.0.as_raw_fd()).into()
+    }
+}
+
+impl AsFd for Namespace {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
+    }
+}
+
+/// Moves this process, which must have one thread, into a network namespace that another process holds, entering
+/// its user namespace first where need be. What it runs next (`exec`) runs there.
+///
+/// # Errors
+/// [`Error::Kernel`] when the path leads to no namespace, or to one of another user;
+/// [`Error::SeveralThreads`].
+pub fn enter(path: &Path) -> Result<(), Error> {
+    let namespace = File::open(path).action("open the namespace (does its run still go on?)")?;
+    if !privilege::have_rights() {
+        let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
+        sys::setns(user.as_fd(), libc::CLONE_NEWUSER).map_err(privilege::several_threads)?;
+    }
+    sys::setns(namespace.as_fd(), libc::CLONE_NEWNET).action("enter the network namespace")
+}
+
+/// Runs a closure on a thread of its own, because what a thread unshares it cannot get back.
+pub(crate) fn on_a_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    thread::scope(|scope| match scope.spawn(work).join() {
+        Ok(result) => result,
+        Err(panic) => std::panic::resume_unwind(panic),
+    })
+}

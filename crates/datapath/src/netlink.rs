@@ -1,0 +1,201 @@
+//! Configures interfaces through rtnetlink, many requests to a message: no `ip` program is ever started.
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr},
+    os::fd::{AsRawFd, BorrowedFd},
+    path::Path,
+};
+
+use cotorra_graph::HostAddress;
+use netlink_packet_core::{
+    NLM_F_ACK, NLM_F_CREATE, NLM_F_EXCL, NLM_F_REQUEST, NetlinkMessage, NetlinkPayload,
+};
+use netlink_packet_route::{
+    AddressFamily, RouteNetlinkMessage,
+    address::{AddressAttribute, AddressFlags, AddressHeaderFlags, AddressMessage, AddressScope},
+    link::{
+        AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoData, InfoKind, InfoVeth, LinkAttribute, LinkFlags,
+        LinkInfo, LinkMessage,
+    },
+    tc::{TcAttribute, TcHandle, TcMessage},
+};
+use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
+
+/// An rtnetlink socket of one network namespace.
+pub(crate) struct Netlink {
+    socket: Socket,
+}
+
+impl Netlink {
+    /// Opens one in the calling thread's network namespace, whichever that thread enters afterwards.
+    pub(crate) fn open() -> io::Result<Self> {
+        let mut socket = Socket::new(NETLINK_ROUTE)?;
+        socket.bind_auto()?;
+        // Errors come back without the request in them, so that all answers to a batch fit the buffer.
+        socket.set_cap_ack(true)?;
+        Ok(Self { socket })
+    }
+
+    /// Sends requests in one message, and returns once the kernel did all. The first error counts.
+    pub(crate) fn execute(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
+        let mut outstanding = requests.len();
+        let mut batch = Vec::new();
+        for request in requests {
+            let mut message = NetlinkMessage::from(request);
+            message.header.flags = NLM_F_REQUEST | NLM_F_ACK | NLM_F_CREATE | NLM_F_EXCL;
+            message.finalize();
+            let start = batch.len();
+            batch.resize(start + message.buffer_len(), 0);
+            message.serialize(&mut batch[start..]);
+        }
+        self.socket.send(&batch, 0)?;
+        let mut result = Ok(());
+        let mut answers = Vec::with_capacity(8192);
+        while outstanding > 0 {
+            answers.clear();
+            self.socket.recv(&mut answers, 0)?;
+            let mut rest = &answers[..];
+            while !rest.is_empty() {
+                let answer = NetlinkMessage::<RouteNetlinkMessage>::deserialize(rest)
+                    .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))?;
+                if let NetlinkPayload::Error(error) = &answer.payload {
+                    outstanding -= 1;
+                    if error.code.is_some() && result.is_ok() {
+                        result = Err(error.to_io());
+                    }
+                }
+                let length = (answer.header.length as usize).next_multiple_of(4);
+                rest = rest.get(length..).unwrap_or_default();
+            }
+        }
+        result
+    }
+}
+
+fn link(index: u32, attributes: Vec<LinkAttribute>) -> LinkMessage {
+    let mut link = LinkMessage::default();
+    link.header.index = index;
+    link.attributes = attributes;
+    link
+}
+
+/// Sets an interface up.
+pub(crate) fn up(index: u32, attributes: Vec<LinkAttribute>) -> RouteNetlinkMessage {
+    let mut link = link(index, attributes);
+    link.header.flags = LinkFlags::Up;
+    link.header.change_mask = LinkFlags::Up;
+    RouteNetlinkMessage::SetLink(link)
+}
+
+/// Makes a pair of virtual Ethernet interfaces: one here, its peer in another network namespace, both at the index
+/// given (a kernel that is told only the peer's ignores it).
+pub(crate) fn veth(name: &str, peer: &str, index: u32, peer_space: BorrowedFd<'_>) -> RouteNetlinkMessage {
+    let peer =
+        link(index, vec![LinkAttribute::IfName(peer.into()), LinkAttribute::NetNsFd(peer_space.as_raw_fd())]);
+    RouteNetlinkMessage::NewLink(link(
+        index,
+        vec![
+            LinkAttribute::IfName(name.into()),
+            LinkAttribute::LinkInfo(vec![
+                LinkInfo::Kind(InfoKind::Veth),
+                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
+            ]),
+        ],
+    ))
+}
+
+fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> RouteNetlinkMessage {
+    let mut message = AddressMessage::default();
+    message.header.family = if address.is_ipv4() { AddressFamily::Inet } else { AddressFamily::Inet6 };
+    message.header.prefix_len = prefix;
+    message.header.index = index;
+    message.header.scope = scope;
+    // Addresses follow from the graph, so that none is taken twice: detection would only hold a host up for a second.
+    message.header.flags = AddressHeaderFlags::Nodad;
+    message.attributes = vec![
+        AddressAttribute::Local(address),
+        AddressAttribute::Address(address),
+        AddressAttribute::Flags(AddressFlags::Nodad),
+    ];
+    if let IpAddr::V4(v4) = address {
+        let broadcast = u32::from(v4) | (u32::MAX >> prefix);
+        message.attributes.push(AddressAttribute::Broadcast(Ipv4Addr::from(broadcast)));
+    }
+    RouteNetlinkMessage::NewAddress(message)
+}
+
+/// The link-local address that follows from a MAC address (RFC 4291, appendix A).
+fn link_local(mac: [u8; 6]) -> Ipv6Addr {
+    let [a, b, c, d, e, f] = mac.map(u16::from);
+    Ipv6Addr::new(0xfe80, 0, 0, 0, (a ^ 2) << 8 | b, c << 8 | 0xff, 0xfe00 | d, e << 8 | f)
+}
+
+/// Whether the kernel has IPv6 in the calling thread's network namespace.
+pub(crate) fn has_ipv6() -> bool {
+    Path::new("/proc/thread-self/net/if_inet6").exists()
+}
+
+/// All that a host needs: loopback up, `eth0` up with its addresses.
+pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
+    const LOOPBACK: u32 = 1;
+    let mut requests = vec![up(LOOPBACK, vec![])];
+    if has_ipv6() {
+        // The kernel's own link-local address would be tentative for a second.
+        let none = AfSpecInet6::AddrGenMode(In6AddrGenMode::None);
+        requests.push(RouteNetlinkMessage::SetLink(link(
+            eth0,
+            vec![LinkAttribute::AfSpecUnspec(vec![AfSpecUnspec::Inet6(vec![none])])],
+        )));
+    }
+    requests.push(up(
+        eth0,
+        vec![
+            LinkAttribute::Address(of.mac.to_vec()),
+            LinkAttribute::Mtu(mtu),
+            LinkAttribute::TxQueueLen(queue),
+        ],
+    ));
+    requests.push(address(eth0, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe));
+    if has_ipv6() {
+        requests.push(address(eth0, link_local(of.mac).into(), 64, AddressScope::Link));
+        requests.push(address(eth0, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
+    }
+    requests
+}
+
+/// Puts a NetEm queueing discipline on an interface. `ENOENT` says that the kernel has none.
+pub(crate) fn netem(index: u32) -> RouteNetlinkMessage {
+    let mut message = TcMessage::default();
+    message.header.index = index as i32;
+    message.header.parent = TcHandle::ROOT;
+    message.header.handle = TcHandle { major: 1, minor: 0 };
+    // struct tc_netem_qopt: latency, limit, loss, gap, duplicate, jitter; only the limit has no good zero.
+    let mut options = [0u8; 24];
+    options[4..8].copy_from_slice(&1000u32.to_ne_bytes());
+    message.attributes = vec![
+        TcAttribute::Kind("netem".into()),
+        TcAttribute::Other(netlink_packet_core::DefaultNla::new(2, options.to_vec())),
+    ];
+    RouteNetlinkMessage::NewQueueDiscipline(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_link_local_address_follows_from_the_mac() {
+        assert_eq!(link_local([0x02, 0x77, 0, 0, 0x12, 0x34]).to_string(), "fe80::77:ff:fe00:1234");
+    }
+
+    #[test]
+    fn a_batch_is_answered_request_by_request() {
+        crate::namespace::Namespace::new().unwrap().run(|| {
+            let netlink = Netlink::open().unwrap();
+            netlink.execute(vec![up(1, vec![]), up(1, vec![])]).unwrap();
+            let error = netlink.execute(vec![up(1, vec![]), up(4711, vec![]), up(1, vec![])]).unwrap_err();
+            assert_eq!(error.raw_os_error(), Some(libc::ENODEV));
+        });
+    }
+}

@@ -1,0 +1,160 @@
+//! A port of the fabric on a real interface: frames in and out through a descriptor that never blocks, each behind
+//! its [`vnet`] header. A TAP and a packet socket differ in how they are made, not in how they are used.
+
+use std::{
+    collections::VecDeque,
+    io,
+    os::fd::{AsFd, BorrowedFd, OwnedFd},
+};
+
+use cotorra_fabric::Frame;
+
+use crate::{sys, vnet};
+
+/// Frames that wait for a port that takes no more for now; what comes on top is dropped, as at a network card.
+const BACKLOG: usize = 256;
+
+/// Buffers that come back from frames that left, and a place for what exceeds an ordinary frame.
+pub(crate) struct Buffers {
+    small: Vec<Vec<u8>>,
+    large: Vec<Vec<u8>>,
+    spill: Box<[u8]>,
+}
+
+impl Buffers {
+    /// Room for a frame of an ordinary link.
+    const SMALL: usize = 2048;
+    /// Room for the largest super-packet.
+    const LARGE: usize = 66 * 1024;
+    /// Kept at most, of each.
+    const KEPT: [usize; 2] = [16 * 1024, 512];
+
+    pub(crate) fn new() -> Self {
+        Self { small: Vec::new(), large: Vec::new(), spill: vec![0; Self::LARGE].into() }
+    }
+
+    fn take(&mut self, large: bool) -> Vec<u8> {
+        let (pool, size) =
+            if large { (&mut self.large, Self::LARGE) } else { (&mut self.small, Self::SMALL) };
+        pool.pop().unwrap_or_else(|| Vec::with_capacity(size))
+    }
+
+    fn put(&mut self, mut buffer: Vec<u8>) {
+        let (pool, kept) = match buffer.capacity() {
+            Self::LARGE.. => (&mut self.large, Self::KEPT[1]),
+            Self::SMALL.. => (&mut self.small, Self::KEPT[0]),
+            _ => return,
+        };
+        if pool.len() < kept {
+            buffer.clear();
+            pool.push(buffer);
+        }
+    }
+}
+
+/// What became of a frame that was sent.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Sent {
+    /// It is out.
+    Now,
+    /// It waits; tell [`Port::flush`] when the descriptor is writable.
+    Waits,
+    /// It is lost: the interface is down, or takes no frame like it, or too many wait.
+    Dropped,
+}
+
+/// A port.
+pub(crate) struct Port {
+    fd: OwnedFd,
+    /// Whether the last frame was a super-packet: the next one is likely to be, and is read where it stays.
+    expects_large: bool,
+    backlog: VecDeque<Frame>,
+}
+
+impl Port {
+    /// A port on a TAP or a packet socket that does not block and carries [`vnet`] headers.
+    pub(crate) fn new(fd: OwnedFd) -> Self {
+        Self { fd, expects_large: false, backlog: VecDeque::new() }
+    }
+
+    /// The next frame; `Ok(None)` when there is none for now.
+    ///
+    /// # Errors
+    /// When a frame was there that cannot be had; the next one may be fine.
+    pub(crate) fn receive(&mut self, buffers: &mut Buffers) -> io::Result<Option<Frame>> {
+        let mut header = [0; vnet::LENGTH];
+        let mut buffer = buffers.take(self.expects_large);
+        let length = match sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, &mut buffers.spill) {
+            Ok(length) => length,
+            Err(e) => {
+                buffers.put(buffer);
+                return if e.kind() == io::ErrorKind::WouldBlock { Ok(None) } else { Err(e) };
+            }
+        };
+        self.expects_large = length > Buffers::SMALL;
+        let fits = buffer.capacity() >= Buffers::LARGE;
+        if fits != self.expects_large {
+            let mut right = buffers.take(self.expects_large);
+            right.extend_from_slice(&buffer);
+            right.extend_from_slice(&buffers.spill[..length - buffer.len()]);
+            buffers.put(std::mem::replace(&mut buffer, right));
+        }
+        let Some(offload) = vnet::decode(&header) else {
+            buffers.put(buffer);
+            return Err(io::ErrorKind::InvalidData.into());
+        };
+        Ok(Some(Frame::with_offload(buffer, offload)))
+    }
+
+    /// Sends a frame, behind those that wait.
+    pub(crate) fn send(&mut self, frame: Frame, buffers: &mut Buffers) -> Sent {
+        if self.backlog.is_empty() {
+            match self.write(&frame) {
+                Ok(()) => {
+                    buffers.put(frame.into_bytes());
+                    return Sent::Now;
+                }
+                Err(e) if !is_full(&e) => {
+                    buffers.put(frame.into_bytes());
+                    return Sent::Dropped;
+                }
+                Err(_) => {}
+            }
+        }
+        if self.backlog.len() == BACKLOG {
+            buffers.put(frame.into_bytes());
+            return Sent::Dropped;
+        }
+        self.backlog.push_back(frame);
+        Sent::Waits
+    }
+
+    /// Sends what waits, as far as it goes; `true` when nothing waits any more.
+    pub(crate) fn flush(&mut self, buffers: &mut Buffers) -> bool {
+        while let Some(frame) = self.backlog.pop_front() {
+            match self.write(&frame) {
+                Err(e) if is_full(&e) => {
+                    self.backlog.push_front(frame);
+                    return false;
+                }
+                _ => buffers.put(frame.into_bytes()),
+            }
+        }
+        true
+    }
+
+    fn write(&self, frame: &Frame) -> io::Result<()> {
+        sys::write_frame(self.fd.as_fd(), &vnet::encode(frame.offload()), frame.bytes())
+    }
+}
+
+impl AsFd for Port {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+}
+
+/// Whether a port takes no more for now.
+fn is_full(error: &io::Error) -> bool {
+    matches!(error.raw_os_error(), Some(libc::EAGAIN | libc::ENOBUFS))
+}

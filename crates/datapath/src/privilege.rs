@@ -1,0 +1,62 @@
+//! The rights that emulation needs, for ordinary users too: inside a user namespace of their own they are root over
+//! the network namespaces that they make, and over nothing else.
+
+use std::{fs, io};
+
+use crate::{
+    error::{Action, Error},
+    sys,
+};
+
+/// Where the process has its rights from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Privilege {
+    /// It had them.
+    Root,
+    /// It is root in a user namespace that it entered.
+    UserNamespace,
+}
+
+/// Gets the right to make network namespaces: nothing is done for whoever has it (root with `CAP_NET_ADMIN` and
+/// `CAP_SYS_ADMIN`); an ordinary user enters a user namespace in which it is mapped to root.
+///
+/// Call it first thing in `main`.
+///
+/// # Errors
+/// [`Error::SeveralThreads`], [`Error::RightsWithheld`], or [`Error::Kernel`] where user namespaces are forbidden.
+pub fn enter_user_namespace_if_needed() -> Result<Privilege, Error> {
+    if have_rights() {
+        return Ok(Privilege::Root);
+    }
+    let (user, group) = sys::effective_ids();
+    sys::unshare(libc::CLONE_NEWUSER).map_err(several_threads)?;
+    // A user may map its group only once it can no longer drop supplementary groups (user_namespaces(7)).
+    fs::write("/proc/self/setgroups", "deny").action("give up setgroups in the user namespace")?;
+    fs::write("/proc/self/uid_map", format!("0 {user} 1")).action("map the user to root")?;
+    fs::write("/proc/self/gid_map", format!("0 {group} 1")).action("map the group to root")?;
+    // Ubuntu's AppArmor lets anyone unshare, then takes the capabilities away.
+    if have_rights() { Ok(Privilege::UserNamespace) } else { Err(Error::RightsWithheld) }
+}
+
+/// Whether the process has `CAP_NET_ADMIN` and `CAP_SYS_ADMIN` where it is.
+pub(crate) fn have_rights() -> bool {
+    const NET_ADMIN: u64 = 1 << 12;
+    const SYS_ADMIN: u64 = 1 << 21;
+    let needed = NET_ADMIN | SYS_ADMIN;
+    effective_capabilities().is_some_and(|have| have & needed == needed)
+}
+
+/// The effective capabilities, a bit each (capabilities(7)).
+fn effective_capabilities() -> Option<u64> {
+    let status = fs::read_to_string("/proc/thread-self/status").ok()?;
+    let set = status.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
+    u64::from_str_radix(set.trim(), 16).ok()
+}
+
+/// Tells a process with several threads from one without the right.
+pub(crate) fn several_threads(error: io::Error) -> Error {
+    match error.raw_os_error() {
+        Some(libc::EINVAL) => Error::SeveralThreads,
+        _ => Error::Kernel { action: "enter a user namespace", source: error },
+    }
+}

@@ -1,0 +1,372 @@
+//! The system calls that the standard library does not offer, each behind a safe signature. All unsafe code of the
+//! project is here and in [`crate::init`]; nothing here knows what a fabric is.
+
+use std::{
+    ffi::{CStr, CString},
+    fs::File,
+    io, mem,
+    os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd},
+    path::Path,
+    sync::OnceLock,
+    time::Duration,
+};
+
+use libc::{c_int, c_short, c_uint, c_ulong, c_void};
+
+/// Turns the -1 of a system call into its error.
+pub(crate) fn check(result: c_int) -> io::Result<c_int> {
+    if result == -1 { Err(io::Error::last_os_error()) } else { Ok(result) }
+}
+
+fn check_len(result: isize) -> io::Result<usize> {
+    usize::try_from(result).map_err(|_| io::Error::last_os_error())
+}
+
+/// # Safety
+/// `result` is what a system call that makes a descriptor returned.
+unsafe fn own(result: c_int) -> io::Result<OwnedFd> {
+    // SAFETY: the descriptor is new, so that nobody else owns it.
+    check(result).map(|fd| unsafe { OwnedFd::from_raw_fd(fd) })
+}
+
+/// A path as the kernel takes it.
+pub(crate) fn c_path(path: &Path) -> io::Result<CString> {
+    use std::os::unix::ffi::OsStrExt;
+    Ok(CString::new(path.as_os_str().as_bytes())?)
+}
+
+/// `geteuid`, `getegid`.
+pub(crate) fn effective_ids() -> (u32, u32) {
+    // SAFETY: both only return a number, and cannot fail.
+    unsafe { (libc::geteuid(), libc::getegid()) }
+}
+
+/// `unshare` for the calling thread.
+pub(crate) fn unshare(flags: c_int) -> io::Result<()> {
+    // SAFETY: takes no pointer.
+    check(unsafe { libc::unshare(flags) }).map(drop)
+}
+
+/// `setns` for the calling thread.
+pub(crate) fn setns(namespace: BorrowedFd<'_>, kind: c_int) -> io::Result<()> {
+    // SAFETY: takes no pointer, and the descriptor is open.
+    check(unsafe { libc::setns(namespace.as_raw_fd(), kind) }).map(drop)
+}
+
+/// The user namespace that owns a namespace (`NS_GET_USERNS`).
+pub(crate) fn owner_of(namespace: BorrowedFd<'_>) -> io::Result<OwnedFd> {
+    const NS_GET_USERNS: c_ulong = 0xb701;
+    // SAFETY: this request takes no argument and makes a descriptor.
+    unsafe { own(libc::ioctl(namespace.as_raw_fd(), NS_GET_USERNS)) }
+}
+
+/// `mount`, with what it does not need left out.
+pub(crate) fn mount(source: &CStr, target: &CStr, kind: Option<&CStr>, flags: c_ulong) -> io::Result<()> {
+    let kind = kind.map_or(std::ptr::null(), CStr::as_ptr);
+    // SAFETY: all strings end in a zero and outlive the call; no file system here takes data.
+    check(unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind, flags, std::ptr::null()) }).map(drop)
+}
+
+/// Names the host of the calling thread's UTS namespace.
+pub(crate) fn set_hostname(name: &str) -> io::Result<()> {
+    // SAFETY: the pointer is to so many live bytes.
+    check(unsafe { libc::sethostname(name.as_ptr().cast(), name.len()) }).map(drop)
+}
+
+/// The index of an interface in the calling thread's network namespace.
+pub(crate) fn interface_index(name: &CStr) -> io::Result<u32> {
+    // SAFETY: the name ends in a zero.
+    match unsafe { libc::if_nametoindex(name.as_ptr()) } {
+        0 => Err(io::Error::last_os_error()),
+        index => Ok(index),
+    }
+}
+
+/// Lets the process open as many files as the hard limit allows, and returns what it was allowed at first.
+pub(crate) fn raise_open_files() -> Option<libc::rlimit> {
+    static AT_FIRST: OnceLock<Option<libc::rlimit>> = OnceLock::new();
+    *AT_FIRST.get_or_init(|| {
+        // SAFETY: an rlimit is two integers, for which zero is a value.
+        let mut limit: libc::rlimit = unsafe { mem::zeroed() };
+        // SAFETY: the pointer is to a live rlimit.
+        check(unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &mut limit) }).ok()?;
+        let raised = libc::rlimit { rlim_cur: limit.rlim_max, ..limit };
+        // SAFETY: as above.
+        check(unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raised) }).ok()?;
+        Some(limit)
+    })
+}
+
+/// Tries an `unshare` in a process of its own, which this one is not changed by.
+pub(crate) fn try_unshare(flags: c_int) -> io::Result<()> {
+    // SAFETY: the new process makes two async-signal-safe calls and ends.
+    let child = check(unsafe {
+        match libc::fork() {
+            0 if libc::unshare(flags) == 0 => libc::_exit(0),
+            0 => libc::_exit(*libc::__errno_location()),
+            child => child,
+        }
+    })?;
+    let mut status = 0;
+    // SAFETY: the pointer is to a live integer.
+    check(unsafe { libc::waitpid(child, &mut status, 0) })?;
+    match libc::WEXITSTATUS(status) {
+        0 => Ok(()),
+        error => Err(io::Error::from_raw_os_error(error)),
+    }
+}
+
+/// Lets the calling thread's timers fire to the nanosecond.
+pub(crate) fn set_least_timer_slack() -> io::Result<()> {
+    // SAFETY: takes no pointer.
+    check(unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as c_ulong) }).map(drop)
+}
+
+/// `SCHED_FIFO` for the calling thread at the given priority; not inherited by what it starts.
+pub(crate) fn set_fifo(priority: c_int) -> io::Result<()> {
+    let param = libc::sched_param { sched_priority: priority };
+    // SAFETY: the pointer is to a live sched_param; 0 is the calling thread.
+    check(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &param) })
+        .map(drop)
+}
+
+/// Asks the fair scheduler for the shortest slice, which lets the calling thread run soon after it wakes
+/// (Linux 6.12 and later; earlier ones ignore it). Anyone may.
+pub(crate) fn set_short_slice() -> io::Result<()> {
+    #[repr(C)]
+    struct SchedAttr {
+        size: u32,
+        policy: u32,
+        flags: u64,
+        nice: i32,
+        priority: u32,
+        runtime: u64,
+        deadline: u64,
+        period: u64,
+    }
+    let attr = SchedAttr {
+        size: mem::size_of::<SchedAttr>() as u32,
+        policy: libc::SCHED_OTHER as u32,
+        flags: 0,
+        nice: 0,
+        priority: 0,
+        runtime: 100_000,
+        deadline: 0,
+        period: 0,
+    };
+    // SAFETY: the pointer is to a live sched_attr of the size that it states; 0 is the calling thread.
+    check(unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw const attr, 0) } as c_int).map(drop)
+}
+
+/// Makes a TAP out of an open `/dev/net/tun`, in the network namespace in which that was opened, whose frames carry
+/// a `virtio_net_hdr` and which takes and gives all offloads that the kernel knows.
+pub(crate) fn make_tap(device: &File, name: &CStr) -> io::Result<()> {
+    const TUNSETOFFLOAD: c_ulong = 0x4004_54d0;
+    const TUNSETIFF: c_ulong = 0x4004_54ca;
+    const TUNSETPERSIST: c_ulong = 0x4004_54cb;
+    const CSUM: c_uint = 0x01;
+    const TSO4: c_uint = 0x02;
+    const TSO6: c_uint = 0x04;
+    const TSO_ECN: c_uint = 0x08;
+    const USO4: c_uint = 0x20;
+    const USO6: c_uint = 0x40;
+
+    // SAFETY: an ifreq is integers and bytes, for which zero is a value.
+    let mut request: libc::ifreq = unsafe { mem::zeroed() };
+    for (to, from) in request.ifr_name.iter_mut().zip(name.to_bytes()) {
+        *to = *from as libc::c_char;
+    }
+    request.ifr_ifru.ifru_flags = (libc::IFF_TAP | libc::IFF_NO_PI | libc::IFF_VNET_HDR) as c_short;
+    // SAFETY: the request takes a pointer to an ifreq, and this one lives.
+    check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETIFF, &mut request) })?;
+    // A TAP that goes with its descriptor is removed alone, in 30 ms; one that stays goes with its namespace, many at
+    // a time. Nobody else holds the namespace, so that none outlives the process.
+    // SAFETY: the request takes an integer.
+    check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETPERSIST, 1 as c_ulong) })?;
+    let tso = CSUM | TSO4 | TSO6 | TSO_ECN;
+    // Segmenting UDP came with Linux 6.2; without it the kernel segments before it hands frames over.
+    for offloads in [tso | USO4 | USO6, tso] {
+        // SAFETY: the request takes an integer.
+        match check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETOFFLOAD, c_ulong::from(offloads)) }) {
+            Err(e) if e.raw_os_error() == Some(libc::EINVAL) => {}
+            result => return result.map(drop),
+        }
+    }
+    Err(io::Error::from_raw_os_error(libc::EINVAL))
+}
+
+fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io::Result<()> {
+    let size = mem::size_of::<T>() as libc::socklen_t;
+    // SAFETY: the pointer is to a live value of the size given.
+    check(unsafe {
+        libc::setsockopt(socket.as_raw_fd(), level, option, std::ptr::from_ref(value).cast::<c_void>(), size)
+    })
+    .map(drop)
+}
+
+/// A packet socket on an interface of the calling thread's network namespace: receives what comes in, never what
+/// goes out, each frame behind its `virtio_net_hdr`.
+pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<OwnedFd> {
+    const PACKET_IGNORE_OUTGOING: c_int = 23;
+    // Protocol 0 receives nothing: until it is bound, frames of other interfaces would come in.
+    // SAFETY: takes no pointer and makes a descriptor.
+    let socket = unsafe {
+        own(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC, 0))?
+    };
+    let on: c_int = 1;
+    set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
+    set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
+    set_option(&socket, libc::SOL_PACKET, libc::PACKET_QDISC_BYPASS, &on)?;
+    // Only root may exceed the system's limit; an ordinary user gets as much as it allows.
+    for (force, plain) in [(libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)] {
+        set_option(&socket, libc::SOL_SOCKET, force, &buffer_bytes)
+            .or_else(|_| set_option(&socket, libc::SOL_SOCKET, plain, &buffer_bytes))?;
+    }
+    // SAFETY: a sockaddr_ll is integers and bytes, for which zero is a value.
+    let mut address: libc::sockaddr_ll = unsafe { mem::zeroed() };
+    address.sll_family = libc::AF_PACKET as u16;
+    address.sll_protocol = (libc::ETH_P_ALL as u16).to_be();
+    address.sll_ifindex = interface as c_int;
+    // SAFETY: the pointer is to a live sockaddr_ll of the size given.
+    check(unsafe {
+        libc::bind(
+            socket.as_raw_fd(),
+            (&raw const address).cast(),
+            mem::size_of::<libc::sockaddr_ll>() as libc::socklen_t,
+        )
+    })?;
+    Ok(socket)
+}
+
+/// A wait for many descriptors at once, to the nanosecond (`epoll_pwait2`, Linux 5.11).
+pub(crate) struct Epoll {
+    fd: OwnedFd,
+    ready: Vec<libc::epoll_event>,
+}
+
+/// What an [`Epoll`] found about one descriptor.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ready {
+    pub(crate) token: usize,
+    pub(crate) readable: bool,
+    pub(crate) writable: bool,
+}
+
+impl Epoll {
+    pub(crate) fn new() -> io::Result<Self> {
+        // SAFETY: takes no pointer and makes a descriptor.
+        let fd = unsafe { own(libc::epoll_create1(libc::EPOLL_CLOEXEC))? };
+        Ok(Self { fd, ready: vec![libc::epoll_event { events: 0, u64: 0 }; 256] })
+    }
+
+    fn control(&self, operation: c_int, fd: RawFd, token: usize, writable: bool) -> io::Result<()> {
+        let events = (libc::EPOLLIN | if writable { libc::EPOLLOUT } else { 0 }) as u32;
+        let mut event = libc::epoll_event { events, u64: token as u64 };
+        // SAFETY: the pointer is to a live epoll_event.
+        check(unsafe { libc::epoll_ctl(self.fd.as_raw_fd(), operation, fd, &mut event) }).map(drop)
+    }
+
+    /// Waits for a descriptor to be readable.
+    pub(crate) fn add(&self, fd: BorrowedFd<'_>, token: usize) -> io::Result<()> {
+        self.control(libc::EPOLL_CTL_ADD, fd.as_raw_fd(), token, false)
+    }
+
+    /// Waits for it to be writable, too, or no longer.
+    pub(crate) fn set_writable(&self, fd: BorrowedFd<'_>, token: usize, writable: bool) -> io::Result<()> {
+        self.control(libc::EPOLL_CTL_MOD, fd.as_raw_fd(), token, writable)
+    }
+
+    /// Waits for it no longer.
+    pub(crate) fn remove(&self, fd: BorrowedFd<'_>) -> io::Result<()> {
+        self.control(libc::EPOLL_CTL_DEL, fd.as_raw_fd(), 0, false)
+    }
+
+    /// Waits for at most that long, for ever without. A signal ends the wait with nothing ready.
+    pub(crate) fn wait(&mut self, timeout: Option<Duration>) -> io::Result<impl Iterator<Item = Ready> + '_> {
+        let timeout = timeout.map(|t| libc::timespec {
+            tv_sec: t.as_secs().min(i32::MAX as u64) as libc::time_t,
+            tv_nsec: t.subsec_nanos().into(),
+        });
+        let timeout = timeout.as_ref().map_or(std::ptr::null(), std::ptr::from_ref);
+        // SAFETY: the array is live and as long as stated, the timeout is live or null, no signal mask is given.
+        let count = check(unsafe {
+            libc::syscall(
+                libc::SYS_epoll_pwait2,
+                self.fd.as_raw_fd(),
+                self.ready.as_mut_ptr(),
+                self.ready.len() as c_int,
+                timeout,
+                std::ptr::null::<libc::sigset_t>(),
+                0usize,
+            )
+        } as c_int);
+        let count = match count {
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => 0,
+            count => count? as usize,
+        };
+        Ok(self.ready[..count].iter().map(|event| Ready {
+            token: event.u64 as usize,
+            readable: event.events & !(libc::EPOLLOUT as u32) != 0,
+            writable: event.events & libc::EPOLLOUT as u32 != 0,
+        }))
+    }
+}
+
+/// Wakes an [`Epoll`] from another thread.
+pub(crate) struct Waker(File);
+
+impl Waker {
+    pub(crate) fn new() -> io::Result<Self> {
+        // SAFETY: takes no pointer and makes a descriptor.
+        unsafe { own(libc::eventfd(0, libc::EFD_CLOEXEC | libc::EFD_NONBLOCK)) }.map(|fd| Self(fd.into()))
+    }
+
+    /// Makes it readable. Only fails when it is readable already, 2^64 times.
+    pub(crate) fn wake(&self) {
+        use io::Write;
+        let _ = (&self.0).write(&1u64.to_ne_bytes());
+    }
+
+    /// Makes it unreadable.
+    pub(crate) fn clear(&self) {
+        use io::Read;
+        let _ = (&self.0).read(&mut [0; 8]);
+    }
+}
+
+impl AsFd for Waker {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_fd()
+    }
+}
+
+/// Reads one frame behind its header: into the buffer as far as its capacity goes, the rest into `spill`. Returns
+/// the frame's length, which is above 0; a frame that fits neither is cut.
+pub(crate) fn read_frame(
+    fd: BorrowedFd<'_>,
+    header: &mut [u8],
+    buffer: &mut Vec<u8>,
+    spill: &mut [u8],
+) -> io::Result<usize> {
+    buffer.clear();
+    let room = buffer.capacity();
+    let parts = [
+        libc::iovec { iov_base: header.as_mut_ptr().cast(), iov_len: header.len() },
+        libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: room },
+        libc::iovec { iov_base: spill.as_mut_ptr().cast(), iov_len: spill.len() },
+    ];
+    // SAFETY: the parts are live memory of ours, of the lengths stated; the kernel only writes to them.
+    let read = check_len(unsafe { libc::readv(fd.as_raw_fd(), parts.as_ptr(), parts.len() as c_int) })?;
+    let length = read.checked_sub(header.len()).filter(|l| *l > 0).ok_or(io::ErrorKind::UnexpectedEof)?;
+    // SAFETY: the kernel filled the parts in order, so that so many bytes of the buffer are initialised.
+    unsafe { buffer.set_len(length.min(room)) };
+    Ok(length)
+}
+
+/// Writes one frame behind its header.
+pub(crate) fn write_frame(fd: BorrowedFd<'_>, header: &[u8], frame: &[u8]) -> io::Result<()> {
+    let part = |bytes: &[u8]| libc::iovec { iov_base: bytes.as_ptr() as *mut c_void, iov_len: bytes.len() };
+    let parts = [part(header), part(frame)];
+    // SAFETY: the parts are live memory of the lengths stated; the kernel only reads them.
+    check_len(unsafe { libc::writev(fd.as_raw_fd(), parts.as_ptr(), parts.len() as c_int) }).map(drop)
+}
