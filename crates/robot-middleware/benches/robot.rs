@@ -1,10 +1,14 @@
-//! What a simulated robot costs. `cargo bench -p cotorra-robot-middleware`
+//! What a simulated robot costs, and what encoding adds to a service time. `cargo bench -p cotorra-robot-middleware`
 
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     Capacity, Cell, Dbm, DomainId, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
     RobotModel, Timestamp, Velocity,
+};
+use cotorra_plugin::{
+    messages::{Header, PoseWithCovarianceStamped},
+    wire::{NavigationPacket, PositionPacket},
 };
 use cotorra_robot_middleware::{RobotDriver, Scan, SimulatedRobot, World};
 use divan::{Bencher, black_box};
@@ -82,4 +86,26 @@ fn one_robot_second(bencher: Bencher<'_, '_>) {
 fn prepare_a_million_cells(bencher: Bencher<'_, '_>) {
     let map = corridor();
     bencher.bench_local(|| World::new(black_box(&map)));
+}
+
+/// All that encoding adds to a service time: both packets, out and in again.
+#[divan::bench]
+fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
+    let now = Timestamp::from_nanos(1_400_000_123);
+    let pose = robot(Arc::new(World::open())).pose();
+    let position = PositionPacket {
+        sequence: 7,
+        emitted: now,
+        waypoint: 3,
+        robot: NodeId::new("robot1").expect("a name"),
+        pose: PoseWithCovarianceStamped { header: Header::new(now, "map"), pose: (&pose).into() },
+    };
+    let mut datagram = Vec::new();
+    bencher.bench_local(|| {
+        position.encode(&mut datagram);
+        let received = PositionPacket::decode(black_box(&datagram)).expect("a position packet");
+        let velocity = Velocity { linear: 0.3, angular: 0.05 };
+        NavigationPacket::answering(&received, 4, velocity.into()).encode(&mut datagram);
+        NavigationPacket::decode(black_box(&datagram)).expect("a navigation packet")
+    });
 }

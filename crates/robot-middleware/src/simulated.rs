@@ -41,7 +41,8 @@ pub struct SimulatedRobot {
 }
 
 impl SimulatedRobot {
-    /// Time from one step of physics to the next; Kobuki itself reports at this rate, 50 Hz.
+    /// Time from one step of physics to the next; Kobuki itself reports at this rate, 50 Hz. What the robot tells is
+    /// as of the last step.
     pub const STEP: Duration = Duration::from_millis(20);
     /// The lidar turns ten times a second.
     const STEPS_A_TURN: usize = 5;

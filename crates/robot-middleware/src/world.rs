@@ -74,10 +74,11 @@ impl World {
     pub fn cast(&self, from: Position, direction: (f64, f64), reach: f64) -> Option<f64> {
         let x = (from.x - self.origin.x) / self.resolution;
         let y = (from.y - self.origin.y) / self.resolution;
-        let (enter, leave) = self.crossing(x, y, direction)?;
-        let end = leave.min(reach / self.resolution);
+        let inside = x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
+        let enter = if inside { 0.0 } else { self.entry(x, y, direction)? };
+        let end = reach / self.resolution;
         let axis = |start: f64, step: f64, cells: i32| {
-            let cell = ((start + enter * step).floor() as i32).clamp(0, cells - 1);
+            let cell = ((start + enter * step) as i32).clamp(0, cells - 1);
             Axis { start, inverse: 1.0 / step, step, cell }
         };
         let (mut across, mut up) = (axis(x, direction.0, self.width), axis(y, direction.1, self.height));
@@ -101,8 +102,8 @@ impl World {
         None
     }
 
-    /// Where a ray enters and leaves the map, in cells along it; `None` if it misses it (slab method).
-    fn crossing(&self, x: f64, y: f64, direction: (f64, f64)) -> Option<(f64, f64)> {
+    /// Where a ray from off the map enters it, in cells along the ray; `None` if it misses it (slab method).
+    fn entry(&self, x: f64, y: f64, direction: (f64, f64)) -> Option<f64> {
         let slab = |start: f64, step: f64, cells: i32| {
             if step == 0.0 {
                 let inside = (0.0..f64::from(cells)).contains(&start);
@@ -114,7 +115,7 @@ impl World {
         let ((enter_x, leave_x), (enter_y, leave_y)) =
             (slab(x, direction.0, self.width), slab(y, direction.1, self.height));
         let (enter, leave) = (enter_x.max(enter_y).max(0.0), leave_x.min(leave_y));
-        (enter < leave).then_some((enter, leave))
+        (enter < leave).then_some(enter)
     }
 
     /// Distance in metres from a place to the nearest occupied cell, or `within` if none is nearer.
@@ -171,7 +172,8 @@ impl Axis {
     /// Goes to the cell at that distance along the ray. It never goes back, nor out of the free cells: where
     /// rounding would have it otherwise, the ray still ends.
     fn follow(&mut self, travelled: f64, clear: i32) {
-        let cell = (self.start + travelled * self.step).floor() as i32;
+        // On the map no place is below zero, and so truncation is the floor, which costs a call.
+        let cell = (self.start + travelled * self.step) as i32;
         self.cell = if self.step >= 0.0 {
             cell.clamp(self.cell, self.cell + clear - 1)
         } else {
