@@ -172,8 +172,8 @@ impl Axis {
     /// Goes to the cell at that distance along the ray. It never goes back, nor out of the free cells: where
     /// rounding would have it otherwise, the ray still ends.
     fn follow(&mut self, travelled: f64, clear: i32) {
-        // On the map no place is below zero, and so truncation is the floor, which costs a call.
-        let cell = (self.start + travelled * self.step) as i32;
+        // Truncation, one cell up, is the floor without its call; any place off the map stays off it.
+        let cell = (self.start + travelled * self.step + 1.0) as i32 - 1;
         self.cell = if self.step >= 0.0 {
             cell.clamp(self.cell, self.cell + clear - 1)
         } else {
@@ -278,6 +278,13 @@ mod tests {
             let from = Position::new(0.1 + f64::from(step) * 0.002, 1.1 + f64::from(step) * 0.002);
             assert!(world.cast(from, towards(PI / 4.0), 9.0).is_some());
         }
+    }
+
+    #[test]
+    fn a_ray_that_leaves_the_map_hits_nothing_at_its_edge() {
+        let world = World::new(&drawn(&["....", "....", "....", "....", "#..."]));
+        let length = 20f64.sqrt();
+        assert_eq!(world.cast(Position::new(1.5, 4.5), (-2.0 / length, -4.0 / length), 12.0), None);
     }
 
     #[test]
