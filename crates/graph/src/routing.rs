@@ -31,7 +31,13 @@ impl HardwareGraph {
         to: &NodeId,
         attached: impl Fn(&NodeId) -> Option<&'a NodeId>,
     ) -> Option<Route> {
-        let topology = Topology::new(self, |robot, unit| attached(robot) == Some(unit));
+        let mut topology = Topology::new(self);
+        // Robots forward nothing, so that only those at the ends matter.
+        for robot in [from, to] {
+            if let Some(unit) = attached(robot) {
+                topology.attach(robot, unit);
+            }
+        }
         let (from, to) = (topology.place(from)?, topology.place(to)?);
         let tree = topology.shortest(&[(from, 0)], Edge::delay_ns);
         let mut at = to;
@@ -44,6 +50,10 @@ impl HardwareGraph {
         links.reverse();
         Some(Route { links, delay: Duration::from_nanos(tree[to].as_ref()?.cost) })
     }
+}
+
+fn nanos(delay: Duration) -> u64 {
+    u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// G with numbers for names.
@@ -85,9 +95,8 @@ pub(crate) struct Reached {
 }
 
 impl<'a> Topology<'a> {
-    /// G with those wireless links of robots to radio units of their network that `is_attached` lets pass.
-    pub fn new(graph: &'a HardwareGraph, is_attached: impl Fn(&NodeId, &NodeId) -> bool) -> Self {
-        let nanos = |delay: Duration| u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX);
+    /// G with its wired links.
+    pub fn new(graph: &'a HardwareGraph) -> Self {
         let places: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, n)| (n.id.as_str(), i)).collect();
         let mut edges = vec![Vec::new(); graph.nodes.len()];
         for (i, link) in graph.links.iter().enumerate() {
@@ -95,17 +104,34 @@ impl<'a> Topology<'a> {
             edges[a].push(Edge { to: b, delay_ns: nanos(link.forward.delay), wired: Some(i) });
             edges[b].push(Edge { to: a, delay_ns: nanos(link.backward.delay), wired: Some(i) });
         }
-        for (robot, hardware) in graph.robots() {
-            let delay_ns = graph.wireless.get(&hardware.network).map_or(0, |n| nanos(n.delay));
-            for (unit, _) in graph.radio_units().filter(|(_, u)| u.network == hardware.network) {
-                if is_attached(&robot.id, &unit.id) {
-                    let [r, u] = [robot, unit].map(|node| places[node.id.as_str()]);
-                    edges[r].push(Edge { to: u, delay_ns, wired: None });
-                    edges[u].push(Edge { to: r, delay_ns, wired: None });
-                }
-            }
-        }
         Self { graph, places, edges }
+    }
+
+    /// Adds the wireless link between a robot and a radio unit of its network; nothing where they are none, or it is
+    /// there already.
+    pub fn attach(&mut self, robot: &NodeId, unit: &NodeId) {
+        let (Some(r), Some(u)) = (self.place(robot), self.place(unit)) else { return };
+        let (NodeKind::Robot(hardware), NodeKind::RadioUnit(radio)) =
+            (&self.graph.nodes[r].kind, &self.graph.nodes[u].kind)
+        else {
+            return;
+        };
+        let Some(network) = self.graph.wireless.get(&hardware.network) else { return };
+        if radio.network == hardware.network && !self.edges[r].iter().any(|edge| edge.to == u) {
+            let delay_ns = nanos(network.delay);
+            self.edges[r].push(Edge { to: u, delay_ns, wired: None });
+            self.edges[u].push(Edge { to: r, delay_ns, wired: None });
+        }
+    }
+
+    /// Removes a robot's wireless links.
+    pub fn detach(&mut self, robot: &NodeId) {
+        let Some(r) = self.place(robot) else { return };
+        let (wireless, wired) = self.edges[r].drain(..).partition::<Vec<_>, _>(|edge| edge.wired.is_none());
+        self.edges[r] = wired;
+        for edge in wireless {
+            self.edges[edge.to].retain(|back| back.to != r || back.wired.is_some());
+        }
     }
 
     /// The place of a node among the graph's.
@@ -160,5 +186,79 @@ impl<'a> Topology<'a> {
             }
         }
         reached
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::testbed_file;
+
+    fn graph(links: &str) -> HardwareGraph {
+        let server = "{ kind: server, tier: fog, cpus: 1, memory: 1 GB }";
+        let text = format!(
+            "name: x\nwireless: {{ w: {{ delay: 3 ms }} }}\nnodes:\n  a: {server}\n  b: {server}\n  \
+             s1: {{ kind: switch }}\n  s2: {{ kind: switch }}\n  s3: {{ kind: switch }}\n  \
+             r: {{ kind: robot, position: [0, 0] }}\n  q: {{ kind: robot, position: [0, 0] }}\n  \
+             R: {{ kind: radio_unit, position: [0, 0], channel: 1 }}\nlinks:\n{links}"
+        );
+        testbed_file::parse("x.yaml", &text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}")).graph
+    }
+
+    fn id(name: &str) -> NodeId {
+        NodeId::new(name).expect("a name")
+    }
+
+    const LINKS: &str = "  - { ends: [a, [s1, s2, s3]] }\n  - { ends: [s1, b], delay: 2 ms }\n  \
+                         - { ends: [s2, b], delay: 1 ms, backward: { delay: 9 ms } }\n  \
+                         - { ends: [s3, [s1, R]] }\n";
+
+    #[test]
+    fn least_delay_in_each_direction_then_fewest_hops() {
+        let graph = graph(LINKS);
+        let route =
+            |from, to| graph.route(&id(from), &id(to), |_| None).map(|route| (route.links, route.delay));
+        let ms = Duration::from_millis;
+        assert_eq!(
+            route("a", "b"),
+            Some((vec![LinkId::between(&id("a"), &id("s2")), LinkId::between(&id("s2"), &id("b"))], ms(1)))
+        );
+        // The way back is slow through s2; of the two ways through s1, the one without s3.
+        let (links, delay) = route("b", "a").unwrap();
+        assert_eq!(
+            (links.iter().map(LinkId::as_str).collect::<Vec<_>>(), delay),
+            (vec!["s1-b", "a-s1"], ms(2))
+        );
+        // s2 is reached through servers only, which do not forward.
+        assert_eq!(route("s2", "R"), None);
+        assert_eq!(route("a", "nowhere"), None);
+    }
+
+    #[test]
+    fn robots_are_reached_where_they_are_attached() {
+        let graph = graph(LINKS);
+        let unit = id("R");
+        let route = |attached: bool| {
+            graph
+                .route(&id("r"), &id("q"), |_| attached.then_some(&unit))
+                .map(|route| (route.links, route.delay))
+        };
+        let hops = vec![LinkId::wireless(&id("r"), &unit), LinkId::wireless(&id("q"), &unit)];
+        assert_eq!(route(true), Some((hops, Duration::from_millis(6))));
+        assert_eq!(route(false), None);
+    }
+
+    #[test]
+    fn what_is_attached_can_be_detached() {
+        let graph = graph(LINKS);
+        let mut topology = Topology::new(&graph);
+        let before = topology.edges.iter().map(Vec::len).collect::<Vec<_>>();
+        topology.attach(&id("r"), &id("R"));
+        topology.attach(&id("r"), &id("R"));
+        topology.attach(&id("a"), &id("R"));
+        topology.detach(&id("r"));
+        assert_eq!(topology.edges.iter().map(Vec::len).collect::<Vec<_>>(), before);
     }
 }

@@ -116,3 +116,10 @@ fn routes_cross_only_what_forwards() {
     assert_eq!(route("R1", "robot"), None);
     assert_eq!(route("robot", "robot").unwrap().links, [] as [LinkId; 0]);
 }
+
+#[test]
+fn graphs_come_back_from_json() {
+    let graph = shipped("corridor.yaml").graph;
+    let json = serde_json::to_string(&graph).unwrap();
+    assert_eq!(serde_json::from_str::<cotorra_graph::HardwareGraph>(&json).unwrap(), graph);
+}

@@ -26,9 +26,10 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     vnfs(record, testbed, sink);
     walks(record, testbed, sink);
     // What follows from paths would only repeat what is wrong with them.
-    if !broken && reach(record, &testbed.graph, sink) {
+    let mut topology = Topology::new(&testbed.graph);
+    if !broken && reach(record, &testbed.graph, &topology, sink) {
         for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
-            kpis(r, service, testbed, sink);
+            kpis(r, service, &testbed.graph, &mut topology, sink);
         }
     }
 }
@@ -111,8 +112,7 @@ fn described(standard: WifiStandard) -> &'static str {
 
 /// Every server is reached from every other node, whichever radio unit a robot is attached to. Radio units need not
 /// reach each other: what one buffered for a station goes with it in a handover.
-fn reach(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) -> bool {
-    let topology = Topology::new(graph, |_, _| false);
+fn reach(record: &TestbedRecord, graph: &HardwareGraph, topology: &Topology<'_>, sink: &mut Sink) -> bool {
     let is_server = |i: &usize| matches!(graph.nodes[*i].kind, NodeKind::Server(_));
     let is_fixed = |i: &usize| !matches!(graph.nodes[*i].kind, NodeKind::Robot(_));
     let mut roots: Vec<_> = (0..graph.nodes.len()).filter(is_server).collect();
@@ -277,10 +277,18 @@ fn free(at: &Spanned<Position>, what: &str, testbed: &Testbed, sink: &mut Sink) 
 }
 
 /// KPIs that some placement can keep.
-fn kpis(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
-    let graph = &testbed.graph;
+fn kpis(
+    record: &ServiceRecord,
+    service: &Service,
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+    sink: &mut Sink,
+) {
     let robot = graph.robots().find(|(node, _)| node.id == service.robot).map(|(_, robot)| robot);
-    let network = &graph.wireless[&robot.expect("the builder found it").network];
+    let ssid = &robot.expect("the builder found it").network;
+    let network = &graph.wireless[ssid];
+    let units: Vec<_> =
+        graph.radio_units().filter(|(_, unit)| unit.network == *ssid).map(|(node, _)| &node.id).collect();
     let kpis = &record.kpis;
     if let Some(radio) = kpis.radio.as_ref().filter(|radio| radio.value != network.standard) {
         sink.error(&radio.span, format!("this service needs {}", described(radio.value))).help(format!(
@@ -294,7 +302,7 @@ fn kpis(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut
             .help("write 3 places or more, such as `[[0, 0], [5, 0], [5, 5]]`");
     }
     let target = &kpis.service_time;
-    match fastest_ns(service, graph, target.value.as_nanos()) {
+    match fastest_ns(service, &units, graph, topology, target.value.as_nanos()) {
         Some(best) if u128::from(best) > target.value.as_nanos() => {
             sink.error(&target.span, "no placement reaches this service time").help(format!(
                 "the delays of the fastest paths alone add up to {} ms: allow more, or shorten a link",
@@ -304,7 +312,7 @@ fn kpis(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut
         _ => {}
     }
     if let Some(wanted) = &kpis.reliability {
-        let best = most_reliable(service, graph);
+        let best = most_reliable(service, &units, graph, topology);
         if best < wanted.value.get() - 1e-12 {
             sink.error(&wanted.span, "no placement is that reliable").help(format!(
                 "the most reliable servers and links together give {:.4} %: ask for less, or improve them",
@@ -325,22 +333,26 @@ fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
 
 /// The least that link delays add up to from the robot through the VNFs, in order, and back, over all placements and
 /// radio units; the first found within `enough_ns` will do.
-fn fastest_ns(service: &Service, graph: &HardwareGraph, enough_ns: u128) -> Option<u64> {
-    let robot = &service.robot;
+fn fastest_ns(
+    service: &Service,
+    units: &[&NodeId],
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+    enough_ns: u128,
+) -> Option<u64> {
     let stages: Vec<_> = service.vnfs.iter().map(|vnf| candidates(vnf, graph)).collect();
-    let (_, hardware) = graph.robots().find(|(node, _)| node.id == *robot)?;
+    let start = topology.place(&service.robot)?;
     let mut best = None;
-    for (unit, _) in graph.radio_units().filter(|(_, unit)| unit.network == hardware.network) {
-        let topology = Topology::new(graph, |r, u| r == robot && *u == unit.id);
-        let start = topology.place(robot)?;
+    for unit in units {
+        topology.attach(&service.robot, unit);
         let mut at = vec![(start, 0)];
         for stage in &stages {
             let reached = topology.shortest(&at, Edge::delay_ns);
             at = stage.iter().filter_map(|&host| Some((host, reached[host]?.cost))).collect();
         }
-        if let Some(back) = topology.shortest(&at, Edge::delay_ns)[start] {
-            best = Some(best.unwrap_or(u64::MAX).min(back.cost));
-        }
+        let back = topology.shortest(&at, Edge::delay_ns)[start];
+        topology.detach(&service.robot);
+        best = best.into_iter().chain(back.map(|back| back.cost)).min();
         if best.is_some_and(|best| u128::from(best) <= enough_ns) {
             break;
         }
@@ -350,14 +362,20 @@ fn fastest_ns(service: &Service, graph: &HardwareGraph, enough_ns: u128) -> Opti
 
 /// An upper bound of the probability that all that a placement uses works: of each VNF alone, the best host and path
 /// from the robot; the worst of these.
-fn most_reliable(service: &Service, graph: &HardwareGraph) -> f64 {
+fn most_reliable(
+    service: &Service,
+    units: &[&NodeId],
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+) -> f64 {
     // -ln in fixed point, so that products become sums of integers; rounded down, as befits an upper bound.
     const UNIT: f64 = 1e12;
     let cost = |reliability: f64| (-reliability.ln() * UNIT) as u64;
-    let topology = Topology::new(graph, |robot, _| *robot == service.robot);
+    units.iter().for_each(|unit| topology.attach(&service.robot, unit));
     let start = topology.place(&service.robot).expect("the builder found it");
     let reached = topology
         .shortest(&[(start, 0)], |edge| edge.wired().map_or(0, |link| cost(graph.links[link].reliability)));
+    topology.detach(&service.robot);
     let host = |i: usize| {
         let own = match &graph.nodes[i].kind {
             NodeKind::Server(server) => cost(server.reliability),

@@ -321,3 +321,50 @@ impl Builder<'_> {
         Some(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tree(text: &str) -> Node {
+        let mut sink = Sink::default();
+        let root = parse(text, &mut sink);
+        assert!(sink.is_empty(), "{}", sink.finish("x.yaml", text));
+        root.unwrap()
+    }
+
+    fn entries(node: &Node) -> &[Entry] {
+        let Value::Mapping(entries) = &node.value else { panic!("a mapping") };
+        entries
+    }
+
+    #[test]
+    fn spans_are_bytes_of_values() {
+        let text = "größe: 5 µs  # so\nliste: [ä, 'ö ']\n";
+        let root = tree(text);
+        let [size, list] = entries(&root) else { panic!("two entries") };
+        assert_eq!(&text[size.key_span.clone()], "größe");
+        assert_eq!(&text[size.value.span.clone()], "5 µs");
+        let Value::Sequence(items) = &list.value.value else { panic!("a list") };
+        assert_eq!(&text[items[0].span.clone()], "ä");
+        assert_eq!(&text[items[1].span.clone()], "'ö '");
+        assert_eq!(items[1].text(), Some("ö "));
+        // A collection as a whole shows at its key.
+        assert_eq!(&text[list.value.span.clone()], "liste");
+    }
+
+    #[test]
+    fn aliases_repeat_values() {
+        let root = tree("a: &x { b: 1 }\nc: *x\n");
+        let [a, c] = entries(&root) else { panic!("two entries") };
+        assert_eq!(a.value.to_json(), c.value.to_json());
+    }
+
+    #[test]
+    fn scalars_become_json_by_the_core_schema() {
+        let root = tree("[1, -2.5, 1e3, true, 'true', ~, null, text, 01, nan]");
+        let json = serde_json::json!([1, -2.5, 1e3, true, "true", null, null, "text", "01", "nan"]);
+        assert_eq!(root.to_json(), json);
+        assert_eq!(Node::from_json(&json).to_json(), json);
+    }
+}
