@@ -14,10 +14,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     error::Result,
+    kind::{Kind, Series},
     memory::Memory,
+    page::{Page, PageRequest},
     recorder::{Queue, Recorder},
     sqlite::Sqlite,
-    store::{Gap, Kind, Page, PageRequest, Run, RunId, RunInfo, Selection, Series, Span, Store},
+    store::{Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
 /// The history of every embedding of G, over any number of runs. Clones are one history, and may be used from any

@@ -8,7 +8,9 @@
 mod codec;
 mod error;
 mod history;
+mod kind;
 mod memory;
+mod page;
 mod recorder;
 mod sqlite;
 mod store;
@@ -17,5 +19,7 @@ mod testing;
 
 pub use error::{Error, Result};
 pub use history::{GraphState, History, Sample};
+pub use kind::{InvalidKind, Kind};
+pub use page::{Cursor, InvalidCursor, Page, PageRequest};
 pub use recorder::{Recorder, RecorderStats};
-pub use store::{Cursor, Gap, InvalidCursor, InvalidKind, Kind, Page, PageRequest, Run, RunId, RunInfo};
+pub use store::{Gap, Run, RunId, RunInfo};

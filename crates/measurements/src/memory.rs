@@ -9,9 +9,9 @@ use cotorra_graph::{Event, Stamped, Timestamp};
 
 use crate::{
     error::{Error, Result},
-    store::{
-        Cursor, Entry, Gap, Kind, Page, PageRequest, Run, RunId, RunInfo, Selection, Series, Span, Store,
-    },
+    kind::{Kind, Series},
+    page::{Cursor, Page, PageRequest},
+    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
 /// Everything in ordered maps.

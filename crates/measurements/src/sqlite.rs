@@ -18,7 +18,8 @@ use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionB
 use self::{read::Reader, write::Writer};
 use crate::{
     error::{Error, Result},
-    store::{Entry, Gap, Page, PageRequest, Run, RunId, RunInfo, Selection, Span, Store},
+    page::{Page, PageRequest},
+    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
 /// From each schema version to the next. Never edit one that was released: append another.

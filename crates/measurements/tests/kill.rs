@@ -1,4 +1,5 @@
 //! What was acknowledged survives kill -9, whenever it comes.
+#![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
 use std::{
     io::{BufRead, BufReader, Write},

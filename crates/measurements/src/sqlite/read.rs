@@ -17,7 +17,9 @@ use super::{BUSY, Fallible, STRETCH, engine_error};
 use crate::{
     codec::{self, ReadError, Source},
     error::{Error, Result},
-    store::{Cursor, Gap, Kind, Page, PageRequest, RunId, Selection, Series, Span},
+    kind::{Kind, Series},
+    page::{Cursor, Page, PageRequest},
+    store::{Gap, RunId, Selection, Span},
 };
 
 /// More conditions are not remembered.

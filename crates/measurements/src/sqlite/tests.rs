@@ -1,3 +1,5 @@
+//! SQLite when things go wrong, and what the other engine has no part in.
+
 use std::{fs, path::PathBuf};
 
 use cotorra_graph::{

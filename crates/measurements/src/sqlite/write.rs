@@ -11,7 +11,8 @@ use rusqlite::{
 use super::{Fallible, STRETCH};
 use crate::{
     codec::{self, Fields, Role, Value},
-    store::{Entry, Gap, Kind, RunId, Series},
+    kind::{Kind, Series},
+    store::{Entry, Gap, RunId},
 };
 
 /// More is not remembered; what was forgotten is looked up again.

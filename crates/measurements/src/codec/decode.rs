@@ -1,0 +1,304 @@
+//! Rows into events.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{
+    Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Jitter,
+    JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement, PluginId, Pose,
+    PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, Scale, SensorData, ServiceId,
+    ServiceTime, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+};
+
+use super::direction_of;
+use crate::Kind;
+
+/// The columns of a row that is read, from the first to the last.
+pub(crate) trait Source {
+    fn integer(&mut self) -> Result<Option<i64>>;
+    fn real(&mut self) -> Result<Option<f64>>;
+    fn text(&mut self) -> Result<Option<String>>;
+    fn name(&mut self) -> Result<Option<Arc<str>>>;
+    fn conditions(&mut self) -> Result<Conditions>;
+    /// Calls `read` with each of the row's child rows, in their order.
+    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Result<()>) -> Result<()>;
+}
+
+/// Why a row cannot be read.
+#[derive(Debug)]
+pub(crate) enum ReadError {
+    /// A column says what it never does.
+    Unreadable(String),
+    /// The engine cannot.
+    Engine(crate::Error),
+}
+
+type Result<T> = std::result::Result<T, ReadError>;
+
+fn unreadable(what: impl std::fmt::Display) -> ReadError {
+    ReadError::Unreadable(what.to_string())
+}
+
+fn required<T>(value: Option<T>) -> Result<T> {
+    value.ok_or_else(|| unreadable("a column is NULL that never is"))
+}
+
+fn json<T: serde::de::DeserializeOwned>(text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(unreadable)
+}
+
+fn children<T>(source: &mut dyn Source, mut read: impl FnMut(Columns<'_>) -> Result<T>) -> Result<Vec<T>> {
+    let mut all = Vec::new();
+    source.children(&mut |child| {
+        all.push(read(Columns(child))?);
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Typed columns on top of a [`Source`].
+struct Columns<'a>(&'a mut dyn Source);
+
+impl Columns<'_> {
+    fn integer(&mut self) -> Result<i64> {
+        required(self.0.integer()?)
+    }
+
+    fn unsigned(&mut self) -> Result<u64> {
+        Ok(self.integer()?.cast_unsigned())
+    }
+
+    fn small<T: TryFrom<i64>>(&mut self) -> Result<T> {
+        let n = self.integer()?;
+        n.try_into().map_err(|_| unreadable(format_args!("{n} is out of its column's range")))
+    }
+
+    fn real(&mut self) -> Result<f64> {
+        Ok(self.0.real()?.unwrap_or(f64::NAN))
+    }
+
+    fn share(&mut self) -> Result<Probability> {
+        let share = self.real()?;
+        Probability::new(share).ok_or_else(|| unreadable(format_args!("{share} is not a share")))
+    }
+
+    fn boolean(&mut self) -> Result<bool> {
+        Ok(self.integer()? != 0)
+    }
+
+    fn duration(&mut self) -> Result<Option<Duration>> {
+        let Some(n) = self.0.integer()? else { return Ok(None) };
+        let nanos = u64::try_from(n).map_err(|_| unreadable(format_args!("{n} ns is not a duration")))?;
+        Ok(Some(Duration::from_nanos(nanos)))
+    }
+
+    fn text(&mut self) -> Result<String> {
+        required(self.0.text()?)
+    }
+
+    fn optional_name<T: std::str::FromStr<Err: std::fmt::Display>>(&mut self) -> Result<Option<T>> {
+        let Some(name) = self.0.name()? else { return Ok(None) };
+        name.parse().map(Some).map_err(unreadable)
+    }
+
+    fn name<T: std::str::FromStr<Err: std::fmt::Display>>(&mut self) -> Result<T> {
+        required(self.optional_name()?)
+    }
+
+    fn optional_direction(&mut self) -> Result<Option<Direction>> {
+        let Some(code) = self.0.integer()? else { return Ok(None) };
+        Ok(Some(direction_of(code).ok_or_else(|| unreadable(format_args!("{code} is not a direction")))?))
+    }
+
+    fn pose(&mut self) -> Result<Pose> {
+        let (x, y, heading) = (self.real()?, self.real()?, self.real()?);
+        let mut covariance = [0.0; 9];
+        for c in &mut covariance {
+            *c = self.real()?;
+        }
+        let source = match self.integer()? {
+            0 => PoseSource::Simulator,
+            1 => PoseSource::Odometry,
+            2 => PoseSource::Localization,
+            code => return Err(unreadable(format_args!("{code} is not a source of a pose"))),
+        };
+        Ok(Pose { x, y, heading, covariance, source })
+    }
+}
+
+/// Reads an event of a kind.
+pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
+    let mut row = Columns(source);
+    Ok(match kind {
+        Kind::Robot => {
+            let robot: NodeId = row.name()?;
+            let waypoint = row.small()?;
+            let sensors = SensorData {
+                pose: row.pose()?,
+                odometry: row.pose()?,
+                velocity: Velocity { linear: row.real()?, angular: row.real()? },
+                bumper: row.boolean()?,
+                nearest_obstacle_m: row.0.real()?,
+            };
+            let attachments = children(source, |mut row| {
+                Ok(Attachment {
+                    radio_unit: row.name()?,
+                    attached: row.boolean()?,
+                    signal: row.0.real()?.map(Dbm),
+                })
+            })?;
+            Event::Robot(RobotContext { robot, attachments, sensors, waypoint })
+        }
+        Kind::Radio => {
+            let (radio_unit, channel, load) = (row.name()?, row.small()?, row.real()?);
+            let stations = children(source, |mut row| {
+                Ok(StationContext {
+                    robot: row.name()?,
+                    signal: Dbm(row.real()?),
+                    downlink_mbps: row.real()?,
+                    uplink_mbps: row.real()?,
+                })
+            })?;
+            Event::Radio(RadioContext { radio_unit, channel, load, stations })
+        }
+        Kind::Link => Event::Link(LinkContext {
+            link: row.name()?,
+            direction: required(row.optional_direction()?)?,
+            delay: row.duration()?,
+            throughput_bps: row.real()?,
+            scale: Scale { delay_scale: row.real()?, drop_scale: row.real()? },
+            asked: row.0.conditions()?,
+            effective: row.0.conditions()?,
+            counters: LinkCounters {
+                packets: row.unsigned()?,
+                bytes: row.unsigned()?,
+                lost: row.unsigned()?,
+                overflowed: row.unsigned()?,
+                duplicated: row.unsigned()?,
+                corrupted: row.unsigned()?,
+            },
+        }),
+        Kind::Placement => Event::Placement(Placement { vnf: row.name()?, node: row.name()? }),
+        Kind::VirtualLink => {
+            let (from, to): (VnfId, VnfId) = (row.name()?, row.name()?);
+            let links = children(source, |mut row| row.name::<LinkId>())?;
+            Event::VirtualLink(VirtualLinkMapping { from, to, links })
+        }
+        Kind::ServiceTime => Event::ServiceTime(ServiceTime {
+            service: row.name::<ServiceId>()?,
+            robot: row.name()?,
+            sequence: row.small()?,
+            emitted: Timestamp::from_nanos(row.unsigned()?),
+            took: row.duration()?,
+            attachment: row.optional_name()?,
+            server: row.name()?,
+        }),
+        Kind::Handover => Event::Handover(Handover {
+            robot: row.name()?,
+            from: row.optional_name()?,
+            to: row.name()?,
+            fast: row.boolean()?,
+            gap: required(row.duration()?)?,
+        }),
+        Kind::Detached => Event::Detached { robot: row.name()?, from: row.name()? },
+        Kind::Scanned => Event::Scanned { robot: row.name()? },
+        Kind::WalkFinished => Event::WalkFinished { robot: row.name()? },
+        Kind::Vnf => Event::Vnf(VnfEvent {
+            vnf: row.name()?,
+            node: row.name()?,
+            state: match row.text()?.as_str() {
+                "started" => VnfState::Started,
+                "died" => VnfState::Died,
+                "stopped" => VnfState::Stopped,
+                "failed" => VnfState::Failed,
+                other => return Err(unreadable(format_args!("`{other}` is not a state of a VNF"))),
+            },
+            detail: row.0.text()?,
+        }),
+        Kind::Decision => Event::Decision(Decision {
+            plugin: row.name::<PluginId>()?,
+            instruction: decode_instruction(&mut row)?,
+            reason: row.0.text()?,
+            refused: row.0.text()?,
+        }),
+        Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
+        Kind::Lateness => Event::Lateness(Lateness {
+            frames: row.unsigned()?,
+            p50_us: row.real()?,
+            p99_us: row.real()?,
+            max_us: row.real()?,
+        }),
+        Kind::Notice => Event::Notice { message: row.text()? },
+    })
+}
+
+fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
+    let instruction = row.text()?;
+    let subject: Arc<str> = required(row.0.name()?)?;
+    let object: Option<NodeId> = row.optional_name()?;
+    let velocity = Velocity { linear: row.real()?, angular: row.real()? };
+    let waypoint = row.0.integer()?.and_then(|n| u32::try_from(n).ok());
+    let direction = row.optional_direction()?;
+    let change = row.0.text()?;
+
+    let robot = || subject.parse::<NodeId>().map_err(unreadable);
+    Ok(match instruction.as_str() {
+        "move" => Instruction::Move { robot: robot()?, velocity, waypoint: required(waypoint)? },
+        "scan" => Instruction::Scan { robot: robot()? },
+        "attach" => Instruction::Attach { robot: robot()?, radio_unit: required(object)? },
+        "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: required(object)? },
+        "condition" => Instruction::Condition {
+            link: subject.parse().map_err(unreadable)?,
+            direction,
+            change: json(&required(change)?)?,
+        },
+        other => return Err(unreadable(format_args!("`{other}` is not an instruction"))),
+    })
+}
+
+/// Reads conditions.
+pub(crate) fn decode_conditions(source: &mut dyn Source) -> Result<Conditions> {
+    let mut row = Columns(source);
+    let delay = required(row.duration()?)?;
+    let deviation = row.duration()?;
+    let distribution = match row.0.text()?.as_deref() {
+        None => None,
+        Some("uniform") => Some(JitterDistribution::Uniform),
+        Some("normal") => Some(JitterDistribution::Normal),
+        Some("pareto") => Some(JitterDistribution::Pareto),
+        Some(other) => return Err(unreadable(format_args!("`{other}` is not a distribution"))),
+    };
+    let jitter =
+        deviation.zip(distribution).map(|(deviation, distribution)| Jitter { deviation, distribution });
+    let loss = match row.text()?.as_str() {
+        "none" => {
+            row.0.real()?;
+            row.0.real()?;
+            Loss::None
+        }
+        "independent" => {
+            let rate = row.share()?;
+            row.0.real()?;
+            Loss::Independent { rate }
+        }
+        "bursty" => Loss::Bursty { rate: row.share()?, mean_burst: row.real()? },
+        other => return Err(unreadable(format_args!("`{other}` is not a kind of loss"))),
+    };
+    let (duplication, corruption, reordering) = (row.share()?, row.share()?, row.share()?);
+    let rate = match (row.0.integer()?, row.0.text()?) {
+        (_, Some(trace)) => Rate::Trace { trace: Arc::new(json::<Trace>(&trace)?) },
+        (Some(rate), None) => Rate::Fixed {
+            bits_per_second: BitRate::from_bits_per_second(rate.cast_unsigned())
+                .ok_or_else(|| unreadable("a rate is zero"))?,
+        },
+        (None, None) => Rate::Unlimited,
+    };
+    let queue = match (row.0.integer()?, row.0.integer()?) {
+        (Some(packets), _) => QueueLimit::Packets(
+            u32::try_from(packets)
+                .map_err(|_| unreadable(format_args!("{packets} packets are out of range")))?,
+        ),
+        (None, Some(bytes)) => QueueLimit::Bytes(bytes.cast_unsigned()),
+        (None, None) => return Err(unreadable("a queue has no limit")),
+    };
+    Ok(Conditions { delay, jitter, loss, duplication, corruption, reordering, rate, queue })
+}

@@ -1,0 +1,266 @@
+//! Events into rows.
+
+use std::{borrow::Cow, time::Duration};
+
+use cotorra_graph::{
+    Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose, PoseSource, QueueLimit, Rate,
+    VnfState,
+};
+
+use super::{Role, Value, direction_code};
+
+/// The columns of one row, or of several child rows one after the other.
+#[derive(Debug, Default)]
+pub(crate) struct Fields<'a>(pub Vec<Value<'a>>);
+
+impl<'a> Fields<'a> {
+    fn integer(&mut self, n: i64) -> &mut Self {
+        self.0.push(Value::Integer(n));
+        self
+    }
+
+    fn unsigned(&mut self, n: u64) -> &mut Self {
+        self.integer(n.cast_signed())
+    }
+
+    fn real(&mut self, x: f64) -> &mut Self {
+        self.0.push(Value::Real(x));
+        self
+    }
+
+    fn name(&mut self, name: &'a str) -> &mut Self {
+        self.0.push(Value::Name(name));
+        self
+    }
+
+    fn text(&mut self, text: impl Into<Cow<'a, str>>) -> &mut Self {
+        self.0.push(Value::Text(text.into()));
+        self
+    }
+
+    fn duration(&mut self, duration: Duration) -> &mut Self {
+        self.integer(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+    }
+
+    fn direction(&mut self, direction: Direction) -> &mut Self {
+        self.integer(direction_code(direction))
+    }
+
+    fn optional<T>(&mut self, value: Option<T>, some: impl FnOnce(&mut Self, T) -> &mut Self) -> &mut Self {
+        match value {
+            Some(value) => some(self, value),
+            None => {
+                self.0.push(Value::Null);
+                self
+            }
+        }
+    }
+
+    fn pose(&mut self, pose: &Pose) -> &mut Self {
+        self.real(pose.x).real(pose.y).real(pose.heading);
+        for c in pose.covariance {
+            self.real(c);
+        }
+        self.integer(match pose.source {
+            PoseSource::Simulator => 0,
+            PoseSource::Odometry => 1,
+            PoseSource::Localization => 2,
+        })
+    }
+}
+
+/// Writes an event's columns into `row`, and those of its child rows into `children`.
+pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut Fields<'a>) {
+    match event {
+        Event::Robot(context) => {
+            let sensors = &context.sensors;
+            row.name(context.robot.as_str())
+                .integer(context.waypoint.into())
+                .pose(&sensors.pose)
+                .pose(&sensors.odometry)
+                .real(sensors.velocity.linear)
+                .real(sensors.velocity.angular)
+                .integer(sensors.bumper.into())
+                .optional(sensors.nearest_obstacle_m, Fields::real);
+            for attachment in &context.attachments {
+                children
+                    .name(attachment.radio_unit.as_str())
+                    .integer(attachment.attached.into())
+                    .optional(attachment.signal, |f, signal| f.real(signal.0));
+            }
+        }
+        Event::Radio(context) => {
+            row.name(context.radio_unit.as_str()).integer(context.channel.into()).real(context.load);
+            for station in &context.stations {
+                children
+                    .name(station.robot.as_str())
+                    .real(station.signal.0)
+                    .real(station.downlink_mbps)
+                    .real(station.uplink_mbps);
+            }
+        }
+        Event::Link(context) => {
+            let conditions = |role, conditions| Value::Conditions {
+                link: &context.link,
+                direction: context.direction,
+                role,
+                conditions,
+            };
+            row.name(context.link.as_str())
+                .direction(context.direction)
+                .optional(context.delay, Fields::duration)
+                .real(context.throughput_bps)
+                .real(context.scale.delay_scale)
+                .real(context.scale.drop_scale);
+            row.0.push(conditions(Role::Asked, &context.asked));
+            row.0.push(conditions(Role::Effective, &context.effective));
+            let counters = &context.counters;
+            row.unsigned(counters.packets)
+                .unsigned(counters.bytes)
+                .unsigned(counters.lost)
+                .unsigned(counters.overflowed)
+                .unsigned(counters.duplicated)
+                .unsigned(counters.corrupted);
+        }
+        Event::Placement(placement) => {
+            row.name(placement.vnf.as_str()).name(placement.node.as_str());
+        }
+        Event::VirtualLink(mapping) => {
+            row.name(mapping.from.as_str()).name(mapping.to.as_str());
+            for link in &mapping.links {
+                children.name(link.as_str());
+            }
+        }
+        Event::ServiceTime(time) => {
+            row.name(time.service.as_str())
+                .name(time.robot.as_str())
+                .integer(time.sequence.into())
+                .unsigned(time.emitted.as_nanos())
+                .optional(time.took, Fields::duration)
+                .optional(time.attachment.as_ref(), |f, unit| f.name(unit.as_str()))
+                .name(time.server.as_str());
+        }
+        Event::Handover(handover) => {
+            row.name(handover.robot.as_str())
+                .optional(handover.from.as_ref(), |f, unit| f.name(unit.as_str()))
+                .name(handover.to.as_str())
+                .integer(handover.fast.into())
+                .duration(handover.gap);
+        }
+        Event::Detached { robot, from } => {
+            row.name(robot.as_str()).name(from.as_str());
+        }
+        Event::Scanned { robot } | Event::WalkFinished { robot } => {
+            row.name(robot.as_str());
+        }
+        Event::Vnf(vnf) => {
+            row.name(vnf.vnf.as_str())
+                .name(vnf.node.as_str())
+                .text(match vnf.state {
+                    VnfState::Started => "started",
+                    VnfState::Died => "died",
+                    VnfState::Stopped => "stopped",
+                    VnfState::Failed => "failed",
+                })
+                .optional(vnf.detail.as_deref(), Fields::text);
+        }
+        Event::Decision(decision) => {
+            row.name(decision.plugin.as_str());
+            encode_instruction(&decision.instruction, row);
+            row.optional(decision.reason.as_deref(), Fields::text)
+                .optional(decision.refused.as_deref(), Fields::text);
+        }
+        Event::PluginFault { plugin, reason } => {
+            row.name(plugin.as_str()).text(reason.as_str());
+        }
+        Event::Lateness(lateness) => {
+            row.unsigned(lateness.frames).real(lateness.p50_us).real(lateness.p99_us).real(lateness.max_us);
+        }
+        Event::Notice { message } => {
+            row.text(message.as_str());
+        }
+    }
+}
+
+fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
+    let mut put = |instruction: &'static str, subject: &'a str, object: Option<&'a str>| {
+        row.text(instruction).name(subject).optional(object, Fields::name);
+    };
+    // Then: linear, angular, waypoint, direction, change.
+    match instruction {
+        Instruction::Move { robot, velocity, waypoint } => {
+            put("move", robot.as_str(), None);
+            row.real(velocity.linear).real(velocity.angular).integer((*waypoint).into());
+            row.0.extend([Value::Null, Value::Null]);
+        }
+        Instruction::Scan { robot } => {
+            put("scan", robot.as_str(), None);
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Attach { robot, radio_unit } => {
+            put("attach", robot.as_str(), Some(radio_unit.as_str()));
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Place { vnf, node } => {
+            put("place", vnf.as_str(), Some(node.as_str()));
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Condition { link, direction, change } => {
+            put("condition", link.as_str(), None);
+            row.0.extend([const { Value::Null }; 3]);
+            let change = serde_json::to_string(change).expect("a change has no map keys that are not text");
+            row.optional(*direction, Fields::direction).text(change);
+        }
+    }
+}
+
+/// Writes the columns of conditions.
+pub(crate) fn encode_conditions<'a>(conditions: &'a Conditions, row: &mut Fields<'a>) {
+    row.duration(conditions.delay)
+        .optional(conditions.jitter, |f, jitter| f.duration(jitter.deviation))
+        .optional(conditions.jitter, |f, jitter| {
+            f.text(match jitter.distribution {
+                JitterDistribution::Uniform => "uniform",
+                JitterDistribution::Normal => "normal",
+                JitterDistribution::Pareto => "pareto",
+            })
+        });
+    match conditions.loss {
+        Loss::None => {
+            row.text("none");
+            row.0.extend([Value::Null, Value::Null]);
+        }
+        Loss::Independent { rate } => {
+            row.text("independent").real(rate.get());
+            row.0.push(Value::Null);
+        }
+        Loss::Bursty { rate, mean_burst } => {
+            row.text("bursty").real(rate.get()).real(mean_burst);
+        }
+    }
+    row.real(conditions.duplication.get())
+        .real(conditions.corruption.get())
+        .real(conditions.reordering.get());
+    match &conditions.rate {
+        Rate::Unlimited => row.0.extend([Value::Null, Value::Null]),
+        Rate::Fixed { bits_per_second } => {
+            row.unsigned(bits_per_second.bits_per_second());
+            row.0.push(Value::Null);
+        }
+        Rate::Trace { trace } => {
+            row.0.push(Value::Null);
+            let opportunities = trace.opportunities_ms();
+            row.text(serde_json::to_string(opportunities).expect("whole numbers are JSON"));
+        }
+    }
+    match conditions.queue {
+        QueueLimit::Packets(packets) => {
+            row.integer(packets.into());
+            row.0.push(Value::Null);
+        }
+        QueueLimit::Bytes(bytes) => {
+            row.0.push(Value::Null);
+            row.unsigned(bytes);
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Answers in pages, so that no question is too big, and the cursors that join them.
+
+use std::{fmt, str::FromStr};
+
+use serde::{Deserialize, Serialize};
+
+/// Where a page ends and the next one begins: an event's time, and its place in the order of recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Cursor {
+    pub(crate) t: i64,
+    pub(crate) seq: i64,
+}
+
+impl Cursor {
+    /// Before every event at `t` or later.
+    pub(crate) const fn before(t: i64) -> Self {
+        Self { t, seq: -1 }
+    }
+}
+
+impl fmt::Display for Cursor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-{}", self.t, self.seq)
+    }
+}
+
+/// Why a text is no cursor.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a cursor: give back the `next` of the page before as it was")]
+pub struct InvalidCursor(String);
+
+impl FromStr for Cursor {
+    type Err = InvalidCursor;
+    fn from_str(text: &str) -> std::result::Result<Self, InvalidCursor> {
+        let number = |part: &str| part.parse::<u64>().ok().and_then(|n| i64::try_from(n).ok());
+        text.split_once('-')
+            .and_then(|(t, seq)| Some(Self { t: number(t)?, seq: number(seq)? }))
+            .ok_or_else(|| InvalidCursor(text.chars().take(60).collect()))
+    }
+}
+
+impl TryFrom<String> for Cursor {
+    type Error = InvalidCursor;
+    fn try_from(text: String) -> std::result::Result<Self, InvalidCursor> {
+        text.parse()
+    }
+}
+
+impl From<Cursor> for String {
+    fn from(cursor: Cursor) -> Self {
+        cursor.to_string()
+    }
+}
+
+/// Part of an answer. With a `next` there is more.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Page<T> {
+    /// In the order of time; at the same time, in the order of recording.
+    pub items: Vec<T>,
+    /// Ask again from here.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    pub next: Option<Cursor>,
+}
+
+impl<T> Page<T> {
+    pub(crate) fn map<U>(self, item: impl FnMut(T) -> U) -> Page<U> {
+        Page { items: self.items.into_iter().map(item).collect(), next: self.next }
+    }
+}
+
+/// Which part of an answer is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PageRequest {
+    /// How many items at most; counted as 1 … [`Self::MAX`].
+    pub limit: usize,
+    /// The `next` of the page before; `None` for the first page.
+    pub after: Option<Cursor>,
+}
+
+impl PageRequest {
+    /// No page is longer.
+    pub const MAX: usize = 10_000;
+
+    /// The first page.
+    pub const fn first(limit: usize) -> Self {
+        Self { limit, after: None }
+    }
+
+    /// The page that begins at a cursor.
+    pub const fn after(cursor: Cursor, limit: usize) -> Self {
+        Self { limit, after: Some(cursor) }
+    }
+
+    pub(crate) fn size(self) -> usize {
+        self.limit.clamp(1, Self::MAX)
+    }
+}
+
+impl Default for PageRequest {
+    /// The first 1000.
+    fn default() -> Self {
+        Self::first(1000)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_cursor_is_read_as_it_is_written(t in 0..=i64::MAX, seq in 0..=i64::MAX) {
+            let cursor = Cursor { t, seq };
+            prop_assert_eq!(cursor.to_string().parse(), Ok(cursor));
+        }
+    }
+
+    #[test]
+    fn refuses_what_is_no_cursor() {
+        for text in ["", "-", "1", "1-", "-1-1", "1-x", "99999999999999999999-1"] {
+            let error = text.parse::<Cursor>().unwrap_err();
+            assert_eq!(
+                error.to_string(),
+                format!("`{text}` is not a cursor: give back the `next` of the page before as it was")
+            );
+        }
+    }
+}
