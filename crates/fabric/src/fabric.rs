@@ -15,7 +15,7 @@ use crate::{
     pool::Pool,
     radio::{Arrival, Radio},
     random::stream,
-    routes::{Cost, Routes, Target, Vertex},
+    routes::{Routes, Target, Vertex},
     settings::{Refusal, Settings},
     timers::Timers,
 };
@@ -34,6 +34,14 @@ pub enum FabricError {
         link: LinkId,
         /// The node that does not exist.
         node: NodeId,
+    },
+    /// A robot with a wire.
+    #[error("link `{link}` ends at robot `{robot}`, but a robot is reached by its radio alone")]
+    WiredRobot {
+        /// The link.
+        link: LinkId,
+        /// The robot.
+        robot: NodeId,
     },
     /// Two nodes or two links of one name.
     #[error("`{0}` names two things: names are unique")]
@@ -98,17 +106,8 @@ pub struct Fabric {
 struct Port {
     node: NodeId,
     vertex: usize,
-    access: Access,
-}
-
-/// How a host reaches the network.
-#[derive(Debug, Clone, Copy)]
-enum Access {
-    Wired,
-    /// By the radio unit that it is attached to.
-    Wireless,
-    /// By either, whichever is faster; what is for all goes by wire. The delay of the air, in nanoseconds.
-    Both(u64),
+    /// Whether it reaches the network by the radio unit that it is attached to.
+    is_robot: bool,
 }
 
 /// Where a packet goes from a vertex.
@@ -145,7 +144,13 @@ impl Fabric {
             }
             let end = |node: &NodeId| {
                 let unknown = || FabricError::UnknownEnd { link: link.id.clone(), node: node.clone() };
-                vertices.get(node).copied().ok_or_else(unknown)
+                let vertex = vertices.get(node).copied().ok_or_else(unknown)?;
+                match graph.nodes[vertex].kind {
+                    NodeKind::Robot(_) => {
+                        Err(FabricError::WiredRobot { link: link.id.clone(), robot: node.clone() })
+                    }
+                    _ => Ok(vertex),
+                }
             };
             let [a, b] = [end(&link.ends[0])?, end(&link.ends[1])?];
             for (from, to, conditions, direction) in
@@ -158,17 +163,10 @@ impl Fabric {
                 pipes.push(Pipe::new(settings, rng));
             }
         }
-        let port = |node: &Node| {
-            let vertex = vertices[&node.id];
-            let access = match &node.kind {
-                NodeKind::Robot(robot) if routes.is_wired(vertex) => {
-                    let air = graph.wireless.get(&robot.network).map(|n| n.delay.as_nanos() as u64);
-                    air.map_or(Access::Wired, Access::Both)
-                }
-                NodeKind::Robot(_) => Access::Wireless,
-                _ => Access::Wired,
-            };
-            Port { node: node.id.clone(), vertex, access }
+        let port = |node: &Node| Port {
+            node: node.id.clone(),
+            vertex: vertices[&node.id],
+            is_robot: matches!(node.kind, NodeKind::Robot(_)),
         };
         let ports: Vec<Port> = graph.hosts().map(port).collect();
         let mut port_of_vertex = vec![None; graph.nodes.len()];
@@ -221,14 +219,9 @@ impl Fabric {
             return self.pool.put(frame);
         }
         self.learn(port, &frame);
-        let Port { vertex, access, .. } = self.ports[port.0];
+        let Port { vertex, is_robot, .. } = self.ports[port.0];
         let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
-        let by_air = match (access, &target) {
-            (Access::Wired, _) | (Access::Both(_), Target::All { .. }) => false,
-            (Access::Wireless, _) => true,
-            (Access::Both(air_delay), &Target::Port(to)) => self.prefers_air(port, air_delay, to),
-        };
-        if by_air {
+        if is_robot {
             return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
         }
         self.leave(now, vertex, Packet { frame, target, entered: now });
@@ -356,18 +349,10 @@ impl Fabric {
         if from == to {
             return Some(Vec::new());
         }
-        let mut best: Option<(Cost, Vec<LinkId>)> = None;
-        for (start, up, up_cost) in self.accesses(from) {
-            for (end, down, down_cost) in self.accesses(to) {
-                let Some((cost, edges)) = self.routes.path(start, end) else { continue };
-                let cost = plus(cost, plus(up_cost, down_cost));
-                if best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                    let wired = edges.iter().map(|edge| self.links[edge / 2].clone());
-                    best = Some((cost, up.iter().cloned().chain(wired).chain(down).collect()));
-                }
-            }
-        }
-        best.map(|(_, links)| links)
+        let ((start, up), (end, down)) = (self.on_wire(from)?, self.on_wire(to)?);
+        let edges = self.routes.path(start, end)?;
+        let wired = edges.into_iter().map(|edge| self.links[edge / 2].clone());
+        Some(up.into_iter().chain(wired).chain(down).collect())
     }
 
     /// How late frames were handed out.
@@ -441,11 +426,7 @@ impl Fabric {
             self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
             let vertex = self.ports[at.0].vertex;
             if !self.routes.vertex(vertex).forwards {
-                if self.is_for_station(at, &frame) {
-                    self.outbox.push_back((due, at, frame));
-                } else {
-                    self.pool.put(frame);
-                }
+                self.outbox.push_back((due, at, frame));
                 continue;
             }
             match self.target(from, vertex, &frame) {
@@ -455,12 +436,6 @@ impl Fabric {
             self.settle(due);
         }
         self.arrivals = arrivals;
-    }
-
-    /// Whether a station takes a frame from its radio unit: one that has a wire gets there what is for all.
-    fn is_for_station(&self, port: PortId, frame: &Frame) -> bool {
-        let wired = matches!(self.ports[port.0].access, Access::Both(_));
-        !wired || frame.destination().and_then(|address| self.owner(address)) == Some(port)
     }
 
     /// Leads on all packets that go on at once.
@@ -492,8 +467,8 @@ impl Fabric {
     fn leave(&mut self, now: Timestamp, vertex: usize, packet: Packet) {
         match &packet.target {
             &Target::Port(port) => match self.hop(vertex, port) {
-                Some((_, Hop::Edge(edge))) => self.cross(now, edge, packet),
-                Some((_, Hop::Air)) => {
+                Some(Hop::Edge(edge)) => self.cross(now, edge, packet),
+                Some(Hop::Air) => {
                     let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
                     self.on_air(packet.frame, |radio, frame| radio.push_down(now, unit, port, frame));
                 }
@@ -530,44 +505,16 @@ impl Fabric {
         self.radio_deadline = self.radio.deadline();
     }
 
-    /// The next hop from a vertex that forwards towards a host, and what the way costs.
-    fn hop(&mut self, vertex: usize, to: PortId) -> Option<(Cost, Hop)> {
-        let Port { vertex: end, access, .. } = self.ports[to.0];
-        let wired = match access {
-            Access::Wireless => None,
-            Access::Wired | Access::Both(_) => self.routes.step(vertex, end),
-        };
-        let wired = wired.map(|step| (step.cost, Hop::Edge(step.edge as usize)));
-        let air_delay = match access {
-            Access::Wired => return wired,
-            Access::Wireless => 0,
-            Access::Both(delay) => delay,
-        };
-        let by_air = self.radio.attached_to(to).and_then(|unit| {
-            let above = self.ports[unit.0].vertex;
-            let air = (air_delay, 1);
-            if above == vertex {
-                return Some((air, Hop::Air));
+    /// The next hop from a vertex towards a host.
+    fn hop(&mut self, vertex: usize, to: PortId) -> Option<Hop> {
+        let Port { vertex: mut end, is_robot, .. } = self.ports[to.0];
+        if is_robot {
+            end = self.ports[self.radio.attached_to(to)?.0].vertex;
+            if end == vertex {
+                return Some(Hop::Air);
             }
-            let step = self.routes.step(vertex, above)?;
-            Some((plus(step.cost, air), Hop::Edge(step.edge as usize)))
-        });
-        match (wired, by_air) {
-            (Some(wired), Some(by_air)) => Some(if by_air.0 < wired.0 { by_air } else { wired }),
-            (wired, by_air) => wired.or(by_air),
         }
-    }
-
-    /// Whether a robot that has a wire, too, reaches a host faster by its radio.
-    fn prefers_air(&mut self, robot: PortId, air_delay: u64, to: PortId) -> bool {
-        let Some(unit) = self.radio.attached_to(robot) else { return false };
-        let wired = self.hop(self.ports[robot.0].vertex, to);
-        let rest =
-            if unit == to { Some((0, 0)) } else { self.hop(self.ports[unit.0].vertex, to).map(|h| h.0) };
-        match (wired, rest) {
-            (Some((wired, _)), Some(rest)) => plus(rest, (air_delay, 1)) < wired,
-            (wired, rest) => wired.is_none() && rest.is_some(),
-        }
+        self.routes.step(vertex, end).map(Hop::Edge)
     }
 
     /// Where a frame goes that enters the wired network at a vertex; `None` if it is for its own sender.
@@ -610,16 +557,15 @@ impl Fabric {
         self.pool.put(frame);
     }
 
-    /// Where a node's ways into the wired network begin, each with the wireless link there and its cost.
-    fn accesses(&self, vertex: usize) -> impl Iterator<Item = (usize, Option<LinkId>, Cost)> {
-        let port = self.port_of_vertex[vertex];
-        let unit = port.and_then(|port| self.radio.attached_to(port));
-        let by_air = port.zip(unit).map(|(port, unit)| {
-            let (robot, unit) = (&self.ports[port.0], &self.ports[unit.0]);
-            let delay = if let Access::Both(delay) = robot.access { delay } else { 0 };
-            (unit.vertex, Some(LinkId::wireless(&robot.node, &unit.node)), (delay, 1))
-        });
-        std::iter::once((vertex, None, (0, 0))).chain(by_air)
+    /// Where a node is on the wired network: a robot at its radio unit, behind the wireless link there.
+    fn on_wire(&self, vertex: usize) -> Option<(usize, Option<LinkId>)> {
+        match self.port_of_vertex[vertex] {
+            Some(port) if self.ports[port.0].is_robot => {
+                let unit = &self.ports[self.radio.attached_to(port)?.0];
+                Some((unit.vertex, Some(LinkId::wireless(&self.ports[port.0].node, &unit.node))))
+            }
+            _ => Some((vertex, None)),
+        }
     }
 }
 
@@ -629,8 +575,4 @@ const GROUP: u8 = 0x01;
 /// The edge of a link's direction.
 fn edge(link: usize, direction: Direction) -> usize {
     2 * link + direction as usize
-}
-
-fn plus(a: Cost, b: Cost) -> Cost {
-    (a.0 + b.0, a.1 + b.1)
 }

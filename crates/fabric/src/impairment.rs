@@ -257,10 +257,12 @@ mod tests {
     const DISTRIBUTIONS: [JitterDistribution; 3] =
         [JitterDistribution::Uniform, JitterDistribution::Normal, JitterDistribution::Pareto];
 
+    const DEVIATES: usize = 200_000;
+
     fn deviates(distribution: JitterDistribution) -> Vec<f64> {
         let jitter = Some(Jitter { deviation: Duration::from_millis(1), distribution });
         let mut impairments = impairments(&Conditions { jitter, ..Conditions::default() });
-        let mut deviates: Vec<_> = (0..PACKETS).map(|_| impairments.deviate()).collect();
+        let mut deviates: Vec<_> = (0..DEVIATES).map(|_| impairments.deviate()).collect();
         deviates.sort_by(f64::total_cmp);
         deviates
     }
@@ -270,13 +272,13 @@ mod tests {
         for (distribution, deviation, tolerance) in DISTRIBUTIONS
             .into_iter()
             // The variance of a Pareto distribution with shape 3 converges slowly: its fourth moment is infinite.
-            .zip([(1.0 / 3f64.sqrt(), 0.002), (1.0, 0.002), (1.0, 0.1)])
+            .zip([(1.0 / 3f64.sqrt(), 0.005), (1.0, 0.005), (1.0, 0.1)])
             .map(|(d, (s, t))| (d, s, t))
         {
             let deviates = deviates(distribution);
-            let mean = deviates.iter().sum::<f64>() / PACKETS as f64;
-            let variance = deviates.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / PACKETS as f64;
-            assert!(mean.abs() < 0.004, "{distribution:?}: {mean}");
+            let mean = deviates.iter().sum::<f64>() / DEVIATES as f64;
+            let variance = deviates.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / DEVIATES as f64;
+            assert!(mean.abs() < 0.01, "{distribution:?}: {mean}");
             assert!((variance.sqrt() / deviation - 1.0).abs() < tolerance, "{distribution:?}: {variance}");
         }
     }
@@ -289,7 +291,7 @@ mod tests {
         for distribution in DISTRIBUTIONS {
             let deviates = deviates(distribution);
             let row: Vec<_> =
-                quantiles.map(|q| format!("{:.2}", deviates[(q * PACKETS as f64) as usize])).into();
+                quantiles.map(|q| format!("{:.2}", deviates[(q * DEVIATES as f64) as usize])).into();
             table += &format!("{distribution:?}: {}\n", row.join(" "));
         }
         assert_eq!(table, GOLDEN_JITTER);
@@ -308,9 +310,9 @@ mod tests {
     }
 
     const GOLDEN_JITTER: &str = "\
-Uniform: -0.98 -0.90 -0.50 0.00 0.50 0.90 0.98
-Normal: -2.33 -1.64 -0.68 -0.00 0.67 1.64 2.33
-Pareto: -0.57 -0.56 -0.46 -0.28 0.10 1.40 3.63
+Uniform: -0.98 -0.90 -0.50 -0.00 0.50 0.90 0.98
+Normal: -2.32 -1.63 -0.67 0.00 0.68 1.65 2.34
+Pareto: -0.57 -0.56 -0.46 -0.28 0.10 1.41 3.61
 ";
 
     #[test]

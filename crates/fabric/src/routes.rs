@@ -15,15 +15,15 @@ pub(crate) enum Target {
 }
 
 /// What a path costs: its delay in nanoseconds, then its hops.
-pub(crate) type Cost = (u64, u32);
+type Cost = (u64, u32);
 
-/// The next step towards a destination.
+/// A vertex's step towards a root, or the root's towards it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Step {
-    /// What the rest of the way costs, this step included.
-    pub(crate) cost: Cost,
-    /// The edge to take.
-    pub(crate) edge: u32,
+struct Step {
+    /// What the whole way costs.
+    cost: Cost,
+    /// The edge at this vertex.
+    edge: u32,
 }
 
 /// A spanning tree without the branches on which there is no host.
@@ -63,6 +63,11 @@ struct Edge {
 type Steps = Box<[Step]>;
 
 const UNREACHABLE: Step = Step { cost: (u64::MAX, u32::MAX), edge: u32::MAX };
+
+/// The edge of a step, if there is one.
+fn taken(step: Step) -> Option<usize> {
+    (step != UNREACHABLE).then_some(step.edge as usize)
+}
 
 /// Something worked out for the routes of a certain version.
 type Cached<T> = Option<(u64, T)>;
@@ -129,32 +134,26 @@ impl Routes {
         self.vertices[vertex]
     }
 
-    /// Whether a vertex has edges.
-    pub(crate) fn is_wired(&self, vertex: usize) -> bool {
-        self.adjacent.iter().any(|a| !a[vertex].is_empty())
-    }
-
-    /// The next step from a vertex towards another; `None` if no wired path leads there.
-    pub(crate) fn step(&mut self, from: usize, to: usize) -> Option<Step> {
+    /// The edge to take from a vertex towards another; `None` if no wired path leads there.
+    pub(crate) fn step(&mut self, from: usize, to: usize) -> Option<usize> {
         if self.towards[to].as_ref().is_none_or(|(version, _)| *version != self.version) {
             self.towards[to] = Some((self.version, self.shortest(to, Sense::Towards).0));
         }
         let (_, steps) = self.towards[to].as_ref()?;
-        Some(steps[from]).filter(|step| *step != UNREACHABLE)
+        taken(steps[from])
     }
 
-    /// The edges of the path from a vertex to another, and its cost; `None` if no wired path leads there.
-    pub(crate) fn path(&self, from: usize, to: usize) -> Option<(Cost, Vec<usize>)> {
+    /// The edges of the path from a vertex to another; `None` if no wired path leads there.
+    pub(crate) fn path(&self, from: usize, to: usize) -> Option<Vec<usize>> {
         let (steps, _) = self.shortest(to, Sense::Towards);
         let mut path = Vec::new();
         let mut at = from;
         while at != to {
-            let step = Some(steps[at]).filter(|step| *step != UNREACHABLE)?;
-            path.push(step.edge as usize);
-            at = self.end(step.edge as usize);
+            let edge = taken(steps[at])?;
+            path.push(edge);
+            at = self.end(edge);
         }
-        let cost = if from == to { (0, 0) } else { steps[from].cost };
-        Some((cost, path))
+        Some(path)
     }
 
     /// The tree on which a frame goes from a vertex to all hosts.

@@ -69,7 +69,9 @@ pub enum Refusal {
     #[error("a mean burst of {0} packets cannot be: it is a number, 1 or more")]
     MeanBurst(f64),
     /// Bursts so short and losses so many that the good state would end before it began.
-    #[error("a share of {rate} cannot be lost in bursts of {mean_burst}: they must be {at_least} or longer")]
+    #[error(
+        "a share of {rate} cannot be lost in bursts of {mean_burst}: they must be {at_least:.3} or longer"
+    )]
     BurstsTooShort {
         /// Share lost.
         rate: f64,
@@ -199,7 +201,8 @@ fn check_loss(loss: Loss) -> Result<(), Refusal> {
         return Err(Refusal::MeanBurst(mean_burst));
     }
     let at_least = rate / (1.0 - rate);
-    if mean_burst < at_least {
+    // A share like 0.9 has no exact quotient.
+    if mean_burst * (1.0 + 1e-9) < at_least {
         return Err(Refusal::BurstsTooShort { rate, mean_burst, at_least });
     }
     Ok(())
@@ -374,6 +377,8 @@ mod tests {
         assert_eq!(bursty(0.1, 0.5), Refusal::MeanBurst(0.5));
         assert!(matches!(bursty(0.1, f64::NAN), Refusal::MeanBurst(_)));
         assert!(matches!(bursty(0.8, 2.0), Refusal::BurstsTooShort { .. }));
+        let most = Loss::Bursty { rate: Probability::new(0.9).unwrap(), mean_burst: 9.0 };
+        assert_eq!(check_loss(most), Ok(()));
         for queue in [QueueLimit::Packets(0), QueueLimit::Bytes(0)] {
             assert_eq!(refused(ConditionChange { queue: Some(queue), ..base() }), Refusal::Queue);
         }

@@ -4,28 +4,70 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, HardwareGraph, HostAddress, Link, LinkContext, Node, NodeKind, Rate,
-    Server, Tier, Timestamp,
+    BitRate, Capacity, Conditions, Dbm, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
+    LinkContext, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel, Server,
+    Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
 };
 
-/// A wired network in the making.
+/// A network in the making.
 pub struct Network(HardwareGraph);
 
 impl Network {
+    /// No nodes, and a wireless network `air` without chance: 1 ms, and no more than the standard says.
     pub fn new() -> Self {
+        let air = WirelessNetwork {
+            standard: WifiStandard::N,
+            delay: Duration::from_millis(1),
+            rate: None,
+            fast_transition: true,
+            path_loss: PathLoss::LogDistance { exponent: 3.0 },
+            shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
+            noise_floor: Dbm(-95.0),
+            hysteresis_db: 4.0,
+            time_to_trigger: Duration::from_millis(500),
+            handover: HandoverTimes {
+                scan: Duration::from_millis(100),
+                authenticate: Duration::from_millis(10),
+                reassociate: Duration::from_millis(20),
+                handshake: Duration::from_millis(40),
+                variation: 0.0,
+            },
+            gap: GapPolicy::Hold,
+        };
         let domains = vec!["home".parse().unwrap()];
-        Self(HardwareGraph { domains, nodes: vec![], links: vec![], wireless: BTreeMap::new() })
+        let wireless = BTreeMap::from([("air".to_owned(), air)]);
+        Self(HardwareGraph { domains, nodes: vec![], links: vec![], wireless })
     }
 
-    fn node(mut self, name: &str, kind: NodeKind) -> Self {
+    fn node(mut self, name: &str, x: f64, kind: NodeKind) -> Self {
         let domain = self.0.domains[0].clone();
-        self.0.nodes.push(Node { id: name.parse().unwrap(), domain, position: None, kind });
+        let position = Some(Position::new(x, 0.0));
+        self.0.nodes.push(Node { id: name.parse().unwrap(), domain, position, kind });
         self
     }
 
     pub fn server(self, name: &str) -> Self {
-        let capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
-        self.node(name, NodeKind::Server(Server { tier: Tier::Edge, capacity, cost: 1.0, reliability: 1.0 }))
+        let server = Server { tier: Tier::Edge, capacity: CAPACITY, cost: 1.0, reliability: 1.0 };
+        self.node(name, 0.0, NodeKind::Server(server))
+    }
+
+    /// A radio unit, so many metres to the east.
+    pub fn radio_unit(self, name: &str, x: f64) -> Self {
+        let unit = RadioUnit { capacity: CAPACITY, network: "air".into(), channel: 1, tx_power: Dbm(20.0) };
+        self.node(name, x, NodeKind::RadioUnit(unit))
+    }
+
+    /// A robot, so many metres to the east, that waits for instructions.
+    pub fn robot(self, name: &str, x: f64) -> Self {
+        let robot = Robot {
+            capacity: CAPACITY,
+            model: RobotModel::Turtlebot2,
+            network: "air".into(),
+            tx_power: Dbm(20.0),
+            heading: 0.0,
+            roaming: Roaming::Instructed,
+        };
+        self.node(name, x, NodeKind::Robot(robot))
     }
 
     pub fn servers(self, names: &[&str]) -> Self {
@@ -33,7 +75,7 @@ impl Network {
     }
 
     pub fn switches(self, names: &[&str]) -> Self {
-        names.iter().fold(self, |network, name| network.node(name, NodeKind::Switch))
+        names.iter().fold(self, |network, name| network.node(name, 0.0, NodeKind::Switch))
     }
 
     /// A link `<a>-<b>` over a medium of 100 Gbit/s, the same both ways.
@@ -57,6 +99,8 @@ impl Network {
         Fabric::new(&self.0, seed).unwrap()
     }
 }
+
+const CAPACITY: Capacity = Capacity { cpus: 4.0, memory_bytes: 8 << 30 };
 
 /// Two servers `a` and `b` and the link `a-b`.
 pub fn pair(conditions: Conditions, seed: u64) -> Fabric {

@@ -6,3 +6,4 @@ mod forwarding;
 mod invariants;
 mod links;
 mod offloads;
+mod wireless;
