@@ -44,15 +44,15 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
         let span = link.id.as_ref().map_or(&link.ends.span, |id| &id.span);
         std::iter::repeat_n(span, ends.product())
     });
+    let robots: HashSet<_> = graph.robots().map(|(robot, _)| robot.id.as_str()).collect();
     let mut seen = HashSet::new();
     for (link, span) in graph.links.iter().zip(spans) {
         if !seen.insert(&link.id) {
             sink.error(span, format!("the link `{}` is here twice", link.id))
                 .help("remove one of them, or give it an `id` of its own");
         }
-        let wireless = graph.robots().any(|(robot, _)| {
-            link.id.as_str().strip_prefix(robot.id.as_str()).is_some_and(|rest| rest.starts_with('~'))
-        });
+        let begins = |tilde: usize| robots.contains(&link.id.as_str()[..tilde]);
+        let wireless = link.id.as_str().match_indices('~').any(|(tilde, _)| begins(tilde));
         if wireless {
             sink.error(span, format!("`{}` is the name of a wireless link", link.id))
                 .help("give it an `id` that does not begin with a robot's name and `~`");
