@@ -10,6 +10,7 @@ pub mod id;
 pub mod map;
 pub mod map_server;
 mod routing;
+pub mod seed;
 pub mod service;
 pub mod testbed;
 pub mod testbed_file;

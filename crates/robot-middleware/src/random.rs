@@ -1,6 +1,7 @@
 //! Randomness from the run's one seed, a stream for each use, so that drawing more for one thing leaves all others as
 //! they were.
 
+use cotorra_graph::seed;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -9,13 +10,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 pub(crate) struct Stream(Xoshiro256PlusPlus);
 
 impl Stream {
-    /// The stream of that label: FNV-1a of the label, mixed with the seed by splitmix64.
+    /// The stream of that label.
     pub fn new(seed: u64, label: &str) -> Self {
-        let hash = label.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
-        });
-        // The generator expands its 64 bits with splitmix64 itself.
-        Self(Xoshiro256PlusPlus::seed_from_u64(splitmix64(seed ^ hash)))
+        Self(Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, label)))
     }
 
     /// Uniform in [0, 1).
@@ -35,30 +32,9 @@ impl Stream {
     }
 }
 
-/// Steele, Lea, Flood 2014.
-fn splitmix64(seed: u64) -> u64 {
-    let z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn splitmix64_gives_its_published_first_value() {
-        assert_eq!(splitmix64(1_234_567), 6_457_827_717_110_365_317);
-    }
-
-    #[test]
-    fn streams_differ_by_label_and_seed_and_repeat() {
-        let first = |seed, label| Stream::new(seed, label).uniform();
-        assert_eq!(first(1, "robot1/lidar"), first(1, "robot1/lidar"));
-        assert_ne!(first(1, "robot1/lidar"), first(2, "robot1/lidar"));
-        assert_ne!(first(1, "robot1/lidar"), first(1, "robot2/lidar"));
-    }
 
     #[test]
     fn the_bell_has_mean_zero_deviation_one_and_an_end() {

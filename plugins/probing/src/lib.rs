@@ -9,10 +9,12 @@ mod settings;
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp};
+use cotorra_graph::{
+    Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp, seed,
+};
 use cotorra_plugin::{Actions, Plugin};
 use rand::{Rng, SeedableRng};
-use rand_xoshiro::{SplitMix64, Xoshiro256PlusPlus};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 pub use crate::settings::InvalidSettings;
 use crate::settings::Settings;
@@ -120,12 +122,9 @@ fn draw(random: &mut Xoshiro256PlusPlus, settings: &Settings) -> Duration {
     shortest + (longest - shortest).mul_f64(share)
 }
 
-/// The robot's own stream of random numbers: the FNV-1a hash of its name, mixed with the seed by splitmix64.
-fn stream(seed: u64, robot: &str) -> Xoshiro256PlusPlus {
-    let hash = robot.bytes().fold(0xcbf2_9ce4_8422_2325, |hash: u64, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    });
-    Xoshiro256PlusPlus::seed_from_u64(SplitMix64::seed_from_u64(seed ^ hash).next_u64())
+/// The robot's own stream of random numbers.
+fn stream(run_seed: u64, robot: &str) -> Xoshiro256PlusPlus {
+    Xoshiro256PlusPlus::seed_from_u64(seed::split(run_seed, robot))
 }
 
 #[cfg(test)]
