@@ -20,4 +20,4 @@ pub use report::{
     Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, PlacementRecord, Quantiles, RegionSummary,
     Summary, draw,
 };
-pub use run::{Options, Run, RunError, Stopper, clean};
+pub use run::{Options, Run, RunError, Stopper, clean, leftovers};

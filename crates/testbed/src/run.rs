@@ -28,7 +28,7 @@ use crate::{
     live::Live,
     navigation,
     plugins::{Now, PluginError, PluginHost, Said},
-    report::{FolderError, Report, RunFolder, Summary},
+    report::{FolderError, Losses, Report, RunFolder, Summary},
 };
 
 /// Where the API listens unless it is told.
@@ -117,8 +117,7 @@ pub struct Run {
     tell: Sender<Message>,
     server: Server,
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
-    // After the core: its thread uses it until it ends.
-    _datapath: Arc<Datapath>,
+    datapath: Arc<Datapath>,
 }
 
 impl Run {
@@ -133,7 +132,7 @@ impl Run {
         let moved = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
         let folder = RunFolder::create(&options.out, &testbed.name, text)?;
-        let history = Arc::new(History::open(&folder.history())?);
+        let history = Arc::new(History::open(folder.history())?);
         let run = history.begin_run(&run_info(&testbed, seed, text))?;
         let recorder = history.recorder(run)?;
 
@@ -210,18 +209,7 @@ impl Run {
             .name("core".to_owned())
             .spawn(move || core_loop.run())
             .map_err(system("start the core's thread"))?;
-        Ok(Self {
-            testbed,
-            live,
-            folder,
-            history,
-            recorder,
-            run,
-            tell,
-            server,
-            core: Some(core),
-            _datapath: datapath,
-        })
+        Ok(Self { testbed, live, folder, history, recorder, run, tell, server, core: Some(core), datapath })
     }
 
     /// The testbed.
@@ -261,14 +249,14 @@ impl Run {
     pub fn finish(mut self) -> Result<Summary, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
-        let dropped = match self.recorder.flush() {
-            Ok(()) => self.recorder.stats().dropped,
-            Err(error) => {
-                tracing::error!("the history is not complete: {error}");
-                self.recorder.stats().dropped
-            }
+        if let Err(error) = self.recorder.flush() {
+            tracing::error!("the history is not complete: {error}");
+        }
+        let losses = Losses {
+            frames_dropped: self.datapath.dropped_frames(),
+            history_dropped: self.recorder.stats().dropped,
         };
-        let summary = report.summary(end, why.as_str(), dropped);
+        let summary = report.summary(end, why.as_str(), losses);
         self.folder.write_report(&report, &summary)?;
         self.history.end_run(self.run, end)?;
         Ok(summary)
@@ -282,6 +270,11 @@ impl Drop for Run {
             let _ = core.join();
         }
     }
+}
+
+/// What [`clean`] would remove.
+pub fn leftovers() -> Vec<PathBuf> {
+    Cgroups::leftovers()
 }
 
 /// Removes what runs left behind whose process was killed; gives what it removed.

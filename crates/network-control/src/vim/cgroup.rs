@@ -133,22 +133,24 @@ impl Cgroups {
 
     /// Removes what runs left behind whose process is gone; gives the groups that it removed.
     pub fn clean() -> Vec<PathBuf> {
-        Self::clean_under(Path::new(ROOT), |pid| Path::new("/proc").join(pid.to_string()).exists())
+        Self::leftovers().into_iter().filter(|group| remove_group(group)).collect()
     }
 
-    fn clean_under(root: &Path, lives: impl Fn(u32) -> bool) -> Vec<PathBuf> {
+    /// What [`Self::clean`] would remove.
+    pub fn leftovers() -> Vec<PathBuf> {
+        Self::leftovers_under(Path::new(ROOT), |pid| Path::new("/proc").join(pid.to_string()).exists())
+    }
+
+    fn leftovers_under(root: &Path, lives: impl Fn(u32) -> bool) -> Vec<PathBuf> {
         let Some(hierarchy) = Hierarchy::find(root) else { return Vec::new() };
-        let mut removed = Vec::new();
-        for tree in hierarchy.trees() {
-            for entry in fs::read_dir(tree).into_iter().flatten().flatten() {
-                let name = entry.file_name();
-                let pid = name.to_str().and_then(|n| n.strip_prefix(PREFIX)).and_then(|pid| pid.parse().ok());
-                if pid.is_some_and(|pid| !lives(pid)) && remove_group(&entry.path()) {
-                    removed.push(entry.path());
-                }
-            }
-        }
-        removed
+        let groups = hierarchy.trees().into_iter().flat_map(fs::read_dir).flatten().flatten();
+        let is_left = |group: &fs::DirEntry| {
+            let name = group.file_name();
+            let pid =
+                name.to_str().and_then(|name| name.strip_prefix(PREFIX)).and_then(|pid| pid.parse().ok());
+            pid.is_some_and(|pid| !lives(pid))
+        };
+        groups.filter(is_left).map(|group| group.path()).collect()
     }
 }
 
@@ -205,8 +207,9 @@ mod tests {
             fs::create_dir_all(root.path().join(format!("cpu/{PREFIX}{pid}/1"))).unwrap();
         }
         fs::create_dir(root.path().join("cpu/somebody-elses")).unwrap();
-        let removed = Cgroups::clean_under(root.path(), |pid| pid == 12);
-        assert_eq!(removed, [root.path().join(format!("cpu/{PREFIX}11"))]);
+        let left = Cgroups::leftovers_under(root.path(), |pid| pid == 12);
+        assert_eq!(left, [root.path().join(format!("cpu/{PREFIX}11"))]);
+        assert!(remove_group(&left[0]));
         assert!(root.path().join(format!("cpu/{PREFIX}12/1")).exists());
         assert!(root.path().join("cpu/somebody-elses").exists());
     }

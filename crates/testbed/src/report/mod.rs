@@ -7,5 +7,6 @@ mod summary;
 pub use figure::{Panel, draw};
 pub use folder::{FolderError, RunFolder};
 pub use summary::{
-    Fidelity, HandoverRecord, LatenessSummary, PlacementRecord, Quantiles, RegionSummary, Report, Summary,
+    Fidelity, HandoverRecord, LatenessSummary, Losses, PlacementRecord, Quantiles, RegionSummary, Report,
+    Summary,
 };

@@ -7,6 +7,8 @@ use serde::Serialize;
 const VALID_P99_US: f64 = 1000.0;
 /// The same at the median.
 const VALID_P50_US: f64 = 250.0;
+/// Share of frames that may be lost though nobody asked for it.
+const VALID_DROPPED: f64 = 1e-4;
 
 /// What `summary.json` holds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -130,6 +132,8 @@ pub struct Fidelity {
     pub lateness_us: LatenessSummary,
     /// Frames that it speaks of.
     pub frames: u64,
+    /// Frames that were lost though nobody asked for it: an interface was down, or its queue full.
+    pub frames_dropped: u64,
     /// Why it is valid or not, with the limits.
     pub reason: String,
 }
@@ -146,10 +150,15 @@ pub struct LatenessSummary {
 }
 
 impl Fidelity {
-    fn of(lateness: Lateness) -> Self {
+    fn of(lateness: Lateness, frames_dropped: u64) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
         let (valid, reason) = if frames == 0 {
             (false, "no frame crossed the emulated network".to_owned())
+        } else if frames_dropped as f64 > frames as f64 * VALID_DROPPED {
+            (
+                false,
+                format!("{frames_dropped} frames were lost at hosts' interfaces though nobody asked for it"),
+            )
         } else if p99_us > VALID_P99_US {
             (
                 false,
@@ -168,8 +177,18 @@ impl Fidelity {
             );
             (true, reason)
         };
-        Self { valid, lateness_us: LatenessSummary { p50: p50_us, p99: p99_us, max: max_us }, frames, reason }
+        let lateness_us = LatenessSummary { p50: p50_us, p99: p99_us, max: max_us };
+        Self { valid, lateness_us, frames, frames_dropped, reason }
     }
+}
+
+/// What was lost though nobody asked for it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Losses {
+    /// Frames, at hosts' interfaces.
+    pub frames_dropped: u64,
+    /// Events, on their way into the history.
+    pub history_dropped: u64,
 }
 
 /// Collects the events of a run.
@@ -233,7 +252,7 @@ impl Report {
     }
 
     /// The summary, for a run that ended at `end`.
-    pub fn summary(&self, end: Timestamp, ended: &'static str, history_dropped: u64) -> Summary {
+    pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let answered: Vec<f64> = self.samples.iter().filter_map(took_ms).collect();
         let above = |target: f64| {
             let above = self.samples.iter().filter(|s| took_ms(s).is_none_or(|ms| ms > target)).count();
@@ -253,10 +272,10 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.lateness),
+            fidelity: Fidelity::of(self.lateness, losses.frames_dropped),
             pose_source: "simulator",
             plugin_faults: self.faults.clone(),
-            history_dropped,
+            history_dropped: losses.history_dropped,
         }
     }
 
@@ -333,7 +352,7 @@ mod tests {
         for (i, took) in [Some(10), Some(16), None, Some(14)].into_iter().enumerate() {
             report.absorb(&sample(i as u32, "R1", took));
         }
-        let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", 0);
+        let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", Losses::default());
         assert_eq!((summary.samples, summary.unanswered, summary.above_target), (4, 1, Some(0.5)));
         assert_eq!(summary.service_time_ms.unwrap().max, 16.0);
     }
@@ -354,10 +373,11 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        assert!(!Fidelity::of(Lateness::default()).valid);
+        assert!(!Fidelity::of(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
-        assert!(Fidelity::of(good).valid);
-        let late = Fidelity::of(Lateness { p99_us: 1500.0, ..good });
+        assert!(Fidelity::of(good, 0).valid);
+        assert!(!Fidelity::of(good, 1).valid);
+        let late = Fidelity::of(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
     }
 }
