@@ -6,9 +6,7 @@ mod encode;
 
 use std::borrow::Cow;
 
-use cotorra_graph::{
-    ConditionChange, Conditions, Decision, Direction, Event, Instruction, LinkId, Loss, Stamped,
-};
+use cotorra_graph::{ConditionChange, Conditions, Decision, Direction, Event, Instruction, Loss, Stamped};
 
 pub(crate) use self::{
     decode::{ReadError, Source, decode, decode_conditions},
@@ -20,7 +18,7 @@ use crate::Kind;
 pub(crate) struct Table {
     /// Columns, in order.
     pub columns: &'static [&'static str],
-    /// Columns that name the series, for kinds that have them.
+    /// Columns that name the series, for kinds that have them: the first of `columns`.
     pub series: &'static [&'static str],
     /// Rows that belong to a row: their table and columns; their key has `place`, from 0, behind it.
     pub children: Option<(&'static str, &'static [&'static str])>,
@@ -104,12 +102,7 @@ pub(crate) enum Value<'a> {
     /// Becomes the id of the name's row.
     Name(&'a str),
     /// Becomes the id of the conditions' row.
-    Conditions {
-        link: &'a LinkId,
-        direction: Direction,
-        role: Role,
-        conditions: &'a Conditions,
-    },
+    Conditions(Role, &'a Conditions),
 }
 
 /// Which conditions of a link.
@@ -117,6 +110,10 @@ pub(crate) enum Value<'a> {
 pub(crate) enum Role {
     Asked,
     Effective,
+}
+
+impl Role {
+    pub const COUNT: usize = 2;
 }
 
 /// A direction in a column.

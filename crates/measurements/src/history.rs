@@ -321,3 +321,63 @@ from_event!(
     ServiceTime(ServiceTime),
     Handover(Handover)
 );
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{notice, placement, run_info};
+
+    fn recorded(events: &[Stamped]) -> (History, RunId) {
+        let history = History::in_memory().unwrap();
+        let run = history.begin_run(&run_info("asked")).unwrap();
+        let recorder = history.recorder(run).unwrap();
+        events.iter().for_each(|stamped| recorder.record(stamped.clone()));
+        recorder.flush().unwrap();
+        (history, run)
+    }
+
+    #[test]
+    fn ranges_mean_what_they_say() {
+        let (history, run) = recorded(&[0, 1, 2, 3].map(|t| notice(t, "")));
+        let t = Timestamp::from_nanos;
+        let times = |page: Result<Page<Stamped>>| -> Vec<u64> {
+            page.unwrap().items.iter().map(|stamped| stamped.at.as_nanos()).collect()
+        };
+        let page = PageRequest::default();
+        assert_eq!(times(history.events(run, &[], .., page)), [0, 1, 2, 3]);
+        assert_eq!(times(history.events(run, &[], t(1)..t(3), page)), [1, 2]);
+        assert_eq!(times(history.events(run, &[], t(1)..=t(3), page)), [1, 2, 3]);
+        assert!(times(history.events(run, &[], ..t(0), page)).is_empty());
+        assert!(times(history.events(run, &[], t(3)..t(1), page)).is_empty());
+        assert_eq!(times(history.events(run, &[], t(2)..=Timestamp::MAX, page)), [2, 3]);
+        let behind = (Bound::Excluded(t(1)), Bound::Unbounded);
+        assert_eq!(times(history.events(run, &[], behind, page)), [2, 3]);
+    }
+
+    #[test]
+    fn no_page_is_without_bound() {
+        let events: Vec<_> = (0..PageRequest::MAX as u64 + 1).map(|t| notice(t, "")).collect();
+        let (history, run) = recorded(&events);
+        let page = history.events(run, &[], .., PageRequest::first(usize::MAX)).unwrap();
+        assert_eq!(page.items.len(), PageRequest::MAX);
+        let rest = history.events(run, &[], .., PageRequest::after(page.next.unwrap(), 0)).unwrap();
+        assert_eq!((rest.items.len(), rest.next), (1, None));
+    }
+
+    #[test]
+    fn a_state_goes_through_json() {
+        let (history, run) = recorded(&[
+            placement(1, "map", "fog"),
+            placement(2, "brain", "fog"),
+            placement(3, "brain", "edge"),
+        ]);
+        let state = history.state_at(run, Timestamp::from_nanos(9)).unwrap();
+        let json = serde_json::to_value(&state).unwrap();
+        let placements = serde_json::json!([
+            { "at": 3, "vnf": "brain", "node": "edge" },
+            { "at": 1, "vnf": "map", "node": "fog" },
+        ]);
+        assert_eq!(json["placements"], placements);
+        assert_eq!(serde_json::from_value::<GraphState>(json).unwrap(), state);
+    }
+}

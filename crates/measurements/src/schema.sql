@@ -5,6 +5,7 @@
 --   seq       order of recording within the run; (t_ns, seq) orders all events of a run and names one of them
 --   *_m metres, *_rad radians, *_dbm dBm, *_bps bit/s, *_mbps Mbit/s, *_us microseconds
 --   names (of nodes, links, VNFs, services, plug-ins) are ids of rows in `name`
+--   durations end at 2^63 - 1 ns, which is 292 years
 --   unsigned 64-bit figures are stored as the signed integer with the same bits
 --   a figure that is no number (NaN) is NULL
 --

@@ -100,20 +100,14 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             }
         }
         Event::Link(context) => {
-            let conditions = |role, conditions| Value::Conditions {
-                link: &context.link,
-                direction: context.direction,
-                role,
-                conditions,
-            };
             row.name(context.link.as_str())
                 .direction(context.direction)
                 .optional(context.delay, Fields::duration)
                 .real(context.throughput_bps)
                 .real(context.scale.delay_scale)
                 .real(context.scale.drop_scale);
-            row.0.push(conditions(Role::Asked, &context.asked));
-            row.0.push(conditions(Role::Effective, &context.effective));
+            row.0.push(Value::Conditions(Role::Asked, &context.asked));
+            row.0.push(Value::Conditions(Role::Effective, &context.effective));
             let counters = &context.counters;
             row.unsigned(counters.packets)
                 .unsigned(counters.bytes)

@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{Conditions, Stamped, Timestamp};
 use rusqlite::{
-    Connection, OpenFlags, OptionalExtension, Row, Rows,
+    Connection, OpenFlags, OptionalExtension, Row, Rows, config::DbConfig,
     fallible_streaming_iterator::FallibleStreamingIterator, params, types::FromSql,
 };
 
@@ -75,6 +75,8 @@ impl Reader {
             let connection = Connection::open_with_flags(path, flags)?;
             connection.busy_timeout(BUSY)?;
             connection.set_prepared_statement_cache_capacity(64);
+            // Plans that hold for all parameters: otherwise a new LIMIT has SQLite prepare the statement again.
+            connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
             Ok(connection)
         };
         Ok(Self {
@@ -229,13 +231,17 @@ impl Reader {
     /// All series of a kind by the last stretch, at a time or before, that they have.
     fn last_stretches(&self, run: RunId, kind: Kind, at: i64) -> Fallible<BTreeMap<i64, BTreeSet<[i64; 2]>>> {
         let mut stretches = BTreeMap::<i64, BTreeSet<[i64; 2]>>::new();
-        // From series to series by the index, without a look at the stretches in between.
+        // From series to series by the index, behind the last stretch that there can be: SQLite begins at the bound
+        // itself, and would otherwise step through all stretches of the series before.
         let mut next = self.connection.prepare_cached(
-            "SELECT a, b FROM presence WHERE run = ?1 AND kind = ?2 AND (a, b) > (?3, ?4) ORDER BY a, b LIMIT 1",
+            "SELECT a, b FROM presence WHERE run = ?1 AND kind = ?2 AND (a, b, stretch) > (?3, ?4, ?5)
+             ORDER BY a, b, stretch LIMIT 1",
         )?;
         let mut ids = [i64::MIN; 2];
         while let Some(series) = next
-            .query_row(params![run.0, kind as i64, ids[0], ids[1]], |row| Ok([row.get(0)?, row.get(1)?]))
+            .query_row(params![run.0, kind as i64, ids[0], ids[1], i64::MAX], |row| {
+                Ok([row.get(0)?, row.get(1)?])
+            })
             .optional()?
         {
             ids = series;

@@ -1,9 +1,12 @@
 //! Batches into SQLite: one transaction each, prepared statements, names and conditions written once and then
 //! referred to.
 
-use std::{collections::HashMap, fmt::Write as _};
+use std::{
+    collections::{BTreeMap, HashMap},
+    fmt::Write as _,
+};
 
-use cotorra_graph::{Conditions, Direction};
+use cotorra_graph::Conditions;
 use rusqlite::{
     CachedStatement, Connection, OptionalExtension, Transaction, TransactionBehavior, params, types::Null,
 };
@@ -28,15 +31,25 @@ pub(crate) struct Writer {
 #[derive(Debug, Default)]
 struct Known {
     names: HashMap<Box<str>, i64>,
-    /// By the link's id and its direction's code.
-    conditions: HashMap<(i64, i64, Role), (Conditions, i64)>,
-    /// The last stretch by run, kind, a and b.
-    presence: HashMap<[i64; 4], i64>,
+    /// Places in `of_series`.
+    series: HashMap<Series, usize>,
+    of_series: Vec<KnownSeries>,
+}
+
+/// What is known of a series.
+#[derive(Debug)]
+struct KnownSeries {
+    /// As `presence` has them.
+    ids: [i64; 2],
+    /// The last stretch that was noted.
+    presence: Option<(RunId, i64)>,
+    /// The last conditions and their id, by role.
+    conditions: [Option<(Conditions, i64)>; Role::COUNT],
 }
 
 impl Known {
     fn forget_if_full(&mut self) {
-        if self.names.len().max(self.conditions.len()).max(self.presence.len()) > REMEMBERED {
+        if self.names.len().max(self.series.len()) > REMEMBERED {
             *self = Self::default();
         }
     }
@@ -72,7 +85,7 @@ struct Batch<'t> {
     rows: [Option<CachedStatement<'t>>; Kind::ALL.len()],
     children: [Option<CachedStatement<'t>>; Kind::ALL.len()],
     /// The next place in the order of recording, by run.
-    next_seq: HashMap<RunId, i64>,
+    next_seq: BTreeMap<RunId, i64>,
 }
 
 impl<'t> Batch<'t> {
@@ -82,7 +95,7 @@ impl<'t> Batch<'t> {
             known,
             rows: [const { None }; Kind::ALL.len()],
             children: [const { None }; Kind::ALL.len()],
-            next_seq: HashMap::new(),
+            next_seq: BTreeMap::new(),
         }
     }
 
@@ -95,11 +108,19 @@ impl<'t> Batch<'t> {
             let kind = Kind::of(&stamped.event);
             let t = stamped.at.as_nanos().cast_signed();
             let key = [run.0, t, self.seq(*run)?];
-            self.row(kind, key, &row)?;
-            self.child_rows(kind, key, &children)?;
-            if Series::KINDS.contains(&kind) {
-                self.presence(kind, key, &row)?;
+            match Series::of(&stamped.event) {
+                None => self.row(kind, &key, None, &row.0)?,
+                Some(series) => {
+                    let (series, ids) = self.series(series)?;
+                    self.presence(kind, *run, t, series)?;
+                    // The ids are the row's first columns.
+                    let width = codec::table(kind).series.len();
+                    let [run, t, seq] = key;
+                    let key_and_ids = [run, t, seq, ids[0], ids[1]];
+                    self.row(kind, &key_and_ids[..3 + width], Some(series), &row.0[width..])?;
+                }
             }
+            self.child_rows(kind, key, &children)?;
         }
         Ok(())
     }
@@ -136,14 +157,14 @@ impl<'t> Batch<'t> {
         Ok(*next - 1)
     }
 
-    fn row(&mut self, kind: Kind, key: [i64; 3], row: &Fields<'_>) -> Fallible<()> {
+    fn row(&mut self, kind: Kind, key: &[i64], series: Option<usize>, row: &[Value<'_>]) -> Fallible<()> {
         let mut statement = match self.rows[kind as usize].take() {
             Some(statement) => statement,
             None => {
                 self.transaction.prepare_cached(&insert(kind.as_str(), &[], codec::table(kind).columns))?
             }
         };
-        self.execute(&mut statement, &key, &row.0)?;
+        self.execute(&mut statement, key, series, row)?;
         self.rows[kind as usize] = Some(statement);
         Ok(())
     }
@@ -155,7 +176,7 @@ impl<'t> Batch<'t> {
             None => self.transaction.prepare_cached(&insert(table, &["place"], columns))?,
         };
         for (row, place) in rows.0.chunks(columns.len()).zip(0..) {
-            self.execute(&mut statement, &[run, t, seq, place], row)?;
+            self.execute(&mut statement, &[run, t, seq, place], None, row)?;
         }
         self.children[kind as usize] = Some(statement);
         Ok(())
@@ -165,6 +186,7 @@ impl<'t> Batch<'t> {
         &mut self,
         statement: &mut CachedStatement<'t>,
         key: &[i64],
+        series: Option<usize>,
         row: &[Value<'_>],
     ) -> Fallible<()> {
         let mut parameter = 1;
@@ -182,8 +204,9 @@ impl<'t> Batch<'t> {
                     let id = self.name(name)?;
                     statement.raw_bind_parameter(parameter, id)?;
                 }
-                Value::Conditions { link, direction, role, conditions } => {
-                    let id = self.conditions(link.as_str(), *direction, *role, conditions)?;
+                Value::Conditions(role, conditions) => {
+                    let series = series.expect("conditions are those of a link, which makes a series");
+                    let id = self.conditions(series, *role, conditions)?;
                     statement.raw_bind_parameter(parameter, id)?;
                 }
             }
@@ -210,48 +233,56 @@ impl<'t> Batch<'t> {
         Ok(id)
     }
 
-    fn conditions(
-        &mut self,
-        link: &str,
-        direction: Direction,
-        role: Role,
-        conditions: &Conditions,
-    ) -> Fallible<i64> {
-        let slot = (self.name(link)?, codec::direction_code(direction), role);
-        if let Some((last, id)) = self.known.conditions.get(&slot)
+    /// Where a series is known, and its ids.
+    fn series(&mut self, series: Series) -> Fallible<(usize, [i64; 2])> {
+        if let Some(place) = self.known.series.get(&series) {
+            return Ok((*place, self.known.of_series[*place].ids));
+        }
+        let ids = match &series {
+            Series::Robot(node) | Series::Radio(node) => [self.name(node.as_str())?, 0],
+            Series::Link(link, direction) => [self.name(link.as_str())?, codec::direction_code(*direction)],
+            Series::Placement(vnf) => [self.name(vnf.as_str())?, 0],
+            Series::VirtualLink(from, to) => [self.name(from.as_str())?, self.name(to.as_str())?],
+        };
+        let place = self.known.of_series.len();
+        self.known.of_series.push(KnownSeries {
+            ids,
+            presence: None,
+            conditions: [const { None }; Role::COUNT],
+        });
+        self.known.series.insert(series, place);
+        Ok((place, ids))
+    }
+
+    /// The id of a link's conditions, which are written when they differ from its last.
+    fn conditions(&mut self, series: usize, role: Role, conditions: &Conditions) -> Fallible<i64> {
+        if let Some((last, id)) = &self.known.of_series[series].conditions[role as usize]
             && last == conditions
         {
             return Ok(*id);
         }
         let mut row = Fields::default();
         codec::encode_conditions(conditions, &mut row);
-        let mut statement = self.transaction.prepare_cached(&insert_conditions())?;
-        self.execute(&mut statement, &[], &row.0)?;
+        let mut statement = self.transaction.prepare_cached(&insert_into("conditions", codec::CONDITIONS))?;
+        self.execute(&mut statement, &[], None, &row.0)?;
         let id = self.transaction.last_insert_rowid();
-        self.known.conditions.insert(slot, (conditions.clone(), id));
+        self.known.of_series[series].conditions[role as usize] = Some((conditions.clone(), id));
         Ok(id)
     }
 
     /// Notes that a series has a sample in a stretch, unless that is known.
-    fn presence(&mut self, kind: Kind, [run, t, _]: [i64; 3], row: &Fields<'_>) -> Fallible<()> {
-        let mut ids = [0; 2];
-        for (id, value) in ids.iter_mut().zip(&row.0[..codec::table(kind).series.len()]) {
-            *id = match value {
-                Value::Name(name) => self.name(name)?,
-                Value::Integer(n) => *n,
-                other => unreachable!("a series is named by names and numbers, not {other:?}"),
-            };
-        }
-        let (series, stretch) = ([run, kind as i64, ids[0], ids[1]], t / STRETCH);
-        if self.known.presence.get(&series) == Some(&stretch) {
+    fn presence(&mut self, kind: Kind, run: RunId, t: i64, series: usize) -> Fallible<()> {
+        let known = &mut self.known.of_series[series];
+        let stretch = t / STRETCH;
+        if known.presence.replace((run, stretch)) == Some((run, stretch)) {
             return Ok(());
         }
+        let [a, b] = known.ids;
         self.transaction
             .prepare_cached(
                 "INSERT INTO presence (run, kind, a, b, stretch) VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING",
             )?
-            .execute(params![run, series[1], series[2], series[3], stretch])?;
-        self.known.presence.insert(series, stretch);
+            .execute(params![run.0, kind as i64, a, b, stretch])?;
         Ok(())
     }
 }
@@ -259,10 +290,6 @@ impl<'t> Batch<'t> {
 fn insert(table: &str, key: &[&str], columns: &[&str]) -> String {
     let names = [&["run", "t_ns", "seq"], key, columns].concat();
     insert_into(table, &names)
-}
-
-fn insert_conditions() -> String {
-    insert_into("conditions", codec::CONDITIONS)
 }
 
 fn insert_into(table: &str, columns: &[&str]) -> String {
