@@ -14,8 +14,8 @@ use std::{
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, DomainId, HardwareGraph, HostAddress, Link, LinkId, Node, NodeId,
-    NodeKind, Rate, Server, Tier, Timestamp,
+    BitRate, Capacity, Conditions, Direction, DomainId, HardwareGraph, HostAddress, Link, LinkId, Loss, Node,
+    NodeId, NodeKind, Probability, Rate, Server, Tier, Timestamp,
 };
 
 use crate::{
@@ -73,36 +73,52 @@ pub fn round_trip(setting: Setting, one_way: Duration, round_trips: usize) -> Re
     let datapath = setting.start(&line(2, 1, &Conditions { delay: one_way, ..Conditions::default() }))?;
     let [client, server] = [0, 1].map(|place| socket(&datapath, place));
     let (client, server) = (client?, server?);
-    let clock = datapath.clock();
     let done = AtomicBool::new(false);
     thread::scope(|scope| {
-        scope.spawn(|| {
-            be_punctual();
-            let mut buffer = [0; 64];
-            while !done.load(Ordering::Relaxed) {
-                if let Ok((length, from)) = server.recv_from(&mut buffer) {
-                    let _ = server.send_to(&buffer[..length], from);
-                }
-            }
-        });
-        let samples = scope.spawn(|| {
-            be_punctual();
-            // The first few find out each other's addresses.
-            let samples = (0..round_trips + 10).map(|_| one_round_trip(&client, clock, one_way)).skip(10);
-            let samples: Result<Vec<_>, _> = samples.collect();
+        scope.spawn(|| echo(&server, &done));
+        let client = scope.spawn(|| {
+            let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
+            let percentiles = self::round_trips(&client, to, one_way, round_trips);
             done.store(true, Ordering::Relaxed);
-            samples
+            percentiles
         });
-        let samples = samples.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        samples.map(Percentiles::of).action("send a packet through the fabric")
+        let percentiles = client.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        percentiles.action("send a packet through the fabric")
     })
 }
 
-fn one_round_trip(client: &UdpSocket, clock: Clock, one_way: Duration) -> io::Result<Duration> {
-    let sent = clock.now();
-    client.send_to(&[0; 64], (HostAddress::of(1).ipv4, PORT))?;
-    client.recv_from(&mut [0; 64])?;
-    Ok(clock.now().since(sent).saturating_sub(one_way * 2))
+/// Sends back what comes until it is done. The socket needs a timeout, so that it can look.
+pub fn echo(server: &UdpSocket, done: &AtomicBool) {
+    be_punctual();
+    let mut buffer = [0; 64];
+    while !done.load(Ordering::Relaxed) {
+        if let Ok((length, from)) = server.recv_from(&mut buffer) {
+            let _ = server.send_to(&buffer[..length], from);
+        }
+    }
+}
+
+/// How much longer than twice the delay each of so many round trips to an [`echo`] takes, whatever lies between.
+///
+/// # Errors
+/// As [`UdpSocket::recv_from`].
+pub fn round_trips(
+    client: &UdpSocket,
+    to: SocketAddr,
+    one_way: Duration,
+    round_trips: usize,
+) -> io::Result<Percentiles> {
+    be_punctual();
+    let clock = Clock::start();
+    let once = |_| {
+        let sent = clock.now();
+        client.send_to(&[0; 64], to)?;
+        client.recv_from(&mut [0; 64])?;
+        Ok(clock.now().since(sent).saturating_sub(one_way * 2))
+    };
+    // The first few find out each other's addresses.
+    let samples: io::Result<Vec<_>> = (0..round_trips + 10).map(once).skip(10).collect();
+    samples.map(Percentiles::of)
 }
 
 /// What TCP carries in bit/s through so many links in a row, each with these conditions, for that long; its first
@@ -119,23 +135,34 @@ pub fn tcp_throughput(
     let datapath = setting.start(&line(2, links, conditions))?;
     let listener = host(&datapath, 1).run(|| TcpListener::bind((Ipv4Addr::UNSPECIFIED, PORT)));
     let listener = listener.action("listen in a node")?;
-    let clock = datapath.clock();
     thread::scope(|scope| {
-        let receiver = scope.spawn(move || receive_for(&listener, clock, length));
+        let receiver = scope.spawn(move || receive(&listener, length));
         let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
-        let sender = host(&datapath, 0).run(|| TcpStream::connect(to));
-        let mut sender = sender.action("connect through the fabric")?;
-        let chunk = vec![0; 1 << 20];
-        // The receiver hangs up when it has seen enough.
-        while sender.write_all(&chunk).is_ok() {}
+        host(&datapath, 0).run(|| send(to)).action("connect through the fabric")?;
         let rate = receiver.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         rate.action("receive in a node")
     })
 }
 
-fn receive_for(listener: &TcpListener, clock: Clock, length: Duration) -> io::Result<f64> {
+/// Sends over TCP until the other side hangs up, because it has seen enough.
+///
+/// # Errors
+/// As [`TcpStream::connect`].
+pub fn send(to: SocketAddr) -> io::Result<()> {
+    let mut sender = TcpStream::connect(to)?;
+    let chunk = vec![0; 1 << 20];
+    while sender.write_all(&chunk).is_ok() {}
+    Ok(())
+}
+
+/// What the first that connects sends in bit/s, for that long; the first fifth not counted.
+///
+/// # Errors
+/// As [`TcpListener::accept`] and [`TcpStream::read`].
+pub fn receive(listener: &TcpListener, length: Duration) -> io::Result<f64> {
     let (mut receiver, _) = listener.accept()?;
     let mut buffer = vec![0; 1 << 20];
+    let clock = Clock::start();
     let begin = clock.now();
     let (mut bytes, mut from) = (0, None);
     loop {
@@ -252,6 +279,42 @@ pub fn rate_error(setting: Setting, rate: BitRate, length: Duration) -> Result<f
         let measured = bits / last.since(*first).as_secs_f64();
         Ok((measured / rate.bits_per_second() as f64 - 1.0).abs())
     })
+}
+
+/// What became of packets on a lossy link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LossCount {
+    /// Packets that the link was given.
+    pub packets: u64,
+    /// Those of them that it lost.
+    pub lost: u64,
+}
+
+/// Sends UDP packets of 64 bytes over a link that loses that share of them, until it was given so many.
+///
+/// # Errors
+/// [`Error::Kernel`].
+pub fn loss(setting: Setting, rate: Probability, packets: u64) -> Result<LossCount, Error> {
+    let lossy = Conditions { loss: Loss::Independent { rate }, ..Conditions::default() };
+    let datapath = setting.start(&line(2, 1, &lossy))?;
+    // Nobody reads from the server's, but where nobody listens, errors would come back.
+    let (client, _server) = (socket(&datapath, 0)?, socket(&datapath, 1)?);
+    let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
+    loop {
+        for _ in 0..10_000 {
+            let _ = client.send_to(&[0; 64], to);
+        }
+        // The link counts, so that what a full socket drops on the way to it or from it does not matter.
+        let counted = datapath.handle().with(|fabric, now| {
+            let links = fabric.link_contexts(now);
+            let forward = links.into_iter().find(|link| link.direction == Direction::Forward);
+            let counters = forward.map(|link| link.counters).unwrap_or_default();
+            LossCount { packets: counters.packets + counters.lost, lost: counters.lost }
+        })?;
+        if counted.packets >= packets {
+            return Ok(counted);
+        }
+    }
 }
 
 /// What it takes to bring hosts up and to be rid of them.
