@@ -1,1 +1,63 @@
-fn main() {}
+//! The command line of cotorra. It reads arguments, calls the crates below, and shows what they say; nothing else
+//! is decided here.
+#![forbid(unsafe_code)]
+
+mod bench;
+mod check;
+mod clean;
+mod cli;
+mod doctor;
+mod exec;
+mod logs;
+mod output;
+mod run;
+mod signals;
+mod table;
+mod testbed_file;
+
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser};
+use miette::{IntoDiagnostic, MietteHandlerOpts};
+
+use cli::{BundledVnf, Cli, Command};
+use testbed_file::FileError;
+
+fn main() -> ExitCode {
+    // What our errors say has their causes in it.
+    miette::set_hook(Box::new(|_| Box::new(MietteHandlerOpts::new().without_cause_chain().build())))
+        .expect("nothing was reported yet");
+    match dispatch(Cli::parse().command) {
+        Ok(code) => code,
+        Err(report) => {
+            match report.downcast::<FileError>() {
+                Ok(error) => error.show(),
+                Err(report) => eprintln!("{report:?}"),
+            }
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn dispatch(command: Command) -> miette::Result<ExitCode> {
+    match command {
+        Command::Run(args) => return run::run(args),
+        Command::Check(args) => return check::check(&args),
+        Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
+        Command::OpenApi => output::print(&cotorra_testbed::openapi())?,
+        Command::Doctor => doctor::doctor()?,
+        Command::Clean(args) => clean::clean(&args)?,
+        Command::Exec(args) => match exec::exec(&args)? {},
+        Command::Bench(args) => bench::bench(&args)?,
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "cotorra", &mut script);
+            output::print(&String::from_utf8_lossy(&script))?;
+        }
+        Command::Vnf { vnf: BundledVnf::Navigation } => {
+            match cotorra_testbed::navigation().into_diagnostic()? {}
+        }
+        Command::Probe { probe } => bench::probe(&probe)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,114 @@
+//! `cotorra bench`: what the emulated network does on this machine, as a table, with peers beside it where they are
+//! installed.
+
+mod figures;
+mod load;
+mod peers;
+
+use std::{path::PathBuf, time::Duration};
+
+use cotorra_datapath::{Privilege, enter_user_namespace_if_needed};
+use indicatif::{ProgressBar, ProgressStyle};
+use miette::Diagnostic;
+
+use crate::{cli::BenchArgs, output, table::Table};
+use figures::{ALL, Benchmark};
+use load::Load;
+
+pub use peers::print_probe as probe;
+
+/// What keeps benchmarks from being run.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum Error {
+    #[error("there is no benchmark `{name}`")]
+    #[diagnostic(help("there are: {}", names()))]
+    Unknown { name: String },
+    #[error(transparent)]
+    #[diagnostic(help("`cotorra doctor` says what this machine can do, and what to do about the rest"))]
+    Datapath(#[from] cotorra_datapath::Error),
+}
+
+fn names() -> String {
+    ALL.iter().map(|benchmark| benchmark.name).collect::<Vec<_>>().join(", ")
+}
+
+/// What a benchmark has at hand.
+pub struct Bench {
+    progress: ProgressBar,
+    rattan: PathBuf,
+    /// Whether we are root, as peers want it.
+    root: bool,
+}
+
+impl Bench {
+    /// Says what is being done.
+    fn doing(&self, what: impl Into<std::borrow::Cow<'static, str>>) {
+        self.progress.set_message(what);
+    }
+}
+
+/// One line of the table.
+#[derive(Debug)]
+pub struct Row {
+    /// What was measured.
+    figure: String,
+    median: String,
+    tail: String,
+    /// What it is meant to reach, on a machine of two cores.
+    goal: &'static str,
+}
+
+impl Row {
+    fn new(figure: impl Into<String>, median: impl Into<String>, tail: impl Into<String>) -> Self {
+        Self { figure: figure.into(), median: median.into(), tail: tail.into(), goal: "" }
+    }
+
+    fn aiming_at(self, goal: &'static str) -> Self {
+        Self { goal, ..self }
+    }
+}
+
+/// Runs the benchmarks and prints the table.
+pub fn bench(args: &BenchArgs) -> miette::Result<()> {
+    if args.list {
+        let mut table = Table::new("<<");
+        ALL.iter().for_each(|benchmark| table.row([benchmark.name, benchmark.about]));
+        return output::print(&table.render(""));
+    }
+    let chosen = choose(&args.names)?;
+    let root = enter_user_namespace_if_needed().map_err(Error::from)? == Privilege::Root;
+    output::print(&format!("{}\n\n", load::machine(root)))?;
+
+    let style = ProgressStyle::with_template("{spinner} {prefix:.bold}  {wide_msg}")
+        .expect("a template that is right");
+    let progress = ProgressBar::new_spinner().with_style(style);
+    progress.enable_steady_tick(Duration::from_millis(120));
+    let bench = Bench { progress, rattan: args.rattan.clone(), root };
+    let mut table = Table::new("<><<>");
+    table.row(["figure", "median", "tail", "to reach", "others' CPU"]);
+    for (i, benchmark) in chosen.iter().enumerate() {
+        bench.progress.set_prefix(format!("{} of {}, {}", i + 1, chosen.len(), benchmark.name));
+        let load = Load::begin();
+        let rows = (benchmark.measure)(&bench)
+            .unwrap_or_else(|error| vec![Row::new(benchmark.about, "-", format!("not measured: {error}"))]);
+        let others = load.others();
+        for (i, row) in rows.into_iter().enumerate() {
+            let others = if i == 0 { others.clone() } else { String::new() };
+            table.row([row.figure, row.median, row.tail, row.goal.to_owned(), others]);
+        }
+    }
+    bench.progress.finish_and_clear();
+    output::print(&table.render(""))
+}
+
+fn choose(names: &[String]) -> Result<Vec<&'static Benchmark>, Error> {
+    if names.is_empty() {
+        return Ok(ALL.iter().collect());
+    }
+    let find = |name: &String| {
+        ALL.iter()
+            .find(|benchmark| benchmark.name == name)
+            .ok_or_else(|| Error::Unknown { name: name.clone() })
+    };
+    names.iter().map(find).collect()
+}

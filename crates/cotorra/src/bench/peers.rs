@@ -1,0 +1,146 @@
+//! Peers, measured in the same way: rattan between two sockets of our own, Mininet by its own words.
+
+use std::{
+    env, io,
+    net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket},
+    process::{Command, Output, Stdio},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use cotorra_datapath::{
+    Namespace,
+    bench::{Percentiles, echo, receive, round_trips, send},
+};
+
+use super::Bench;
+use crate::{cli::Probe, output};
+
+const PORT: u16 = 7711;
+
+/// Why a peer was not measured.
+#[derive(Debug, thiserror::Error)]
+pub enum Missing {
+    #[error("not installed ({0})")]
+    NotInstalled(&'static str),
+    #[error("needs root")]
+    NeedsRoot,
+    #[error("{0}")]
+    Failed(String),
+}
+
+impl From<io::Error> for Missing {
+    fn from(error: io::Error) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+/// Runs one end of a measurement inside a peer.
+pub fn probe(probe: &Probe) -> io::Result<String> {
+    match *probe {
+        Probe::RoundTrips { to, one_way_us, count } => {
+            let client = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+            client.set_read_timeout(Some(Duration::from_secs(1)))?;
+            let to = SocketAddr::new(to, PORT);
+            let Percentiles { p50, p99, max } =
+                round_trips(&client, to, Duration::from_micros(one_way_us), count)?;
+            Ok(format!("{} {} {}\n", p50.as_nanos(), p99.as_nanos(), max.as_nanos()))
+        }
+        Probe::Send { to } => send(SocketAddr::new(to, PORT)).map(|()| String::new()),
+    }
+}
+
+/// Round trips through rattan with that delay in each direction.
+pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Result<Percentiles, Missing> {
+    // What rattan sets up in the namespace around it goes away with that.
+    namespace()?.run(|| {
+        let server = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, PORT))?;
+        server.set_read_timeout(Some(Duration::from_secs(1)))?;
+        let done = AtomicBool::new(false);
+        let one_way_us = one_way.as_micros().to_string();
+        let printed = thread::scope(|scope| {
+            scope.spawn(|| echo(&server, &done));
+            let delay = format!("{one_way_us}us");
+            let link = ["--uplink-delay", &delay, "--downlink-delay", &delay];
+            let printed = rattan(bench, &link, &["round-trips", &one_way_us, &count.to_string()]);
+            done.store(true, Ordering::Relaxed);
+            printed
+        })?;
+        let nanos = printed.split_whitespace().map(|word| word.parse().map(Duration::from_nanos));
+        match nanos.collect::<Result<Vec<_>, _>>().as_deref() {
+            Ok(&[p50, p99, max]) => Ok(Percentiles { p50, p99, max }),
+            _ => Err(Missing::Failed(format!("its probe said {printed:?}"))),
+        }
+    })
+}
+
+/// What TCP carries through rattan in bit/s, for that long.
+pub fn rattan_throughput(bench: &Bench, length: Duration) -> Result<f64, Missing> {
+    namespace()?.run(|| {
+        let listener = TcpListener::bind((Ipv4Addr::UNSPECIFIED, PORT))?;
+        thread::scope(|scope| {
+            let received = scope.spawn(|| receive(&listener, length));
+            rattan(bench, &["--uplink-delay", "0us", "--downlink-delay", "0us"], &["send"])?;
+            Ok(received.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?)
+        })
+    })
+}
+
+fn namespace() -> Result<Namespace, Missing> {
+    Namespace::new().map_err(|error| Missing::Failed(error.to_string()))
+}
+
+/// Whether rattan can be measured; to be asked before the rest.
+pub fn rattan_is_there(bench: &Bench) -> Result<(), Missing> {
+    let version =
+        Command::new(&bench.rattan).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    match version {
+        Err(_) => Err(Missing::NotInstalled("cargo install rattan, or --rattan PATH")),
+        Ok(_) if !bench.root => Err(Missing::NeedsRoot),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// Runs our probe at the far side of a rattan link; gives what it printed.
+fn rattan(bench: &Bench, link: &[&str], probe: &[&str]) -> Result<String, Missing> {
+    let mut command = Command::new(&bench.rattan);
+    command.arg("link").args(link).arg("--").arg(env::current_exe()?).arg("probe").args(probe);
+    succeed(command.output()?).map(|(printed, _)| printed)
+}
+
+/// How long Mininet takes to bring hosts in a line of switches up and down again, by its own clock.
+pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
+    let topology = format!("linear,{hosts}");
+    let mut command = Command::new("mn");
+    // Linux bridges and no controller: the least that it can do.
+    command.args(["--topo", &topology, "--switch", "lxbr", "--controller", "none", "--test", "none"]);
+    let output = match command.output() {
+        Err(_) => return Err(Missing::NotInstalled("apt-get install mininet")),
+        Ok(_) if !bench.root => return Err(Missing::NeedsRoot),
+        Ok(output) => output,
+    };
+    let (printed, said) = succeed(output)?;
+    // "completed in 6.543 seconds" is its last line.
+    let text = printed + &said;
+    let seconds =
+        text.rsplit_once("completed in ").and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());
+    let seconds = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.ok_or_else(|| Missing::Failed("it did not say how long it took".to_owned()))
+}
+
+fn succeed(output: Output) -> Result<(String, String), Missing> {
+    let [printed, said] =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    if output.status.success() {
+        return Ok((printed, said));
+    }
+    let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
+    Err(Missing::Failed(format!("{}: {last}", output.status)))
+}
+
+/// `probe` as a command.
+pub fn print_probe(probe_of: &Probe) -> miette::Result<()> {
+    use miette::IntoDiagnostic;
+    output::print(&probe(probe_of).into_diagnostic()?)
+}

@@ -1,0 +1,275 @@
+//! What can be typed: the commands, their options, and the help that says it.
+
+use std::{
+    net::{IpAddr, SocketAddr},
+    path::PathBuf,
+    time::Duration,
+};
+
+use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
+use cotorra_graph::NodeId;
+
+/// Where a run serves its API unless that is taken.
+pub const DEFAULT_API: &str = "127.0.0.1:7700";
+
+/// A context-aware testbed for networked robots.
+///
+/// cotorra brings a testbed file to life on this machine - robots, radio units, switches, servers and the links
+/// between them, with real packets - and measures whether a robot that offloads its navigation keeps its target
+/// service time.
+#[derive(Debug, Parser)]
+#[command(name = "cotorra", version, max_term_width = 100, after_long_help = EXAMPLES)]
+pub struct Cli {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  cotorra doctor                                   what this machine can do
+  cotorra check testbeds/corridor.yaml             is this testbed file right?
+  cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
+  cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
+
+Exit status:
+  0  done
+  1  an error, told on standard error
+  2  wrong usage
+  3  the run is done and its report written, but its verdict says that the figures are not valid";
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    Run(RunArgs),
+    Check(CheckArgs),
+    /// Print the JSON Schema of a testbed file
+    ///
+    /// Editors use it to complete and explain keys, and to mark mistakes while one types.
+    #[command(after_long_help = "\
+Examples:
+  cotorra schema > testbed.schema.json
+  # then, as the first line of a testbed file:
+  # yaml-language-server: $schema=testbed.schema.json")]
+    Schema,
+    /// Print the OpenAPI document of the HTTP API
+    ///
+    /// The same that a run serves at /openapi.json.
+    #[command(name = "openapi")]
+    OpenApi,
+    /// Say what this machine can do, and what to do about the rest
+    ///
+    /// Everything is tried, nothing is left behind. What is missing comes with the reason and a remedy; most of it
+    /// is not needed.
+    Doctor,
+    Clean(CleanArgs),
+    Exec(ExecArgs),
+    Bench(BenchArgs),
+    /// Print a completion script for a shell
+    #[command(after_long_help = "\
+Examples:
+  cotorra completions bash > ~/.local/share/bash-completion/completions/cotorra
+  cotorra completions zsh > ~/.zfunc/_cotorra
+  cotorra completions fish > ~/.config/fish/completions/cotorra.fish")]
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+    /// Run a bundled VNF; what a run starts inside nodes.
+    #[command(hide = true)]
+    Vnf {
+        #[command(subcommand)]
+        vnf: BundledVnf,
+    },
+    /// Run one end of a measurement; what a benchmark starts inside a peer.
+    #[command(hide = true)]
+    Probe {
+        #[command(subcommand)]
+        probe: Probe,
+    },
+}
+
+/// Ends of measurements.
+#[derive(Debug, Clone, Copy, Subcommand)]
+pub enum Probe {
+    /// Round trips to an echo, on top of twice the delay; prints median, 99th percentile and maximum in ns.
+    RoundTrips {
+        one_way_us: u64,
+        count: usize,
+        /// The far side, as rattan tells it.
+        #[arg(long, env = "RATTAN_BASE")]
+        to: IpAddr,
+    },
+    /// Sends over TCP until the other side has enough.
+    Send {
+        /// The far side, as rattan tells it.
+        #[arg(long, env = "RATTAN_BASE")]
+        to: IpAddr,
+    },
+}
+
+/// VNFs that come with cotorra.
+#[derive(Debug, Clone, Copy, Subcommand)]
+pub enum BundledVnf {
+    /// The brain: answers position packets with navigation packets.
+    Navigation,
+}
+
+/// Bring a testbed up, run it, and report
+///
+/// Everything in the file comes to life: a network namespace for each host, links and radio with real packets
+/// between them, a process for each VNF, the robots and the plug-ins. The run ends when every robot is at the end of
+/// its walk, with --until, or with Ctrl-C, which loses nothing; a second Ctrl-C ends it at once.
+///
+/// It leaves a folder with summary.json, service_time.csv, service_time.svg, history.sqlite, the logs and the testbed
+/// file as it was run.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra run testbeds/corridor.yaml
+  cotorra run testbeds/corridor.yaml --until 60s --seed 7
+  cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
+  cotorra run testbeds/corridor.yaml --dry-run
+  COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
+
+Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+pub struct RunArgs {
+    /// The testbed file.
+    pub file: PathBuf,
+    /// End after so much time, such as 60s or 2min, if the walks take longer
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Seed of everything random, in place of the file's
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Folder in which the run gets a folder of its own
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub out: PathBuf,
+    /// Write plain lines in place of the live view
+    ///
+    /// So it is by itself where standard error is no terminal.
+    #[arg(long)]
+    pub headless: bool,
+    /// Address of the HTTP API
+    ///
+    /// Without it, 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token
+    /// of 16 characters or more in COTORRA_TOKEN.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub api: Option<SocketAddr>,
+    /// Only say what would be brought up
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Say more on standard error; twice for even more
+    ///
+    /// The log in the run's folder always has the first of the two; COTORRA_LOG filters both in more detail.
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// Check testbed files
+///
+/// Says everything that is wrong with each, in its place, with what would be right; or, where nothing is, what the
+/// testbed holds.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra check testbeds/*.yaml
+
+Exit status: 0 if all are right, 1 if one is not.")]
+pub struct CheckArgs {
+    /// The testbed files.
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+}
+
+/// Remove what killed runs left behind
+///
+/// Namespaces, interfaces and processes go with their run, however it ends. Control groups do not when a run is
+/// killed with SIGKILL; the next run removes them, or this.
+#[derive(Debug, Args)]
+pub struct CleanArgs {
+    /// Only say what would be removed
+    #[arg(short = 'n', long)]
+    pub dry_run: bool,
+}
+
+/// Run a program inside a node of the running testbed
+///
+/// The program sees the node's network and nothing else changes: same files, same user, same terminal. Nodes have
+/// their names.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra exec robot -- ping -c 3 cloud
+  cotorra exec edge -- iperf3 -s
+  cotorra exec robot -- bash
+
+Exit status: the program's.")]
+pub struct ExecArgs {
+    /// The node.
+    pub node: NodeId,
+    /// The program and its arguments.
+    #[arg(required = true, last = true, value_name = "COMMAND")]
+    pub command: Vec<String>,
+    /// Address of the run's API, as its terminal shows it
+    #[arg(long, value_name = "ADDR:PORT", default_value = DEFAULT_API)]
+    pub api: SocketAddr,
+}
+
+/// Measure what the emulated network does on this machine
+///
+/// Prints median and tail of each figure. Peers are measured beside it where they are installed: rattan (from PATH or
+/// --rattan) and Mininet (`mn`).
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Which benchmarks; all if none is named
+    #[arg(value_name = "NAME")]
+    pub names: Vec<String>,
+    /// List the benchmarks
+    #[arg(long, conflicts_with = "names")]
+    pub list: bool,
+    /// The program rattan, to be measured beside
+    #[arg(long, value_name = "PATH", default_value = "rattan")]
+    pub rattan: PathBuf,
+}
+
+/// Reads `60s`, `1.5min`, `500 ms`. A bare number is an error, because seconds and milliseconds look alike.
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    const UNITS: [(&str, f64); 4] = [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)];
+    let text = text.trim();
+    let (figure, unit) = text.split_at(text.find(|c: char| c.is_alphabetic()).unwrap_or(text.len()));
+    let figure = figure.trim_end();
+    let number: f64 = figure.parse().map_err(|_| "write it like 60s or 2min".to_owned())?;
+    let Some((_, seconds)) = UNITS.into_iter().find(|(name, _)| *name == unit) else {
+        return Err(match unit {
+            "" => format!("it has no unit: write {figure}s or {figure}min"),
+            "m" => format!("`m` could be minutes or metres: write {figure}min"),
+            _ => "the units are ms, s, min and h".to_owned(),
+        });
+    };
+    if number <= 0.0 {
+        return Err("it must be above zero".to_owned());
+    }
+    Duration::try_from_secs_f64(number * seconds).map_err(|_| "it is too long".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn durations_need_their_unit() {
+        assert_eq!(parse_duration("60s"), Ok(Duration::from_secs(60)));
+        assert_eq!(parse_duration("1.5 min"), Ok(Duration::from_secs(90)));
+        assert_eq!(parse_duration("250ms"), Ok(Duration::from_millis(250)));
+        assert_eq!(parse_duration("60"), Err("it has no unit: write 60s or 60min".to_owned()));
+        for wrong in ["", "s", "-1s", "0s", "1 day", "5m", "1e400s", "1e300h", "nans", "infs"] {
+            assert!(parse_duration(wrong).is_err(), "{wrong}");
+        }
+    }
+}

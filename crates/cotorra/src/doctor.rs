@@ -1,0 +1,47 @@
+//! `cotorra doctor`: what this machine can do, each with the reason where not, and what to do about it.
+
+use console::{Term, style};
+use cotorra_datapath::{CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
+
+use crate::{output, table::wrap};
+
+/// Nobody reads longer lines with ease.
+const WIDEST: usize = 100;
+
+/// Tries everything and prints what it found.
+pub fn doctor() -> miette::Result<()> {
+    let privilege = enter_user_namespace_if_needed();
+    let capabilities = probe();
+    let width = usize::from(Term::stdout().size().1).min(WIDEST);
+    let widest = capabilities.iter().map(|c| c.name.len()).max().unwrap_or(0);
+    let indent = " ".repeat(4);
+    let mut text = String::new();
+    for capability in &capabilities {
+        let name = format!("{:widest$}", capability.name);
+        match &capability.state {
+            CapabilityState::Available(detail) => {
+                let detail = if detail.is_empty() { String::new() } else { format!(" ({detail})") };
+                text += &format!(
+                    "{} {}  {}{detail}\n",
+                    style("✓").green(),
+                    style(name).bold(),
+                    capability.purpose
+                );
+            }
+            CapabilityState::Missing { reason, remedy } => {
+                text += &format!("{} {}  {}\n", style("✗").red(), style(name).bold(), capability.purpose);
+                text += &wrap(&format!("why: {reason}"), &indent, width);
+                text += &wrap(&format!("what to do: {remedy}"), &indent, width);
+            }
+        }
+    }
+    text += "\n";
+    text += &match privilege {
+        Ok(Privilege::Root) => "cotorra can run testbeds here, as root.\n".to_owned(),
+        Ok(Privilege::UserNamespace) => {
+            "cotorra can run testbeds here, as an ordinary user in a user namespace.\n".to_owned()
+        }
+        Err(error) => format!("cotorra cannot run testbeds here: {error}.\n"),
+    };
+    output::print(&text)
+}

@@ -1,0 +1,114 @@
+//! `cotorra run`: brings a testbed up, shows how it goes, ends it in order, and says what came of it.
+
+mod plan;
+mod summary;
+mod tally;
+mod view;
+
+use std::{
+    env, io,
+    path::PathBuf,
+    process::ExitCode,
+    sync::mpsc::{self, RecvTimeoutError},
+    time::Duration,
+};
+
+use cotorra_testbed::{Options, Run, RunError, Summary, Token};
+use indicatif::{MultiProgress, ProgressDrawTarget};
+
+use crate::{cli::RunArgs, logs, output, signals, testbed_file};
+use view::{Places, View};
+
+/// How often the view is drawn anew; more often than robots say where they are.
+const FRAME: Duration = Duration::from_millis(100);
+/// The figures of a run are not valid.
+const NOT_VALID: u8 = 3;
+
+/// The environment variable with the API's token.
+pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
+
+/// What keeps a run from its beginning or its end.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error(transparent)]
+    #[diagnostic(help("`cotorra doctor` says what this machine can do, and what to do about the rest"))]
+    Datapath(cotorra_datapath::Error),
+    #[error(transparent)]
+    Run(RunError),
+    #[error("{TOKEN_VARIABLE} is too short to be a secret")]
+    #[diagnostic(help("use 16 characters or more: {TOKEN_VARIABLE}=$(openssl rand -hex 16)"))]
+    Token,
+    #[error("cannot write {}: {source}", path.display())]
+    Log { path: PathBuf, source: io::Error },
+    #[error("cannot listen to Ctrl-C: {0}")]
+    Signals(ctrlc::Error),
+}
+
+impl From<RunError> for Error {
+    fn from(error: RunError) -> Self {
+        match error {
+            RunError::Datapath(error) => Self::Datapath(error),
+            other => Self::Run(other),
+        }
+    }
+}
+
+/// Runs a testbed.
+pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
+    let loaded = testbed_file::load(&args.file)?;
+    let token = token()?;
+    let options = Options { seed: args.seed, until: args.until, out: args.out.clone(), api: args.api, token };
+    if args.dry_run {
+        output::print(&plan::describe(&loaded.testbed, &args))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    // Before the first thread: only a process with a single one may enter a user namespace.
+    cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
+
+    let target = if args.headless { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+    let terminal = MultiProgress::with_draw_target(target);
+    let log = logs::begin(args.verbose, &terminal);
+    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let run = Run::start(loaded.testbed, &loaded.text, &args.file, options).map_err(Error::from)?;
+    let folder = run.folder().to_owned();
+    let path = folder.join("logs/cotorra.log");
+    log.open(&path).map_err(|source| Error::Log { path, source })?;
+
+    let testbed = run.testbed().clone();
+    let places = Places { api: run.api_address(), folder: &folder };
+    let mut view = View::new(&testbed, args.until, &places, &terminal);
+    watch(&run, &mut view, &interrupts);
+    let summary = run.finish().map_err(Error::from);
+    view.close();
+    let summary = summary?;
+    output::print(&summary::describe(&summary, &folder))?;
+    Ok(verdict(&summary))
+}
+
+/// The API's token, if one is set.
+pub fn token_text() -> Option<String> {
+    env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
+}
+
+fn token() -> Result<Option<Token>, Error> {
+    token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()
+}
+
+/// Shows how a run goes until it has come to its end, by itself or because someone wants it to.
+fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
+    while !run.is_finished() {
+        run.live().read(|now| view.show(now));
+        match interrupts.recv_timeout(FRAME) {
+            Ok(()) => {
+                view.ending();
+                run.stopper().stop();
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return,
+        }
+    }
+}
+
+fn verdict(summary: &Summary) -> ExitCode {
+    if summary.fidelity.valid { ExitCode::SUCCESS } else { ExitCode::from(NOT_VALID) }
+}

@@ -1,0 +1,80 @@
+//! What `run --dry-run` says: everything that a run would bring up.
+
+use cotorra_graph::{NodeKind, Program, Tier, Vnf};
+
+use crate::{
+    cli::{DEFAULT_API, RunArgs},
+    table::Table,
+    testbed_file::{length, overview},
+};
+use cotorra_graph::{PluginProgram, Testbed};
+
+/// What a run with these arguments would bring up.
+pub fn describe(testbed: &Testbed, args: &RunArgs) -> String {
+    let mut text =
+        format!("{}: {}\n\nHosts, each with a network namespace:\n", args.file.display(), overview(testbed));
+    let mut hosts = Table::new("<<<<<");
+    for node in testbed.graph.hosts() {
+        let address = testbed.graph.address(&node.id);
+        let vnfs = testbed.services.iter().flat_map(|s| &s.vnfs).filter(|vnf| vnf.node == node.id);
+        hosts.row([
+            node.id.to_string(),
+            kind(&node.kind).to_owned(),
+            address.map(|a| a.ipv4.to_string()).unwrap_or_default(),
+            address.map(|a| a.ipv6.to_string()).unwrap_or_default(),
+            vnfs.map(program).collect::<Vec<_>>().join(", "),
+        ]);
+    }
+    text += &hosts.render("  ");
+    if !testbed.walks.is_empty() {
+        text += "\nWalks:\n";
+        let mut walks = Table::new("<>>");
+        for walk in &testbed.walks {
+            let metres = length(&walk.waypoints);
+            let at_least = format!("{:.0} s or more", metres / walk.speed_limit);
+            walks.row([walk.robot.to_string(), format!("{metres:.1} m"), at_least]);
+        }
+        text += &walks.render("  ");
+    }
+    if !testbed.plugins.is_empty() {
+        text += "\nPlug-ins:\n";
+        let mut plugins = Table::new("<<");
+        for plugin in &testbed.plugins {
+            let program = match &plugin.program {
+                PluginProgram::Bundled(name) => format!("bundled `{name}`"),
+                PluginProgram::Command(words) => words.join(" "),
+            };
+            plugins.row([plugin.id.to_string(), program]);
+        }
+        text += &plugins.render("  ");
+    }
+    let mut rest = Table::new("<<");
+    rest.row(["seed".to_owned(), args.seed.unwrap_or(testbed.seed).to_string()]);
+    let until = args.until.map_or(String::new(), |until| format!(", or after {} s", until.as_secs_f64()));
+    rest.row(["ends".to_owned(), format!("at the end of the walks{until}, or with Ctrl-C")]);
+    let api = args.api.map_or(format!("http://{DEFAULT_API}"), |api| format!("http://{api}"));
+    rest.row(["API".to_owned(), api]);
+    rest.row(["folder".to_owned(), args.out.join(format!("{}-<time>", testbed.name)).display().to_string()]);
+    text + "\n" + &rest.render("")
+}
+
+fn kind(kind: &NodeKind) -> &'static str {
+    match kind {
+        NodeKind::Robot(_) => "robot",
+        NodeKind::RadioUnit(_) => "radio unit",
+        NodeKind::Switch => "switch",
+        NodeKind::Server(server) => match server.tier {
+            Tier::Fog => "server, fog",
+            Tier::Edge => "server, edge",
+            Tier::Cloud => "server, cloud",
+        },
+    }
+}
+
+fn program(vnf: &Vnf) -> String {
+    match &vnf.program {
+        Program::RobotDriver => format!("{} (robot driver)", vnf.id),
+        Program::Navigation => format!("{} (bundled brain)", vnf.id),
+        Program::Command(words) => format!("{} ({})", vnf.id, words.join(" ")),
+    }
+}

@@ -1,0 +1,85 @@
+//! What a run says at its end: the summary that is also in its folder, for people.
+
+use std::path::Path;
+
+use console::style;
+use cotorra_testbed::{Quantiles, Summary};
+
+use super::view::{clock, millis};
+use crate::{table::Table, testbed_file::count};
+
+/// A region with fewer samples is left out of the table, as what lies between two decisions of one moment.
+const NOT_WORTH_A_ROW: usize = 2;
+
+/// The summary of a run, and where to find the rest.
+pub fn describe(summary: &Summary, folder: &Path) -> String {
+    let unanswered = match summary.unanswered {
+        0 => String::new(),
+        n => format!(" ({n} without an answer)"),
+    };
+    let mut text = format!(
+        "{}: {} after {}, {}{unanswered}\n",
+        style(&summary.name).bold(),
+        summary.ended,
+        clock(summary.duration_s),
+        count(summary.samples, "sample"),
+    );
+    if !summary.regions.is_empty() {
+        text += "\n";
+        text += &regions(summary);
+    }
+    text += "\n";
+    text += &figures(summary).render("  ");
+    for fault in &summary.plugin_faults {
+        text += &format!("  {} plug-in cut off: {fault}\n", style("!").red());
+    }
+    if summary.history_dropped > 0 {
+        text += &format!("  {} the history lacks {} events\n", style("!").red(), summary.history_dropped);
+    }
+    text + &format!(
+        "\n{}/\n  summary.json  service_time.csv  service_time.svg  history.sqlite  testbed.yaml  logs/\n",
+        folder.display()
+    )
+}
+
+fn regions(summary: &Summary) -> String {
+    let robots = summary.regions.iter().any(|region| region.robot != summary.regions[0].robot);
+    let mut table = Table::new(if robots { "<<<>>>>" } else { "<<>>>>" });
+    let robot = |name: &str| robots.then(|| name.to_owned());
+    let heads = ["attached to", "navigation on", "from", "to", "samples", "median"].map(str::to_owned);
+    table.row(robot("robot").into_iter().chain(heads));
+    for region in summary.regions.iter().filter(|region| region.samples >= NOT_WORTH_A_ROW) {
+        let cells = [
+            region.attachment.as_ref().map_or("none".to_owned(), |id| id.to_string()),
+            region.server.to_string(),
+            clock(region.from_s),
+            clock(region.to_s),
+            region.samples.to_string(),
+            region.p50_ms.map_or("no answer".to_owned(), |ms| format!("{ms:.2} ms")),
+        ];
+        table.row(robot(region.robot.as_str()).into_iter().chain(cells));
+    }
+    table.render("  ")
+}
+
+fn figures(summary: &Summary) -> Table {
+    let mut table = Table::new("<<");
+    if let Some(Quantiles { p50, p95, p99, max }) = summary.service_time_ms {
+        let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
+        table.row(["service time".to_owned(), text]);
+    }
+    if let (Some(target), Some(above)) = (summary.target_ms, summary.above_target) {
+        table.row([
+            "above target".to_owned(),
+            format!("{:.1} % of the samples took more than {target} ms", above * 100.0),
+        ]);
+    }
+    let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
+    let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", millis(gaps.p50), millis(gaps.max)));
+    table.row(["handovers".to_owned(), format!("{}{}", summary.handovers.len(), gaps.unwrap_or_default())]);
+    let verdict =
+        if summary.fidelity.valid { style("valid").green() } else { style("NOT VALID").red().bold() };
+    table.row(["fidelity".to_owned(), format!("{verdict}: {}", summary.fidelity.reason)]);
+    table.row(["seed".to_owned(), summary.seed.to_string()]);
+    table
+}

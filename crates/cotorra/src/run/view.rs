@@ -1,0 +1,223 @@
+//! What a run shows while it goes: a live view on a terminal, else a plain line now and then.
+
+use std::{path::Path, time::Duration};
+
+use cotorra_graph::{NodeId, Program, RobotContext, Testbed, Walk};
+use cotorra_testbed::Snapshot;
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+
+use super::tally::Tally;
+use crate::testbed_file::length;
+
+/// More robots than this are only counted.
+const ROBOTS_SHOWN: usize = 8;
+/// Run time between two plain lines, seconds.
+const LINE_EVERY_S: f64 = 10.0;
+/// Steps of the progress bar.
+const STEPS: u64 = 10_000;
+
+/// Where a run can be reached and found.
+#[derive(Debug)]
+pub struct Places<'a> {
+    pub api: std::net::SocketAddr,
+    pub folder: &'a Path,
+}
+
+/// Shows how a run goes.
+pub struct View<'a> {
+    testbed: &'a Testbed,
+    until: Option<Duration>,
+    tally: Tally,
+    shape: Shape,
+}
+
+enum Shape {
+    Live { bar: ProgressBar, robots: Vec<(NodeId, ProgressBar)>, so_far: ProgressBar, places: ProgressBar },
+    Lines { next_s: f64 },
+}
+
+impl<'a> View<'a> {
+    /// A view on `terminal`, or plain lines if that shows nothing.
+    pub fn new(
+        testbed: &'a Testbed,
+        until: Option<Duration>,
+        places: &Places<'_>,
+        terminal: &MultiProgress,
+    ) -> Self {
+        let shape =
+            if terminal.is_hidden() { Self::lines(places) } else { Self::live(testbed, places, terminal) };
+        Self { testbed, until, tally: Tally::default(), shape }
+    }
+
+    fn lines(places: &Places<'_>) -> Shape {
+        eprintln!("API on http://{}, run in {}", places.api, places.folder.display());
+        Shape::Lines { next_s: LINE_EVERY_S }
+    }
+
+    fn live(testbed: &Testbed, places: &Places<'_>, terminal: &MultiProgress) -> Shape {
+        let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
+        let labels = ["so far", "API", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
+        let width = labels.map(str::len).max().unwrap_or(0);
+        let line = |label: &str| {
+            // The label first, so that all lines begin alike.
+            let style =
+                ProgressStyle::with_template("{prefix:.bold}  {wide_msg}").expect("a template that is right");
+            let line = terminal.add(ProgressBar::new_spinner().with_style(style));
+            line.set_prefix(format!("{label:width$}"));
+            line
+        };
+        let style = ProgressStyle::with_template("{prefix:.bold}  {wide_bar:.cyan/dim}  {msg}")
+            .expect("a template that is right")
+            .progress_chars("━╸─");
+        let bar = terminal.add(ProgressBar::new(STEPS).with_style(style));
+        bar.set_prefix(format!("{:width$}", testbed.name));
+        let more = robots.len().saturating_sub(ROBOTS_SHOWN);
+        let robots =
+            robots.into_iter().take(ROBOTS_SHOWN).map(|id| (id.clone(), line(id.as_str()))).collect();
+        if more > 0 {
+            line("").set_message(format!("and {more} more robots"));
+        }
+        let (so_far, api) = (line("so far"), line("API"));
+        api.set_message(format!("http://{}, run in {}", places.api, places.folder.display()));
+        Shape::Live { bar, robots, so_far, places: api }
+    }
+
+    /// Shows how it is now.
+    pub fn show(&mut self, now: &Snapshot) {
+        for sample in now.service_times.values() {
+            self.tally.count(sample);
+        }
+        match &mut self.shape {
+            Shape::Live { bar, robots, so_far, .. } => {
+                let (share, text) = progress(self.testbed, self.until, now);
+                bar.set_position((share * STEPS as f64) as u64);
+                bar.set_message(text);
+                for (id, line) in robots {
+                    line.set_message(robot(self.testbed, now, id));
+                }
+                so_far.set_message(summary(self.testbed, &self.tally));
+            }
+            Shape::Lines { next_s } => {
+                let at_s = now.at.as_secs_f64();
+                if at_s >= *next_s {
+                    *next_s = (at_s / LINE_EVERY_S).floor() * LINE_EVERY_S + LINE_EVERY_S;
+                    let robots = self.testbed.graph.robots().take(ROBOTS_SHOWN);
+                    let robots: Vec<_> = robots
+                        .map(|(r, _)| format!("{} {}", r.id, robot(self.testbed, now, &r.id)))
+                        .collect();
+                    eprintln!(
+                        "{at_s:5.0} s  {}; so far {}",
+                        robots.join("; "),
+                        summary(self.testbed, &self.tally)
+                    );
+                }
+            }
+        }
+    }
+
+    /// Says that the run is ending.
+    pub fn ending(&self) {
+        const ENDING: &str = "ending in order; Ctrl-C again ends it at once";
+        match &self.shape {
+            Shape::Live { places, .. } => places.set_message(ENDING),
+            Shape::Lines { .. } => eprintln!("{ENDING}"),
+        }
+    }
+
+    /// Takes the live view away.
+    pub fn close(self) {
+        if let Shape::Live { bar, robots, so_far, places } = self.shape {
+            let lines = robots.into_iter().map(|(_, line)| line).chain([bar, so_far, places]);
+            lines.for_each(|line| line.finish_and_clear());
+        }
+    }
+}
+
+/// How much of the run is behind us, from 0 to 1, and in words.
+fn progress(testbed: &Testbed, until: Option<Duration>, now: &Snapshot) -> (f64, String) {
+    let time_s = now.at.as_secs_f64();
+    let of_time = until.map_or(0.0, |until| time_s / until.as_secs_f64());
+    let total: f64 = testbed.walks.iter().map(|walk| length(&walk.waypoints)).sum();
+    let walked: f64 = testbed
+        .walks
+        .iter()
+        .filter_map(|walk| now.robots.get(&walk.robot).map(|context| walked(walk, context)))
+        .sum();
+    let of_walk = if total > 0.0 { walked / total } else { 0.0 };
+    let mut text = clock(time_s);
+    if let Some(until) = until {
+        text += &format!(" of {}", clock(until.as_secs_f64()));
+    }
+    if total > 0.0 {
+        text += &format!(", {walked:.0} of {total:.0} m");
+    }
+    (of_time.max(of_walk).min(1.0), text)
+}
+
+/// How far along its walk a robot is, metres.
+fn walked(walk: &Walk, context: &RobotContext) -> f64 {
+    let next = context.waypoint as usize;
+    match walk.waypoints.get(next) {
+        None => length(&walk.waypoints),
+        Some(_) if next == 0 => 0.0,
+        Some(goal) => {
+            let behind = length(&walk.waypoints[..next]);
+            let leg = walk.waypoints[next - 1].distance(*goal);
+            behind + (leg - context.sensors.pose.position().distance(*goal)).max(0.0)
+        }
+    }
+}
+
+/// Where a robot is, its attachment, its server, and its last service time.
+fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
+    let Some(context) = now.robots.get(id) else { return "nothing known yet".to_owned() };
+    let mut parts = vec![format!("at {}", context.sensors.pose.position())];
+    parts.push(match context.attachments.iter().find(|a| a.attached) {
+        Some(attachment) => {
+            let signal = attachment.signal.map(|dbm| format!(" ({:.0} dBm)", dbm.0)).unwrap_or_default();
+            format!("{}{signal}", attachment.radio_unit)
+        }
+        None => "no radio unit".to_owned(),
+    });
+    if let Some(server) = server(testbed, now, id) {
+        parts.push(format!("navigation on {server}"));
+    }
+    parts.push(match now.service_times.get(id) {
+        Some(sample) => sample.took.map_or("no answer".to_owned(), |took| millis(took.as_secs_f64() * 1e3)),
+        None => "no answer yet".to_owned(),
+    });
+    if now.finished.contains(id) {
+        parts.push("at the end of its walk".to_owned());
+    }
+    parts.join(", ")
+}
+
+/// Where a robot's navigation runs.
+fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'a NodeId> {
+    let of_robot = testbed.services.iter().filter(|service| service.robot == *robot);
+    let vnf = of_robot.flat_map(|service| &service.vnfs).find(|vnf| vnf.program == Program::Navigation)?;
+    now.placements.get(&vnf.id).map(|placement| &placement.node)
+}
+
+fn summary(testbed: &Testbed, tally: &Tally) -> String {
+    let Some(median) = tally.median_ms() else { return "no service time yet".to_owned() };
+    let mut text = format!("median {}", millis(median));
+    if let Some(service) = testbed.services.first() {
+        let target_ms = service.kpis.service_time.as_secs_f64() * 1e3;
+        let above = tally.above(target_ms).unwrap_or(0.0);
+        text += &format!(", {:.1} % over the target of {target_ms} ms", above * 100.0);
+    }
+    text
+}
+
+/// `28.7 ms`.
+pub fn millis(ms: f64) -> String {
+    format!("{ms:.1} ms")
+}
+
+/// `0:07`, `6:52`, `1:02:03`.
+pub fn clock(seconds: f64) -> String {
+    let seconds = seconds as u64;
+    let (h, min, s) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    if h > 0 { format!("{h}:{min:02}:{s:02}") } else { format!("{min}:{s:02}") }
+}

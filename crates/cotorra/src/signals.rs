@@ -1,0 +1,25 @@
+//! Ctrl-C and its kin: the first asks for an orderly end, the second ends the process.
+
+use std::{
+    process,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        mpsc,
+    },
+};
+
+/// What a shell calls a program that SIGINT ended.
+const INTERRUPTED: i32 = 130;
+
+/// Listens to SIGINT, SIGTERM and SIGHUP from here on; the first one is received, the second ends the process.
+/// Nothing but control groups can be left behind by that, because all else lives only as long as the process.
+pub fn listen() -> Result<mpsc::Receiver<()>, ctrlc::Error> {
+    let (tell, told) = mpsc::channel();
+    let asked = AtomicBool::new(false);
+    ctrlc::set_handler(move || {
+        if asked.swap(true, Ordering::Relaxed) || tell.send(()).is_err() {
+            process::exit(INTERRUPTED);
+        }
+    })?;
+    Ok(told)
+}

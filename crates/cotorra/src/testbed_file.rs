@@ -1,0 +1,134 @@
+//! Reads testbed files, and shows what is wrong with one in its place.
+
+use std::{
+    fmt::Write as _,
+    fs,
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use cotorra_graph::{Diagnostics, Position, Testbed, testbed_file};
+use miette::{LabeledSpan, NamedSource, Severity};
+
+/// A testbed file that is right, and its text.
+#[derive(Debug)]
+pub struct Loaded {
+    pub testbed: Testbed,
+    pub text: String,
+}
+
+/// Why a testbed file cannot be used.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum FileError {
+    #[error("cannot read {}: {reason}", path.display())]
+    #[diagnostic(help("the testbeds that ship with cotorra are in testbeds/"))]
+    Unreadable { path: PathBuf, reason: std::io::Error },
+    #[error("{name} has {}", count(mistakes.len(), "mistake"))]
+    Wrong { name: String, mistakes: Vec<Mistake> },
+}
+
+impl FileError {
+    /// Shows it on standard error, every mistake in its place.
+    pub fn show(self) {
+        if let Self::Wrong { name, mistakes } = self {
+            let all = count(mistakes.len(), "mistake");
+            mistakes.into_iter().for_each(|mistake| eprintln!("{:?}", miette::Report::new(mistake)));
+            eprintln!("{name} has {all}");
+        } else {
+            eprintln!("{:?}", miette::Report::new(self));
+        }
+    }
+}
+
+/// Reads a testbed file and checks it as a whole.
+pub fn load(path: &Path) -> Result<Loaded, FileError> {
+    let text =
+        fs::read_to_string(path).map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
+    let base = path.parent().unwrap_or(Path::new(""));
+    match testbed_file::parse(&path.display().to_string(), &text, base) {
+        Ok(testbed) => Ok(Loaded { testbed, text }),
+        Err(found) => Err(found.into()),
+    }
+}
+
+/// One mistake, with what it needs to be shown in its place.
+#[derive(Debug, thiserror::Error)]
+#[error("{}", found.message)]
+pub struct Mistake {
+    found: cotorra_graph::Diagnostic,
+    source_code: Arc<NamedSource<String>>,
+}
+
+impl miette::Diagnostic for Mistake {
+    fn severity(&self) -> Option<Severity> {
+        Some(Severity::Error)
+    }
+
+    fn help(&self) -> Option<Box<dyn std::fmt::Display + '_>> {
+        self.found.help.as_ref().map(|help| Box::new(help) as _)
+    }
+
+    fn source_code(&self) -> Option<&dyn miette::SourceCode> {
+        Some(&self.source_code)
+    }
+
+    fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        let label = if self.found.label.is_empty() { "here" } else { &self.found.label };
+        let span = LabeledSpan::new_with_span(Some(label.to_owned()), self.found.span.clone());
+        Some(Box::new(std::iter::once(span)))
+    }
+}
+
+impl From<Diagnostics> for FileError {
+    fn from(found: Diagnostics) -> Self {
+        let source_code = NamedSource::new(&found.source_name, found.source_text).with_language("YAML");
+        let source_code = Arc::new(source_code);
+        let mistakes =
+            found.list.into_iter().map(|found| Mistake { found, source_code: Arc::clone(&source_code) });
+        Self::Wrong { name: found.source_name, mistakes: mistakes.collect() }
+    }
+}
+
+/// What a testbed holds, in one line.
+pub fn overview(testbed: &Testbed) -> String {
+    let graph = &testbed.graph;
+    let switches = graph.nodes.len() - graph.hosts().count();
+    let nodes = [
+        (graph.robots().count(), "robot"),
+        (graph.radio_units().count(), "radio unit"),
+        (switches, "switch"),
+        (graph.servers().count(), "server"),
+        (graph.links.len(), "link"),
+    ];
+    let mut text =
+        nodes.iter().filter(|(n, _)| *n > 0).map(|(n, what)| count(*n, what)).collect::<Vec<_>>().join(", ");
+    let vnfs: usize = testbed.services.iter().map(|s| s.vnfs.len()).sum();
+    if !testbed.services.is_empty() {
+        let add = write!(text, "; {} of {}", count(testbed.services.len(), "service"), count(vnfs, "VNF"));
+        add.expect("writing into a string cannot fail");
+    }
+    let walked: f64 = testbed.walks.iter().map(|walk| length(&walk.waypoints)).sum();
+    if walked > 0.0 {
+        let add = write!(text, "; {} of {walked:.0} m", count(testbed.walks.len(), "walk"));
+        add.expect("writing into a string cannot fail");
+    }
+    if !testbed.plugins.is_empty() {
+        let names: Vec<_> = testbed.plugins.iter().map(|plugin| plugin.id.as_str()).collect();
+        text += &format!("; plug-ins: {}", names.join(", "));
+    }
+    text
+}
+
+/// The length of a walk, metres.
+pub fn length(waypoints: &[Position]) -> f64 {
+    waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum()
+}
+
+/// `1 link`, `2 links`, `3 switches`.
+pub fn count(n: usize, what: &str) -> String {
+    match n {
+        1 => format!("1 {what}"),
+        _ if what.ends_with("ch") => format!("{n} {what}es"),
+        _ => format!("{n} {what}s"),
+    }
+}

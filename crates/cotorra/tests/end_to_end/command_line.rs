@@ -1,0 +1,150 @@
+//! Commands that bring nothing up.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::harness::{corridor, output, project_file, stderr, stdout};
+
+#[test]
+fn a_good_file_is_told_in_one_line() {
+    let checked = output(["check".as_ref(), corridor().as_os_str()]);
+    assert!(checked.status.success(), "{}", stderr(&checked));
+    let text = stdout(&checked);
+    assert_eq!(text.lines().count(), 1, "{text}");
+    for part in [
+        "corridor.yaml: ",
+        "1 robot",
+        "6 radio units",
+        "1 switch",
+        "3 servers",
+        "1 service",
+        "plug-ins: probing",
+    ] {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
+}
+
+#[test]
+fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let bad = folder.path().join("bad.yaml");
+    let text = "name: bad\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB, colour: red }\n  \
+        right: { kind: server, tire: edge, cpus: -1, memory: 1 GB }\nlinks:\n  - { ends: [left, right], delay: 5 }\n";
+    fs::write(&bad, text).unwrap();
+    let checked = output(["check".as_ref(), bad.as_os_str(), corridor().as_os_str()]);
+    assert_eq!(checked.status.code(), Some(1));
+    let said = stderr(&checked);
+    for part in [
+        "bad.yaml",
+        ":3:",
+        ":4:",
+        ":6:",
+        "colour",
+        "did you mean `tier`?",
+        "below zero",
+        "`5` has no unit",
+        "5 mistakes",
+    ] {
+        assert!(said.contains(part), "{part} is not in {said}");
+    }
+    assert!(stdout(&checked).contains("corridor.yaml: "), "the good one is told too");
+}
+
+#[test]
+fn a_file_that_is_not_there_is_an_error_with_its_name() {
+    for command in ["check", "run"] {
+        let checked = output([command, "no-such-file.yaml"]);
+        assert_eq!(checked.status.code(), Some(1));
+        assert!(stderr(&checked).contains("no-such-file.yaml"), "{}", stderr(&checked));
+    }
+}
+
+#[test]
+fn schema_and_openapi_are_the_files_in_docs() {
+    for (command, file) in [("schema", "docs/testbed.schema.json"), ("openapi", "docs/openapi.json")] {
+        let text = stdout(&output([command]));
+        let parsed: Value = serde_json::from_str(&text).unwrap();
+        assert!(parsed.is_object());
+        let checked_in = fs::read_to_string(project_file(file)).unwrap();
+        assert!(text == checked_in, "{file} is not what `cotorra {command}` prints; write it anew");
+    }
+}
+
+#[test]
+fn the_doctor_always_answers_and_gives_a_reason_and_a_remedy_for_what_is_missing() {
+    let told = output(["doctor"]);
+    assert!(told.status.success(), "{}", stderr(&told));
+    let text = stdout(&told);
+    for name in ["network namespaces", "NetEm", "mac80211_hwsim", "container engine"] {
+        assert!(text.contains(name), "{name} is not in {text}");
+    }
+    let count = |part: &str| text.matches(part).count();
+    assert_eq!(count("✗"), count("why: "));
+    assert_eq!(count("✗"), count("what to do: "));
+}
+
+#[test]
+fn completions_name_every_command() {
+    for shell in ["bash", "zsh", "fish"] {
+        let script = stdout(&output(["completions", shell]));
+        for command in ["run", "check", "schema", "openapi", "doctor", "clean", "exec", "bench"] {
+            assert!(script.contains(command), "{command} is not in the script for {shell}");
+        }
+    }
+}
+
+#[test]
+fn wrong_usage_says_what_would_be_right() {
+    let file = corridor();
+    let until =
+        |duration: &str| output(["run".as_ref(), file.as_os_str(), "--until".as_ref(), duration.as_ref()]);
+    let bare = until("60");
+    assert_eq!(bare.status.code(), Some(2));
+    assert!(stderr(&bare).contains("write 60s or 60min"), "{}", stderr(&bare));
+    assert_eq!(until("5 parsecs").status.code(), Some(2));
+    assert_eq!(output(["frobnicate"]).status.code(), Some(2));
+}
+
+#[test]
+fn a_dry_run_names_what_it_would_bring_up_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = corridor();
+    let out = folder.path().join("runs");
+    let arguments =
+        ["run".as_ref(), "--dry-run".as_ref(), "--out".as_ref(), out.as_os_str(), file.as_os_str()];
+    let told = output(arguments);
+    assert!(told.status.success(), "{}", stderr(&told));
+    let text = stdout(&told);
+    for part in
+        ["robot-driver (robot driver)", "navigation (bundled brain)", "10.77.0.1", "server, cloud", "seed"]
+    {
+        assert!(text.contains(part), "{part} is not in {text}");
+    }
+    assert!(!out.exists());
+}
+
+#[test]
+fn clean_says_that_nothing_is_left_or_what() {
+    let told = output(["clean", "--dry-run"]);
+    assert!(told.status.success(), "{}", stderr(&told));
+    assert!(
+        stdout(&told).ends_with("left of killed runs\n") || stdout(&told).ends_with("would be removed\n")
+    );
+}
+
+#[test]
+fn exec_without_a_run_says_how_to_start_one() {
+    let told = output(["exec", "robot", "--api", "127.0.0.1:9", "--", "true"]);
+    assert_eq!(told.status.code(), Some(1));
+    assert!(stderr(&told).contains("no testbed answers at 127.0.0.1:9"), "{}", stderr(&told));
+}
+
+#[test]
+fn benchmarks_are_listed_and_an_unknown_one_is_refused() {
+    let listed = stdout(&output(["bench", "--list"]));
+    assert!(listed.contains("round-trip"), "{listed}");
+    let unknown = output(["bench", "round-tripp"]);
+    assert_eq!(unknown.status.code(), Some(1));
+    assert!(stderr(&unknown).contains("round-trip"), "{}", stderr(&unknown));
+}

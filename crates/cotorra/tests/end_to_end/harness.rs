@@ -1,0 +1,250 @@
+//! Starts the real program and looks at what it leaves.
+//!
+//! scripts/test runs these tests as root and, from a copy, as an ordinary user: so the program and the project's
+//! files are found through the environment.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    collections::BTreeSet,
+    env,
+    ffi::OsStr,
+    fs::{self, File},
+    io::{BufRead, BufReader, Read},
+    os::unix::fs::MetadataExt,
+    path::{Path, PathBuf},
+    process::{Child, Command, ExitStatus, Output, Stdio},
+    sync::mpsc,
+    thread,
+    time::Duration,
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Marks a run and everything that it starts.
+const MARK: &str = "COTORRA_TEST";
+
+/// The program, with a clean environment of its own variables.
+pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+    let program = env::var_os("COTORRA_BIN").unwrap_or_else(|| env!("CARGO_BIN_EXE_cotorra").into());
+    let mut command = Command::new(program);
+    command.args(arguments).env_remove("COTORRA_TOKEN").env_remove("COTORRA_LOG").env("NO_COLOR", "1");
+    command
+}
+
+/// Runs the program to its end.
+pub fn output<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+    cotorra(arguments).output().unwrap()
+}
+
+/// What it printed.
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// What it said on standard error.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// A file of the project.
+pub fn project_file(path: &str) -> PathBuf {
+    let package =
+        env::var_os("CARGO_MANIFEST_DIR").map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from);
+    let path = package.join("../..").join(path);
+    path.canonicalize().unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// Held by the one test whose run has the machine for itself: runs beside each other would make each other late.
+pub struct Alone {
+    _lock: File,
+}
+
+fn alone() -> Alone {
+    let name = format!("cotorra-end-to-end-{}.lock", fs::metadata("/proc/self").unwrap().uid());
+    let lock = File::create(env::temp_dir().join(name)).unwrap();
+    lock.lock().unwrap();
+    Alone { _lock: lock }
+}
+
+/// A run of the program that goes on, and is killed when this is dropped.
+pub struct Run {
+    child: Child,
+    mark: String,
+    /// Said on standard error so far and from now on.
+    lines: mpsc::Receiver<String>,
+    pub api: String,
+    pub folder: PathBuf,
+    out: TempDir,
+    _alone: Alone,
+}
+
+impl Run {
+    /// Starts `cotorra run` and waits until it is up.
+    pub fn start(testbed: &Path, arguments: &[&str]) -> Self {
+        Self::start_with(testbed, arguments, |_| {})
+    }
+
+    /// The same, the command changed before.
+    pub fn start_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
+        let alone = alone();
+        let out = TempDir::new().unwrap();
+        let mark = format!("{}-{:?}", std::process::id(), thread::current().id());
+        let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
+        command.arg(out.path()).arg(testbed).args(arguments).env(MARK, &mark);
+        change(&mut command);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let stderr = BufReader::new(child.stderr.take().unwrap());
+        let (tell, lines) = mpsc::channel();
+        thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| tell.send(line)));
+        let mut before = Vec::new();
+        let (api, folder) = loop {
+            let Ok(line) = lines.recv() else { panic!("the run did not come up:\n{}", before.join("\n")) };
+            if let Some((api, folder)) = line.strip_prefix("API on ").and_then(|l| l.split_once(", run in "))
+            {
+                break (api.to_owned(), PathBuf::from(folder));
+            }
+            before.push(line);
+        };
+        Self { child, mark, lines, api, folder, out, _alone: alone }
+    }
+
+    /// The API's address without its scheme.
+    pub fn address(&self) -> &str {
+        self.api.strip_prefix("http://").unwrap()
+    }
+
+    /// What the API says at a path, which must be there.
+    pub fn get(&self, path: &str) -> Value {
+        let (status, body) = self.ask(path, None);
+        assert_eq!(status, 200, "{path}: {body}");
+        body
+    }
+
+    /// Status and body of what the API says at a path, to whoever has that token.
+    pub fn ask(&self, path: &str, token: Option<&str>) -> (u16, Value) {
+        let mut request = agent().get(format!("{}{path}", self.api));
+        if let Some(token) = token {
+            request = request.header("Authorization", format!("Bearer {token}"));
+        }
+        let mut answer = request.call().unwrap();
+        (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
+    }
+
+    /// Status and body of what the API says to a body at a path.
+    pub fn post(&self, path: &str, body: &str) -> (u16, Value) {
+        let request = agent().post(format!("{}{path}", self.api)).header("Content-Type", "application/json");
+        let mut answer = request.send(body).unwrap();
+        (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
+    }
+
+    /// The first service time of a robot; waits for it.
+    pub fn wait_for_service(&self) -> Value {
+        let mut found = Value::Null;
+        wait_until(|| {
+            found = self.get("/api/v1/measurements/service-times?limit=1")["items"][0].clone();
+            found.is_object()
+        });
+        found
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, name: &str) {
+        let pid = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
+    }
+
+    /// Waits for its end, and gives its exit status, what it printed, and what else it said.
+    pub fn wait(&mut self) -> (ExitStatus, String, String) {
+        let mut printed = String::new();
+        self.child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+        let status = self.child.wait().unwrap();
+        (status, printed, self.lines.iter().collect::<Vec<_>>().join("\n"))
+    }
+
+    /// Waits for its end; its report must be there, valid figures or not.
+    pub fn report(&mut self) -> (Value, String) {
+        let (status, printed, said) = self.wait();
+        assert!(matches!(status.code(), Some(0 | 3)), "{status}\n{said}");
+        let summary = fs::read_to_string(self.folder.join("summary.json")).unwrap();
+        (serde_json::from_str(&summary).unwrap(), printed)
+    }
+
+    /// The run's process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Processes of this run, itself included.
+    pub fn processes(&self) -> BTreeSet<u32> {
+        let mark = format!("{MARK}={}", self.mark);
+        let is_marked = |pid: &u32| {
+            let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+            environment.split(|byte| *byte == 0).any(|variable| variable == mark.as_bytes())
+        };
+        all_processes().filter(is_marked).collect()
+    }
+
+    /// The inodes of its nodes' network namespaces.
+    pub fn namespaces(&self) -> BTreeSet<u64> {
+        let testbed = self.get("/api/v1/testbed");
+        let nodes = testbed["graph"]["nodes"].as_array().unwrap().iter();
+        let namespaces = nodes.filter_map(|node| {
+            let node = self.get(&format!("/api/v1/network/nodes/{}", node["id"].as_str().unwrap()));
+            Some(fs::metadata(node["namespace"].as_str()?).unwrap().ino())
+        });
+        namespaces.collect()
+    }
+
+    /// Control groups of this run.
+    pub fn control_groups(&self) -> Vec<PathBuf> {
+        let name = format!("cotorra-{}", self.pid());
+        let trees = fs::read_dir("/sys/fs/cgroup").into_iter().flatten().flatten().map(|tree| tree.path());
+        let mut places = vec![PathBuf::from("/sys/fs/cgroup")];
+        places.extend(trees);
+        places.into_iter().map(|place| place.join(&name)).filter(|group| group.exists()).collect()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        // Most tests waited for its end.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        if thread::panicking() {
+            let log = fs::read_to_string(self.folder.join("logs/cotorra.log")).unwrap_or_default();
+            eprintln!("--- the run's log, in {}:\n{log}", self.out.path().display());
+        }
+    }
+}
+
+fn agent() -> ureq::Agent {
+    ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().new_agent()
+}
+
+fn all_processes() -> impl Iterator<Item = u32> {
+    fs::read_dir("/proc").unwrap().flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+}
+
+/// Whether any process is in one of these network namespaces, or holds it open.
+pub fn are_held(namespaces: &BTreeSet<u64>) -> bool {
+    let is_one = |path: &Path| fs::metadata(path).is_ok_and(|file| namespaces.contains(&file.ino()));
+    all_processes().any(|pid| {
+        let open = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+        is_one(Path::new(&format!("/proc/{pid}/ns/net")))
+            || open.map(|fd| fd.path()).any(|path| is_one(&path))
+    })
+}
+
+/// Waits for what the kernel or another process does in its own time.
+#[allow(clippy::disallowed_methods, reason = "other processes run on the wall clock")]
+pub fn wait_until(mut done: impl FnMut() -> bool) {
+    while !done() {
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// The testbed that most tests run.
+pub fn corridor() -> PathBuf {
+    project_file("testbeds/corridor.yaml")
+}

@@ -1,0 +1,8 @@
+//! The real program, from outside: what it prints, what it leaves, and what it does not leave.
+
+mod api;
+mod command_line;
+mod harness;
+mod interruption;
+mod plugin;
+mod run;

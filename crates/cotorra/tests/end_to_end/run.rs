@@ -1,0 +1,87 @@
+//! A run from its beginning to its end, and what it leaves.
+
+use std::{fs, process::Command};
+
+use crate::harness::{Run, corridor, cotorra};
+
+/// R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
+const THEORY_MS: f64 = 11.0;
+
+#[test]
+fn the_corridor_is_walked_and_measured() {
+    let mut run = Run::start(&corridor(), &["--until", "20s", "--seed", "7"]);
+    let (summary, printed) = run.report();
+    assert_eq!(summary["seed"], 7);
+    assert_eq!(summary["target_ms"], 15.0);
+    assert_eq!(summary["pose_source"], "simulator");
+    assert!((90..=101).contains(&summary["samples"].as_u64().unwrap()), "{summary:#}");
+    assert!(summary["above_target"].as_f64().is_some());
+    for figure in ["p50", "p95", "p99", "max"] {
+        assert!(summary["service_time_ms"][figure].as_f64().unwrap() >= THEORY_MS, "{figure} of {summary:#}");
+    }
+    let regions = summary["regions"].as_array().unwrap();
+    assert_eq!(regions[0]["attachment"], "R1");
+    assert_eq!(regions[0]["server"], "cloud");
+    assert_eq!(
+        regions.iter().filter_map(|region| region["samples"].as_u64()).sum::<u64>(),
+        summary["samples"]
+    );
+    // The model's part is exact; what comes on top is the machine's, which is not tested here.
+    let median = regions[0]["p50_ms"].as_f64().unwrap();
+    assert!((THEORY_MS..THEORY_MS + 50.0).contains(&median), "{median} ms");
+    let placed = summary["placements"].as_array().unwrap();
+    assert!(placed.iter().any(|p| p["vnf"] == "navigation" && p["node"] == "cloud"), "{placed:?}");
+    assert!(summary["fidelity"]["valid"].is_boolean());
+    assert!(summary["fidelity"]["frames"].as_u64().unwrap() > 100);
+    for figure in ["p50", "p99", "max"] {
+        assert!(summary["fidelity"]["lateness_us"][figure].as_f64().unwrap() >= 0.0);
+    }
+    assert!(printed.contains("fidelity") && printed.contains("summary.json"), "{printed}");
+
+    let csv = fs::read_to_string(run.folder.join("service_time.csv")).unwrap();
+    assert_eq!(csv.lines().count() as u64, summary["samples"].as_u64().unwrap() + 1);
+    assert!(csv.starts_with("emitted_s,"), "{csv:.100}");
+    assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
+    let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
+    assert_eq!(as_run, fs::read_to_string(corridor()).unwrap());
+    for log in ["cotorra.log", "navigation.log"] {
+        assert!(run.folder.join("logs").join(log).exists(), "{log}");
+    }
+}
+
+#[test]
+fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
+    let run = Run::start(&corridor(), &["--until", "5min"]);
+    run.wait_for_service();
+    let exec = |node: &str, words: &[&str]| {
+        cotorra(["exec", "--api", run.address(), node, "--"]).args(words).output().unwrap()
+    };
+    let ping = exec("robot", &["ping", "-c", "3", "-i", "0.2", "cloud"]);
+    let text = String::from_utf8_lossy(&ping.stdout);
+    assert!(ping.status.success(), "{text}{}", String::from_utf8_lossy(&ping.stderr));
+    let least = text.split("min/avg/max").nth(1).and_then(|t| t.split(['=', '/']).nth(1 + 1)).map(str::trim);
+    let least: f64 = least.unwrap_or_else(|| panic!("{text}")).parse().unwrap();
+    assert!(least >= THEORY_MS, "{text}");
+
+    let status = exec("edge", &["sh", "-c", "test $COTORRA_NODE = edge && exit 42"]);
+    assert_eq!(status.status.code(), Some(42));
+    let switch = exec("lan", &["true"]);
+    assert!(String::from_utf8_lossy(&switch.stderr).contains("`lan` is a switch"));
+    let nobody = exec("nobody", &["true"]);
+    assert!(String::from_utf8_lossy(&nobody.stderr).contains("no node `nobody`"));
+}
+
+#[test]
+fn a_second_run_gets_a_folder_and_a_port_of_its_own() {
+    let run = Run::start(&corridor(), &["--until", "5min"]);
+    let out = tempfile::tempdir().unwrap();
+    let second = |api: &[&str]| {
+        let mut command: Command = cotorra(["run", "--headless", "--until", "1s", "--out"]);
+        command.arg(out.path()).arg(corridor()).args(api).output().unwrap()
+    };
+    let taken = second(&["--api", run.address()]);
+    assert_eq!(taken.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&taken.stderr).contains(run.address()), "{taken:?}");
+    let free = second(&[]);
+    assert!(matches!(free.status.code(), Some(0 | 3)), "{free:?}");
+}
