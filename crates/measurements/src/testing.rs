@@ -166,9 +166,15 @@ prop_compose! {
     }
 }
 
-/// Few enough that a link keeps its conditions from one sample to the next now and then.
-fn repeated_conditions() -> impl Strategy<Value = Conditions> {
-    prop_oneof![3 => Just(Conditions::default()), 1 => conditions()]
+/// So alike that a link keeps its conditions from one sample to the next now and then, or changes a part of them.
+fn similar_conditions() -> impl Strategy<Value = Conditions> {
+    prop_oneof![
+        2 => Just(Conditions::default()),
+        1 => queue().prop_map(|queue| Conditions { queue, ..Conditions::default() }),
+        1 => rate().prop_map(|rate| Conditions { rate, ..Conditions::default() }),
+        1 => share().prop_map(|duplication| Conditions { duplication, ..Conditions::default() }),
+        1 => conditions(),
+    ]
 }
 
 prop_compose! {
@@ -183,7 +189,7 @@ prop_compose! {
         (link, direction) in (link(), direction()),
         delay in of(duration()),
         throughput_bps in real(),
-        (asked, effective) in (repeated_conditions(), repeated_conditions()),
+        (asked, effective) in (similar_conditions(), similar_conditions()),
         (delay_scale, drop_scale) in (real(), real()),
         counters in counters(),
     ) -> LinkContext {

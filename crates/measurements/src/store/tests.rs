@@ -26,7 +26,7 @@ fn append(store: &dyn Store, run: RunId, other: RunId, events: &[Stamped], batch
     for batch in events.chunks(batch) {
         let entries: Vec<_> = batch
             .iter()
-            .flat_map(|stamped| [run, other].map(|run| Entry { run, stamped: stamped.clone() }))
+            .flat_map(|stamped| [other, run].map(|run| Entry { run, stamped: stamped.clone() }))
             .collect();
         store.append(&entries, &[]).unwrap();
     }
