@@ -169,7 +169,7 @@ impl std::fmt::Debug for Datapath {
 }
 
 /// The text of `/etc/hosts` in every host.
-fn names(graph: &HardwareGraph) -> String {
+pub(crate) fn names(graph: &HardwareGraph) -> String {
     let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
     for (i, node) in graph.hosts().enumerate() {
         let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);

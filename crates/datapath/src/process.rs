@@ -14,7 +14,10 @@ use std::{
     process::{self, Command, ExitStatus},
 };
 
+use cotorra_graph::HardwareGraph;
+
 use crate::{
+    datapath::names,
     error::{Action, Error},
     init::{self, Init},
     namespace::{Namespace, on_a_thread},
@@ -153,6 +156,14 @@ pub struct HostsFile {
 }
 
 impl HostsFile {
+    /// One with the names of a graph's hosts.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of(graph: &HardwareGraph) -> Result<Self, Error> {
+        Self::new(&names(graph))
+    }
+
     /// One with this text.
     ///
     /// # Errors
@@ -173,5 +184,16 @@ impl HostsFile {
         fs::remove_file(&file)?;
         mounted?;
         Ok(Self { mounts: File::open("/proc/thread-self/ns/mnt")?.into() })
+    }
+
+    /// Moves this process, which must have one thread, to where it is seen. What it runs next (`exec`) sees it.
+    ///
+    /// # Errors
+    /// [`Error::Kernel`] without the right to do so: see [`crate::enter`].
+    pub fn enter(&self) -> Result<(), Error> {
+        let here = env::current_dir().action("find the working directory")?;
+        sys::setns(self.mounts.as_fd(), libc::CLONE_NEWNS).action("enter a mount namespace")?;
+        // Entering a mount namespace goes to its root.
+        env::set_current_dir(here).action("go back to the working directory")
     }
 }
