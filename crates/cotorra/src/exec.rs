@@ -5,7 +5,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::NodeId;
+use cotorra_datapath::HostsFile;
+use cotorra_graph::{HardwareGraph, NodeId};
 use serde::Deserialize;
 
 use crate::{cli::ExecArgs, run::token_text};
@@ -36,6 +37,12 @@ struct Node {
     namespace: Option<PathBuf>,
 }
 
+/// What the API says of the testbed, likewise.
+#[derive(Debug, Deserialize)]
+struct Testbed {
+    graph: HardwareGraph,
+}
+
 /// What the API says when it does not do something.
 #[derive(Debug, Deserialize)]
 struct Failure {
@@ -46,7 +53,11 @@ struct Failure {
 pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     let node: Node = ask(args.api, &format!("/api/v1/network/nodes/{}", args.node))?;
     let namespace = node.namespace.ok_or_else(|| Error::Switch(args.node.clone()))?;
+    let testbed: Testbed = ask(args.api, "/api/v1/testbed")?;
     cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
+    if let Err(error) = HostsFile::of(&testbed.graph).and_then(|hosts| hosts.enter()) {
+        eprintln!("node names are not known to `{}`: {error}", args.command[0]);
+    }
     let (program, arguments) =
         args.command.split_first().expect("the command line asks for one word or more");
     let reason = Command::new(program).args(arguments).env("COTORRA_NODE", args.node.as_str()).exec();

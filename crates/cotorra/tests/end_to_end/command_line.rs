@@ -42,7 +42,7 @@ fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
         ":6:",
         "colour",
         "did you mean `tier`?",
-        "below zero",
+        "found `-1`",
         "`5` has no unit",
         "5 mistakes",
     ] {

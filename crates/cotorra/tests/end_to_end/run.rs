@@ -14,7 +14,7 @@ fn the_corridor_is_walked_and_measured() {
     assert_eq!(summary["seed"], 7);
     assert_eq!(summary["target_ms"], 15.0);
     assert_eq!(summary["pose_source"], "simulator");
-    assert!((90..=101).contains(&summary["samples"].as_u64().unwrap()), "{summary:#}");
+    assert!(summary["samples"].as_u64().unwrap() > 50, "{summary:#}");
     assert!(summary["above_target"].as_f64().is_some());
     for figure in ["p50", "p95", "p99", "max"] {
         assert!(summary["service_time_ms"][figure].as_f64().unwrap() >= THEORY_MS, "{figure} of {summary:#}");
