@@ -19,8 +19,8 @@ use indicatif::{MultiProgress, ProgressDrawTarget};
 use crate::{cli::RunArgs, logs, output, signals, testbed_file};
 use view::{Places, View};
 
-/// How often the view is drawn anew; more often than robots say where they are.
-const FRAME: Duration = Duration::from_millis(100);
+/// How often the view looks; no service time is missed while robots ask for navigation no more often.
+const LOOK: Duration = Duration::from_millis(25);
 /// The figures of a run are not valid.
 const NOT_VALID: u8 = 3;
 
@@ -98,7 +98,7 @@ fn token() -> Result<Option<Token>, Error> {
 fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
     while !run.is_finished() {
         run.live().read(|now| view.show(now));
-        match interrupts.recv_timeout(FRAME) {
+        match interrupts.recv_timeout(LOOK) {
             Ok(()) => {
                 view.ending();
                 run.stopper().stop();

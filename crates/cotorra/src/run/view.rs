@@ -13,6 +13,8 @@ use crate::testbed_file::length;
 const ROBOTS_SHOWN: usize = 8;
 /// Run time between two plain lines, seconds.
 const LINE_EVERY_S: f64 = 10.0;
+/// The live view is drawn at every so many looks: nobody reads faster.
+const LOOKS_A_FRAME: u32 = 6;
 /// Steps of the progress bar.
 const STEPS: u64 = 10_000;
 
@@ -32,8 +34,16 @@ pub struct View<'a> {
 }
 
 enum Shape {
-    Live { bar: ProgressBar, robots: Vec<(NodeId, ProgressBar)>, so_far: ProgressBar, places: ProgressBar },
-    Lines { next_s: f64 },
+    Live {
+        bar: ProgressBar,
+        robots: Vec<(NodeId, ProgressBar)>,
+        so_far: ProgressBar,
+        places: ProgressBar,
+        looks: u32,
+    },
+    Lines {
+        next_s: f64,
+    },
 }
 
 impl<'a> View<'a> {
@@ -79,16 +89,18 @@ impl<'a> View<'a> {
         }
         let (so_far, api) = (line("so far"), line("API"));
         api.set_message(format!("http://{}, run in {}", places.api, places.folder.display()));
-        Shape::Live { bar, robots, so_far, places: api }
+        Shape::Live { bar, robots, so_far, places: api, looks: 0 }
     }
 
-    /// Shows how it is now.
+    /// Takes in how it is now, and shows it now and then.
     pub fn show(&mut self, now: &Snapshot) {
         for sample in now.service_times.values() {
             self.tally.count(sample);
         }
         match &mut self.shape {
-            Shape::Live { bar, robots, so_far, .. } => {
+            Shape::Live { looks, .. } if *looks > 0 => *looks -= 1,
+            Shape::Live { bar, robots, so_far, looks, .. } => {
+                *looks = LOOKS_A_FRAME - 1;
                 let (share, text) = progress(self.testbed, self.until, now);
                 bar.set_position((share * STEPS as f64) as u64);
                 bar.set_message(text);
@@ -126,7 +138,7 @@ impl<'a> View<'a> {
 
     /// Takes the live view away.
     pub fn close(self) {
-        if let Shape::Live { bar, robots, so_far, places } = self.shape {
+        if let Shape::Live { bar, robots, so_far, places, .. } = self.shape {
             let lines = robots.into_iter().map(|(_, line)| line).chain([bar, so_far, places]);
             lines.for_each(|line| line.finish_and_clear());
         }

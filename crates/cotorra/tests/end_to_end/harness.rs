@@ -10,7 +10,7 @@ use std::{
     ffi::OsStr,
     fs::{self, File},
     io::{BufRead, BufReader, Read},
-    os::unix::fs::MetadataExt,
+    os::unix::{fs::MetadataExt, process::CommandExt},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Output, Stdio},
     sync::mpsc,
@@ -93,7 +93,9 @@ impl Run {
         let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
         command.arg(out.path()).arg(testbed).args(arguments).env(MARK, &mark);
         change(&mut command);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // As a shell starts it, so that Ctrl-C can be sent to all that is in the foreground.
+        let mut child =
+            command.process_group(0).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         let (tell, lines) = mpsc::channel();
         thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| tell.send(line)));
@@ -150,8 +152,12 @@ impl Run {
 
     /// Sends it a signal.
     pub fn signal(&self, name: &str) {
-        let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
+        kill(name, &self.pid().to_string());
+    }
+
+    /// Sends its process group a signal, as a terminal does at Ctrl-C.
+    pub fn signal_group(&self, name: &str) {
+        kill(name, &format!("-{}", self.pid()));
     }
 
     /// Waits for its end, and gives its exit status, what it printed, and what else it said.
@@ -216,6 +222,10 @@ impl Drop for Run {
             eprintln!("--- the run's log, in {}:\n{log}", self.out.path().display());
         }
     }
+}
+
+fn kill(signal: &str, target: &str) {
+    assert!(Command::new("kill").args(["-s", signal, "--", target]).status().unwrap().success());
 }
 
 fn agent() -> ureq::Agent {

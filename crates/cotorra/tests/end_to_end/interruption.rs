@@ -20,14 +20,18 @@ fn assert_nothing_is_left(run: &Run, namespaces: &std::collections::BTreeSet<u64
 
 #[test]
 fn ctrl_c_and_its_kin_end_a_run_in_order() {
-    for signal in ["INT", "TERM"] {
+    let ctrl_c = |run: &Run| run.signal_group("INT");
+    let terminate = |run: &Run| run.signal("TERM");
+    for interrupt in [&ctrl_c as &dyn Fn(&Run), &terminate] {
         let mut run = run_for_a_while();
         let namespaces = run.namespaces();
         assert!(are_held(&namespaces));
         assert!(run.processes().len() >= 2, "the run and its navigation VNF");
-        run.signal(signal);
+        interrupt(&run);
         let (summary, _) = run.report();
         assert!(summary["samples"].as_u64().unwrap() > 0, "{summary:#}");
+        let log = fs::read_to_string(run.folder.join("logs/cotorra.log")).unwrap();
+        assert!(!log.contains("WARN") && !log.contains("ERROR"), "nothing went wrong on the way:\n{log}");
         assert_nothing_is_left(&run, &namespaces);
         assert_eq!(run.control_groups(), Vec::<std::path::PathBuf>::new());
     }
