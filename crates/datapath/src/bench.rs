@@ -20,10 +20,11 @@ use cotorra_graph::{
 
 use crate::{
     clock::Clock,
-    datapath::{BusyPoll, Datapath, Options, PortKind},
+    datapath::{Datapath, Options, PortKind},
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
     netlink::{self, Netlink},
+    punctual::BusyPoll,
     sys,
 };
 

@@ -4,7 +4,7 @@ use std::{
     env,
     fs::{self, OpenOptions},
     io,
-    os::unix::net::UnixStream,
+    os::{fd::AsFd, unix::net::UnixStream},
     path::{Path, PathBuf},
 };
 
@@ -156,10 +156,10 @@ fn tap() -> io::Result<String> {
 
 fn packet_sockets() -> io::Result<String> {
     on_a_thread(|| {
-        let peer_space = Namespace::enter_new()?;
+        let outside = Namespace::enter_new()?;
+        Namespace::enter_new()?;
         sys::packet_socket(1, 1 << 20)?;
-        use std::os::fd::AsFd;
-        Netlink::open()?.execute(vec![netlink::veth("probe", "peer", 100, peer_space.as_fd())])?;
+        Netlink::open()?.execute(vec![netlink::veth("probe", "peer", 100, outside.as_fd())])?;
         Ok(String::new())
     })
 }
@@ -167,7 +167,7 @@ fn packet_sockets() -> io::Result<String> {
 fn spare_core() -> io::Result<String> {
     let cores = std::thread::available_parallelism()?.get();
     let cores_are = format!("{cores} cores");
-    if crate::engine::can_spare_a_core() { Ok(cores_are) } else { Err(io::Error::other(cores_are)) }
+    if crate::punctual::can_spare_a_core() { Ok(cores_are) } else { Err(io::Error::other(cores_are)) }
 }
 
 fn netem() -> io::Result<String> {

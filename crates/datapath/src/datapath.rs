@@ -14,12 +14,13 @@ use cotorra_graph::{HardwareGraph, HostAddress, NodeId};
 
 use crate::{
     clock::Clock,
-    engine::{self, Engine, EventSink, Handle, Shared},
+    engine::{Engine, EventSink, Handle, Shared},
     error::{Action, Error},
     hosts::{self, Host},
     namespace::Namespace,
     port::Port,
     process::{Child, HostsFile, SpawnOptions},
+    punctual::BusyPoll,
     sys,
 };
 
@@ -33,18 +34,6 @@ pub enum PortKind {
     Tap,
     /// A virtual Ethernet pair with a packet socket at its other end.
     PacketSocket,
-}
-
-/// Whether the fabric's thread spins just before a deadline instead of sleeping up to it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum BusyPoll {
-    /// On a machine with more than two cores.
-    #[default]
-    Auto,
-    /// Whatever it takes from others.
-    Always,
-    /// Never.
-    Never,
 }
 
 /// How a datapath works.
@@ -87,15 +76,11 @@ impl Datapath {
         let hosts_file = HostsFile::new(&names(graph))
             .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
             .ok();
-        let spin = match options.busy_poll {
-            BusyPoll::Auto => engine::can_spare_a_core(),
-            BusyPoll::Always => true,
-            BusyPoll::Never => false,
-        };
         let shared = Arc::new(Shared::new().action("make an eventfd")?);
         let clock = Clock::start();
-        let engine = Engine::new(fabric, clock, ports, Arc::clone(&shared), spin, options.events)
-            .action("wait for the ports with epoll")?;
+        let engine =
+            Engine::new(fabric, clock, ports, Arc::clone(&shared), options.busy_poll, options.events)
+                .action("wait for the ports with epoll")?;
         let thread = thread::Builder::new()
             .name("fabric".into())
             .spawn(|| engine.run())

@@ -6,11 +6,9 @@ use std::{
     os::fd::AsFd,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc,
     },
-    thread,
-    time::Duration,
 };
 
 use cotorra_fabric::{Fabric, PortId};
@@ -19,18 +17,13 @@ use cotorra_graph::{Stamped, Timestamp};
 use crate::{
     clock::Clock,
     error::Error,
-    port::{Buffers, Port, Sent},
-    sys::{self, Epoll, Ready, Waker},
+    port::{self, Buffers, Port, Sent},
+    punctual::{self, BusyPoll, Punctuality},
+    sys::{Epoll, Ready, Waker},
 };
 
 /// Frames that are read from a port before others get their turn.
 const BATCH: usize = 64;
-/// How long before a deadline the thread stops sleeping, where a core can be spared: about what a sleeping core
-/// takes to wake.
-const SPIN: Duration = Duration::from_micros(70);
-/// Above everything that is not real-time, below what the kernel itself runs so.
-const PRIORITY: i32 = 10;
-
 /// What is done on the fabric's thread for someone else.
 type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
 
@@ -42,13 +35,20 @@ pub(crate) struct Shared {
     /// `None` once the thread ends.
     commands: Mutex<Option<Vec<Command>>>,
     waker: Waker,
+    /// Set when the thread is to end: what is due is not sent any more, however much it is.
+    stopping: AtomicBool,
     /// Frames that a port did not take, or could not give.
     dropped: AtomicU64,
 }
 
 impl Shared {
     pub(crate) fn new() -> io::Result<Self> {
-        Ok(Self { commands: Mutex::new(Some(Vec::new())), waker: Waker::new()?, dropped: AtomicU64::new(0) })
+        Ok(Self {
+            commands: Mutex::new(Some(Vec::new())),
+            waker: Waker::new()?,
+            stopping: AtomicBool::new(false),
+            dropped: AtomicU64::new(0),
+        })
     }
 
     fn commands(&self) -> MutexGuard<'_, Option<Vec<Command>>> {
@@ -58,6 +58,7 @@ impl Shared {
     /// Ends the thread after what it is about to do; commands that it has not begun are dropped.
     pub(crate) fn stop(&self) {
         *self.commands() = None;
+        self.stopping.store(true, Ordering::Relaxed);
         self.waker.wake();
     }
 
@@ -96,18 +97,13 @@ impl std::fmt::Debug for Handle {
     }
 }
 
-/// Whether a core may spin without taking it from those whose packets it carries.
-pub(crate) fn can_spare_a_core() -> bool {
-    thread::available_parallelism().is_ok_and(|cores| cores.get() > 2)
-}
-
 /// The thread's state.
 pub(crate) struct Engine {
     fabric: Fabric,
     clock: Clock,
     ports: Ports,
     shared: Arc<Shared>,
-    spin: Duration,
+    punctuality: Punctuality,
     events: Option<EventSink>,
 }
 
@@ -121,6 +117,9 @@ struct Ports {
 
 impl Ports {
     fn send(&mut self, PortId(index): PortId, frame: cotorra_fabric::Frame) {
+        if self.shared.stopping.load(Ordering::Relaxed) {
+            return;
+        }
         let port = &mut self.ports[index];
         match port.send(frame, &mut self.buffers) {
             Sent::Now => {}
@@ -148,7 +147,7 @@ impl Engine {
         clock: Clock,
         ports: Vec<Port>,
         shared: Arc<Shared>,
-        spin: bool,
+        busy_poll: BusyPoll,
         events: Option<EventSink>,
     ) -> io::Result<Self> {
         let epoll = Epoll::new()?;
@@ -157,7 +156,7 @@ impl Engine {
         }
         epoll.add(shared.waker.as_fd(), ports.len())?;
         let ports = Ports { ports, buffers: Buffers::new(), epoll, shared: Arc::clone(&shared) };
-        Ok(Self { fabric, clock, ports, shared, spin: if spin { SPIN } else { Duration::ZERO }, events })
+        Ok(Self { fabric, clock, ports, shared, punctuality: Punctuality::new(busy_poll), events })
     }
 
     /// Runs until it is told to stop.
@@ -170,19 +169,22 @@ impl Engine {
             }
         }
         let _closing = Closing(Arc::clone(&self.shared));
-        be_punctual();
+        punctual::be_punctual();
         let mut ready: Vec<Ready> = Vec::new();
         let mut deadline = self.poll();
         loop {
-            let timeout = self.sleep_until(deadline);
+            let timeout = deadline.map(|deadline| self.punctuality.sleep(self.clock.now(), deadline));
             ready.clear();
             ready.extend(self.ports.epoll.wait(timeout)?);
+            self.punctuality.woke(self.clock.now(), ready.is_empty());
             deadline = self.poll();
             for event in &ready {
+                if self.shared.stopping.load(Ordering::Relaxed) {
+                    port::close(self.ports.ports);
+                    return Ok(self.fabric);
+                }
                 if event.token == self.ports.ports.len() {
-                    if !self.obey() {
-                        return Ok(self.fabric);
-                    }
+                    self.obey();
                 } else {
                     if event.writable {
                         self.ports.flush(event.token);
@@ -194,11 +196,6 @@ impl Engine {
                 deadline = self.poll();
             }
         }
-    }
-
-    /// How long the thread may sleep.
-    fn sleep_until(&self, deadline: Option<Timestamp>) -> Option<Duration> {
-        deadline.map(|deadline| deadline.since(self.clock.now()).saturating_sub(self.spin))
     }
 
     /// Lets the fabric deliver what is due, and says when it wants that again.
@@ -216,6 +213,7 @@ impl Engine {
     fn receive(&mut self, index: usize) {
         for _ in 0..BATCH {
             match self.ports.ports[index].receive(&mut self.ports.buffers) {
+                Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.ports.buffers.recycle(frame),
                 Ok(Some(frame)) => self.fabric.push(self.clock.now(), PortId(index), frame),
                 Ok(None) => return,
                 Err(e) => {
@@ -230,24 +228,21 @@ impl Engine {
         }
     }
 
-    /// Does what others asked for; `false` when the thread is to end.
-    fn obey(&mut self) -> bool {
+    /// Does what others asked for.
+    fn obey(&mut self) {
         self.shared.waker.clear();
-        let Some(commands) = self.shared.commands().as_mut().map(mem::take) else { return false };
-        for command in commands {
+        let commands = self.shared.commands().as_mut().map(mem::take);
+        for command in commands.unwrap_or_default() {
             command(&mut self.fabric, self.clock.now());
         }
-        true
     }
 }
 
-/// Asks the kernel to run this thread as soon as it wakes, and to wake it on time.
-fn be_punctual() {
-    // Each of these may be forbidden; the run report's lateness shows what it cost, and `doctor` what to do.
-    if sys::set_least_timer_slack().is_err() {
-        tracing::debug!("timers keep their slack");
-    }
-    if sys::set_fifo(PRIORITY).is_err() && sys::set_short_slice().is_err() {
-        tracing::debug!("the fabric's thread is scheduled like any other");
-    }
+/// Whether a frame tells multicast routers of a group that its sender joined (IGMPv3, RFC 3376, 4.2.14; MLDv2,
+/// RFC 3810, 5.2.14). A switch forwards such reports to multicast routers only (RFC 4541, 2.1.1), and there are none:
+/// flooded, those of a thousand hosts that come up would be millions of packets.
+fn is_membership_report(frame: &[u8]) -> bool {
+    const IGMP_V3: [u8; 6] = [0x01, 0x00, 0x5e, 0x00, 0x00, 0x16];
+    const MLD_V2: [u8; 6] = [0x33, 0x33, 0x00, 0x00, 0x00, 0x16];
+    frame.starts_with(&IGMP_V3) || frame.starts_with(&MLD_V2)
 }

@@ -84,7 +84,7 @@ fn enter_new_namespace() -> Result<Namespace, Error> {
 
 fn configure(netlink: &Netlink, place: usize) -> Result<(), Error> {
     let eth0 = sys::interface_index(c"eth0").action("find a host's interface")?;
-    // There is no router in the fabric to ask for one; without IPv6 there is no such file.
+    // There is no router in the fabric to ask for; without IPv6 there is no such file.
     let _ = std::fs::write("/proc/sys/net/ipv6/conf/eth0/router_solicitations", "0");
     netlink
         .execute(netlink::host(eth0, &HostAddress::of(place), MTU, QUEUE))
@@ -111,9 +111,8 @@ fn packet_socket_host(place: usize, wiring: &Namespace) -> Result<Host, Error> {
     let port = on_a_thread(|| {
         wiring.enter().action("enter the wiring's namespace")?;
         let outside = Netlink::open().action("open a netlink socket")?;
-        let port = sys::packet_socket(index, SOCKET_BUFFER).action("open a packet socket")?;
         outside.execute(vec![netlink::up(index, vec![])]).action("set a port up")?;
-        Ok(port)
+        sys::packet_socket(index, SOCKET_BUFFER).action("open a packet socket")
     })?;
     configure(&inside, place)?;
     Ok(Host { namespace, port })

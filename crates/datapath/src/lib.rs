@@ -27,14 +27,16 @@ mod netlink;
 mod port;
 mod privilege;
 mod process;
+mod punctual;
 mod sys;
 mod vnet;
 
 pub use capability::{Capability, CapabilityState, probe};
 pub use clock::Clock;
-pub use datapath::{BusyPoll, Datapath, Options, PortKind};
+pub use datapath::{Datapath, Options, PortKind};
 pub use engine::{EventSink, Handle};
 pub use error::Error;
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed};
 pub use process::{Child, HostsFile, SpawnOptions};
+pub use punctual::BusyPoll;

@@ -18,6 +18,7 @@ use netlink_packet_route::{
         AfSpecInet6, AfSpecUnspec, In6AddrGenMode, InfoData, InfoKind, InfoVeth, LinkAttribute, LinkFlags,
         LinkInfo, LinkMessage,
     },
+    route::{RouteAddress, RouteAttribute, RouteHeader, RouteMessage, RouteProtocol, RouteScope, RouteType},
     tc::{TcAttribute, TcHandle, TcMessage},
 };
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
@@ -125,6 +126,19 @@ fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> Rout
     RouteNetlinkMessage::NewAddress(message)
 }
 
+/// What the kernel would otherwise refuse to send: broadcast to all and multicast, for want of a route.
+fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
+    let mut route = RouteMessage::default();
+    route.header.address_family = AddressFamily::Inet;
+    route.header.destination_prefix_length = prefix;
+    route.header.table = RouteHeader::RT_TABLE_MAIN;
+    route.header.protocol = RouteProtocol::Static;
+    route.header.scope = RouteScope::Link;
+    route.header.kind = RouteType::Unicast;
+    route.attributes = vec![RouteAttribute::Destination(RouteAddress::Inet(to)), RouteAttribute::Oif(index)];
+    RouteNetlinkMessage::NewRoute(route)
+}
+
 /// The link-local address that follows from a MAC address (RFC 4291, appendix A).
 fn link_local(mac: [u8; 6]) -> Ipv6Addr {
     let [a, b, c, d, e, f] = mac.map(u16::from);
@@ -136,7 +150,7 @@ pub(crate) fn has_ipv6() -> bool {
     Path::new("/proc/thread-self/net/if_inet6").exists()
 }
 
-/// All that a host needs: loopback up, `eth0` up with its addresses.
+/// All that a host needs: loopback up, `eth0` up with its addresses and routes.
 pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
     const LOOPBACK: u32 = 1;
     let mut requests = vec![up(LOOPBACK, vec![])];
@@ -157,6 +171,8 @@ pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<Rou
         ],
     ));
     requests.push(address(eth0, of.ipv4.into(), HostAddress::IPV4_PREFIX, AddressScope::Universe));
+    requests.push(route(eth0, Ipv4Addr::new(224, 0, 0, 0), 4));
+    requests.push(route(eth0, Ipv4Addr::BROADCAST, 32));
     if has_ipv6() {
         requests.push(address(eth0, link_local(of.mac).into(), 64, AddressScope::Link));
         requests.push(address(eth0, of.ipv6.into(), HostAddress::IPV6_PREFIX, AddressScope::Universe));
@@ -191,6 +207,10 @@ mod tests {
 
     #[test]
     fn a_batch_is_answered_request_by_request() {
+        if !crate::privilege::have_rights() {
+            // The harness has threads, with which an ordinary user cannot enter a user namespace.
+            return;
+        }
         crate::namespace::Namespace::new().unwrap().run(|| {
             let netlink = Netlink::open().unwrap();
             netlink.execute(vec![up(1, vec![]), up(1, vec![])]).unwrap();

@@ -1,0 +1,422 @@
+//! What the datapath promises, shown with real namespaces, real sockets and unmodified programs, on every kind of
+//! port that this machine has. Runs as root and as an ordinary user, for which the harness is its own: a user
+//! namespace can only be entered before there are threads.
+#![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
+
+use std::{
+    fs,
+    io::{Read, Write},
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket},
+    panic,
+    process::{self, Command, ExitCode, Stdio},
+    thread,
+    time::Duration,
+};
+
+use cotorra_datapath::{Datapath, Error, Namespace, Options, PortKind, SpawnOptions};
+use cotorra_fabric::Fabric;
+use cotorra_graph::{
+    BitRate, Capacity, ConditionChange, Conditions, DomainId, HardwareGraph, HostAddress, Link, LinkId, Loss,
+    Node, NodeId, NodeKind, Probability, Server, Tier,
+};
+
+const HELPER: &str = "COTORRA_TEST_HELPER";
+
+type Test = (&'static str, fn(PortKind));
+const TESTS: &[Test] = &[
+    ("packets go round by IPv4 and IPv6", packets_go_round),
+    ("an unmodified program finds nodes by name", programs_find_nodes_by_name),
+    ("broadcast and multicast reach all others", broadcast_and_multicast_reach_all_others),
+    ("TCP carries every byte through loss", tcp_carries_every_byte_through_loss),
+    ("large datagrams arrive whole", large_datagrams_arrive_whole),
+    ("a change is in force once it returns, and loses nothing", a_change_loses_nothing),
+    ("commands fail once it has stopped", commands_fail_once_it_has_stopped),
+    ("a program's descendants end with it", descendants_end_with_their_program),
+    ("a program gets its exit code, its host's name, its limits and its signals", programs_are_at_home),
+    ("nothing survives kill -9", nothing_survives_kill_9),
+    ("another process enters a node", another_process_enters_a_node),
+];
+
+fn main() -> ExitCode {
+    let privilege =
+        cotorra_datapath::enter_user_namespace_if_needed().expect("tests need user namespaces or root");
+    if let Ok(helper) = std::env::var(HELPER) {
+        return help(&helper);
+    }
+    let filter = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).unwrap_or_default();
+    if std::env::args().any(|argument| argument == "--list") {
+        return ExitCode::SUCCESS;
+    }
+    let mut failed = false;
+    for kind in [PortKind::Tap, PortKind::PacketSocket] {
+        let (graph, _) = star(2, Conditions::default());
+        if let Err(e) = start(&graph, kind) {
+            println!("{kind:?}: skipped: {e}");
+            assert!(kind == PortKind::Tap, "packet sockets work wherever namespaces do");
+            continue;
+        }
+        for (name, test) in TESTS.iter().filter(|(name, _)| name.contains(&filter)) {
+            let passed = panic::catch_unwind(|| test(kind)).is_ok();
+            println!("{privilege:?}, {kind:?}: {name}: {}", if passed { "ok" } else { "FAILED" });
+            failed |= !passed;
+        }
+    }
+    if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+}
+
+/// Hosts at one switch, each by a link with these conditions.
+fn star(hosts: usize, conditions: Conditions) -> (HardwareGraph, Vec<NodeId>) {
+    let domain = DomainId::new("test").unwrap();
+    let node = |id: &NodeId, kind| Node { id: id.clone(), domain: domain.clone(), position: None, kind };
+    let server = NodeKind::Server(Server {
+        tier: Tier::Fog,
+        capacity: Capacity { cpus: 1.0, memory_bytes: 1 << 30 },
+        cost: 0.0,
+        reliability: 1.0,
+    });
+    let switch = NodeId::new("switch").unwrap();
+    let names: Vec<_> = (0..hosts).map(|i| NodeId::new(&format!("host{i}")).unwrap()).collect();
+    let link = |host: &NodeId| Link {
+        id: LinkId::new(&format!("link-{host}")).unwrap(),
+        ends: [host.clone(), switch.clone()],
+        forward: conditions.clone(),
+        backward: conditions.clone(),
+        medium: BitRate::from_bits_per_second(100_000_000_000).unwrap(),
+        reliability: 1.0,
+    };
+    let links = names.iter().map(link).collect();
+    let mut nodes: Vec<_> = names.iter().map(|id| node(id, server.clone())).collect();
+    nodes.push(node(&switch, NodeKind::Switch));
+    (HardwareGraph { domains: vec![domain], nodes, links, wireless: Default::default() }, names)
+}
+
+fn start(graph: &HardwareGraph, port: PortKind) -> Result<Datapath, Error> {
+    Datapath::start(graph, Fabric::new(graph, 7).unwrap(), Options { port, ..Options::default() })
+}
+
+fn up(hosts: usize, conditions: Conditions, kind: PortKind) -> (Datapath, Vec<NodeId>) {
+    let (graph, names) = star(hosts, conditions);
+    (start(&graph, kind).unwrap(), names)
+}
+
+fn udp(datapath: &Datapath, host: &NodeId, address: impl Into<IpAddr>) -> UdpSocket {
+    datapath.namespace(host).unwrap().udp_socket((address.into(), 4000)).unwrap()
+}
+
+fn packets_go_round(kind: PortKind) {
+    let (datapath, names) = up(3, Conditions::default(), kind);
+    assert_eq!(datapath.port_kind(), kind);
+    for family in [0, 1] {
+        let any: IpAddr = [Ipv4Addr::UNSPECIFIED.into(), Ipv6Addr::UNSPECIFIED.into()][family];
+        let address = |i: usize| [HostAddress::of(i).ipv4.into(), HostAddress::of(i).ipv6.into()][family];
+        let sockets: Vec<_> = names.iter().map(|name| udp(&datapath, name, any)).collect();
+        for (from, to) in [(0, 1), (1, 2), (2, 0), (0, 2)] {
+            let message = format!("{from} to {to}");
+            sockets[from].send_to(message.as_bytes(), SocketAddr::new(address(to), 4000)).unwrap();
+            let mut buffer = [0; 100];
+            let (length, sender) = sockets[to].recv_from(&mut buffer).unwrap();
+            assert_eq!(&buffer[..length], message.as_bytes());
+            assert_eq!(sender, SocketAddr::new(address(from), 4000));
+        }
+    }
+    assert_eq!(datapath.dropped_frames(), 0);
+}
+
+fn programs_find_nodes_by_name(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    if Command::new("ping").arg("-V").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
+        println!("skipped: no ping here");
+        return;
+    }
+    for family in ["-4", "-6"] {
+        let mut ping = Command::new("ping");
+        ping.args([family, "-c", "3", "-i", "0.01", names[1].as_str()]).stdout(Stdio::piped());
+        let mut ping = datapath.spawn(&names[0], ping, SpawnOptions::default()).unwrap();
+        let mut told = String::new();
+        ping.pipes().1.unwrap().read_to_string(&mut told).unwrap();
+        assert!(ping.wait().unwrap().success(), "{told}");
+        assert!(told.contains(" 0% packet loss"), "{told}");
+    }
+}
+
+fn broadcast_and_multicast_reach_all_others(kind: PortKind) {
+    let (datapath, names) = up(4, Conditions::default(), kind);
+    let group = Ipv4Addr::new(239, 7, 7, 7);
+    let group6: Ipv6Addr = "ff05::77".parse().unwrap();
+    let sockets: Vec<_> = names.iter().map(|name| udp(&datapath, name, Ipv4Addr::UNSPECIFIED)).collect();
+    let sockets6: Vec<_> =
+        names.iter().map(|name| datapath.namespace(name).unwrap().udp_socket(":::4001").unwrap()).collect();
+    for (i, (socket, socket6)) in sockets.iter().zip(&sockets6).enumerate() {
+        socket.join_multicast_v4(&group, &HostAddress::of(i).ipv4).unwrap();
+        let eth0 = datapath.namespace(&names[i]).unwrap().run(|| {
+            fs::read_to_string("/proc/thread-self/net/if_inet6")
+                .unwrap()
+                .lines()
+                .find(|l| l.ends_with("eth0"))
+                .map(|line| u32::from_str_radix(line.split_whitespace().nth(1).unwrap(), 16).unwrap())
+        });
+        socket6.join_multicast_v6(&group6, eth0.unwrap()).unwrap();
+        socket6.set_multicast_loop_v6(false).unwrap();
+        socket.set_multicast_loop_v4(false).unwrap();
+    }
+    sockets[0].set_broadcast(true).unwrap();
+    let all: [(IpAddr, &str); 3] = [
+        (Ipv4Addr::new(10, 77, 255, 255).into(), "to the network"),
+        (Ipv4Addr::BROADCAST.into(), "to all"),
+        (group.into(), "to the group"),
+    ];
+    let mut buffer = [0; 100];
+    for (to, message) in all {
+        sockets[0].send_to(message.as_bytes(), (to, 4000)).unwrap();
+        for socket in &sockets[1..] {
+            let (length, _) = socket.recv_from(&mut buffer).unwrap();
+            assert_eq!(&buffer[..length], message.as_bytes());
+        }
+    }
+    sockets6[0].send_to(b"six", (group6, 4001)).unwrap();
+    for socket in &sockets6[1..] {
+        assert_eq!(socket.recv_from(&mut buffer).unwrap().0, 3);
+    }
+}
+
+fn tcp_carries_every_byte_through_loss(kind: PortKind) {
+    let loss = Loss::Independent { rate: Probability::new(0.01).unwrap() };
+    for (conditions, lossy) in
+        [(Conditions::default(), false), (Conditions { loss, ..Conditions::default() }, true)]
+    {
+        let (datapath, names) = up(2, conditions, kind);
+        let pattern: Vec<u8> = (0..8 << 20).map(|i: u32| (i ^ (i >> 8) ^ (i >> 16)) as u8).collect();
+        let any = (Ipv6Addr::UNSPECIFIED, 4000);
+        let listener = datapath.namespace(&names[1]).unwrap().run(|| TcpListener::bind(any)).unwrap();
+        let to = (HostAddress::of(1).ipv6, 4000);
+        let mut sender = datapath.namespace(&names[0]).unwrap().run(|| TcpStream::connect(to)).unwrap();
+        let mut received = Vec::new();
+        thread::scope(|scope| {
+            scope.spawn(|| listener.accept().unwrap().0.read_to_end(&mut received).unwrap());
+            sender.write_all(&pattern).unwrap();
+            drop(sender);
+        });
+        assert!(received == pattern, "{} of {} bytes came", received.len(), pattern.len());
+        let mut fabric = datapath.stop().unwrap();
+        assert!(fabric.lateness().frames > 0);
+        let now = cotorra_graph::Timestamp::MAX;
+        let lost: u64 = fabric.link_contexts(now).iter().map(|c| c.counters.lost).sum();
+        assert_eq!(lost > 0, lossy, "{lost} were lost");
+    }
+}
+
+fn large_datagrams_arrive_whole(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let [a, b] = [0, 1].map(|i| udp(&datapath, &names[i], Ipv4Addr::UNSPECIFIED));
+    let datagram: Vec<u8> = (0..65_000u32).map(|i| (i * 7) as u8).collect();
+    a.send_to(&datagram, (HostAddress::of(1).ipv4, 4000)).unwrap();
+    let mut buffer = vec![0; 70_000];
+    let (length, _) = b.recv_from(&mut buffer).unwrap();
+    assert!(buffer[..length] == datagram);
+}
+
+fn a_change_loses_nothing(kind: PortKind) {
+    let far = Conditions { delay: Duration::from_millis(20), ..Conditions::default() };
+    let (datapath, names) = up(2, far, kind);
+    let [a, b] = [0, 1].map(|i| udp(&datapath, &names[i], Ipv4Addr::UNSPECIFIED));
+    let clock = datapath.clock();
+    let to = (HostAddress::of(1).ipv4, 4000);
+    let mut buffer = [0; 8];
+    // Finds out addresses.
+    a.send_to(&u64::MAX.to_ne_bytes(), to).unwrap();
+    b.recv_from(&mut buffer).unwrap();
+    for number in 0..20u64 {
+        a.send_to(&number.to_ne_bytes(), to).unwrap();
+    }
+    let asked = clock.now();
+    let link = LinkId::new("link-host0").unwrap();
+    let near = ConditionChange { delay_ms: Some(0.0), ..ConditionChange::default() };
+    let (changed, ran_at) =
+        datapath.handle().with(move |fabric, now| (fabric.change(now, &link, None, &near), now)).unwrap();
+    changed.unwrap();
+    assert!(ran_at >= asked && ran_at <= clock.now());
+    a.send_to(&20u64.to_ne_bytes(), to).unwrap();
+    let received: Vec<_> = (0..=20u64)
+        .map(|_| {
+            b.recv_from(&mut buffer).unwrap();
+            u64::from_ne_bytes(buffer)
+        })
+        .collect();
+    assert_eq!(received, (0..=20).collect::<Vec<_>>(), "all, in order");
+    let context = datapath.handle().with(|fabric, now| fabric.link_contexts(now)).unwrap();
+    let changed = context.iter().find(|c| c.link == "link-host0").unwrap();
+    assert_eq!(changed.effective.delay, Duration::ZERO);
+}
+
+fn commands_fail_once_it_has_stopped(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let handle = datapath.handle();
+    assert_eq!(handle.with(|fabric, _| fabric.in_flight()).unwrap(), 0);
+    let nobody = NodeId::new("switch").unwrap();
+    assert!(matches!(datapath.namespace(&nobody), Err(Error::NoSuchHost(_))));
+    assert!(datapath.namespace(&names[1]).is_ok());
+    datapath.stop().unwrap();
+    assert!(matches!(handle.with(|_, _| ()), Err(Error::Stopped)));
+}
+
+/// A shell command in a namespace of its own whose output can be read.
+fn shell(script: &str) -> Command {
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).stdin(Stdio::null()).stdout(Stdio::piped());
+    command
+}
+
+fn descendants_end_with_their_program(_: PortKind) {
+    let namespace = Namespace::new().unwrap();
+    // The pipe hangs up once the last of them is gone.
+    let script = "trap '' TERM HUP; (setsid sh -c 'trap \"\" TERM HUP; sleep 1000' &) ; echo up; sleep 1000";
+    for end in [true, false] {
+        let mut child = namespace.spawn(shell(script), SpawnOptions::default()).unwrap();
+        let mut output = child.pipes().1.unwrap();
+        let mut word = [0; 3];
+        output.read_exact(&mut word).unwrap();
+        if end {
+            child.kill().unwrap();
+        } else {
+            drop(child);
+        }
+        assert_eq!(output.read(&mut word).unwrap(), 0);
+    }
+}
+
+fn programs_are_at_home(_: PortKind) {
+    let namespace = Namespace::new().unwrap();
+    let run = |script: &str, options: SpawnOptions<'_>| {
+        let mut child = namespace.spawn(shell(script), options).unwrap();
+        let mut told = String::new();
+        child.pipes().1.unwrap().read_to_string(&mut told).unwrap();
+        (child.wait().unwrap().code(), told.trim().to_owned())
+    };
+    assert_eq!(run("exit 42", SpawnOptions::default()).0, Some(42));
+    assert_eq!(run("kill -KILL $$", SpawnOptions::default()).0, Some(128 + 9));
+    let options = SpawnOptions { hostname: Some("robot"), ..SpawnOptions::default() };
+    assert_eq!(run("uname -n", options).1, "robot");
+    let here = std::env::current_dir().unwrap().display().to_string();
+    assert_eq!(run("pwd", SpawnOptions::default()).1, here);
+
+    let script = "trap 'echo bye; exit 3' TERM; echo up; while :; do sleep 0.01; done";
+    let mut child = namespace.spawn(shell(script), SpawnOptions::default()).unwrap();
+    let mut output = child.pipes().1.unwrap();
+    output.read_exact(&mut [0; 3]).unwrap();
+    assert_eq!(child.try_wait().unwrap(), None);
+    child.terminate().unwrap();
+    let mut told = String::new();
+    output.read_to_string(&mut told).unwrap();
+    assert_eq!((told.trim(), child.wait().unwrap().code()), ("bye", Some(3)));
+    child.terminate().unwrap();
+
+    let missing = namespace.spawn(Command::new("/no/such/program"), SpawnOptions::default()).unwrap_err();
+    assert!(missing.to_string().contains("`/no/such/program`"), "{missing}");
+    let no_group = SpawnOptions { cgroups: vec!["/no/such/group".into()], ..SpawnOptions::default() };
+    assert!(matches!(namespace.spawn(shell("true"), no_group), Err(Error::Spawn { .. })));
+    let file = std::env::temp_dir().join(format!("cotorra-test-group-{}", process::id()));
+    fs::write(&file, "").unwrap();
+    let group = SpawnOptions { cgroups: vec![file.clone()], ..SpawnOptions::default() };
+    assert_eq!(run("exit 0", group).0, Some(0));
+    assert_eq!(fs::read_to_string(&file).unwrap(), "0", "the program joined as itself");
+    fs::remove_file(&file).unwrap();
+}
+
+/// This very program, doing something else.
+fn helper(what: &str) -> Command {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.env(HELPER, what).stdin(Stdio::piped()).stdout(Stdio::piped());
+    command
+}
+
+fn help(what: &str) -> ExitCode {
+    let (what, argument) = what.split_once(' ').unwrap_or((what, ""));
+    match what {
+        // Brings hosts up, runs a program in one, tells where that is, and waits to be killed.
+        "run" => {
+            let kind = if argument == "Tap" { PortKind::Tap } else { PortKind::PacketSocket };
+            let (datapath, names) = up(3, Conditions::default(), kind);
+            let mut child = datapath
+                .spawn(&names[0], shell("(sleep 1000 &) ; echo up; sleep 1000"), SpawnOptions::default())
+                .unwrap();
+            child.pipes().1.unwrap().read_exact(&mut [0; 3]).unwrap();
+            println!("{} {}", child.id(), datapath.namespace(&names[1]).unwrap().path().display());
+            let _ = std::io::stdin().read(&mut [0]);
+            ExitCode::SUCCESS
+        }
+        // Enters a namespace and tells its addresses.
+        "enter" => {
+            cotorra_datapath::enter(argument.as_ref()).unwrap();
+            print!("{}", fs::read_to_string("/proc/self/net/if_inet6").unwrap());
+            ExitCode::SUCCESS
+        }
+        _ => ExitCode::FAILURE,
+    }
+}
+
+fn nothing_survives_kill_9(kind: PortKind) {
+    let mut helper = helper(&format!("run {kind:?}")).spawn().unwrap();
+    let mut output = helper.stdout.take().unwrap();
+    let mut line = Vec::new();
+    let mut byte = [0];
+    while output.read(&mut byte).unwrap() == 1 && byte != *b"\n" {
+        line.push(byte[0]);
+    }
+    let line = String::from_utf8(line).unwrap();
+    let init: u32 = line.split(' ').next().unwrap().parse().unwrap();
+    let processes = descendants(init);
+    assert!(processes.len() >= 3, "the init, the shell and what it started: {processes:?}");
+    helper.kill().unwrap();
+    helper.wait().unwrap();
+    for process in processes {
+        wait_until(|| !is_alive(process));
+    }
+    // Namespaces are held by descriptors of the helper alone: nothing refers to them by path, by process or by name.
+    assert!(!fs::exists(line.split(' ').nth(1).unwrap()).unwrap());
+    let leftover = fs::read_dir(std::env::temp_dir()).unwrap().flatten().any(|entry| {
+        entry.file_name().to_string_lossy().starts_with(&format!("cotorra-hosts-{}", helper.id()))
+    });
+    assert!(!leftover);
+}
+
+fn another_process_enters_a_node(kind: PortKind) {
+    let (datapath, names) = up(2, Conditions::default(), kind);
+    let path = datapath.namespace(&names[1]).unwrap().path();
+    let told = helper(&format!("enter {}", path.display())).stdin(Stdio::null()).output().unwrap();
+    let told = String::from_utf8(told.stdout).unwrap();
+    assert!(told.contains("fd770000000000000000000000000002") && told.contains("eth0"), "{told}");
+}
+
+fn parent_of(process: u32) -> Option<u32> {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    status.lines().find_map(|line| line.strip_prefix("PPid:"))?.trim().parse().ok()
+}
+
+fn is_alive(process: u32) -> bool {
+    fs::read_to_string(format!("/proc/{process}/stat"))
+        .is_ok_and(|stat| !stat.rsplit(')').next().unwrap_or_default().trim().starts_with('Z'))
+}
+
+fn descendants(root: u32) -> Vec<u32> {
+    let processes = fs::read_dir("/proc").unwrap().flatten();
+    let processes = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    let is_below = |process: &u32| {
+        let mut at = *process;
+        while at != root {
+            match parent_of(at) {
+                Some(parent) if parent > 0 => at = parent,
+                _ => return false,
+            }
+        }
+        true
+    };
+    processes.filter(is_below).collect()
+}
+
+/// Waits for the kernel, which the test's own time limit bounds.
+#[allow(clippy::disallowed_methods, reason = "there is no event to wait for when a stranger's process ends")]
+fn wait_until(condition: impl Fn() -> bool) {
+    while !condition() {
+        thread::sleep(Duration::from_millis(1));
+    }
+}
