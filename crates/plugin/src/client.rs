@@ -6,11 +6,12 @@
 mod events;
 mod run;
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
-    HardwareGraph, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId, PluginSpec, RadioContext,
-    RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, Walk, id::InvalidId,
+    HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId, PluginSpec,
+    RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, Walk,
+    id::InvalidId,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -174,6 +175,15 @@ struct TestbedBody {
     seed: u64,
 }
 
+/// How a node is reached from this machine.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+pub struct NodeAccess {
+    /// Its addresses in the emulated network; none for a switch.
+    pub address: Option<HostAddress>,
+    /// A file that stands for its network namespace, as `nsenter --net=` takes it; none for a switch.
+    pub namespace: Option<PathBuf>,
+}
+
 /// What a failure says: `refused` if the testbed does not do it, else `error`.
 #[derive(Default, Deserialize)]
 struct Failure {
@@ -229,6 +239,14 @@ impl Client {
         let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
         Ok(Testbed { name, description, graph, services, map: None, walks, plugins, seed })
+    }
+
+    /// How a node is reached.
+    ///
+    /// # Errors
+    /// [`ClientError`], with status 404 if there is no such node.
+    pub fn node(&self, node: &NodeId) -> Result<NodeAccess, ClientError> {
+        self.get(&format!("network/nodes/{node}"), &[])
     }
 
     /// κ of every robot.
