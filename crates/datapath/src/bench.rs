@@ -7,7 +7,10 @@ use std::{
     io::{self, Read, Write},
     net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream, UdpSocket},
     os::fd::AsFd,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc,
+    },
     thread,
     time::Duration,
 };
@@ -21,6 +24,7 @@ use cotorra_graph::{
 use crate::{
     clock::Clock,
     datapath::{Datapath, Options, PortKind},
+    engine::Handle,
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
     netlink::{self, Netlink},
@@ -182,13 +186,13 @@ pub fn receive(listener: &TcpListener, length: Duration) -> io::Result<f64> {
 /// How many small packets the fabric's thread carries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PacketRate {
-    /// Packets that arrived, a second.
+    /// Packets that arrived, a second, of a flood from one sender.
     pub delivered: f64,
-    /// Packets that arrived, a second that the fabric's thread ran: what one core would carry.
+    /// Packets that it carried of bursts that were there at once, a second that it ran: what one core carries.
     pub per_core: f64,
 }
 
-/// Sends UDP packets of 64 bytes through one link for that long, as fast as the sender can.
+/// Sends UDP packets of 64 bytes through one link: a flood for that long, then bursts for as long.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -198,27 +202,59 @@ pub fn packet_rate(setting: Setting, length: Duration) -> Result<PacketRate, Err
     let clock = datapath.clock();
     let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
     let done = AtomicBool::new(false);
+    let received = AtomicU64::new(0);
     thread::scope(|scope| {
-        let received = scope.spawn(|| {
-            let mut received = 0u64;
+        scope.spawn(|| {
             while !done.load(Ordering::Relaxed) {
-                received += u64::from(server.recv_from(&mut [0; 64]).is_ok());
+                if server.recv_from(&mut [0; 64]).is_ok() {
+                    received.fetch_add(1, Ordering::Relaxed);
+                }
             }
-            received
         });
-        let busy_before = fabric_thread_busy();
         let begin = clock.now();
         while clock.now().since(begin) < length {
-            for _ in 0..64 {
+            for _ in 0..BURST {
                 let _ = client.send_to(&[0; 64], to);
             }
         }
-        let seconds = clock.now().since(begin).as_secs_f64();
-        let busy = fabric_thread_busy().saturating_sub(busy_before).as_secs_f64();
+        let delivered = received.load(Ordering::Relaxed) as f64 / clock.now().since(begin).as_secs_f64();
+        let per_core = bursts(&datapath.handle(), clock, length, || {
+            let _ = client.send_to(&[0; 64], to);
+        });
         done.store(true, Ordering::Relaxed);
-        let received = received.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)) as f64;
-        Ok(PacketRate { delivered: received / seconds, per_core: received / busy })
+        Ok(PacketRate { delivered, per_core: per_core? })
     })
+}
+
+/// Packets in a burst: few enough for the queue of any port.
+const BURST: u64 = 256;
+
+/// Packets carried in a second that the fabric's thread runs, when it finds a burst of them each time it wakes.
+fn bursts(handle: &Handle, clock: Clock, length: Duration, send: impl Fn()) -> Result<f64, Error> {
+    let carried = || {
+        let contexts = handle.with(|fabric, now| fabric.link_contexts(now))?;
+        Ok::<_, Error>(contexts.iter().map(|context| context.counters.packets).sum::<u64>())
+    };
+    let before = (carried()?, fabric_thread_busy());
+    let begin = clock.now();
+    while clock.now().since(begin) < length {
+        let (holds, held) = mpsc::sync_channel(1);
+        let (release, released) = mpsc::sync_channel::<()>(0);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                handle.with(move |_, _| {
+                    let _ = holds.send(());
+                    // Ends when the other end is dropped.
+                    let _ = released.recv();
+                })
+            });
+            let _ = held.recv();
+            (0..BURST).for_each(|_| send());
+            drop(release);
+        });
+    }
+    let after = (carried()?, fabric_thread_busy());
+    Ok((after.0 - before.0) as f64 / after.1.saturating_sub(before.1).as_secs_f64())
 }
 
 /// How long the fabric's thread has run so far.

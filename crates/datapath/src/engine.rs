@@ -62,6 +62,10 @@ impl Shared {
         self.waker.wake();
     }
 
+    fn count_drop(&self) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+
     pub(crate) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -123,7 +127,7 @@ impl Ports {
         let port = &mut self.ports[index];
         match port.send(frame, &mut self.buffers) {
             Sent::Now => {}
-            Sent::Dropped => self.count_drop(),
+            Sent::Dropped => self.shared.count_drop(),
             // Fails for no open descriptor; the frame would wait for the next one to this port.
             Sent::Waits => drop(self.epoll.set_writable(port.as_fd(), index, true)),
         }
@@ -134,10 +138,6 @@ impl Ports {
         if port.flush(&mut self.buffers) {
             drop(self.epoll.set_writable(port.as_fd(), index, false));
         }
-    }
-
-    fn count_drop(&self) {
-        self.shared.dropped.fetch_add(1, Ordering::Relaxed);
     }
 }
 
@@ -211,21 +211,26 @@ impl Engine {
     }
 
     fn receive(&mut self, index: usize) {
-        for _ in 0..BATCH {
-            match self.ports.ports[index].receive(&mut self.ports.buffers) {
+        let port = &mut self.ports.ports[index];
+        for count in 0..port.batch {
+            match port.receive(&mut self.ports.buffers) {
                 Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.ports.buffers.recycle(frame),
                 Ok(Some(frame)) => self.fabric.push(self.clock.now(), PortId(index), frame),
-                Ok(None) => return,
+                Ok(None) => {
+                    port.batch = count.max(1);
+                    return;
+                }
                 Err(e) => {
-                    self.ports.count_drop();
+                    self.shared.count_drop();
                     // A program in the node removed its interface: the descriptor would be ready for ever.
                     if e.raw_os_error() == Some(libc::EBADFD) {
-                        drop(self.ports.epoll.remove(self.ports.ports[index].as_fd()));
+                        drop(self.ports.epoll.remove(port.as_fd()));
                         return;
                     }
                 }
             }
         }
+        port.batch = (port.batch * 2).min(BATCH);
     }
 
     /// Does what others asked for.

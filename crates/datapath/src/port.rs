@@ -72,6 +72,9 @@ pub(crate) enum Sent {
 /// A port.
 pub(crate) struct Port {
     fd: OwnedFd,
+    /// How many frames to read in a row, as many as were there the last time: to find out that there is none costs
+    /// as much as to read one.
+    pub(crate) batch: usize,
     /// Whether the last frame was a super-packet: the next one is likely to be, and is read where it stays.
     expects_large: bool,
     backlog: VecDeque<Frame>,
@@ -80,7 +83,7 @@ pub(crate) struct Port {
 impl Port {
     /// A port on a TAP or a packet socket that does not block and carries [`vnet`] headers.
     pub(crate) fn new(fd: OwnedFd) -> Self {
-        Self { fd, expects_large: false, backlog: VecDeque::new() }
+        Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new() }
     }
 
     /// The next frame; `Ok(None)` when there is none for now.
