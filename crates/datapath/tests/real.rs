@@ -38,10 +38,14 @@ const TESTS: &[Test] = &[
 ];
 
 fn main() -> ExitCode {
+    let helper = std::env::var(HELPER).unwrap_or_default();
+    if let Some(path) = helper.strip_prefix("enter ") {
+        return enter_and_tell(path);
+    }
     let privilege =
         cotorra_datapath::enter_user_namespace_if_needed().expect("tests need user namespaces or root");
-    if let Ok(helper) = std::env::var(HELPER) {
-        return help(&helper);
+    if let Some(kind) = helper.strip_prefix("run ") {
+        return run_and_wait(kind);
     }
     let filter = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).unwrap_or_default();
     if std::env::args().any(|argument| argument == "--list") {
@@ -329,29 +333,25 @@ fn helper(what: &str) -> Command {
     command
 }
 
-fn help(what: &str) -> ExitCode {
-    let (what, argument) = what.split_once(' ').unwrap_or((what, ""));
-    match what {
-        // Brings hosts up, runs a program in one, tells where that is, and waits to be killed.
-        "run" => {
-            let kind = if argument == "Tap" { PortKind::Tap } else { PortKind::PacketSocket };
-            let (datapath, names) = up(3, Conditions::default(), kind);
-            let mut child = datapath
-                .spawn(&names[0], shell("(sleep 1000 &) ; echo up; sleep 1000"), SpawnOptions::default())
-                .unwrap();
-            child.pipes().1.unwrap().read_exact(&mut [0; 3]).unwrap();
-            println!("{} {}", child.id(), datapath.namespace(&names[1]).unwrap().path().display());
-            let _ = std::io::stdin().read(&mut [0]);
-            ExitCode::SUCCESS
-        }
-        // Enters a namespace and tells its addresses.
-        "enter" => {
-            cotorra_datapath::enter(argument.as_ref()).unwrap();
-            print!("{}", fs::read_to_string("/proc/self/net/if_inet6").unwrap());
-            ExitCode::SUCCESS
-        }
-        _ => ExitCode::FAILURE,
+/// Brings hosts up, runs a program in one, tells where that is, and waits to be killed.
+fn run_and_wait(kind: &str) -> ExitCode {
+    let kind = if kind == "Tap" { PortKind::Tap } else { PortKind::PacketSocket };
+    let (datapath, names) = up(3, Conditions::default(), kind);
+    let script = shell("(sleep 1000 &) ; echo up; sleep 1000");
+    let mut child = datapath.spawn(&names[0], script, SpawnOptions::default()).unwrap();
+    child.pipes().1.unwrap().read_exact(&mut [0; 3]).unwrap();
+    println!("{} {}", child.id(), datapath.namespace(&names[1]).unwrap().path().display());
+    let _ = std::io::stdin().read(&mut [0]);
+    ExitCode::SUCCESS
+}
+
+/// Enters namespaces and tells addresses and names that it finds there.
+fn enter_and_tell(paths: &str) -> ExitCode {
+    cotorra_datapath::enter(&paths.split(' ').collect::<Vec<_>>()).unwrap();
+    for file in ["/proc/self/net/if_inet6", "/etc/hosts"] {
+        print!("{}", fs::read_to_string(file).unwrap());
     }
+    ExitCode::SUCCESS
 }
 
 fn nothing_survives_kill_9(kind: PortKind) {
@@ -381,10 +381,11 @@ fn nothing_survives_kill_9(kind: PortKind) {
 
 fn another_process_enters_a_node(kind: PortKind) {
     let (datapath, names) = up(2, Conditions::default(), kind);
-    let path = datapath.namespace(&names[1]).unwrap().path();
-    let told = helper(&format!("enter {}", path.display())).stdin(Stdio::null()).output().unwrap();
+    let paths: Vec<_> = datapath.paths(&names[1]).unwrap().iter().map(|p| p.display().to_string()).collect();
+    let told = helper(&format!("enter {}", paths.join(" "))).stdin(Stdio::null()).output().unwrap();
     let told = String::from_utf8(told.stdout).unwrap();
     assert!(told.contains("fd770000000000000000000000000002") && told.contains("eth0"), "{told}");
+    assert!(told.contains("10.77.0.1 host0"), "{told}");
 }
 
 fn parent_of(process: u32) -> Option<u32> {
