@@ -11,6 +11,7 @@ mod navigation;
 mod plugins;
 mod report;
 mod run;
+mod simulate;
 
 pub use api::{ApiError, Token, openapi};
 pub use live::{Live, Snapshot};
@@ -21,3 +22,4 @@ pub use report::{
     Summary, draw,
 };
 pub use run::{Options, Run, RunError, Stopper, clean, leftovers};
+pub use simulate::Simulation;

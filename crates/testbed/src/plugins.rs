@@ -72,6 +72,9 @@ pub enum PluginError {
         /// What is wrong.
         reason: String,
     },
+    /// It runs apart, where virtual time does not reach.
+    #[error("plug-in `{0}` is a program of its own, which cannot take part in virtual time")]
+    NotInVirtualTime(PluginId),
     /// Its program cannot be started.
     #[error("plug-in `{plugin}`: cannot start `{program}`: {source}")]
     Start {
@@ -85,7 +88,7 @@ pub enum PluginError {
 }
 
 /// Makes the bundled plug-in that a testbed file names.
-fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dyn Plugin>, PluginError> {
+pub(crate) fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dyn Plugin>, PluginError> {
     match name {
         "probing" => match cotorra_probing::Probing::from_settings(&spec.settings, seed) {
             Ok(plugin) => Ok(Box::new(plugin)),
@@ -93,6 +96,12 @@ fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dyn Plugin>, 
         },
         _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
     }
+}
+
+/// What a panic says.
+pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message")
 }
 
 /// How many instructions a plug-in has left; a token bucket.
@@ -355,9 +364,8 @@ impl<S: Fn(Said)> Guard<S> {
             return false;
         }
         if let Err(panic) = returned {
-            let text = panic.downcast_ref::<String>().map(String::as_str);
-            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
-            (self.say)(Said::Failed { plugin: self.id.clone(), reason: format!("panicked: {text}") });
+            let reason = format!("panicked: {}", panic_text(&*panic));
+            (self.say)(Said::Failed { plugin: self.id.clone(), reason });
             return false;
         }
         for (instruction, reason) in actions.drain() {
