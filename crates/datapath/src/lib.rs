@@ -39,4 +39,4 @@ pub use error::Error;
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed};
 pub use process::{Child, HostsFile, SpawnOptions};
-pub use punctual::BusyPoll;
+pub use punctual::{BusyPoll, be_punctual};

@@ -80,6 +80,12 @@ impl Punctuality {
         sleep
     }
 
+    /// When that happened which woke the thread at `now`, if it slept since `before`: about as long ago as an alarm is
+    /// late.
+    pub(crate) fn event_at(&self, before: Timestamp, now: Timestamp) -> Timestamp {
+        before.max(now - self.lead)
+    }
+
     /// The thread is awake, by its alarm or by something else.
     pub(crate) fn woke(&mut self, now: Timestamp, by_alarm: bool) {
         let Some(alarm) = self.alarm.take().filter(|_| by_alarm) else { return };
@@ -96,8 +102,9 @@ pub(crate) fn can_spare_a_core() -> bool {
     thread::available_parallelism().is_ok_and(|cores| cores.get() > 2)
 }
 
-/// Asks the kernel to run the calling thread as soon as it wakes, and to wake it on time.
-pub(crate) fn be_punctual() {
+/// Asks the kernel to run the calling thread as soon as it wakes, and to wake it on time: for the fabric's thread, and
+/// for those that note when packets arrive. Such a thread should work for microseconds at a time.
+pub fn be_punctual() {
     // Each of these may be forbidden; the run report's lateness shows what it cost, and `doctor` what to do.
     if sys::set_least_timer_slack().is_err() {
         tracing::debug!("timers keep their slack");
