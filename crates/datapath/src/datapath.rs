@@ -4,7 +4,6 @@
 use std::{
     collections::HashMap,
     fmt::Write,
-    path::PathBuf,
     process::Command,
     sync::Arc,
     thread::{self, JoinHandle},
@@ -111,15 +110,6 @@ impl Datapath {
     pub fn namespace(&self, host: &NodeId) -> Result<&Namespace, Error> {
         let place = self.places.get(host).ok_or_else(|| Error::NoSuchHost(host.clone()))?;
         Ok(&self.hosts[*place])
-    }
-
-    /// What another process gives to [`crate::enter`] to be in a host, with the names of all others.
-    ///
-    /// # Errors
-    /// [`Error::NoSuchHost`].
-    pub fn paths(&self, host: &NodeId) -> Result<Vec<PathBuf>, Error> {
-        let network = self.namespace(host)?.path();
-        Ok([Some(network), self.hosts_file.as_ref().map(HostsFile::path)].into_iter().flatten().collect())
     }
 
     /// Starts a program in a host, in which it can use the names of all others; see [`Namespace::spawn`].

@@ -9,6 +9,7 @@ use std::{
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc,
     },
+    time::Duration,
 };
 
 use cotorra_fabric::{Fabric, PortId};
@@ -24,6 +25,11 @@ use crate::{
 
 /// Frames that are read from a port before others get their turn.
 const BATCH: usize = 64;
+/// One in so many frames is measured as it is sent.
+const MEASURED: u64 = 4;
+/// What sending takes longer than this is another's doing.
+const MOST_HANDOVER: Duration = Duration::from_micros(15);
+
 /// What is done on the fabric's thread for someone else.
 type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
 
@@ -117,6 +123,10 @@ struct Ports {
     buffers: Buffers,
     epoll: Epoll,
     shared: Arc<Shared>,
+    clock: Clock,
+    /// Frames sent so far, and how long it takes to send one: each is sent as much earlier than it is due.
+    sent: u64,
+    handover: Duration,
 }
 
 impl Ports {
@@ -125,7 +135,14 @@ impl Ports {
             return;
         }
         let port = &mut self.ports[index];
-        match port.send(frame, &mut self.buffers) {
+        self.sent += 1;
+        let begin = self.sent.is_multiple_of(MEASURED).then(|| self.clock.now());
+        let sent = port.send(frame, &mut self.buffers);
+        if let Some(begin) = begin {
+            let took = self.clock.now().since(begin).min(MOST_HANDOVER);
+            self.handover = (self.handover * 7 + took) / 8;
+        }
+        match sent {
             Sent::Now => {}
             Sent::Dropped => self.shared.count_drop(),
             // Fails for no open descriptor; the frame would wait for the next one to this port.
@@ -155,7 +172,15 @@ impl Engine {
             epoll.add(port.as_fd(), index)?;
         }
         epoll.add(shared.waker.as_fd(), ports.len())?;
-        let ports = Ports { ports, buffers: Buffers::new(), epoll, shared: Arc::clone(&shared) };
+        let ports = Ports {
+            ports,
+            buffers: Buffers::new(),
+            epoll,
+            shared: Arc::clone(&shared),
+            clock,
+            sent: 0,
+            handover: Duration::ZERO,
+        };
         Ok(Self { fabric, clock, ports, shared, punctuality: Punctuality::new(busy_poll), events })
     }
 
@@ -173,11 +198,13 @@ impl Engine {
         let mut ready: Vec<Ready> = Vec::new();
         let mut deadline = self.poll();
         loop {
-            let timeout = deadline.map(|deadline| self.punctuality.sleep(self.clock.now(), deadline));
+            let before = self.clock.now();
+            let timeout = deadline.map(|at| self.punctuality.sleep(before, at - self.ports.handover));
             ready.clear();
             ready.extend(self.ports.epoll.wait(timeout)?);
-            self.punctuality.woke(self.clock.now(), ready.is_empty());
-            deadline = self.poll();
+            let now = self.clock.now();
+            self.punctuality.woke(now, ready.is_empty());
+            let mut arrived = Some(self.punctuality.event_at(before, now));
             for event in &ready {
                 if self.shared.stopping.load(Ordering::Relaxed) {
                     port::close(self.ports.ports);
@@ -190,9 +217,12 @@ impl Engine {
                         self.ports.flush(event.token);
                     }
                     if event.readable {
-                        self.receive(event.token);
+                        self.receive(event.token, arrived.take());
                     }
                 }
+                deadline = self.poll();
+            }
+            if ready.is_empty() {
                 deadline = self.poll();
             }
         }
@@ -201,7 +231,8 @@ impl Engine {
     /// Lets the fabric deliver what is due, and says when it wants that again.
     fn poll(&mut self) -> Option<Timestamp> {
         let ports = &mut self.ports;
-        let deadline = self.fabric.poll(self.clock.now(), &mut |port, frame| ports.send(port, frame));
+        let out = self.clock.now() + ports.handover;
+        let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
         if let Some(sink) = &mut self.events {
             while let Some(event) = self.fabric.next_event() {
                 sink(event);
@@ -210,12 +241,16 @@ impl Engine {
         deadline
     }
 
-    fn receive(&mut self, index: usize) {
+    /// Takes what came in at a port, the first frame at the time given, if that is known better than by reading it.
+    fn receive(&mut self, index: usize, mut arrived: Option<Timestamp>) {
         let port = &mut self.ports.ports[index];
         for count in 0..port.batch {
             match port.receive(&mut self.ports.buffers) {
                 Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.ports.buffers.recycle(frame),
-                Ok(Some(frame)) => self.fabric.push(self.clock.now(), PortId(index), frame),
+                Ok(Some(frame)) => {
+                    let at = arrived.take().unwrap_or_else(|| self.clock.now());
+                    self.fabric.push(at, PortId(index), frame);
+                }
                 Ok(None) => {
                     port.batch = count.max(1);
                     return;

@@ -2,7 +2,6 @@
 //! with all that is in it, when the process ends, however it ends.
 
 use std::{
-    env,
     fs::File,
     io,
     net::{ToSocketAddrs, UdpSocket},
@@ -68,7 +67,7 @@ impl Namespace {
     /// A path under which another process of the same user finds it, as long as this process lives and holds it:
     /// what [`enter`] takes.
     pub fn path(&self) -> PathBuf {
-        path_of(self.as_fd())
+        format!("/proc/{}/fd/{}", std::process::id(), self.0.as_raw_fd()).into()
     }
 }
 
@@ -78,32 +77,20 @@ impl AsFd for Namespace {
     }
 }
 
-/// Moves this process, which must have one thread, into namespaces that another process holds, entering its user
-/// namespace first where need be: what it runs next (`exec`) runs there. [`crate::Datapath::paths`] tells the paths
-/// of a node. Call it instead of [`crate::enter_user_namespace_if_needed`].
+/// Moves this process, which must have one thread, into a network namespace that another process holds, entering
+/// its user namespace first where need be: what it runs next (`exec`) runs there. Call it instead of
+/// [`crate::enter_user_namespace_if_needed`].
 ///
 /// # Errors
-/// [`Error::Kernel`] when a path leads to no namespace, or to one of another user;
+/// [`Error::Kernel`] when the path leads to no namespace, or to one of another user;
 /// [`Error::SeveralThreads`].
-pub fn enter(paths: &[impl AsRef<Path>]) -> Result<(), Error> {
-    let namespaces = paths.iter().map(File::open).collect::<io::Result<Vec<_>>>();
-    let namespaces = namespaces.action("open a namespace (does its run still go on?)")?;
-    let here = env::current_dir();
-    if let Some(any) = namespaces.first().filter(|_| !privilege::have_rights()) {
-        let user = sys::owner_of(any.as_fd()).action("find the namespace's user namespace")?;
+pub fn enter(path: &Path) -> Result<(), Error> {
+    let namespace = File::open(path).action("open the namespace (does its run still go on?)")?;
+    if !privilege::have_rights() {
+        let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
         sys::setns(user.as_fd(), libc::CLONE_NEWUSER).map_err(privilege::several_threads)?;
     }
-    for namespace in &namespaces {
-        const OF_ANY_KIND: i32 = 0;
-        sys::setns(namespace.as_fd(), OF_ANY_KIND).action("enter a namespace")?;
-    }
-    // Entering a mount namespace goes to its root.
-    here.and_then(env::set_current_dir).action("go back to the working directory")
-}
-
-/// Where another process finds what a descriptor of ours holds.
-pub(crate) fn path_of(fd: BorrowedFd<'_>) -> PathBuf {
-    format!("/proc/{}/fd/{}", std::process::id(), fd.as_raw_fd()).into()
+    sys::setns(namespace.as_fd(), libc::CLONE_NEWNET).action("enter the network namespace")
 }
 
 /// Runs a closure on a thread of its own, because what a thread unshares it cannot get back.

@@ -20,7 +20,7 @@ use crate::{
     datapath::names,
     error::{Action, Error},
     init::{self, Init},
-    namespace::{Namespace, on_a_thread, path_of},
+    namespace::{Namespace, on_a_thread},
     sys,
 };
 
@@ -170,11 +170,6 @@ impl HostsFile {
     /// [`Error::Kernel`] where mount namespaces are forbidden or there is no `/etc/hosts` to cover.
     pub fn new(text: &str) -> Result<Self, Error> {
         on_a_thread(|| Self::on_this_thread(text)).action("cover /etc/hosts in a mount namespace")
-    }
-
-    /// A path for [`crate::enter`], as [`Namespace::path`].
-    pub fn path(&self) -> PathBuf {
-        path_of(self.mounts.as_fd())
     }
 
     fn on_this_thread(text: &str) -> io::Result<Self> {

@@ -13,7 +13,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_datapath::{Datapath, Error, Namespace, Options, PortKind, SpawnOptions};
+use cotorra_datapath::{Datapath, Error, HostsFile, Namespace, Options, PortKind, SpawnOptions};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     BitRate, Capacity, ConditionChange, Conditions, DomainId, HardwareGraph, HostAddress, Link, LinkId, Loss,
@@ -345,9 +345,10 @@ fn run_and_wait(kind: &str) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Enters namespaces and tells addresses and names that it finds there.
-fn enter_and_tell(paths: &str) -> ExitCode {
-    cotorra_datapath::enter(&paths.split(' ').collect::<Vec<_>>()).unwrap();
+/// Enters a namespace and tells the addresses and names that it finds there.
+fn enter_and_tell(path: &str) -> ExitCode {
+    cotorra_datapath::enter(path.as_ref()).unwrap();
+    HostsFile::of(&star(2, Conditions::default()).0).unwrap().enter().unwrap();
     for file in ["/proc/self/net/if_inet6", "/etc/hosts"] {
         print!("{}", fs::read_to_string(file).unwrap());
     }
@@ -381,8 +382,8 @@ fn nothing_survives_kill_9(kind: PortKind) {
 
 fn another_process_enters_a_node(kind: PortKind) {
     let (datapath, names) = up(2, Conditions::default(), kind);
-    let paths: Vec<_> = datapath.paths(&names[1]).unwrap().iter().map(|p| p.display().to_string()).collect();
-    let told = helper(&format!("enter {}", paths.join(" "))).stdin(Stdio::null()).output().unwrap();
+    let path = datapath.namespace(&names[1]).unwrap().path();
+    let told = helper(&format!("enter {}", path.display())).stdin(Stdio::null()).output().unwrap();
     let told = String::from_utf8(told.stdout).unwrap();
     assert!(told.contains("fd770000000000000000000000000002") && told.contains("eth0"), "{told}");
     assert!(told.contains("10.77.0.1 host0"), "{told}");
