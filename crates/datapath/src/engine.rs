@@ -12,13 +12,13 @@ use std::{
     time::Duration,
 };
 
-use cotorra_fabric::{Fabric, PortId};
+use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{Stamped, Timestamp};
 
 use crate::{
     clock::Clock,
     error::Error,
-    port::{self, Buffers, Port, Sent},
+    port::{self, Port, Sent},
     punctual::{self, BusyPoll, Punctuality},
     sys::{Epoll, Ready, Waker},
 };
@@ -114,13 +114,16 @@ pub(crate) struct Engine {
     ports: Ports,
     shared: Arc<Shared>,
     punctuality: Punctuality,
+    /// Where ports put what exceeds an ordinary frame.
+    spill: Box<[u8]>,
     events: Option<EventSink>,
 }
 
 /// The ports and what sending takes.
 struct Ports {
     ports: Vec<Port>,
-    buffers: Buffers,
+    /// Frames that left, whose buffers the fabric gets back.
+    spent: Vec<Frame>,
     epoll: Epoll,
     shared: Arc<Shared>,
     clock: Clock,
@@ -130,14 +133,14 @@ struct Ports {
 }
 
 impl Ports {
-    fn send(&mut self, PortId(index): PortId, frame: cotorra_fabric::Frame) {
+    fn send(&mut self, PortId(index): PortId, frame: Frame) {
         if self.shared.stopping.load(Ordering::Relaxed) {
             return;
         }
         let port = &mut self.ports[index];
         self.sent += 1;
         let begin = self.sent.is_multiple_of(MEASURED).then(|| self.clock.now());
-        let sent = port.send(frame, &mut self.buffers);
+        let sent = port.send(frame, &mut self.spent);
         if let Some(begin) = begin {
             let took = self.clock.now().since(begin).min(MOST_HANDOVER);
             self.handover = (self.handover * 7 + took) / 8;
@@ -152,7 +155,7 @@ impl Ports {
 
     fn flush(&mut self, index: usize) {
         let port = &mut self.ports[index];
-        if port.flush(&mut self.buffers) {
+        if port.flush(&mut self.spent) {
             drop(self.epoll.set_writable(port.as_fd(), index, false));
         }
     }
@@ -174,14 +177,22 @@ impl Engine {
         epoll.add(shared.waker.as_fd(), ports.len())?;
         let ports = Ports {
             ports,
-            buffers: Buffers::new(),
+            spent: Vec::new(),
             epoll,
             shared: Arc::clone(&shared),
             clock,
             sent: 0,
             handover: Duration::ZERO,
         };
-        Ok(Self { fabric, clock, ports, shared, punctuality: Punctuality::new(busy_poll), events })
+        Ok(Self {
+            fabric,
+            clock,
+            ports,
+            shared,
+            punctuality: Punctuality::new(busy_poll),
+            spill: vec![0; port::LARGEST].into(),
+            events,
+        })
     }
 
     /// Runs until it is told to stop.
@@ -204,6 +215,10 @@ impl Engine {
             ready.extend(self.ports.epoll.wait(timeout)?);
             let now = self.clock.now();
             self.punctuality.woke(now, ready.is_empty());
+            // What is due goes first.
+            if deadline.is_some_and(|at| at <= now + self.ports.handover) {
+                deadline = self.poll();
+            }
             let mut arrived = Some(self.punctuality.event_at(before, now));
             for event in &ready {
                 if self.shared.stopping.load(Ordering::Relaxed) {
@@ -222,9 +237,6 @@ impl Engine {
                 }
                 deadline = self.poll();
             }
-            if ready.is_empty() {
-                deadline = self.poll();
-            }
         }
     }
 
@@ -233,6 +245,9 @@ impl Engine {
         let ports = &mut self.ports;
         let out = self.clock.now() + ports.handover;
         let deadline = self.fabric.poll(out, &mut |port, frame| ports.send(port, frame));
+        for frame in ports.spent.drain(..) {
+            self.fabric.recycle(frame);
+        }
         if let Some(sink) = &mut self.events {
             while let Some(event) = self.fabric.next_event() {
                 sink(event);
@@ -245,8 +260,8 @@ impl Engine {
     fn receive(&mut self, index: usize, mut arrived: Option<Timestamp>) {
         let port = &mut self.ports.ports[index];
         for count in 0..port.batch {
-            match port.receive(&mut self.ports.buffers) {
-                Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.ports.buffers.recycle(frame),
+            match port.receive(&mut self.fabric, &mut self.spill) {
+                Ok(Some(frame)) if is_membership_report(frame.bytes()) => self.fabric.recycle(frame),
                 Ok(Some(frame)) => {
                     let at = arrived.take().unwrap_or_else(|| self.clock.now());
                     self.fabric.push(at, PortId(index), frame);

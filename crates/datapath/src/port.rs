@@ -8,55 +8,17 @@ use std::{
     thread,
 };
 
-use cotorra_fabric::Frame;
+use cotorra_fabric::{Fabric, Frame};
 
 use crate::{sys, vnet};
 
 /// Frames that wait for a port that takes no more for now; what comes on top is dropped, as at a network card.
 const BACKLOG: usize = 256;
 
-/// Buffers that come back from frames that left, and a place for what exceeds an ordinary frame.
-pub(crate) struct Buffers {
-    small: Vec<Vec<u8>>,
-    large: Vec<Vec<u8>>,
-    spill: Box<[u8]>,
-}
-
-impl Buffers {
-    /// Room for a frame of an ordinary link.
-    const SMALL: usize = 2048;
-    /// Room for the largest super-packet.
-    const LARGE: usize = 66 * 1024;
-    /// Kept at most, of each.
-    const KEPT: [usize; 2] = [16 * 1024, 512];
-
-    pub(crate) fn new() -> Self {
-        Self { small: Vec::new(), large: Vec::new(), spill: vec![0; Self::LARGE].into() }
-    }
-
-    fn take(&mut self, large: bool) -> Vec<u8> {
-        let (pool, size) =
-            if large { (&mut self.large, Self::LARGE) } else { (&mut self.small, Self::SMALL) };
-        pool.pop().unwrap_or_else(|| Vec::with_capacity(size))
-    }
-
-    /// Takes back what a frame lay in.
-    pub(crate) fn recycle(&mut self, frame: Frame) {
-        self.put(frame.into_bytes());
-    }
-
-    fn put(&mut self, mut buffer: Vec<u8>) {
-        let (pool, kept) = match buffer.capacity() {
-            Self::LARGE.. => (&mut self.large, Self::KEPT[1]),
-            Self::SMALL.. => (&mut self.small, Self::KEPT[0]),
-            _ => return,
-        };
-        if pool.len() < kept {
-            buffer.clear();
-            pool.push(buffer);
-        }
-    }
-}
+/// An ordinary frame fits; what exceeds it is a super-packet.
+const ORDINARY: usize = 2048;
+/// Room for the largest super-packet.
+pub(crate) const LARGEST: usize = 66 * 1024;
 
 /// What became of a frame that was sent.
 #[derive(Debug, PartialEq, Eq)]
@@ -86,52 +48,49 @@ impl Port {
         Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new() }
     }
 
-    /// The next frame; `Ok(None)` when there is none for now.
+    /// The next frame, in one of the fabric's buffers; `Ok(None)` when there is none for now. What does not fit an
+    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`].
     ///
     /// # Errors
     /// When a frame was there that cannot be had; the next one may be fine.
-    pub(crate) fn receive(&mut self, buffers: &mut Buffers) -> io::Result<Option<Frame>> {
+    pub(crate) fn receive(&mut self, fabric: &mut Fabric, spill: &mut [u8]) -> io::Result<Option<Frame>> {
         let mut header = [0; vnet::LENGTH];
-        let mut buffer = buffers.take(self.expects_large);
-        let length = match sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, &mut buffers.spill) {
+        let mut buffer = fabric.buffer(if self.expects_large { LARGEST } else { ORDINARY });
+        let length = match sys::read_frame(self.fd.as_fd(), &mut header, &mut buffer, spill) {
             Ok(length) => length,
             Err(e) => {
-                buffers.put(buffer);
+                fabric.recycle(Frame::new(buffer));
                 return if e.kind() == io::ErrorKind::WouldBlock { Ok(None) } else { Err(e) };
             }
         };
-        self.expects_large = length > Buffers::SMALL;
-        let fits = buffer.capacity() >= Buffers::LARGE;
-        if fits != self.expects_large {
-            let mut right = buffers.take(self.expects_large);
+        let (room_for_large, is_large) = (self.expects_large, length > ORDINARY);
+        self.expects_large = is_large;
+        if room_for_large != is_large {
+            let mut right = fabric.buffer(length);
             right.extend_from_slice(&buffer);
-            right.extend_from_slice(&buffers.spill[..length - buffer.len()]);
-            buffers.put(std::mem::replace(&mut buffer, right));
+            right.extend_from_slice(&spill[..length - buffer.len()]);
+            fabric.recycle(Frame::new(std::mem::replace(&mut buffer, right)));
         }
         let Some(offload) = vnet::decode(&header) else {
-            buffers.put(buffer);
+            fabric.recycle(Frame::new(buffer));
             return Err(io::ErrorKind::InvalidData.into());
         };
         Ok(Some(Frame::with_offload(buffer, offload)))
     }
 
-    /// Sends a frame, behind those that wait.
-    pub(crate) fn send(&mut self, frame: Frame, buffers: &mut Buffers) -> Sent {
+    /// Sends a frame, behind those that wait. What is sent or dropped goes to `spent`.
+    pub(crate) fn send(&mut self, frame: Frame, spent: &mut Vec<Frame>) -> Sent {
         if self.backlog.is_empty() {
             match self.write(&frame) {
-                Ok(()) => {
-                    buffers.recycle(frame);
-                    return Sent::Now;
+                Err(e) if is_full(&e) => {}
+                result => {
+                    spent.push(frame);
+                    return if result.is_ok() { Sent::Now } else { Sent::Dropped };
                 }
-                Err(e) if !is_full(&e) => {
-                    buffers.recycle(frame);
-                    return Sent::Dropped;
-                }
-                Err(_) => {}
             }
         }
         if self.backlog.len() == BACKLOG {
-            buffers.recycle(frame);
+            spent.push(frame);
             return Sent::Dropped;
         }
         self.backlog.push_back(frame);
@@ -139,14 +98,14 @@ impl Port {
     }
 
     /// Sends what waits, as far as it goes; `true` when nothing waits any more.
-    pub(crate) fn flush(&mut self, buffers: &mut Buffers) -> bool {
+    pub(crate) fn flush(&mut self, spent: &mut Vec<Frame>) -> bool {
         while let Some(frame) = self.backlog.pop_front() {
             match self.write(&frame) {
                 Err(e) if is_full(&e) => {
                     self.backlog.push_front(frame);
                     return false;
                 }
-                _ => buffers.recycle(frame),
+                _ => spent.push(frame),
             }
         }
         true
