@@ -31,6 +31,8 @@ const TESTS: &[Test] = &[
     ("large datagrams arrive whole", large_datagrams_arrive_whole),
     ("a change is in force once it returns, and loses nothing", a_change_loses_nothing),
     ("commands fail once it has stopped", commands_fail_once_it_has_stopped),
+    ("nothing is left once it is dropped", nothing_is_left_once_it_is_dropped),
+    ("a machine that runs this is told so", a_machine_that_runs_this_is_told_so),
     ("a program's descendants end with it", descendants_end_with_their_program),
     ("a program gets its exit code, its host's name, its limits and its signals", programs_are_at_home),
     ("nothing survives kill -9", nothing_survives_kill_9),
@@ -261,6 +263,29 @@ fn commands_fail_once_it_has_stopped(kind: PortKind) {
     assert!(datapath.namespace(&names[1]).is_ok());
     datapath.stop().unwrap();
     assert!(matches!(handle.with(|_, _| ()), Err(Error::Stopped)));
+}
+
+fn nothing_is_left_once_it_is_dropped(kind: PortKind) {
+    let held = || ["/proc/self/fd", "/proc/self/task"].map(|what| fs::read_dir(what).unwrap().count());
+    let before = held();
+    let (datapath, names) = up(20, Conditions::default(), kind);
+    let child = datapath.spawn(&names[0], shell("sleep 1000"), SpawnOptions::default()).unwrap();
+    let process = child.id();
+    assert!(held()[0] > before[0] + 20);
+    drop(child);
+    drop(datapath);
+    assert!(!is_alive(process));
+    // Threads that have been joined are still told of for a moment.
+    wait_until(|| held() == before);
+}
+
+fn a_machine_that_runs_this_is_told_so(kind: PortKind) {
+    let capabilities = cotorra_datapath::probe();
+    let port = if kind == PortKind::Tap { "TAP with offloads" } else { "packet sockets with offloads" };
+    for name in ["network namespaces", "process and mount namespaces", port] {
+        let capability = capabilities.iter().find(|c| c.name == name).unwrap();
+        assert!(capability.state.is_available(), "{capability:?}");
+    }
 }
 
 /// A shell command in a namespace of its own whose output can be read.
