@@ -22,4 +22,4 @@ pub use report::{
     Summary, draw,
 };
 pub use run::{Options, Run, RunError, Stopper, clean, leftovers};
-pub use simulate::Simulation;
+pub use simulate::{Simulation, simulate};

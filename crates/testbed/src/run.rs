@@ -85,6 +85,9 @@ pub enum RunError {
         /// What the system says.
         source: io::Error,
     },
+    /// Virtual time would never end.
+    #[error("the testbed has no walk that would end the run: say how long it is to be, as in `--until 60s`")]
+    Endless,
     /// The core's thread panicked, which is a bug.
     #[error("the run broke off; please report this as a bug, with the run's folder")]
     Panicked,

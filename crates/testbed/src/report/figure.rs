@@ -41,7 +41,17 @@ pub fn draw(panels: &[Panel<'_>]) -> String {
         .with_layouts(layouts)
         .with_figure_size(WIDTH, HEIGHT * panels.len() as f64)
         .render();
-    SvgBackend::new().render_scene(&scene)
+    number_clips(SvgBackend::new().render_scene(&scene))
+}
+
+/// The library numbers clip paths through a process's life; the same figure is to have the same bytes.
+fn number_clips(svg: String) -> String {
+    const MARK: &str = "<clipPath id=\"";
+    let ids = svg.split(MARK).skip(1).filter_map(|rest| rest.split('"').next().map(str::to_owned));
+    ids.collect::<Vec<_>>().iter().enumerate().fold(svg, |svg, (i, id)| {
+        svg.replace(&format!("\"{id}\""), &format!("\"clip{i}\""))
+            .replace(&format!("url(#{id})"), &format!("url(#clip{i})"))
+    })
 }
 
 fn draw_panel(panel: &Panel<'_>, end: f64) -> (Vec<Plot>, Layout) {

@@ -11,7 +11,7 @@ fn corridor() -> Arc<Testbed> {
 }
 
 /// All events of the first seconds.
-fn simulate(testbed: &Arc<Testbed>, seed: u64, seconds: f64) -> Vec<Stamped> {
+fn events_of(testbed: &Arc<Testbed>, seed: u64, seconds: f64) -> Vec<Stamped> {
     let mut simulation = Simulation::new(Arc::clone(testbed), seed).unwrap();
     let mut events = Vec::new();
     while simulation.step().as_secs_f64() < seconds && !simulation.is_finished() {
@@ -23,7 +23,7 @@ fn simulate(testbed: &Arc<Testbed>, seed: u64, seconds: f64) -> Vec<Stamped> {
 #[test]
 fn the_whole_walk_has_the_published_regions_and_medians() {
     let testbed = corridor();
-    let events = simulate(&testbed, 1, 500.0);
+    let events = events_of(&testbed, 1, 500.0);
     let mut report = Report::new(&testbed, 1);
     for event in &events {
         report.absorb(event);
@@ -59,9 +59,9 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
 #[test]
 fn the_same_seed_gives_the_same_events_and_another_seed_others() {
     let testbed = corridor();
-    let first = simulate(&testbed, 7, 60.0);
-    assert_eq!(first, simulate(&testbed, 7, 60.0));
-    assert_ne!(first, simulate(&testbed, 8, 60.0));
+    let first = events_of(&testbed, 7, 60.0);
+    assert_eq!(first, events_of(&testbed, 7, 60.0));
+    assert_ne!(first, events_of(&testbed, 8, 60.0));
 }
 
 #[test]
@@ -112,4 +112,38 @@ fn a_plugin_that_panics_is_cut_off_and_the_robot_walks_on() {
     }
     assert_eq!(faults, ["bomb: panicked: by design"]);
     assert!(answered > 40, "{answered} answers");
+}
+
+#[test]
+fn two_runs_with_one_seed_leave_the_same_bytes() {
+    let out = tempfile::tempdir().unwrap();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let text = std::fs::read_to_string(file).unwrap();
+    let run = || {
+        let options = Options {
+            seed: Some(3),
+            until: Some(Duration::from_secs(40)),
+            out: out.path().to_owned(),
+            api: None,
+            token: None,
+        };
+        simulate(Testbed::clone(&corridor()), &text, &options, |_| true).unwrap()
+    };
+    let ((first, a), (second, b)) = (run(), run());
+    assert_eq!(first, second);
+    assert!(first.fidelity.valid && first.samples > 700, "{first:?}");
+    for name in ["summary.json", "service_time.csv", "service_time.svg", "testbed.yaml"] {
+        let read = |folder: &PathBuf| std::fs::read_to_string(folder.join(name)).unwrap();
+        let (a, b) = (read(&a), read(&b));
+        let differs = a.bytes().zip(b.bytes()).position(|(a, b)| a != b);
+        assert!(a == b, "{name} differs from byte {differs:?} on: {:?}", a.get(differs.unwrap_or(0)..));
+    }
+}
+
+#[test]
+fn virtual_time_without_an_end_is_refused() {
+    let mut testbed = Testbed::clone(&corridor());
+    testbed.walks.clear();
+    let options = Options { seed: None, until: None, out: PathBuf::new(), api: None, token: None };
+    assert!(matches!(simulate(testbed, "", &options, |_| true), Err(RunError::Endless)));
 }
