@@ -128,6 +128,7 @@ Examples:
   cotorra run testbeds/corridor.yaml
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
+  cotorra run testbeds/corridor.yaml --simulate
   cotorra run testbeds/corridor.yaml --dry-run
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
@@ -155,6 +156,12 @@ pub struct RunArgs {
     /// of 16 characters or more in COTORRA_TOKEN.
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
+    /// Run in virtual time: as fast as this machine can, and the same to the byte each time
+    ///
+    /// The same network, robots, VNFs and bundled plug-ins, without namespaces, packets of the kernel's or an API. Plug-ins
+    /// and VNFs that are programs of their own cannot take part.
+    #[arg(long, conflicts_with = "api")]
+    pub simulate: bool,
     /// Only say what would be brought up
     #[arg(long)]
     pub dry_run: bool,

@@ -13,8 +13,9 @@ use std::{
     time::Duration,
 };
 
+use cotorra_graph::Testbed;
 use cotorra_testbed::{Options, Run, RunError, Summary, Token};
-use indicatif::{MultiProgress, ProgressDrawTarget};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{cli::RunArgs, logs, output, signals, testbed_file};
 use view::{Places, View};
@@ -62,6 +63,9 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         output::print(&plan::describe(&loaded.testbed, &args))?;
         return Ok(ExitCode::SUCCESS);
     }
+    if args.simulate {
+        return simulate(loaded.testbed, &loaded.text, &options, args.headless);
+    }
     // Before the first thread: only a process with a single one may enter a user namespace.
     cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
 
@@ -81,6 +85,21 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let summary = run.finish().map_err(Error::from);
     view.close();
     let summary = summary?;
+    output::print(&summary::describe(&summary, &folder))?;
+    Ok(verdict(&summary))
+}
+
+/// Runs a testbed in virtual time.
+fn simulate(testbed: Testbed, text: &str, options: &Options, headless: bool) -> miette::Result<ExitCode> {
+    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let spinner = if headless { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
+    let (summary, folder) = cotorra_testbed::simulate(testbed, text, options, |now| {
+        spinner.set_message(format!("{:.0} s of virtual time", now.as_secs_f64()));
+        spinner.tick();
+        interrupts.try_recv().is_err()
+    })
+    .map_err(Error::from)?;
+    spinner.finish_and_clear();
     output::print(&summary::describe(&summary, &folder))?;
     Ok(verdict(&summary))
 }
