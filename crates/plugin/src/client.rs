@@ -1,6 +1,6 @@
 //! The client of a testbed's HTTP API, for plug-ins that are programs of their own.
 //!
-//! [`run`] drives any [`Plugin`] over the API, so that one plug-in runs in process or apart; [`Client`] asks and
+//! [`run()`] drives any [`Plugin`] over the API, so that one plug-in runs in process or apart; [`Client`] asks and
 //! instructs directly. Both block, as a plug-in has nothing else to do.
 
 mod events;

@@ -3,7 +3,7 @@
 //! It plans over an inflated costmap with A*, follows by regulated pure pursuit, and answers each context of a robot
 //! with a velocity and the next waypoint. The answer depends on that context alone: an instance that starts on
 //! another server in the middle of a walk goes on as if it had been there all the time. [`Brain`] is the plug-in;
-//! [`serve`] runs it as the navigation VNF, where contexts and instructions cross the network as packets.
+//! [`serve()`] runs it as the navigation VNF, where contexts and instructions cross the network as packets.
 #![forbid(unsafe_code)]
 
 mod costmap;
