@@ -198,7 +198,7 @@ fn mininet(bench: &Bench) -> Result<Vec<Row>, Error> {
                 format!("{:.0} times ours", took / ours.median()),
             )
         }
-        Err(missing) => Row::new("  Mininet linear,50", "-", missing.to_string()),
+        Err(missing) => Row::missing("  Mininet linear,50", missing.to_string()),
     };
     Ok(vec![row, peer.aiming_at("19 times ours")])
 }
@@ -208,7 +208,7 @@ fn about(name: &str) -> &'static str {
 }
 
 fn rattan_missing(missing: &peers::Missing) -> Row {
-    Row::new("  rattan", "-", missing.to_string())
+    Row::missing("  rattan", missing.to_string())
 }
 
 fn throughput(conditions: &Conditions, links: usize) -> Result<f64, Error> {

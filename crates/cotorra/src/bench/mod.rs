@@ -5,7 +5,7 @@ mod figures;
 mod load;
 mod peers;
 
-use std::{path::PathBuf, time::Duration};
+use std::{collections::BTreeSet, path::PathBuf, time::Duration};
 
 use cotorra_datapath::{Privilege, enter_user_namespace_if_needed};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -56,11 +56,17 @@ pub struct Row {
     tail: String,
     /// What it is meant to reach, on a machine of two cores.
     goal: &'static str,
+    /// Why there is no figure; too long for a table.
+    missing: Option<String>,
 }
 
 impl Row {
     fn new(figure: impl Into<String>, median: impl Into<String>, tail: impl Into<String>) -> Self {
-        Self { figure: figure.into(), median: median.into(), tail: tail.into(), goal: "" }
+        Self { figure: figure.into(), median: median.into(), tail: tail.into(), goal: "", missing: None }
+    }
+
+    fn missing(figure: impl Into<String>, why: String) -> Self {
+        Self { missing: Some(why), ..Self::new(figure, "-", "not measured") }
     }
 
     fn aiming_at(self, goal: &'static str) -> Self {
@@ -85,20 +91,24 @@ pub fn bench(args: &BenchArgs) -> miette::Result<()> {
     progress.enable_steady_tick(Duration::from_millis(120));
     let bench = Bench { progress, rattan: args.rattan.clone(), root };
     let mut table = Table::new("<><<>");
+    let mut notes = BTreeSet::new();
     table.row(["figure", "median", "tail", "to reach", "others' CPU"]);
     for (i, benchmark) in chosen.iter().enumerate() {
         bench.progress.set_prefix(format!("{} of {}, {}", i + 1, chosen.len(), benchmark.name));
         let load = Load::begin();
         let rows = (benchmark.measure)(&bench)
-            .unwrap_or_else(|error| vec![Row::new(benchmark.about, "-", format!("not measured: {error}"))]);
+            .unwrap_or_else(|error| vec![Row::missing(benchmark.about, error.to_string())]);
         let others = load.others();
         for (i, row) in rows.into_iter().enumerate() {
             let others = if i == 0 { others.clone() } else { String::new() };
+            notes.extend(row.missing.map(|why| format!("{}: {why}\n", row.figure.trim())));
             table.row([row.figure, row.median, row.tail, row.goal.to_owned(), others]);
         }
     }
     bench.progress.finish_and_clear();
-    output::print(&table.render(""))
+    let notes = notes.into_iter().collect::<String>();
+    let gap = if notes.is_empty() { "" } else { "\n" };
+    output::print(&format!("{}{gap}{notes}", table.render("")))
 }
 
 fn choose(names: &[String]) -> Result<Vec<&'static Benchmark>, Error> {

@@ -67,10 +67,12 @@ pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Res
             done.store(true, Ordering::Relaxed);
             printed
         })?;
-        let nanos = printed.split_whitespace().map(|word| word.parse().map(Duration::from_nanos));
+        // rattan writes its log there, too.
+        let last = printed.lines().next_back().unwrap_or_default();
+        let nanos = last.split_whitespace().map(|word| word.parse().map(Duration::from_nanos));
         match nanos.collect::<Result<Vec<_>, _>>().as_deref() {
             Ok(&[p50, p99, max]) => Ok(Percentiles { p50, p99, max }),
-            _ => Err(Missing::Failed(format!("its probe said {printed:?}"))),
+            _ => Err(Missing::Failed(format!("our probe inside it said {last:?}"))),
         }
     })
 }
@@ -116,7 +118,7 @@ pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
     // Linux bridges and no controller: the least that it can do.
     command.args(["--topo", &topology, "--switch", "lxbr", "--controller", "none", "--test", "none"]);
     let output = match command.output() {
-        Err(_) => return Err(Missing::NotInstalled("apt-get install mininet")),
+        Err(_) => return Err(Missing::NotInstalled("apt-get install mininet bridge-utils")),
         Ok(_) if !bench.root => return Err(Missing::NeedsRoot),
         Ok(output) => output,
     };
@@ -135,8 +137,10 @@ fn succeed(output: Output) -> Result<(String, String), Missing> {
     if output.status.success() {
         return Ok((printed, said));
     }
-    let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no message");
-    Err(Missing::Failed(format!("{}: {last}", output.status)))
+    let lines = || said.lines().map(str::trim).filter(|line| !line.is_empty());
+    let why =
+        lines().find(|line| line.contains("annot") || line.contains("rror")).or_else(|| lines().next_back());
+    Err(Missing::Failed(format!("{}: {}", output.status, why.unwrap_or("no message"))))
 }
 
 /// `probe` as a command.

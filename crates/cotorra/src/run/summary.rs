@@ -18,11 +18,11 @@ pub fn describe(summary: &Summary, folder: &Path) -> String {
         n => format!(" ({n} without an answer)"),
     };
     let mut text = format!(
-        "{}: {} after {}, {}{unanswered}\n",
+        "{}: {}{unanswered} in {}; {}\n",
         style(&summary.name).bold(),
-        summary.ended,
-        clock(summary.duration_s),
         count(summary.samples, "sample"),
+        clock(summary.duration_s),
+        summary.ended,
     );
     if !summary.regions.is_empty() {
         text += "\n";

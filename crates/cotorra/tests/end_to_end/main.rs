@@ -2,6 +2,7 @@
 
 mod api;
 mod command_line;
+mod documents;
 mod harness;
 mod interruption;
 mod plugin;
