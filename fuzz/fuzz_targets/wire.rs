@@ -1,0 +1,26 @@
+//! No datagram makes a decoder panic, and what is decoded is encoded to what decodes to the same.
+#![no_main]
+
+use cotorra_plugin::{
+    messages::{LaserScan, Message, Odometry},
+    wire::{NavigationPacket, PositionPacket},
+};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    let mut again = Vec::new();
+    if let Ok(packet) = PositionPacket::decode(bytes) {
+        packet.encode(&mut again);
+        let mut twice = Vec::new();
+        PositionPacket::decode(&again).expect("it was encoded here").encode(&mut twice);
+        assert_eq!(again, twice);
+    }
+    if let Ok(packet) = NavigationPacket::decode(bytes) {
+        packet.encode(&mut again);
+        let mut twice = Vec::new();
+        NavigationPacket::decode(&again).expect("it was encoded here").encode(&mut twice);
+        assert_eq!(again, twice);
+    }
+    let _ = LaserScan::decode(bytes);
+    let _ = Odometry::decode(bytes);
+});
