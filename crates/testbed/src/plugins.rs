@@ -57,7 +57,7 @@ pub(crate) enum Said {
 #[derive(Debug, thiserror::Error)]
 pub enum PluginError {
     /// No such plug-in is bundled.
-    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: probing")]
+    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: okpi, probing")]
     NotBundled {
         /// Which.
         plugin: PluginId,
@@ -90,6 +90,10 @@ pub enum PluginError {
 /// Makes the bundled plug-in that a testbed file names.
 pub(crate) fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dyn Plugin>, PluginError> {
     match name {
+        "okpi" => match cotorra_okpi::Okpi::from_settings(&spec.settings) {
+            Ok(plugin) => Ok(Box::new(plugin)),
+            Err(e) => Err(PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() }),
+        },
         "probing" => match cotorra_probing::Probing::from_settings(&spec.settings, seed) {
             Ok(plugin) => Ok(Box::new(plugin)),
             Err(e) => Err(PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() }),

@@ -1,0 +1,115 @@
+//! Which radio units cover a location: by a survey of their areas where there is one, else by the signal that the
+//! network's path loss gives there.
+
+use std::collections::BTreeMap;
+
+use cotorra_graph::{HardwareGraph, NodeId, PathLoss, Position, RadioUnit, WifiStandard};
+
+/// How coverage is told.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Coverage {
+    /// The mean signal is above a floor, and not much weaker than the strongest.
+    Signal {
+        /// Weakest usable signal, dBm.
+        floor_dbm: f64,
+        /// How much weaker than the strongest, dB.
+        margin_db: f64,
+    },
+    /// The location is in the radio unit's area.
+    Survey {
+        /// A polygon for each radio unit that is offered.
+        areas: BTreeMap<NodeId, Vec<Position>>,
+        /// A radio unit is taken up so deep in its area, and kept so far beyond it, metres.
+        hysteresis_m: f64,
+    },
+}
+
+impl Coverage {
+    /// The radio units of a network that cover a location, strongest first.
+    pub(crate) fn at(
+        &self,
+        graph: &HardwareGraph,
+        network: &str,
+        location: Position,
+        present: Option<&NodeId>,
+    ) -> Vec<NodeId> {
+        let Some(wireless) = graph.wireless.get(network) else { return Vec::new() };
+        let mut heard: Vec<(f64, &NodeId)> = graph
+            .radio_units()
+            .filter(|(_, unit)| unit.network == network)
+            .filter_map(|(node, unit)| {
+                let distance = node.position?.distance(location);
+                Some((signal_dbm(wireless.path_loss, wireless.standard, unit, distance), &node.id))
+            })
+            .collect();
+        // Stable: of equals, the first in the testbed file.
+        heard.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let strongest = heard.first().map_or(f64::NEG_INFINITY, |(signal, _)| *signal);
+        let covers = |(signal, unit): &(f64, &NodeId)| match self {
+            Self::Signal { floor_dbm, margin_db } => *signal >= floor_dbm.max(strongest - margin_db),
+            Self::Survey { areas, hysteresis_m } => areas.get(*unit).is_some_and(|area| {
+                let depth = depth(area, location);
+                if present == Some(*unit) { depth >= -hysteresis_m } else { depth >= *hysteresis_m }
+            }),
+        };
+        heard.iter().filter(|heard| covers(heard)).map(|(_, unit)| (*unit).clone()).collect()
+    }
+}
+
+/// Mean received signal: the path loss models of the testbed file, as ITU-R P.525-4 (4), Rappaport 4.9 and
+/// ITU-R P.1238-9 (1) give them.
+fn signal_dbm(model: PathLoss, standard: WifiStandard, unit: &RadioUnit, distance_m: f64) -> f64 {
+    let mhz = match (standard, f64::from(unit.channel)) {
+        (WifiStandard::A | WifiStandard::Ac, channel) => 5000.0 + 5.0 * channel,
+        (WifiStandard::G | WifiStandard::N, 14.0) => 2484.0,
+        (WifiStandard::G | WifiStandard::N, channel) => 2407.0 + 5.0 * channel,
+    };
+    let (log_d, log_f) = (distance_m.max(0.1).log10(), mhz.log10());
+    let falling_by = |slope: f64| if log_d > 0.0 { slope * log_d } else { 20.0 * log_d };
+    let loss = match model {
+        PathLoss::FreeSpace => falling_by(20.0) - 27.55,
+        PathLoss::LogDistance { exponent } => falling_by(10.0 * exponent) - 27.55,
+        PathLoss::ItuIndoor { coefficient, floor_loss_db } => falling_by(coefficient) + floor_loss_db - 28.0,
+    };
+    unit.tx_power.0 - loss - 20.0 * log_f
+}
+
+/// How far a place is inside a polygon, metres; negative outside.
+fn depth(polygon: &[Position], place: Position) -> f64 {
+    let edges = || polygon.iter().zip(polygon.iter().cycle().skip(1));
+    let distance = edges().map(|(&a, &b)| distance_to(a, b, place)).fold(f64::INFINITY, f64::min);
+    if contains(polygon, place) { distance } else { -distance }
+}
+
+/// Whether a place is inside a polygon, by the even-odd rule.
+pub(crate) fn contains(polygon: &[Position], place: Position) -> bool {
+    let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
+    let crossed = |a: &Position, b: &Position| {
+        (a.y > place.y) != (b.y > place.y) && place.x < a.x + (place.y - a.y) / (b.y - a.y) * (b.x - a.x)
+    };
+    edges.filter(|(a, b)| crossed(a, b)).count() % 2 == 1
+}
+
+/// Distance from a place to the line between two others.
+fn distance_to(a: Position, b: Position, place: Position) -> f64 {
+    let (dx, dy) = (b.x - a.x, b.y - a.y);
+    let along = ((place.x - a.x) * dx + (place.y - a.y) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
+    let along = along.clamp(0.0, 1.0);
+    place.distance(Position::new(a.x + along * dx, a.y + along * dy))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SQUARE: [Position; 4] =
+        [Position::new(0.0, 0.0), Position::new(4.0, 0.0), Position::new(4.0, 4.0), Position::new(0.0, 4.0)];
+
+    #[test]
+    fn depth_is_positive_inside_and_negative_outside() {
+        let depths = [(2.0, 2.0, 2.0), (1.0, 2.0, 1.0), (-1.0, 2.0, -1.0), (7.0, 8.0, -5.0), (4.0, 2.0, 0.0)];
+        for (x, y, expected) in depths {
+            assert!((depth(&SQUARE, Position::new(x, y)) - expected).abs() < 1e-12, "({x}, {y})");
+        }
+    }
+}

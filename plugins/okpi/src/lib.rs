@@ -1,0 +1,197 @@
+//! KPI-driven orchestration: at each new location of a robot, the radio unit and the servers that carry its service
+//! at the least cost, with every KPI kept (OKpi: Martín-Pérez, Malandrino, Chiasserini, Bernardos, INFOCOM 2020 and
+//! IEEE/ACM Transactions on Networking 30(2), 2022).
+//!
+//! [`place`] is the decision by itself, a pure function; [`Okpi`] is the plug-in that asks it.
+#![forbid(unsafe_code)]
+
+mod coverage;
+mod model;
+mod now;
+mod paths;
+mod placement;
+mod settings;
+
+use cotorra_graph::{
+    Event, Instruction, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service, Testbed,
+    Timestamp,
+};
+use cotorra_plugin::{Actions, Plugin};
+
+pub use crate::{
+    model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
+    placement::{Infeasible, Placed, Search, Slack, place},
+    settings::InvalidSettings,
+};
+use crate::{now::Now, settings::Settings};
+
+/// A location is new so far from the last, metres: as often as localization publishes one.
+const NEW_LOCATION_M: f64 = 0.25;
+
+/// Orchestrates every service by its KPIs.
+#[derive(Debug)]
+pub struct Okpi {
+    settings: Settings,
+    now: Option<Now>,
+    /// What is decided for each service, in the testbed's order.
+    decisions: Vec<Decision>,
+}
+
+/// What is decided for a service.
+#[derive(Debug, Default)]
+struct Decision {
+    /// Where the robot was.
+    at: Option<Position>,
+    /// The radio unit.
+    attachment: Option<NodeId>,
+    placement: Vec<Placement>,
+    /// That the KPIs cannot be kept has been said.
+    warned: bool,
+}
+
+impl Okpi {
+    /// Reads the settings of a testbed file:
+    ///
+    /// - `gamma`: γ, levels that each KPI's budget is counted in, rounded up at each hop; by default `4`, with which
+    ///   the published decisions come out;
+    /// - `k_paths`: paths that are tried between two hosts, by default `3`;
+    /// - `relax`: where no placement keeps the KPIs, `true` takes the one that exceeds them least and says so, `false`,
+    ///   the default, leaves all as it is;
+    /// - `floor` and `margin`: a radio unit covers a location where its mean signal is above the floor, by default
+    ///   `-80 dBm`, and not weaker than the strongest by more than the margin, by default `7.5 dB`;
+    /// - `coverage`: areas from a survey in place of that, as `R1: [[x, y], [x, y], [x, y]]` in metres; a radio unit
+    ///   that is not named is not offered. With a `hysteresis`, by default `0 m`, a radio unit is taken up so deep in
+    ///   its area, and kept so far beyond it;
+    /// - `processing`: VNFs that take time, as `navigation: { service_rate: 500 /s, arrival_rate: 20 /s }`: the μ
+    ///   and λ of an M/M/1 queue with processor sharing; by default none does.
+    ///
+    /// # Errors
+    /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
+    pub fn from_settings(
+        settings: &serde_json::Map<String, serde_json::Value>,
+    ) -> Result<Self, InvalidSettings> {
+        Ok(Self { settings: Settings::decode(settings)?, now: None, decisions: Vec::new() })
+    }
+
+    /// Decides for all services of a robot that is at a new location.
+    fn locate(&mut self, context: &RobotContext, actions: &mut Actions) {
+        let Some(now) = &self.now else { return };
+        for (service, decision) in now.services().iter().zip(&mut self.decisions) {
+            if service.robot != context.robot {
+                continue;
+            }
+            let location = context.sensors.pose.position();
+            if decision.at.is_some_and(|at| at.distance(location) < NEW_LOCATION_M) {
+                continue;
+            }
+            decision.at = Some(location);
+            // Beyond its area a service promises nothing.
+            if service.kpis.area.as_ref().is_none_or(|area| coverage::contains(area, location)) {
+                decide(&self.settings, now, service, decision, context, actions);
+            }
+        }
+    }
+}
+
+fn decide(
+    settings: &Settings,
+    now: &Now,
+    service: &Service,
+    decision: &mut Decision,
+    context: &RobotContext,
+    actions: &mut Actions,
+) {
+    let Some(NodeKind::Robot(robot)) = now.graph.node(&service.robot).map(|node| &node.kind) else { return };
+    let location = context.sensors.pose.position();
+    let attached = context.attached_to();
+    let present = decision.attachment.as_ref().or(attached);
+    let units = match robot.roaming {
+        Roaming::Instructed => settings.coverage.at(&now.graph, &robot.network, location, present),
+        Roaming::Signal => attached.into_iter().cloned().collect(),
+    };
+    let chain = now.service(service, &settings.processing);
+    let placed = match place(&chain, &now.infrastructure(service, &units), settings.search) {
+        Ok(placed) => placed,
+        Err(infeasible) => {
+            if !std::mem::replace(&mut decision.warned, true) {
+                tracing::warn!("`{}` at {location}: {infeasible}; its placement stays", service.id);
+            }
+            return;
+        }
+    };
+    decision.warned = false;
+    let reason = reason(service, &placed, location);
+    let first = decision.placement.is_empty();
+    for (i, wanted) in placed.placement.iter().enumerate() {
+        let before = if first {
+            now.node_of(&wanted.vnf)
+        } else {
+            decision.placement.get(i).map(|before| &before.node)
+        };
+        if before != Some(&wanted.node) {
+            let (vnf, node) = (wanted.vnf.clone(), wanted.node.clone());
+            actions.instruct_because(Instruction::Place { vnf, node }, &reason);
+        }
+    }
+    // A robot that lost its radio unit, or took another by itself, is told again.
+    if let Some(unit) = &placed.attachment
+        && robot.roaming == Roaming::Instructed
+        && attached != Some(unit)
+    {
+        let (robot, radio_unit) = (service.robot.clone(), unit.clone());
+        actions.instruct_because(Instruction::Attach { robot, radio_unit }, &reason);
+    }
+    decision.placement = placed.placement;
+    decision.attachment = placed.attachment;
+}
+
+/// Why a placement is what it is, for people.
+fn reason(service: &Service, placed: &Placed, location: Position) -> String {
+    let attachment = placed.attachment.iter();
+    let moved = placed.placement.iter().zip(&service.vnfs).filter(|(_, vnf)| vnf.pinned_to.is_none());
+    let names: Vec<_> =
+        attachment.chain(moved.map(|(placement, _)| &placement.node)).map(NodeId::as_str).collect();
+    let (taken, slack) = (placed.service_time.as_secs_f64() * 1e3, placed.slack.service_time_ms);
+    let spare = if slack < 0.0 { "too much" } else { "to spare" };
+    let mut reason = format!(
+        "{} at {location} for a cost of {}: {taken:.1} ms, {:.1} ms {spare}",
+        names.join(" + "),
+        placed.cost,
+        slack.abs()
+    );
+    if let Some(slack) = placed.slack.reliability {
+        let spare = if slack < 0.0 { "too little" } else { "to spare" };
+        reason += &format!("; reliability {:.6}, {:.1e} {spare}", placed.reliability, slack.abs());
+    }
+    reason
+}
+
+impl Plugin for Okpi {
+    fn start(&mut self, _now: Timestamp, testbed: &Testbed, _actions: &mut Actions) {
+        self.decisions = testbed.services.iter().map(|_| Decision::default()).collect();
+        self.now = Some(Now::new(testbed));
+    }
+
+    fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
+        let Some(now) = &mut self.now else { return };
+        if now.learn(event) {
+            // What is known of a location is decided on anew.
+            self.decisions.iter_mut().for_each(|decision| decision.at = None);
+        }
+        match event {
+            Event::Robot(context) => self.locate(context, actions),
+            // What was refused is asked for again at the next location.
+            Event::Decision(refused) if refused.refused.is_some() => {
+                for decision in &mut self.decisions {
+                    if let Instruction::Place { vnf, node } = &refused.instruction {
+                        let asked = |wanted: &Placement| wanted.vnf == *vnf && wanted.node == *node;
+                        if decision.placement.iter().any(asked) {
+                            decision.placement.clear();
+                        }
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+}

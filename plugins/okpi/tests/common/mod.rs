@@ -1,0 +1,114 @@
+//! Shared by tests and benchmarks: the corridor, and graphs that grow.
+#![allow(dead_code, reason = "each test and benchmark uses a part")]
+
+use std::{path::Path, time::Duration};
+
+use cotorra_graph::{
+    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Testbed, Velocity, VnfId,
+    seed, testbed_file,
+};
+use cotorra_okpi::{Chain, Infrastructure, Link, Node, Vnf};
+use serde_json::{Map, Value, json};
+
+/// The published testbed.
+pub fn corridor() -> Testbed {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    testbed_file::load(path).unwrap_or_else(|e| panic!("{e:?}"))
+}
+
+/// The areas in which the published system used each radio unit: their edges lie halfway between where it changed
+/// on the way out and on the way back, which were about 0.8 m to either side.
+pub fn survey() -> Map<String, Value> {
+    let settings = json!({
+        "hysteresis": "0.8 m",
+        "coverage": {
+            "R1": [[16.8, -60], [60, -60], [60, -25.35], [16.8, -25.35]],
+            "R3": [[16.8, -25.35], [60, -25.35], [60, -11.7], [16.8, -11.7]],
+            "R2": [[16.8, -11.7], [60, -11.7], [60, 30], [16.8, 30]],
+            "R5": [[-30, -60], [16.8, -60], [16.8, 30], [-30, 30]],
+        },
+    });
+    settings.as_object().expect("it is an object").clone()
+}
+
+/// κ at a place, attached to a radio unit.
+pub fn context((x, y): (f64, f64), attached: &str) -> Event {
+    let pose = Pose { x, y, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    Event::Robot(RobotContext {
+        robot: node_id("robot"),
+        attachments: ["R1", "R2", "R3", "R4", "R5", "R6"]
+            .map(|unit| Attachment { radio_unit: node_id(unit), attached: unit == attached, signal: None })
+            .into(),
+        sensors: SensorData {
+            pose,
+            odometry: pose,
+            velocity: Velocity::default(),
+            bumper: false,
+            nearest_obstacle_m: None,
+        },
+        waypoint: 0,
+    })
+}
+
+fn node_id(name: &str) -> NodeId {
+    NodeId::new(name).expect("it is a name")
+}
+
+/// A robot under five of the radio units, a ring of switches with chords, servers on them; all seeded.
+pub fn generated(nodes: usize, vnfs: usize, reliability: Option<f64>, run: u64) -> (Chain, Infrastructure) {
+    let mut drawn = 0;
+    let mut below = |limit: usize| {
+        drawn += 1;
+        (seed::split(run, &drawn.to_string()) % limit as u64) as usize
+    };
+    let (units, servers) = (nodes / 10, nodes / 5);
+    let first_server = nodes - servers;
+    let switches = 1 + units..first_server;
+    let mut infrastructure = Infrastructure::default();
+    for i in 0..nodes {
+        let server = i >= first_server;
+        infrastructure.nodes.push(Node {
+            id: node_id(&format!("n{i}")),
+            cpus: if i == 0 { 2.0 } else { 4.0 * f64::from(u8::from(server)) },
+            memory_bytes: 8 << 30,
+            cost: if server { 1.0 + below(50) as f64 / 10.0 } else { 0.0 },
+            reliability: if server { 0.999 - below(100) as f64 / 1e4 } else { 1.0 },
+            forwards: i != 0 && !server,
+        });
+    }
+    let mut link = |a: usize, b: usize, us: usize, wireless: bool| {
+        let Infrastructure { nodes, links } = &mut infrastructure;
+        links.push(Link {
+            id: LinkId::between(&nodes[a].id, &nodes[b].id),
+            ends: [a, b],
+            round_trip: Duration::from_micros(us as u64),
+            free_bps: 1e9,
+            reliability: 0.9999,
+            wireless,
+        });
+    };
+    for unit in 1..=units.min(5) {
+        link(0, unit, 1000, true);
+    }
+    for unit in 1..=units {
+        link(unit, switches.start + below(switches.len()), 100 + below(900), false);
+    }
+    for switch in switches.clone() {
+        let next = switches.start + (switch + 1 - switches.start) % switches.len();
+        link(switch, next, 50 + below(200), false);
+        link(switch, switches.start + below(switches.len()), 50 + below(200), false);
+    }
+    for server in first_server..nodes {
+        link(server, switches.start + below(switches.len()), 50 + below(450), false);
+    }
+    let vnf = |i: usize| Vnf {
+        id: VnfId::new(&format!("v{i}")).expect("it is a name"),
+        cpus: if i == 0 { 0.0 } else { 2.0 },
+        memory_bytes: 1 << 30,
+        hosts: if i == 0 { vec![0] } else { (first_server..nodes).collect() },
+        rate_bps: 1e6,
+        processing: None,
+    };
+    let service_time = Duration::from_millis(6 + 4 * vnfs as u64);
+    (Chain { vnfs: (0..vnfs).map(vnf).collect(), service_time, reliability }, infrastructure)
+}
