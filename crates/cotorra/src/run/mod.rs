@@ -77,6 +77,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let folder = run.folder().to_owned();
     let path = folder.join("logs/cotorra.log");
     log.open(&path).map_err(|source| Error::Log { path, source })?;
+    tracing::info!(version = env!("CARGO_PKG_VERSION"), file = %args.file.display(), api = %run.api_address(), "up");
 
     let testbed = run.testbed().clone();
     let places = Places { api: run.api_address(), folder: &folder };
@@ -85,6 +86,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let summary = run.finish().map_err(Error::from);
     view.close();
     let summary = summary?;
+    tracing::info!(ended = summary.ended, valid = summary.fidelity.valid, "over");
     output::print(&summary::describe(&summary, &folder))?;
     Ok(verdict(&summary))
 }
