@@ -147,3 +147,29 @@ fn virtual_time_without_an_end_is_refused() {
     let options = Options { seed: None, until: None, out: PathBuf::new(), api: None, token: None };
     assert!(matches!(simulate(testbed, "", &options, |_| true), Err(RunError::Endless)));
 }
+
+#[test]
+fn okpi_keeps_the_target_with_the_published_placements() {
+    let mut testbed = Testbed::clone(&corridor());
+    testbed.plugins[0].program = PluginProgram::Bundled("okpi".to_owned());
+    testbed.plugins[0].settings.clear();
+    let testbed = Arc::new(testbed);
+    let mut report = Report::new(&testbed, 1);
+    for event in events_of(&testbed, 1, 500.0) {
+        report.absorb(&event);
+    }
+    let regions = report.regions();
+    let mut decided: Vec<_> = regions
+        .iter()
+        .filter(|region| region.samples > 20)
+        .map(|region| (region.attachment.as_ref().unwrap().as_str(), region.server.as_str()))
+        .filter(|(attachment, _)| *attachment != "R4")
+        .collect();
+    decided.dedup();
+    // The way out and back, as published; R4 beside R2 has the same server.
+    let out = [("R1", "cloud"), ("R3", "cloud"), ("R2", "edge"), ("R5", "fog")];
+    let back = [("R2", "edge"), ("R3", "cloud"), ("R1", "cloud")];
+    assert_eq!(decided, [&out[..], &back[..]].concat());
+    let over = report.samples().iter().filter(|s| s.took.is_none_or(|took| took.as_millis() >= 15)).count();
+    assert!(over * 200 < report.samples().len(), "{over} of {} over the target", report.samples().len());
+}
