@@ -40,11 +40,10 @@ pub struct Okpi {
 /// What is decided for a service.
 #[derive(Debug, Default)]
 struct Decision {
-    /// Where the robot was.
+    /// Where the robot was; `None` where it is to be decided anew, wherever the robot is.
     at: Option<Position>,
     /// The radio unit.
     attachment: Option<NodeId>,
-    placement: Vec<Placement>,
     /// That the KPIs cannot be kept has been said.
     warned: bool,
 }
@@ -75,39 +74,50 @@ impl Okpi {
 
     /// Decides for all services of a robot that is at a new location.
     fn locate(&mut self, context: &RobotContext, actions: &mut Actions) {
-        let Some(now) = &self.now else { return };
+        let Some(now) = &mut self.now else { return };
+        // It is decided from where a handover leads to, not from where it began.
+        if now.hands_over(&context.robot) {
+            return;
+        }
+        let location = context.sensors.pose.position();
+        // A robot has one radio unit: its first service chooses.
+        let mut chosen = None;
         for (service, decision) in now.services().iter().zip(&mut self.decisions) {
             if service.robot != context.robot {
                 continue;
             }
-            let location = context.sensors.pose.position();
-            if decision.at.is_some_and(|at| at.distance(location) < NEW_LOCATION_M) {
-                continue;
-            }
-            decision.at = Some(location);
+            let is_new = decision.at.is_none_or(|at| at.distance(location) >= NEW_LOCATION_M);
             // Beyond its area a service promises nothing.
-            if service.kpis.area.as_ref().is_none_or(|area| coverage::contains(area, location)) {
-                decide(&self.settings, now, service, decision, context, actions);
+            let within = || service.kpis.area.as_ref().is_none_or(|area| coverage::contains(area, location));
+            if is_new {
+                decision.at = Some(location);
+                if within() {
+                    decide(&self.settings, now, service, decision, chosen.as_ref(), context, actions);
+                }
             }
+            chosen = chosen.or_else(|| decision.attachment.clone());
         }
     }
 }
 
 fn decide(
     settings: &Settings,
-    now: &Now,
+    now: &mut Now,
     service: &Service,
     decision: &mut Decision,
+    chosen: Option<&NodeId>,
     context: &RobotContext,
     actions: &mut Actions,
 ) {
     let Some(NodeKind::Robot(robot)) = now.graph.node(&service.robot).map(|node| &node.kind) else { return };
+    let roaming = robot.roaming;
     let location = context.sensors.pose.position();
     let attached = context.attached_to();
     let present = decision.attachment.as_ref().or(attached);
-    let units = match robot.roaming {
-        Roaming::Instructed => settings.coverage.at(&now.graph, &robot.network, location, present),
-        Roaming::Signal => attached.into_iter().cloned().collect(),
+    let units = match (roaming, chosen) {
+        (Roaming::Instructed, None) => settings.coverage.at(&now.graph, &robot.network, location, present),
+        (Roaming::Instructed, Some(chosen)) => vec![chosen.clone()],
+        (Roaming::Signal, _) => attached.into_iter().cloned().collect(),
     };
     let chain = now.service(service, &settings.processing);
     let placed = match place(&chain, &now.infrastructure(service, &units), settings.search) {
@@ -121,27 +131,19 @@ fn decide(
     };
     decision.warned = false;
     let reason = reason(service, &placed, location);
-    let first = decision.placement.is_empty();
-    for (i, wanted) in placed.placement.iter().enumerate() {
-        let before = if first {
-            now.node_of(&wanted.vnf)
-        } else {
-            decision.placement.get(i).map(|before| &before.node)
-        };
-        if before != Some(&wanted.node) {
-            let (vnf, node) = (wanted.vnf.clone(), wanted.node.clone());
+    for Placement { vnf, node } in placed.placement {
+        if now.wants_place(&vnf, &node) {
             actions.instruct_because(Instruction::Place { vnf, node }, &reason);
         }
     }
     // A robot that lost its radio unit, or took another by itself, is told again.
     if let Some(unit) = &placed.attachment
-        && robot.roaming == Roaming::Instructed
-        && attached != Some(unit)
+        && roaming == Roaming::Instructed
+        && now.wants_attachment(&service.robot, attached, unit)
     {
         let (robot, radio_unit) = (service.robot.clone(), unit.clone());
         actions.instruct_because(Instruction::Attach { robot, radio_unit }, &reason);
     }
-    decision.placement = placed.placement;
     decision.attachment = placed.attachment;
 }
 
@@ -174,24 +176,14 @@ impl Plugin for Okpi {
 
     fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
         let Some(now) = &mut self.now else { return };
-        if now.learn(event) {
-            // What is known of a location is decided on anew.
-            self.decisions.iter_mut().for_each(|decision| decision.at = None);
-        }
-        match event {
-            Event::Robot(context) => self.locate(context, actions),
-            // What was refused is asked for again at the next location.
-            Event::Decision(refused) if refused.refused.is_some() => {
-                for decision in &mut self.decisions {
-                    if let Instruction::Place { vnf, node } = &refused.instruction {
-                        let asked = |wanted: &Placement| wanted.vnf == *vnf && wanted.node == *node;
-                        if decision.placement.iter().any(asked) {
-                            decision.placement.clear();
-                        }
-                    }
-                }
+        let concerned = now.learn(event);
+        for (service, decision) in now.services().iter().zip(&mut self.decisions) {
+            if concerned.includes(service) {
+                decision.at = None;
             }
-            _ => {}
+        }
+        if let Event::Robot(context) = event {
+            self.locate(context, actions);
         }
     }
 }

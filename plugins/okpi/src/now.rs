@@ -1,10 +1,11 @@
-//! What the plug-in knows of the testbed now, kept up with its events, as the infrastructure that a service sees.
+//! What the plug-in knows of the testbed now, kept up with its events, as the infrastructure that a service sees; and
+//! what it asked for itself and waits for, so that it neither asks again nor takes its own doing for another's.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Conditions, Direction, Event, HardwareGraph, LinkId, NodeId, NodeKind, Rate, Service, Testbed, Trace,
-    VnfId,
+    Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, NodeKind, Rate, Service,
+    Testbed, Trace, VnfEvent, VnfId, VnfState,
 };
 
 use crate::model::{self, Infrastructure, Queue};
@@ -12,13 +13,39 @@ use crate::model::{self, Infrastructure, Queue};
 /// Delay one way, and rate in bit/s.
 type Carriage = (Duration, f64);
 
+/// Whose decisions something puts in question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Concerned<'e> {
+    Nobody,
+    All,
+    /// All services but that of this VNF, which decided so itself.
+    Others(&'e VnfId),
+    /// The services of this robot.
+    Of(&'e NodeId),
+}
+
+impl Concerned<'_> {
+    pub(crate) fn includes(self, service: &Service) -> bool {
+        match self {
+            Self::Nobody => false,
+            Self::All => true,
+            Self::Others(own) => !service.vnfs.iter().any(|vnf| vnf.id == *own),
+            Self::Of(robot) => service.robot == *robot,
+        }
+    }
+}
+
 /// The testbed as events tell it.
 #[derive(Debug)]
 pub(crate) struct Now {
     pub(crate) graph: HardwareGraph,
-    services: Vec<Service>,
+    services: Arc<[Service]>,
     /// a(n).
     placements: BTreeMap<VnfId, NodeId>,
+    /// Where VNFs were asked to go and do not serve yet.
+    moves: BTreeMap<VnfId, NodeId>,
+    /// The radio units that robots were asked to attach to and are not with yet.
+    handovers: BTreeMap<NodeId, NodeId>,
     /// a(n1,n2).
     mappings: BTreeMap<(VnfId, VnfId), Vec<LinkId>>,
     /// What the directions of links do.
@@ -36,36 +63,123 @@ impl Now {
         Self {
             carriage: carriage.collect(),
             placements: vnfs.map(|vnf| (vnf.id.clone(), vnf.node.clone())).collect(),
+            moves: BTreeMap::new(),
+            handovers: BTreeMap::new(),
             mappings: BTreeMap::new(),
             graph: testbed.graph.clone(),
-            services: testbed.services.clone(),
+            services: testbed.services.as_slice().into(),
         }
     }
 
-    /// Learns from an event; whether that can change decisions of a service that it is not about.
-    pub(crate) fn learn(&mut self, event: &Event) -> bool {
+    /// Learns from an event, and says whose decisions it puts in question.
+    pub(crate) fn learn<'e>(&mut self, event: &'e Event) -> Concerned<'e> {
         match event {
             Event::Link(context) => {
                 let now = carriage(&context.effective);
                 let wired = self.graph.link(&context.link).is_some();
                 let key = (context.link.clone(), context.direction);
-                wired && self.carriage.insert(key, now) != Some(now)
+                let changed = wired && self.carriage.insert(key, now) != Some(now);
+                if changed { Concerned::All } else { Concerned::Nobody }
             }
             Event::Placement(placement) => {
                 let before = self.placements.insert(placement.vnf.clone(), placement.node.clone());
-                before.as_ref() != Some(&placement.node)
+                if self.end_move(&placement.vnf, &placement.node) {
+                    Concerned::Others(&placement.vnf)
+                } else if before.as_ref() != Some(&placement.node) {
+                    Concerned::All
+                } else {
+                    Concerned::Nobody
+                }
             }
             Event::VirtualLink(mapping) => {
                 let key = (mapping.from.clone(), mapping.to.clone());
-                self.mappings.insert(key, mapping.links.clone()).as_ref() != Some(&mapping.links)
+                let before = self.mappings.insert(key, mapping.links.clone());
+                let changed = before.as_ref() != Some(&mapping.links);
+                if changed { Concerned::Others(&mapping.from) } else { Concerned::Nobody }
             }
-            _ => false,
+            Event::Handover(handover) => {
+                let asked = self.handovers.remove(&handover.robot);
+                if asked.as_ref() == Some(&handover.to) {
+                    Concerned::Nobody
+                } else {
+                    Concerned::Of(&handover.robot)
+                }
+            }
+            Event::Detached { robot, .. } => {
+                self.handovers.remove(robot);
+                Concerned::Of(robot)
+            }
+            // It was there already.
+            Event::Robot(context) => {
+                if let Some(unit) = context.attached_to() {
+                    self.end_handover(&context.robot, unit);
+                }
+                Concerned::Nobody
+            }
+            // What was refused or failed is asked for again at the next location, if it is wanted then.
+            Event::Decision(decision) if decision.refused.is_some() => {
+                match &decision.instruction {
+                    Instruction::Place { vnf, node } => drop(self.end_move(vnf, node)),
+                    Instruction::Attach { robot, radio_unit } => self.end_handover(robot, radio_unit),
+                    _ => {}
+                }
+                Concerned::Nobody
+            }
+            Event::Vnf(VnfEvent { vnf, node, state: VnfState::Failed, .. }) => {
+                self.end_move(vnf, node);
+                Concerned::Nobody
+            }
+            _ => Concerned::Nobody,
         }
     }
 
-    /// Where a VNF runs.
-    pub(crate) fn node_of(&self, vnf: &VnfId) -> Option<&NodeId> {
-        self.placements.get(vnf)
+    /// Whether a VNF was on its way to a node; it is not any more.
+    fn end_move(&mut self, vnf: &VnfId, node: &NodeId) -> bool {
+        let under_way = self.moves.get(vnf) == Some(node);
+        if under_way {
+            self.moves.remove(vnf);
+        }
+        under_way
+    }
+
+    fn end_handover(&mut self, robot: &NodeId, unit: &NodeId) {
+        if self.handovers.get(robot) == Some(unit) {
+            self.handovers.remove(robot);
+        }
+    }
+
+    /// Wants a VNF on a node: whether that has to be asked for, which is noted.
+    pub(crate) fn wants_place(&mut self, vnf: &VnfId, node: &NodeId) -> bool {
+        let serves = self.placements.get(vnf) == Some(node);
+        match self.moves.get(vnf) {
+            Some(under_way) if under_way == node => false,
+            // A move that is given up ends without a word.
+            Some(_) if serves => self.moves.remove(vnf).is_some(),
+            None if serves => false,
+            _ => {
+                self.moves.insert(vnf.clone(), node.clone());
+                true
+            }
+        }
+    }
+
+    /// Wants a robot with a radio unit: whether that has to be asked for, which is noted.
+    pub(crate) fn wants_attachment(
+        &mut self,
+        robot: &NodeId,
+        present: Option<&NodeId>,
+        unit: &NodeId,
+    ) -> bool {
+        let wanted = present != Some(unit) && self.handovers.get(robot) != Some(unit);
+        if wanted {
+            self.handovers.insert(robot.clone(), unit.clone());
+        }
+        wanted
+    }
+
+    /// Whether a robot was asked to attach to a radio unit and is still on its way.
+    pub(crate) fn hands_over(&self, robot: &NodeId) -> bool {
+        self.handovers.contains_key(robot)
     }
 
     /// What a service can use: all that no other service takes, with these radio units in the robot's reach.
@@ -76,7 +190,9 @@ impl Now {
         let mut taken: BTreeMap<&LinkId, f64> = BTreeMap::new();
         for other in self.services.iter().filter(|other| other.id != service.id) {
             for vnf in &other.vnfs {
-                if let Some(&at) = self.node_of(&vnf.id).and_then(|node| place.get(node)) {
+                // While it moves it has two instances.
+                let at = self.placements.get(&vnf.id).into_iter().chain(self.moves.get(&vnf.id));
+                for &at in at.filter_map(|node| place.get(node)) {
                     nodes[at].cpus -= vnf.cpus;
                     nodes[at].memory_bytes = nodes[at].memory_bytes.saturating_sub(vnf.memory_bytes);
                 }
@@ -159,8 +275,8 @@ impl Now {
         }
     }
 
-    pub(crate) fn services(&self) -> &[Service] {
-        &self.services
+    pub(crate) fn services(&self) -> Arc<[Service]> {
+        Arc::clone(&self.services)
     }
 }
 
@@ -184,4 +300,203 @@ fn carriage(conditions: &Conditions) -> Carriage {
         }
     };
     (conditions.delay, rate)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cotorra_graph::{
+        Attachment, Decision, Handover, LinkContext, Placement, Pose, PoseSource, RobotContext, Scale,
+        SensorData, Velocity, VirtualLinkMapping, testbed_file,
+    };
+
+    use super::*;
+
+    /// Two robots with a service each, which share two servers behind one switch.
+    const TEXT: &str = "
+name: two
+wireless: { w: { delay: 1 ms, rate: 8 Mbit/s } }
+nodes:
+  r: { kind: robot, position: [0, 0] }
+  q: { kind: robot, position: [0, 0] }
+  R: { kind: radio_unit, position: [0, 0], channel: 1 }
+  P: { kind: radio_unit, position: [9, 0], channel: 6 }
+  lan: { kind: switch }
+  near: { kind: server, tier: fog, cpus: 4, memory: 8 GB, cost: 3 }
+  far: { kind: server, tier: cloud, cpus: 4, memory: 8 GB, cost: 1 }
+links:
+  - { ends: [lan, [R, P, near]], delay: 1 ms, rate: 10 Mbit/s }
+  - { ends: [lan, far], delay: 5 ms, rate: 10 Mbit/s }
+services:
+  first:
+    robot: r
+    kpis: { service_time: 20 ms }
+    vnfs:
+      r-driver: { program: robot_driver, pinned_to: r }
+      r-brain: { program: navigation, node: far, cpus: 2, memory: 1 GB }
+    virtual_links: [{ from: r-driver, to: r-brain, rate: 3 Mbit/s }]
+  second:
+    robot: q
+    kpis: { service_time: 20 ms }
+    vnfs:
+      q-driver: { program: robot_driver, pinned_to: q }
+      q-brain: { program: navigation, node: far, cpus: 1, memory: 2 GB }
+    virtual_links: [{ from: q-driver, to: q-brain, rate: 2 Mbit/s }]
+walks:
+  r: { waypoints: [[0, 0], [9, 0]] }
+  q: { waypoints: [[0, 0], [9, 0]] }
+";
+
+    fn testbed() -> Testbed {
+        testbed_file::parse("x.yaml", TEXT, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
+    }
+
+    fn node_id(name: &str) -> NodeId {
+        NodeId::new(name).unwrap()
+    }
+
+    fn vnf_id(name: &str) -> VnfId {
+        VnfId::new(name).unwrap()
+    }
+
+    fn placed(vnf: &str, node: &str) -> Event {
+        Event::Placement(Placement { vnf: vnf_id(vnf), node: node_id(node) })
+    }
+
+    fn handed_over(robot: &str, to: &str) -> Event {
+        let gap = Duration::from_millis(30);
+        Event::Handover(Handover { robot: node_id(robot), from: None, to: node_id(to), fast: true, gap })
+    }
+
+    fn refused(instruction: Instruction) -> Event {
+        let plugin = "okpi".parse().unwrap();
+        Event::Decision(Decision { plugin, instruction, reason: None, refused: Some("no".into()) })
+    }
+
+    fn attach(robot: &str, unit: &str) -> Instruction {
+        Instruction::Attach { robot: node_id(robot), radio_unit: node_id(unit) }
+    }
+
+    /// Of the two services, those whose decisions an event puts in question.
+    fn concerned(now: &mut Now, event: &Event) -> Vec<String> {
+        let concerned = now.learn(event);
+        let services = now.services();
+        services.iter().filter(|s| concerned.includes(s)).map(|s| s.id.to_string()).collect()
+    }
+
+    #[test]
+    fn only_what_others_do_puts_a_decision_in_question() {
+        let mut now = Now::new(&testbed());
+        assert!(concerned(&mut now, &placed("r-brain", "far")).is_empty(), "it was there before");
+        assert_eq!(concerned(&mut now, &placed("r-brain", "near")), ["first", "second"], "another moved it");
+        assert!(now.wants_place(&vnf_id("r-brain"), &node_id("far")));
+        assert_eq!(concerned(&mut now, &placed("r-brain", "far")), ["second"], "it was asked to");
+        let mapping = |link: &str| {
+            let links = vec![LinkId::new(link).unwrap()];
+            Event::VirtualLink(VirtualLinkMapping { from: vnf_id("q-driver"), to: vnf_id("q-brain"), links })
+        };
+        assert_eq!(concerned(&mut now, &mapping("lan-far")), ["first"]);
+        assert!(concerned(&mut now, &mapping("lan-far")).is_empty());
+        assert_eq!(concerned(&mut now, &handed_over("r", "P")), ["first"], "it roamed by itself");
+        assert!(now.wants_attachment(&node_id("r"), Some(&node_id("P")), &node_id("R")));
+        assert!(concerned(&mut now, &handed_over("r", "R")).is_empty(), "it was asked to");
+        let lost = Event::Detached { robot: node_id("q"), from: node_id("P") };
+        assert_eq!(concerned(&mut now, &lost), ["second"]);
+    }
+
+    #[test]
+    fn a_link_that_changes_concerns_everybody() {
+        let testbed = testbed();
+        let mut now = Now::new(&testbed);
+        let link = testbed.graph.links.last().unwrap();
+        let event = |delay_ms| {
+            let effective = Conditions { delay: Duration::from_millis(delay_ms), ..link.forward.clone() };
+            Event::Link(LinkContext {
+                link: link.id.clone(),
+                direction: Direction::Forward,
+                delay: None,
+                throughput_bps: 0.0,
+                asked: effective.clone(),
+                scale: Scale::default(),
+                effective,
+                counters: Default::default(),
+            })
+        };
+        assert!(concerned(&mut now, &event(5)).is_empty());
+        assert_eq!(concerned(&mut now, &event(7)), ["first", "second"]);
+        let seen = now.infrastructure(&testbed.services[0], &[]);
+        assert_eq!(seen.links.last().unwrap().round_trip, Duration::from_millis(12));
+    }
+
+    #[test]
+    fn an_attachment_is_asked_for_once_until_its_end_is_told() {
+        let (robot, unit, other) = (node_id("r"), node_id("R"), node_id("P"));
+        let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let sensors = SensorData {
+            pose,
+            odometry: pose,
+            velocity: Velocity::default(),
+            bumper: false,
+            nearest_obstacle_m: None,
+        };
+        let attachments = vec![Attachment { radio_unit: unit.clone(), attached: true, signal: None }];
+        let there = Event::Robot(RobotContext { robot: robot.clone(), attachments, sensors, waypoint: 0 });
+        let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
+        for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {
+            let mut now = Now::new(&testbed());
+            assert!(!now.wants_attachment(&robot, Some(&unit), &unit), "it is there");
+            assert!(now.wants_attachment(&robot, Some(&other), &unit));
+            assert!(!now.wants_attachment(&robot, Some(&other), &unit), "it is under way");
+            for another in [handed_over("q", "R"), refused(attach("r", "P"))] {
+                now.learn(&another);
+                assert!(now.hands_over(&robot));
+            }
+            now.learn(&end);
+            assert!(!now.hands_over(&robot), "{end:?}");
+            assert!(now.wants_attachment(&robot, Some(&other), &unit));
+        }
+    }
+
+    #[test]
+    fn a_place_is_asked_for_once_until_it_is_taken_refused_or_given_up() {
+        let (vnf, near, far) = (vnf_id("r-brain"), node_id("near"), node_id("far"));
+        let mut now = Now::new(&testbed());
+        assert!(!now.wants_place(&vnf, &far), "it is there");
+        assert!(now.wants_place(&vnf, &near));
+        assert!(!now.wants_place(&vnf, &near), "it is under way");
+        assert!(now.wants_place(&vnf, &far), "the move is given up");
+        assert!(!now.wants_place(&vnf, &far));
+        let failed = VnfEvent { vnf: vnf.clone(), node: near.clone(), state: VnfState::Failed, detail: None };
+        let refused = refused(Instruction::Place { vnf: vnf.clone(), node: near.clone() });
+        for end in [refused, Event::Vnf(failed)] {
+            assert!(now.wants_place(&vnf, &near));
+            now.learn(&end);
+        }
+        assert!(now.wants_place(&vnf, &near));
+        now.learn(&placed("r-brain", "near"));
+        assert!(!now.wants_place(&vnf, &near) && now.wants_place(&vnf, &far));
+    }
+
+    #[test]
+    fn what_others_take_is_not_offered() {
+        let testbed = testbed();
+        let mut now = Now::new(&testbed);
+        let free = |now: &Now, node: &str| {
+            let seen = now.infrastructure(&testbed.services[0], &[]);
+            let node = seen.nodes.iter().find(|n| n.id == node).unwrap();
+            (node.cpus, node.memory_bytes / 1_000_000_000)
+        };
+        assert_eq!((free(&now, "far"), free(&now, "near")), ((3.0, 6), (4.0, 8)));
+        assert!(now.wants_place(&vnf_id("q-brain"), &node_id("near")));
+        assert_eq!((free(&now, "far"), free(&now, "near")), ((3.0, 6), (3.0, 6)), "two instances");
+        now.learn(&placed("q-brain", "near"));
+        assert_eq!((free(&now, "far"), free(&now, "near")), ((4.0, 8), (3.0, 6)));
+        let links = vec![LinkId::new("lan-near").unwrap()];
+        let (from, to) = (vnf_id("q-driver"), vnf_id("q-brain"));
+        now.learn(&Event::VirtualLink(VirtualLinkMapping { from, to, links }));
+        let seen = now.infrastructure(&testbed.services[0], &[]);
+        let free = |name: &str| seen.links.iter().find(|l| l.id == name).unwrap().free_bps;
+        assert_eq!((free("lan-near"), free("lan-far")), (8e6, 10e6));
+    }
 }

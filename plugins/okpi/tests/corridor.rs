@@ -6,7 +6,10 @@ mod common;
 use std::{num::NonZeroUsize, sync::LazyLock};
 
 use common::{context, corridor, survey};
-use cotorra_graph::{Instruction, Position, Testbed, Timestamp};
+use cotorra_graph::{
+    Decision, Event, Handover, Instruction, LinkId, NodeId, Placement, PluginId, Position, Testbed,
+    Timestamp, VirtualLinkMapping,
+};
 use cotorra_okpi::Okpi;
 use cotorra_plugin::{Actions, Plugin};
 use proptest::prelude::*;
@@ -41,19 +44,25 @@ fn walk(settings: &Map<String, Value>) -> Vec<Change> {
             let before = (unit.clone(), server.clone());
             let mut said = String::new();
             let mut attached = false;
+            let mut done = Vec::new();
             for (instruction, reason) in actions.drain() {
                 said = reason.expect("each instruction has its reason");
                 match instruction {
                     Instruction::Place { vnf, node } => {
                         assert!(vnf == "navigation" && !attached, "the new VNF is started first");
                         server = node.to_string();
+                        done.push(Event::Placement(Placement { vnf, node }));
                     }
                     Instruction::Attach { radio_unit, .. } => {
                         attached = true;
+                        done.push(handover(&unit, radio_unit.as_str()));
                         unit = radio_unit.to_string();
                     }
                     other => panic!("{other:?}"),
                 }
+            }
+            for event in done {
+                assert_eq!(told(&mut okpi, &event), []);
             }
             if (&unit, &server) != (&before.0, &before.1) {
                 changes.push(Change {
@@ -156,6 +165,75 @@ fn what_cannot_be_kept_changes_nothing_unless_relaxed() {
     assert_eq!(relaxed.len(), 2);
     let reason = relaxed[0].1.as_ref().unwrap();
     assert!(reason.ends_with("11.0 ms, 2.0 ms too much"), "{reason}");
+}
+
+/// A plug-in that was told of a location just beyond R3's area, and the two instructions with which it answered.
+fn instructed() -> (Okpi, [Instruction; 2]) {
+    let mut okpi = Okpi::from_settings(&survey()).unwrap();
+    let mut actions = Actions::default();
+    okpi.start(Timestamp::ZERO, &corridor(), &mut actions);
+    let asked = told(&mut okpi, &context((27.2, -10.0), "R3"));
+    (okpi, asked.try_into().unwrap())
+}
+
+/// What an event makes it ask for.
+fn told(okpi: &mut Okpi, event: &Event) -> Vec<Instruction> {
+    let mut actions = Actions::default();
+    okpi.handle(Timestamp::ZERO, event, &mut actions);
+    actions.drain().map(|(instruction, _)| instruction).collect()
+}
+
+fn handover(from: &str, to: &str) -> Event {
+    let [robot, from, to] = ["robot", from, to].map(|name| NodeId::new(name).unwrap());
+    let gap = std::time::Duration::from_millis(30);
+    Event::Handover(Handover { robot, from: Some(from), to, fast: true, gap })
+}
+
+#[test]
+fn a_handover_under_way_is_not_asked_for_again() {
+    let (mut okpi, [place, attach]) = instructed();
+    let Instruction::Place { vnf, node } = place else { panic!("{place:?}") };
+    assert!(matches!(&attach, Instruction::Attach { radio_unit, .. } if radio_unit == "R2"), "{attach:?}");
+    // Its own doing comes back as events, κ tells φ of before, and the robot goes on.
+    let mapping = VirtualLinkMapping {
+        from: "robot-driver".parse().unwrap(),
+        to: vnf.clone(),
+        links: vec![LinkId::new("R3-edge").unwrap()],
+    };
+    for event in [
+        Event::Placement(Placement { vnf, node }),
+        context((27.2, -10.0), "R3"),
+        Event::VirtualLink(mapping),
+        context((27.2, -9.9), "R3"),
+        context((27.2, -9.5), "R3"),
+        handover("R3", "R2"),
+        context((27.2, -9.4), "R2"),
+        context((27.2, -9.0), "R2"),
+    ] {
+        assert_eq!(told(&mut okpi, &event), [], "{event:?}");
+    }
+}
+
+#[test]
+fn what_was_refused_is_asked_for_again_at_the_next_location() {
+    let (mut okpi, asked) = instructed();
+    for instruction in &asked {
+        let plugin = PluginId::new("okpi").unwrap();
+        let (instruction, refused) = (instruction.clone(), Some("not now".to_owned()));
+        let decision = Decision { plugin, instruction, reason: None, refused };
+        assert_eq!(told(&mut okpi, &Event::Decision(decision)), []);
+    }
+    assert_eq!(told(&mut okpi, &context((27.2, -9.9), "R3")), [], "that is no new location");
+    assert_eq!(told(&mut okpi, &context((27.2, -9.5), "R3")), asked);
+}
+
+#[test]
+fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
+    let (mut okpi, [_, attach]) = instructed();
+    told(&mut okpi, &handover("R3", "R2"));
+    assert_eq!(told(&mut okpi, &context((27.2, -9.6), "R2")), []);
+    told(&mut okpi, &handover("R2", "R4"));
+    assert_eq!(told(&mut okpi, &context((27.2, -9.6), "R4")), [attach]);
 }
 
 #[test]
