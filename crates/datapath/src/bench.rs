@@ -451,6 +451,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         ends: [a, b],
         forward: conditions.clone(),
         backward: conditions.clone(),
+        scales: Default::default(),
         medium: BitRate::from_bits_per_second(100_000_000_000).expect("above zero"),
         reliability: 1.0,
     };

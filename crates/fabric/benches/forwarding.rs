@@ -45,6 +45,7 @@ fn chain(hops: usize, conditions: &Conditions) -> Fabric {
         ends: [name(i), name(i + 1)],
         forward: conditions.clone(),
         backward: conditions.clone(),
+        scales: Default::default(),
         medium: BitRate::from_bits_per_second(100_000_000_000).expect("the rate is above 0"),
         reliability: 1.0,
     };

@@ -153,10 +153,11 @@ impl Fabric {
                 }
             };
             let [a, b] = [end(&link.ends[0])?, end(&link.ends[1])?];
-            for (from, to, conditions, direction) in
-                [(a, b, &link.forward, "forward"), (b, a, &link.backward, "backward")]
+            let [forward, backward] = link.scales;
+            for (from, to, conditions, scale, direction) in
+                [(a, b, &link.forward, forward, "forward"), (b, a, &link.backward, backward, "backward")]
             {
-                let settings = Settings::new(conditions.clone(), link.medium)
+                let settings = Settings::new(conditions.clone(), scale, link.medium)
                     .map_err(|refusal| FabricError::Conditions { link: link.id.to_string(), refusal })?;
                 routes.connect(from, to, settings.effective().delay);
                 let rng = stream(seed, &format!("link {} {direction}", link.id));

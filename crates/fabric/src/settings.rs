@@ -106,9 +106,8 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Settings that begin with these conditions, unscaled.
-    pub(crate) fn new(asked: Conditions, medium: BitRate) -> Result<Self, Refusal> {
-        let scale = Scale::default();
+    /// Settings that begin with these conditions, scaled.
+    pub(crate) fn new(asked: Conditions, scale: Scale, medium: BitRate) -> Result<Self, Refusal> {
         let effective = effective(&asked, scale, medium)?;
         Ok(Self { asked, scale, medium, effective })
     }
@@ -298,7 +297,7 @@ mod tests {
     }
 
     fn settings(asked: Conditions) -> Settings {
-        Settings::new(asked, mbps(1000.0)).unwrap()
+        Settings::new(asked, Scale::default(), mbps(1000.0)).unwrap()
     }
 
     fn refused(change: ConditionChange) -> Refusal {

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, net::Ipv4Addr, net::Ipv6Addr, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    conditions::Conditions,
+    conditions::{Conditions, Scale},
     id::{DomainId, LinkId, NodeId},
     units::{BitRate, Dbm, Position, millis},
 };
@@ -221,6 +221,9 @@ pub struct Link {
     pub forward: Conditions,
     /// From the second end to the first.
     pub backward: Conditions,
+    /// ψ and δ at the start, forward and backward.
+    #[serde(default)]
+    pub scales: [Scale; 2],
     /// What the medium itself can carry; no condition may ask for more.
     pub medium: BitRate,
     /// Probability that it works at any time; above 0.

@@ -4,11 +4,13 @@
 mod build;
 mod check;
 mod records;
+mod setting;
 
 use std::path::Path;
 
 use serde_json::{Value as Json, json};
 
+pub use self::setting::{InvalidSetting, Setting};
 use crate::{
     testbed::Testbed,
     yaml::{self, Diagnostics, Sink, decode::Decode},
@@ -19,12 +21,20 @@ use crate::{
 /// # Errors
 /// Everything that is wrong with it, each in its place.
 pub fn load(path: impl AsRef<Path>) -> Result<Testbed, Diagnostics> {
+    load_with(path, &[])
+}
+
+/// The same with settings.
+///
+/// # Errors
+/// Everything that is wrong with it, each in its place.
+pub fn load_with(path: impl AsRef<Path>, settings: &[Setting]) -> Result<Testbed, Diagnostics> {
     let path = path.as_ref();
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path).map_err(|error| {
         Diagnostics::of_file(&name, format!("the testbed file cannot be read: {error}"), "check its path")
     })?;
-    parse(&name, &text, path.parent().unwrap_or(Path::new("")))
+    parse_with(&name, &text, path.parent().unwrap_or(Path::new("")), settings)
 }
 
 /// Reads a testbed file's text; `base_dir` is where the paths in it begin.
@@ -32,14 +42,37 @@ pub fn load(path: impl AsRef<Path>) -> Result<Testbed, Diagnostics> {
 /// # Errors
 /// Everything that is wrong with it, each in its place.
 pub fn parse(source_name: &str, text: &str, base_dir: &Path) -> Result<Testbed, Diagnostics> {
+    parse_with(source_name, text, base_dir, &[])
+}
+
+/// Reads a testbed file's text as if it said what the settings do.
+///
+/// # Errors
+/// Everything that is wrong with it, each in its place; a setting's is its line in [`annotated`].
+pub fn parse_with(
+    source_name: &str,
+    text: &str,
+    base_dir: &Path,
+    settings: &[Setting],
+) -> Result<Testbed, Diagnostics> {
     let mut sink = Sink::default();
-    let testbed = yaml::parse(text, &mut sink)
+    let (text, places) = setting::annotate(text, settings);
+    let testbed = yaml::parse(&text, &mut sink)
+        .map(|mut root| {
+            setting::apply(&mut root, settings, &places, &mut sink);
+            root
+        })
         .and_then(|root| records::TestbedRecord::decode(&root, &mut sink))
         .and_then(|record| build::build(record, base_dir, &mut sink));
     match testbed {
         Some(testbed) if sink.is_empty() => Ok(testbed),
-        _ => Err(sink.finish(source_name, text)),
+        _ => Err(sink.finish(source_name, &text)),
     }
+}
+
+/// A testbed file's text with the settings as comments behind it, for the record.
+pub fn annotated(text: &str, settings: &[Setting]) -> String {
+    setting::annotate(text, settings).0
 }
 
 /// The JSON Schema (2020-12) of a testbed file, from the declarations that also read it.

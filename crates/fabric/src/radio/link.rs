@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Rate, Timestamp,
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Rate, Scale, Timestamp,
     WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -25,7 +25,8 @@ pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<S
         None => Rate::Unlimited,
         Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium) },
     };
-    Settings::new(Conditions { delay: network.delay, rate, ..Conditions::default() }, medium)
+    let asked = Conditions { delay: network.delay, rate, ..Conditions::default() };
+    Settings::new(asked, Scale::default(), medium)
 }
 
 /// A link, once a frame crossed it, a station was attached by it or someone changed it.

@@ -593,6 +593,7 @@ fn frames_follow_the_robot_through_the_fabric() {
             ends: [id(unit), id("s")],
             forward: conditions.clone(),
             backward: conditions,
+            scales: Default::default(),
             medium: mbps(10_000.0),
             reliability: 1.0,
         }

@@ -86,6 +86,7 @@ impl Network {
             forward: conditions.clone(),
             backward: conditions,
             medium: BitRate::from_mbps(100_000.0).unwrap(),
+            scales: Default::default(),
             reliability: 1.0,
         });
         self

@@ -15,7 +15,7 @@ use super::{
     },
 };
 use crate::{
-    conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Trace},
+    conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
     hardware::{
         Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit,
         Robot, Server, Shadowing, WirelessNetwork,
@@ -362,6 +362,7 @@ impl Builder<'_> {
         let (first, second) = (end(first), end(second));
         let forward = self.conditions(record, record.forward.as_ref());
         let backward = self.conditions(record, record.backward.as_ref());
+        let scales = [&record.forward, &record.backward].map(|own| self.scale(record, own.as_ref()));
         let reliability = self.reliability(&record.reliability);
         let (first, second, forward, backward) = (first?, second?, forward?, backward?);
         let several = first.len() * second.len() != 1;
@@ -387,6 +388,7 @@ impl Builder<'_> {
                     ends: [a.clone(), b.clone()],
                     forward: forward.clone(),
                     backward: backward.clone(),
+                    scales,
                     medium: record.medium,
                     reliability,
                 });
@@ -434,6 +436,22 @@ impl Builder<'_> {
             rate: self.rate(from, link.medium)?,
             queue: pick!(queue).copied().unwrap_or_default(),
         })
+    }
+
+    /// One direction's ψ and δ: what it says itself, else what the link says.
+    fn scale(&mut self, link: &LinkRecord, own: Option<&ConditionsRecord>) -> Scale {
+        let base = &link.conditions;
+        let delay = own.and_then(|own| own.delay_scale).or(base.delay_scale);
+        let drop = own.and_then(|own| own.drop_scale.as_ref()).or(base.drop_scale.as_ref());
+        if let Some(drop) = drop.filter(|drop| drop.value.0 == 0.0) {
+            self.sink
+                .error(&drop.span, "a throughput cannot be divided by 0")
+                .help("write a number above 0; 1 leaves the link as it is");
+        }
+        Scale {
+            delay_scale: delay.map_or(1.0, |scale| scale.0),
+            drop_scale: drop.map_or(1.0, |scale| scale.value.0),
+        }
     }
 
     fn bursty(&mut self, rate: &Spanned<Probability>, mean_burst: &Spanned<Amount>) -> Option<Loss> {
@@ -620,7 +638,7 @@ impl Builder<'_> {
 
     fn plugins(&mut self) -> Option<Vec<PluginSpec>> {
         let mut seen = HashSet::new();
-        each(&self.record.plugins, |entry| {
+        let plugins: Vec<Option<PluginSpec>> = each(&self.record.plugins, |entry| {
             let plugin = match &entry.value {
                 Either::Short(name) => {
                     let program = self.bundled(&Spanned { value: name.clone(), span: entry.span.clone() })?;
@@ -634,8 +652,10 @@ impl Builder<'_> {
                     .error(&entry.span, format!("the plug-in `{}` is here twice", plugin.id))
                     .help("remove one of them, or give it another `id`");
             }
-            Some(plugin)
-        })
+            let enabled = !matches!(&entry.value, Either::Long(record) if !record.enabled);
+            Some(enabled.then_some(plugin))
+        })?;
+        Some(plugins.into_iter().flatten().collect())
     }
 
     fn plugin(&mut self, span: &Span, record: &PluginRecord) -> Option<PluginSpec> {

@@ -264,6 +264,10 @@ record! {
         trace: Option<Spanned<String>>,
         /// How much waits before a packet is dropped at the tail, in packets or bytes. Without it: 1000 packets.
         queue: Option<QueueLimit>,
+        /// ψ: emulation multiplies the delay by it. Without it: 1. It is no part of what the link itself gives.
+        delay_scale: Option<Amount>,
+        /// δ: emulation divides the throughput by it. Without it: 1. It is no part of what the link itself gives.
+        drop_scale: Option<Spanned<Amount>>,
     }
 }
 
@@ -377,6 +381,8 @@ record! {
         bundled: Option<Spanned<String>>,
         /// A program and its arguments; it finds the API at the URL in `COTORRA_API`.
         command: Option<Spanned<Vec<String>>>,
+        /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
+        enabled: bool = true,
         /// Its own settings.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }

@@ -2,11 +2,8 @@
 
 use serde_json::{Value as Json, json};
 
-pub(crate) use super::tree::{Node, Value};
-use super::{
-    Sink, Span,
-    tree::{Entry, shorten},
-};
+pub(crate) use super::tree::{Entry, Node, Value};
+use super::{Sink, Span, tree::shorten};
 use crate::{
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
     units::Position,

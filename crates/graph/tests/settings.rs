@@ -1,0 +1,96 @@
+//! What settings from outside do to a testbed file, and what is told of wrong ones.
+
+use std::path::Path;
+
+use cotorra_graph::{
+    Testbed,
+    testbed_file::{self, Setting},
+};
+
+const FILE: &str = "\
+name: rooms
+wireless: { lab: {} }
+nodes:
+  robot: { kind: robot }
+  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
+  R2: { kind: radio_unit, position: [9, 0], channel: 6 }
+  lan: { kind: switch }
+  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [lan, [R1, R2]], delay: 1 ms }
+  - { id: core, ends: [lan, edge], delay: 2 ms }
+walks:
+  robot: { waypoints: [[0, 1], [9, 1]] }
+plugins:
+  - probing
+  - { id: mine, command: [python3, mine.py], enabled: false }
+";
+
+fn with(settings: &[&str]) -> Result<Testbed, String> {
+    let settings: Vec<Setting> = settings.iter().map(|s| s.parse().expect("it is a setting")).collect();
+    testbed_file::parse_with("rooms.yaml", FILE, Path::new(""), &settings).map_err(|wrong| wrong.to_string())
+}
+
+fn delays(testbed: &Testbed) -> Vec<(String, u128, f64)> {
+    let links = testbed.graph.links.iter();
+    links.map(|l| (l.id.to_string(), l.forward.delay.as_millis(), l.scales[1].delay_scale)).collect()
+}
+
+#[test]
+fn without_settings_the_file_is_as_it_is() {
+    let testbed = with(&[]).unwrap();
+    assert_eq!(testbed, testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap());
+    let ids: Vec<_> = testbed.plugins.iter().map(|p| p.id.as_str()).collect();
+    assert_eq!(ids, ["probing"], "what is not enabled does not run");
+}
+
+#[test]
+fn links_are_set_all_or_by_name_one_of_a_group_too() {
+    let expected = |r1, r2, core, scale| {
+        vec![("lan-R1".to_owned(), r1, 1.0), ("lan-R2".to_owned(), r2, 1.0), ("core".to_owned(), core, scale)]
+    };
+    assert_eq!(delays(&with(&["links.*.delay=7 ms"]).unwrap()), expected(7, 7, 7, 1.0));
+    assert_eq!(delays(&with(&["links.lan-R2.delay=7 ms"]).unwrap()), expected(1, 7, 2, 1.0));
+    assert_eq!(delays(&with(&["links.lan-*.delay=7 ms"]).unwrap()), expected(7, 7, 2, 1.0));
+    assert_eq!(delays(&with(&["links.core.delay_scale=2.5"]).unwrap()), expected(1, 1, 2, 2.5));
+}
+
+#[test]
+fn keys_that_the_file_leaves_out_can_be_set() {
+    let testbed =
+        with(&["wireless.lab.handover.scan=250 ms", "walks.robot.and_back=true", "seed=9"]).unwrap();
+    assert_eq!(testbed.graph.wireless["lab"].handover.scan.as_millis(), 250);
+    assert_eq!((testbed.walks[0].waypoints.len(), testbed.seed), (3, 9));
+}
+
+#[test]
+fn one_plugin_is_chosen_declared_or_bundled_and_has_its_settings() {
+    let chosen = |settings: &[&str]| {
+        let testbed = with(settings).unwrap();
+        let [plugin] = &testbed.plugins[..] else { panic!("{:?}", testbed.plugins) };
+        (plugin.id.to_string(), serde_json::Value::Object(plugin.settings.clone()).to_string())
+    };
+    assert_eq!(chosen(&["plugin=mine"]), ("mine".into(), "{}".into()));
+    assert_eq!(chosen(&["plugin=okpi"]), ("okpi".into(), "{}".into()));
+    let gamma = ["plugin=okpi", "plugins.okpi.settings.gamma=8"];
+    assert_eq!(chosen(&gamma), ("okpi".into(), r#"{"gamma":8}"#.into()));
+    assert_eq!(chosen(&["plugins.probing.settings.period=9 s"]).1, r#"{"period":"9 s"}"#);
+}
+
+#[test]
+fn a_wrong_setting_is_shown_where_it_stands() {
+    for (setting, expected) in [
+        ("links.*.delay=5", "17:8: `5` has no unit"),
+        ("links.lan-R3.delay=5 ms", "`lan-R3` in `links` matches nothing"),
+        ("links.lan-R3.delay=5 ms", "did you mean `lan-R1`?"),
+        ("node.R1.channel=3", "`node`"),
+        ("nodes.R1.channel.width=3", "`nodes.R1.channel` is `1`, which has no keys"),
+        ("links.core.drop_scale=0", "cannot be divided by 0"),
+        ("plugin=okpy", "`okpy`"),
+        ("seed=[", "this value is no YAML"),
+    ] {
+        let told = with(&[setting]).unwrap_err();
+        assert!(told.contains(expected), "{setting}: {told}");
+        assert!(told.contains(&format!("# set: {setting}")) && told.contains("help: "), "{setting}: {told}");
+    }
+}
