@@ -145,6 +145,16 @@ message! { "geometry_msgs/msg/Pose",
     }
 }
 
+message! { "geometry_msgs/msg/PoseStamped",
+    /// A pose, when and in which frame.
+    PoseStamped {
+        /// When and in which frame.
+        header: Header,
+        /// The pose.
+        pose: Pose,
+    }
+}
+
 message! { "geometry_msgs/msg/PoseWithCovariance",
     /// A pose and how sure it is.
     PoseWithCovariance {
@@ -330,28 +340,33 @@ impl From<&Twist> for Velocity {
     }
 }
 
-impl From<&graph::Pose> for PoseWithCovariance {
+impl From<&graph::Pose> for Pose {
     fn from(pose: &graph::Pose) -> Self {
         Self {
-            pose: Pose {
-                position: Point { x: pose.x, y: pose.y, z: 0.0 },
-                orientation: Quaternion::from_heading(pose.heading),
-            },
-            covariance: Covariance::from_planar(&pose.covariance),
+            position: Point { x: pose.x, y: pose.y, z: 0.0 },
+            orientation: Quaternion::from_heading(pose.heading),
         }
+    }
+}
+
+impl Pose {
+    /// The part of it in the plane, exactly known, said to come from `source`, which ROS does not carry.
+    pub fn planar(&self, source: PoseSource) -> graph::Pose {
+        let heading = self.orientation.heading();
+        graph::Pose { x: self.position.x, y: self.position.y, heading, covariance: [0.0; 9], source }
+    }
+}
+
+impl From<&graph::Pose> for PoseWithCovariance {
+    fn from(pose: &graph::Pose) -> Self {
+        Self { pose: pose.into(), covariance: Covariance::from_planar(&pose.covariance) }
     }
 }
 
 impl PoseWithCovariance {
     /// The part of it in the plane, said to come from `source`, which ROS does not carry.
     pub fn planar(&self, source: PoseSource) -> graph::Pose {
-        graph::Pose {
-            x: self.pose.position.x,
-            y: self.pose.position.y,
-            heading: self.pose.orientation.heading(),
-            covariance: self.covariance.planar(),
-            source,
-        }
+        graph::Pose { covariance: self.covariance.planar(), ..self.pose.planar(source) }
     }
 }
 

@@ -7,7 +7,7 @@ use cotorra_graph::{
     RobotModel, Timestamp, Velocity,
 };
 use cotorra_plugin::{
-    messages::{Header, PoseWithCovarianceStamped},
+    messages::{Header, PoseStamped},
     wire::{NavigationPacket, PositionPacket},
 };
 use cotorra_robot_middleware::{RobotDriver, Scan, SimulatedRobot, World};
@@ -98,7 +98,7 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
         emitted: now,
         waypoint: 3,
         robot: NodeId::new("robot1").expect("a name"),
-        pose: PoseWithCovarianceStamped { header: Header::new(now, "map"), pose: (&pose).into() },
+        pose: PoseStamped { header: Header::new(now, "map"), pose: (&pose).into() },
     };
     let mut datagram = Vec::new();
     bencher.bench_local(|| {

@@ -5,7 +5,7 @@ use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, ServiceId, ServiceTime, Timestamp, Velocity, Walk};
 use cotorra_plugin::{
-    messages::{Header, PoseWithCovarianceStamped},
+    messages::{Header, PoseStamped},
     wire::{NavigationPacket, PositionPacket},
 };
 
@@ -129,7 +129,7 @@ impl ServiceEndpoint {
             emitted: now,
             waypoint: self.waypoint,
             robot: self.robot.clone(),
-            pose: PoseWithCovarianceStamped { header: Header::new(now, MAP_FRAME), pose: pose.into() },
+            pose: PoseStamped { header: Header::new(now, MAP_FRAME), pose: pose.into() },
         })
     }
 

@@ -133,7 +133,7 @@ pub fn serve(mut vnf: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallibl
 #[cfg(test)]
 mod tests {
     use cotorra_graph::{Pose, Position, Timestamp};
-    use cotorra_plugin::messages::{Header, PoseWithCovarianceStamped};
+    use cotorra_plugin::messages::{Header, PoseStamped};
 
     use super::*;
     use crate::testing::{robot, testbed};
@@ -153,7 +153,7 @@ mod tests {
             emitted: stamp,
             waypoint: 0,
             robot: NodeId::new(name).unwrap(),
-            pose: PoseWithCovarianceStamped { header: Header::new(stamp, "map"), pose: (&pose).into() },
+            pose: PoseStamped { header: Header::new(stamp, "map"), pose: (&pose).into() },
         }
         .encode(&mut bytes);
         bytes

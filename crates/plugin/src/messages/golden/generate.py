@@ -25,17 +25,15 @@ covariance = np.arange(36, dtype=np.float64)
 twist = make(
     "geometry_msgs/msg/Twist", linear=vector("Vector3", 0.3, 0.0, 0.0), angular=vector("Vector3", 0.0, 0.0, -0.1)
 )
-pose = make(
-    "geometry_msgs/msg/PoseWithCovariance",
-    pose=make(
-        "geometry_msgs/msg/Pose",
-        position=vector("Point", 25.5, -27.8, 0.0),
-        orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.6, w=0.8),
-    ),
-    covariance=covariance,
+bare_pose = make(
+    "geometry_msgs/msg/Pose",
+    position=vector("Point", 25.5, -27.8, 0.0),
+    orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.6, w=0.8),
 )
+pose = make("geometry_msgs/msg/PoseWithCovariance", pose=bare_pose, covariance=covariance)
 messages = [
     twist,
+    make("geometry_msgs/msg/PoseStamped", header=header("map"), pose=bare_pose),
     make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header("map"), pose=pose),
     make(
         "nav_msgs/msg/Odometry",
