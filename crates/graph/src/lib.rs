@@ -9,6 +9,7 @@ pub mod hardware;
 pub mod id;
 pub mod map;
 pub mod map_server;
+mod propagation;
 mod routing;
 pub mod seed;
 pub mod service;

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{HardwareGraph, NodeId, PathLoss, Position, RadioUnit, WifiStandard};
+use cotorra_graph::{HardwareGraph, NodeId, Position};
 
 /// How coverage is told.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,8 +38,9 @@ impl Coverage {
             .radio_units()
             .filter(|(_, unit)| unit.network == network)
             .filter_map(|(node, unit)| {
-                let distance = node.position?.distance(location);
-                Some((signal_dbm(wireless.path_loss, wireless.standard, unit, distance), &node.id))
+                let frequency_mhz = wireless.standard.frequency_mhz(unit.channel);
+                let loss_db = wireless.path_loss.loss_db(node.position?.distance(location), frequency_mhz);
+                Some((unit.tx_power.0 - loss_db, &node.id))
             })
             .collect();
         // Stable: of equals, the first in the testbed file.
@@ -54,24 +55,6 @@ impl Coverage {
         };
         heard.iter().filter(|heard| covers(heard)).map(|(_, unit)| (*unit).clone()).collect()
     }
-}
-
-/// Mean received signal: the path loss models of the testbed file, as ITU-R P.525-4 (4), Rappaport 4.9 and
-/// ITU-R P.1238-9 (1) give them.
-fn signal_dbm(model: PathLoss, standard: WifiStandard, unit: &RadioUnit, distance_m: f64) -> f64 {
-    let mhz = match (standard, f64::from(unit.channel)) {
-        (WifiStandard::A | WifiStandard::Ac, channel) => 5000.0 + 5.0 * channel,
-        (WifiStandard::G | WifiStandard::N, 14.0) => 2484.0,
-        (WifiStandard::G | WifiStandard::N, channel) => 2407.0 + 5.0 * channel,
-    };
-    let (log_d, log_f) = (distance_m.max(0.1).log10(), mhz.log10());
-    let falling_by = |slope: f64| if log_d > 0.0 { slope * log_d } else { 20.0 * log_d };
-    let loss = match model {
-        PathLoss::FreeSpace => falling_by(20.0) - 27.55,
-        PathLoss::LogDistance { exponent } => falling_by(10.0 * exponent) - 27.55,
-        PathLoss::ItuIndoor { coefficient, floor_loss_db } => falling_by(coefficient) + floor_loss_db - 28.0,
-    };
-    unit.tx_power.0 - loss - 20.0 * log_f
 }
 
 /// How far a place is inside a polygon, metres; negative outside.

@@ -1,13 +1,12 @@
 //! The wireless part of the fabric: where robots are and what they hear, which radio unit each is attached to, and
 //! what becomes of frames on the air. Like all of the fabric it is told the time; it draws all chance from the seed.
 //!
-//! - [`path_loss`] and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
+//! - Path loss and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
 //! - [`medium`] shares each channel's airtime; [`link`] adds what emulation was asked to do.
 //! - [`station`] is the state machine of an attachment; [`roaming`] decides from beacons.
 
 mod link;
 mod medium;
-mod path_loss;
 mod phy;
 mod roaming;
 mod shadowing;
@@ -194,7 +193,7 @@ impl Radio {
                 position: node.position.unwrap_or_default(),
                 tx_power: unit.tx_power,
                 channel_number: unit.channel,
-                frequency_mhz: path_loss::frequency_mhz(networks[network].spec.standard, unit.channel),
+                frequency_mhz: networks[network].spec.standard.frequency_mhz(unit.channel),
                 stations: Vec::new(),
                 rng: stream(seed, &format!("group {}", node.id)),
             });
@@ -539,8 +538,7 @@ impl Radio {
             let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
             ShadowingField::new(shadowing, stream(self.seed, &label))
         });
-        let loss = path_loss::loss_db(path_loss, r.position.distance(u.position), u.frequency_mhz)
-            + field.at(r.position);
+        let loss = path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz) + field.at(r.position);
         [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
     }
 

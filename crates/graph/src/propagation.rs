@@ -1,0 +1,96 @@
+//! What a signal loses on its way: frequencies of channels, and loss over distance. Whoever emulates the radio and
+//! whoever decides on coverage use the same.
+
+use crate::hardware::{PathLoss, WifiStandard};
+
+impl WifiStandard {
+    /// Centre frequency of a 20 MHz channel, in MHz: 2407 + 5·n at 2.4 GHz, where channel 14 lies apart at 2484
+    /// (IEEE 802.11-2020, 15.4.4.3), and 5000 + 5·n at 5 GHz (17.3.8.4.2).
+    pub fn frequency_mhz(self, channel: u8) -> u16 {
+        match (self, channel) {
+            (Self::A | Self::Ac, n) => 5000 + 5 * u16::from(n),
+            (Self::G | Self::N, 14) => 2484,
+            (Self::G | Self::N, n) => 2407 + 5 * u16::from(n),
+        }
+    }
+}
+
+impl PathLoss {
+    /// Nearer than this, antennas are no longer points: distances are clamped to it, in metres.
+    const NEAREST_M: f64 = 0.1;
+
+    /// Loss between isotropic antennas, in dB; a pure function, so that what is heard at a place depends on that place
+    /// alone.
+    ///
+    /// - Free space: 20 log d + 20 log f - 27.55 (ITU-R P.525-4, equation 4, in metres and MHz).
+    /// - Log-distance: free space up to 1 m, 10·n·log d more beyond it (Rappaport, Wireless Communications, 4.9).
+    /// - ITU indoor: 20 log f + N log d + L_f - 28 (ITU-R P.1238-9, equation 1). The recommendation begins at 1 m;
+    ///   nearer, the loss follows the free-space slope of 20 dB a decade.
+    pub fn loss_db(self, distance_m: f64, frequency_mhz: u16) -> f64 {
+        let log_d = distance_m.max(Self::NEAREST_M).log10();
+        let log_f = f64::from(frequency_mhz).log10();
+        // dB a decade, beyond the reference distance of 1 m at which log d is 0.
+        let falling_by = |slope: f64| if log_d > 0.0 { slope * log_d } else { 20.0 * log_d };
+        match self {
+            Self::FreeSpace => 20.0 * log_d + 20.0 * log_f - 27.55,
+            Self::LogDistance { exponent } => falling_by(10.0 * exponent) + 20.0 * log_f - 27.55,
+            Self::ItuIndoor { coefficient, floor_loss_db } => {
+                falling_by(coefficient) + 20.0 * log_f + floor_loss_db - 28.0
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_lie_where_the_standard_puts_them() {
+        use WifiStandard::{A, Ac, G, N};
+        let table =
+            [(G, 1, 2412), (N, 6, 2437), (G, 13, 2472), (N, 14, 2484), (A, 36, 5180), (Ac, 165, 5825)];
+        for (standard, channel, mhz) in table {
+            assert_eq!(standard.frequency_mhz(channel), mhz);
+        }
+    }
+
+    #[test]
+    fn losses_stay_as_they_were() {
+        let corridor = PathLoss::LogDistance { exponent: 1.8 };
+        let offices = PathLoss::ItuIndoor { coefficient: 30.0, floor_loss_db: 0.0 };
+        let upstairs = PathLoss::ItuIndoor { coefficient: 30.0, floor_loss_db: 15.0 };
+        // Model, metres, MHz, dB; worked out by hand from the formulas.
+        let golden = [
+            (PathLoss::FreeSpace, 0.0, 2412, 20.10), // clamped to 0.1 m
+            (PathLoss::FreeSpace, 0.1, 2412, 20.10),
+            (PathLoss::FreeSpace, 1.0, 2412, 40.10),
+            (PathLoss::FreeSpace, 10.0, 2437, 60.19),
+            (PathLoss::FreeSpace, 100.0, 5180, 86.74),
+            (corridor, 0.5, 2412, 34.08),
+            (corridor, 1.0, 2412, 40.10),
+            (corridor, 10.0, 2412, 58.10),
+            (corridor, 30.0, 5180, 73.32),
+            (offices, 1.0, 2412, 39.65),
+            (offices, 10.0, 2412, 69.65),
+            (offices, 50.0, 5180, 97.25),
+            (upstairs, 10.0, 2412, 84.65),
+        ];
+        for (model, metres, mhz, expected) in golden {
+            let loss = model.loss_db(metres, mhz);
+            assert!((loss - expected).abs() < 0.01, "{model:?} at {metres} m: {loss:.3}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn farther_is_never_louder() {
+        for model in [
+            PathLoss::FreeSpace,
+            PathLoss::LogDistance { exponent: 3.0 },
+            PathLoss::ItuIndoor { coefficient: 22.0, floor_loss_db: 0.0 },
+        ] {
+            let losses: Vec<_> = (0..1000).map(|i| model.loss_db(f64::from(i) * 0.1, 2437)).collect();
+            assert!(losses.is_sorted(), "{model:?}");
+        }
+    }
+}
