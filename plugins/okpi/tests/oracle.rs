@@ -1,8 +1,11 @@
 //! Placements beside an exhaustive search over all hosts and all paths, which is exact: on small graphs.
 #![allow(clippy::unwrap_used, reason = "a test stops where its world is not as it says")]
 
+mod common;
+
 use std::{num::NonZeroUsize, time::Duration};
 
+use common::{check::Used, exact::optimum};
 use cotorra_graph::{LinkId, NodeId, VnfId};
 use cotorra_okpi::{Chain, Infeasible, Infrastructure, Link, Node, Placed, Queue, Search, Vnf, place};
 use proptest::prelude::*;
@@ -24,156 +27,6 @@ fn link(i: usize, ends: [usize; 2], ms: u64, mbps: f64, reliability: f64, wirele
 fn vnf(i: usize, cpus: f64, hosts: Vec<usize>, mbps: f64) -> Vnf {
     let id = VnfId::new(&format!("v{i}")).unwrap();
     Vnf { id, cpus, memory_bytes: 1, hosts, rate_bps: mbps * 1e6, processing: None }
-}
-
-/// What an exact placement takes.
-#[derive(Debug, Clone)]
-struct Used {
-    hosts: Vec<usize>,
-    paths: Vec<Vec<usize>>,
-}
-
-impl Used {
-    fn service_time(&self, service: &Chain, infrastructure: &Infrastructure) -> Duration {
-        let links = self.paths.iter().flatten().map(|&link| infrastructure.links[link].round_trip);
-        let processing =
-            service.vnfs.iter().filter_map(|vnf| vnf.processing).map(|queue| queue.delay().unwrap());
-        links.chain(processing).sum()
-    }
-
-    fn reliability(&self, infrastructure: &Infrastructure) -> f64 {
-        let mut links: Vec<_> = self.paths.iter().flatten().copied().collect();
-        let mut hosts = self.hosts.clone();
-        links.sort_unstable();
-        links.dedup();
-        hosts.sort_unstable();
-        hosts.dedup();
-        links.iter().map(|&link| infrastructure.links[link].reliability).product::<f64>()
-            * hosts.iter().map(|&host| infrastructure.nodes[host].reliability).product::<f64>()
-    }
-
-    fn cost(&self, service: &Chain, infrastructure: &Infrastructure) -> f64 {
-        service
-            .vnfs
-            .iter()
-            .zip(&self.hosts)
-            .map(|(vnf, &host)| vnf.cpus * infrastructure.nodes[host].cost)
-            .sum()
-    }
-
-    /// What it violates, of all that a placement must keep.
-    fn violation(&self, service: &Chain, infrastructure: &Infrastructure) -> Option<&'static str> {
-        for (i, node) in infrastructure.nodes.iter().enumerate() {
-            let here =
-                || service.vnfs.iter().zip(&self.hosts).filter(|(_, host)| **host == i).map(|(vnf, _)| vnf);
-            if here().map(|vnf| vnf.cpus).sum::<f64>() > node.cpus + 1e-9 {
-                return Some("CPUs");
-            }
-            if here().map(|vnf| vnf.memory_bytes).sum::<u64>() > node.memory_bytes {
-                return Some("memory");
-            }
-        }
-        if service.vnfs.iter().zip(&self.hosts).any(|(vnf, host)| !vnf.hosts.contains(host)) {
-            return Some("hosts");
-        }
-        for (i, link) in infrastructure.links.iter().enumerate() {
-            let over = self.paths.iter().zip(&service.vnfs[1..]).filter(|(path, _)| path.contains(&i));
-            if over.map(|(_, vnf)| vnf.rate_bps).sum::<f64>() > link.free_bps + 1e-3 {
-                return Some("bandwidth");
-            }
-        }
-        let mut wireless: Vec<_> = self.paths.iter().flatten().collect();
-        wireless.retain(|&&link| infrastructure.links[link].wireless);
-        wireless.sort_unstable();
-        wireless.dedup();
-        if wireless.len() > 1 {
-            return Some("one radio unit");
-        }
-        if self.service_time(service, infrastructure) > service.service_time {
-            return Some("service time");
-        }
-        let reliable =
-            service.reliability.is_none_or(|target| self.reliability(infrastructure) >= target - 1e-12);
-        (!reliable).then_some("reliability")
-    }
-
-    /// The links and hosts of a placement, by their places; its paths must join its hosts.
-    fn of(placed: &Placed, infrastructure: &Infrastructure) -> Self {
-        let host = |id: &NodeId| infrastructure.nodes.iter().position(|node| node.id == *id).unwrap();
-        let link = |id: &LinkId| infrastructure.links.iter().position(|link| link.id == *id).unwrap();
-        let hosts: Vec<_> = placed.placement.iter().map(|placement| host(&placement.node)).collect();
-        let paths: Vec<Vec<_>> = placed.paths.iter().map(|path| path.iter().map(link).collect()).collect();
-        assert_eq!(paths.len() + 1, hosts.len());
-        for (path, ends) in paths.iter().zip(hosts.windows(2)) {
-            let end = path.iter().enumerate().fold(ends[0], |at, (i, &link)| {
-                let [a, b] = infrastructure.links[link].ends;
-                assert!(at == a || at == b, "the path is broken");
-                assert!(i == 0 || infrastructure.nodes[at].forwards, "the path crosses a host");
-                if at == a { b } else { a }
-            });
-            assert_eq!(end, ends[1], "the path leads elsewhere");
-        }
-        Self { hosts, paths }
-    }
-}
-
-/// All ways without loops from one node to another.
-fn all_paths(infrastructure: &Infrastructure, from: usize, to: usize) -> Vec<Vec<usize>> {
-    fn go(
-        g: &Infrastructure,
-        to: usize,
-        nodes: &mut Vec<usize>,
-        links: &mut Vec<usize>,
-        found: &mut Vec<Vec<usize>>,
-    ) {
-        let at = *nodes.last().unwrap();
-        if at == to {
-            found.push(links.clone());
-            return;
-        }
-        if nodes.len() > 1 && !g.nodes[at].forwards {
-            return;
-        }
-        for (i, link) in g.links.iter().enumerate() {
-            let [a, b] = link.ends;
-            let next = if a == at { b } else { a };
-            if (a == at || b == at) && !nodes.contains(&next) {
-                nodes.push(next);
-                links.push(i);
-                go(g, to, nodes, links, found);
-                nodes.pop();
-                links.pop();
-            }
-        }
-    }
-    let mut found = Vec::new();
-    go(infrastructure, to, &mut vec![from], &mut Vec::new(), &mut found);
-    found
-}
-
-/// The least cost of all placements that keep everything.
-fn optimum(service: &Chain, infrastructure: &Infrastructure) -> Option<f64> {
-    let mut all = vec![Used { hosts: Vec::new(), paths: Vec::new() }];
-    for vnf in &service.vnfs {
-        let extend = |used: &Used| {
-            let mut next = Vec::new();
-            for &host in &vnf.hosts {
-                let paths = used.hosts.last().map(|&from| all_paths(infrastructure, from, host));
-                for path in paths.unwrap_or_else(|| vec![Vec::new()]) {
-                    let mut used = used.clone();
-                    if !used.hosts.is_empty() {
-                        used.paths.push(path);
-                    }
-                    used.hosts.push(host);
-                    next.push(used);
-                }
-            }
-            next
-        };
-        all = all.iter().flat_map(extend).collect();
-    }
-    let kept = all.iter().filter(|used| used.violation(service, infrastructure).is_none());
-    kept.map(|used| used.cost(service, infrastructure)).min_by(f64::total_cmp)
 }
 
 prop_compose! {

@@ -1,6 +1,9 @@
 //! Shared by tests and benchmarks: the corridor, and graphs that grow.
 #![allow(dead_code, reason = "each test and benchmark uses a part")]
 
+pub mod check;
+pub mod exact;
+
 use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
