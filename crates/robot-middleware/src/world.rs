@@ -1,8 +1,9 @@
 //! What stands where: the map, prepared for the two questions that a simulated robot asks of it many times a second -
 //! what does a ray hit, and how near is the nearest wall.
 //!
-//! Each cell holds its clearance, the chessboard distance to the nearest occupied cell. A ray crosses all cells
-//! within it in one step, and so hits exactly what a walk from cell to cell (Amanatides and Woo 1987) hits.
+//! For rays, each cell holds a box of free cells in each of the four diagonal directions, with itself in the corner. A
+//! ray leaves the box in its direction in one step, and so hits exactly what a walk from cell to cell (Amanatides and
+//! Woo 1987) hits. Boxes of any shape fit corridors, along which a ray goes far beside a wall.
 
 use cotorra_graph::{Cell, OccupancyGrid, Position};
 
@@ -13,14 +14,24 @@ pub struct World {
     height: i32,
     resolution: f64,
     origin: Position,
-    /// In cells, row by row from the lower left; 0 is occupied, 255 is that far or farther.
+    /// The chessboard distance to the nearest occupied cell, in cells, row by row from the lower left; 0 is occupied,
+    /// 255 is that far or farther.
     clearance: Vec<u8>,
+    /// Width and height of a cell's free box, in cells, for each direction; 0 is occupied, 255 is that far or farther.
+    boxes: [Vec<[u8; 2]>; 4],
 }
 
 impl World {
     /// Open space.
     pub fn open() -> Self {
-        Self { width: 0, height: 0, resolution: 1.0, origin: Position::default(), clearance: Vec::new() }
+        Self {
+            width: 0,
+            height: 0,
+            resolution: 1.0,
+            origin: Position::default(),
+            clearance: Vec::new(),
+            boxes: Default::default(),
+        }
     }
 
     /// The world that a map shows. Takes a few milliseconds per million cells; share it between robots.
@@ -34,9 +45,44 @@ impl World {
         let clearance = cells
             .map(|(column, row)| if map.cell(column, row) == Cell::Occupied { 0 } else { u8::MAX })
             .collect();
-        let mut world = Self { width, height, resolution: map.resolution(), origin: map.origin(), clearance };
+        let (resolution, origin) = (map.resolution(), map.origin());
+        let mut world = Self { width, height, resolution, origin, clearance, boxes: Default::default() };
+        world.boxes = world.free_boxes();
         world.measure_clearance();
         world
+    }
+
+    /// A large free box of each cell in each direction, in one pass against it: the box of the cell beside it, one
+    /// wider, or that of the cell above it, one higher, whichever is larger.
+    fn free_boxes(&self) -> [Vec<[u8; 2]>; 4] {
+        let (width, height) = (self.width as usize, self.height as usize);
+        let mut boxes = [(); 4].map(|()| vec![[0; 2]; width * height]);
+        // Of each column: free cells from the last row upwards, and the box there.
+        let mut above = [(); 4].map(|()| vec![(u8::MAX, [u8::MAX, 0]); width]);
+        for i in 0..height {
+            let mut beside = [(u8::MAX, [0, u8::MAX]); 4];
+            for j in 0..width {
+                // Four directions in one loop: none waits for another.
+                for direction in 0..4 {
+                    let column = if direction & 1 == 0 { width - 1 - j } else { j };
+                    let row = if direction & 2 == 0 { height - 1 - i } else { i };
+                    let cell = row * width + column;
+                    let (above, beside) = (&mut above[direction][column], &mut beside[direction]);
+                    if self.clearance[cell] == 0 {
+                        (*above, *beside) = ((0, [u8::MAX, 0]), (0, [0, u8::MAX]));
+                        continue;
+                    }
+                    let (upwards, onwards) = (above.0.saturating_add(1), beside.0.saturating_add(1));
+                    let wider = [beside.1[0].saturating_add(1), beside.1[1].min(upwards)];
+                    let higher = [above.1[0].min(onwards), above.1[1].saturating_add(1)];
+                    let area = |[width, height]: [u8; 2]| u16::from(width) * u16::from(height);
+                    let free = if area(wider) > area(higher) { wider } else { higher };
+                    (*above, *beside) = ((upwards, free), (onwards, free));
+                    boxes[direction][cell] = free;
+                }
+            }
+        }
+        boxes
     }
 
     /// Two passes give the chessboard distance exactly (Rosenfeld and Pfaltz 1968).
@@ -64,9 +110,14 @@ impl World {
     }
 
     /// `None` off the map.
-    fn clearance(&self, column: i32, row: i32) -> Option<u8> {
+    fn index(&self, column: i32, row: i32) -> Option<usize> {
         let inside = column >= 0 && row >= 0 && column < self.width && row < self.height;
-        inside.then(|| self.clearance[row as usize * self.width as usize + column as usize])
+        inside.then(|| row as usize * self.width as usize + column as usize)
+    }
+
+    /// `None` off the map.
+    fn clearance(&self, column: i32, row: i32) -> Option<u8> {
+        self.index(column, row).map(|cell| self.clearance[cell])
     }
 
     /// Distance in metres along a ray, given by a unit vector, to the first occupied cell; `None` if there is none
@@ -82,20 +133,21 @@ impl World {
             Axis { start, inverse: 1.0 / step, step, cell }
         };
         let (mut across, mut up) = (axis(x, direction.0, self.width), axis(y, direction.1, self.height));
+        let boxes = &self.boxes[usize::from(direction.0 < 0.0) + 2 * usize::from(direction.1 < 0.0)];
         let mut travelled = enter;
         while travelled <= end {
-            let clear = i32::from(self.clearance(across.cell, up.cell)?);
-            if clear == 0 {
+            let [wide, high] = boxes[self.index(across.cell, up.cell)?].map(i32::from);
+            if wide == 0 {
                 return Some(travelled * self.resolution);
             }
-            let (exit_across, exit_up) = (across.exit(clear), up.exit(clear));
+            let (exit_across, exit_up) = (across.exit(wide), up.exit(high));
             if exit_across < exit_up {
-                across.cross(clear);
-                up.follow(exit_across, clear);
+                across.cross(wide);
+                up.follow(exit_across, high);
                 travelled = travelled.max(exit_across);
             } else {
-                up.cross(clear);
-                across.follow(exit_up, clear);
+                up.cross(high);
+                across.follow(exit_up, wide);
                 travelled = travelled.max(exit_up);
             }
         }
