@@ -8,7 +8,7 @@ use crate::{cli::CheckArgs, output, testbed_file};
 pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
     let mut all_right = true;
     for file in &args.files {
-        match testbed_file::load(file) {
+        match testbed_file::load(file, &[]) {
             Ok(loaded) => {
                 output::print(&format!("{}: {}\n", file.display(), testbed_file::overview(&loaded.testbed)))?;
             }

@@ -8,7 +8,7 @@ use std::{
 
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
-use cotorra_graph::NodeId;
+use cotorra_graph::{NodeId, testbed_file::Setting};
 
 /// Where a run serves its API unless that is taken.
 pub const DEFAULT_API: &str = "127.0.0.1:7700";
@@ -129,6 +129,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
+  cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
@@ -136,6 +137,12 @@ Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not vali
 pub struct RunArgs {
     /// The testbed file.
     pub file: PathBuf,
+    /// Run the file as if it said something else, as in plugin=okpi or links.*.delay_scale=2
+    ///
+    /// A path leads from key to key; * stands for any part of a name. See docs/testbed-file.md, "Variants". Can be
+    /// given several times.
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub settings: Vec<Setting>,
     /// End after so much time, such as 60s or 2min, if the walks take longer
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,

@@ -7,10 +7,13 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Diagnostics, Position, Testbed, testbed_file};
+use cotorra_graph::{
+    Diagnostics, Position, Testbed,
+    testbed_file::{self, Setting},
+};
 use miette::{LabeledSpan, NamedSource, Severity};
 
-/// A testbed file that is right, and its text.
+/// A testbed file that is right, and its text, settings noted.
 #[derive(Debug)]
 pub struct Loaded {
     pub testbed: Testbed,
@@ -40,13 +43,13 @@ impl FileError {
     }
 }
 
-/// Reads a testbed file and checks it as a whole.
-pub fn load(path: &Path) -> Result<Loaded, FileError> {
+/// Reads a testbed file with settings and checks it as a whole.
+pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
     let text =
         fs::read_to_string(path).map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
     let base = path.parent().unwrap_or(Path::new(""));
-    match testbed_file::parse(&path.display().to_string(), &text, base) {
-        Ok(testbed) => Ok(Loaded { testbed, text }),
+    match testbed_file::parse_with(&path.display().to_string(), &text, base, settings) {
+        Ok(testbed) => Ok(Loaded { testbed, text: testbed_file::annotated(&text, settings) }),
         Err(found) => Err(found.into()),
     }
 }

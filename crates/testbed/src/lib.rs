@@ -18,8 +18,8 @@ pub use live::{Live, Snapshot};
 pub use navigation::{NavigationError, navigation};
 pub use plugins::PluginError;
 pub use report::{
-    Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, PlacementRecord, Quantiles, RegionSummary,
-    Summary, draw,
+    DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, Place, PlacementRecord,
+    Quantiles, RegionSummary, Report, Summary, draw,
 };
-pub use run::{Options, Run, RunError, Stopper, clean, leftovers};
+pub use run::{Finished, Options, Run, RunError, Stopper, clean, leftovers};
 pub use simulate::{Simulation, simulate};

@@ -16,7 +16,7 @@ use std::{
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId};
+use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
 use cotorra_measurements::{History, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use tokio::sync::broadcast;
@@ -28,7 +28,7 @@ use crate::{
     live::Live,
     navigation,
     plugins::{Now, PluginError, PluginHost, Said},
-    report::{FolderError, Losses, Report, RunFolder, Summary},
+    report::{FolderError, Losses, Place, Report, RunFolder, Summary},
 };
 
 /// Where the API listens unless it is told.
@@ -39,18 +39,31 @@ const STREAM: usize = 4096;
 const LOOK: Duration = Duration::from_secs(1);
 
 /// How a run is to go.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Options {
     /// In place of the testbed file's seed.
     pub seed: Option<u64>,
     /// End after so long, walks finished or not.
     pub until: Option<Duration>,
     /// Where the run's folder is made.
-    pub out: PathBuf,
+    pub folder: Place,
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
     /// What callers of the API must show.
     pub token: Option<Token>,
+    /// With which the testbed file was read.
+    pub settings: Vec<Setting>,
+}
+
+/// What a run came to.
+#[derive(Debug)]
+pub struct Finished {
+    /// Its summary, as in `summary.json`.
+    pub summary: Summary,
+    /// What the summary is of.
+    pub report: Report,
+    /// The run's folder; absolute.
+    pub folder: PathBuf,
 }
 
 /// Why a testbed cannot be brought up, or its run not be finished.
@@ -134,7 +147,7 @@ impl Run {
         let seed = options.seed.unwrap_or(testbed.seed);
         let moved = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
-        let folder = RunFolder::create(&options.out, &testbed.name, text)?;
+        let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let history = Arc::new(History::open(folder.history())?);
         let run = history.begin_run(&run_info(&testbed, seed, text))?;
         let recorder = history.recorder(run)?;
@@ -169,6 +182,7 @@ impl Run {
         let launcher = NodeLauncher {
             datapath: Arc::clone(&datapath),
             testbed_file: absolute(file)?,
+            settings: options.settings.iter().map(|setting| format!("{setting}\n")).collect(),
             robots: robots_by_vnf(&testbed),
             tell: Mutex::new(tell.clone()),
         };
@@ -253,7 +267,7 @@ impl Run {
     ///
     /// # Errors
     /// [`RunError`] when the report cannot be written, or the run broke.
-    pub fn finish(mut self) -> Result<Summary, RunError> {
+    pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
         if let Err(error) = self.recorder.flush() {
@@ -266,7 +280,7 @@ impl Run {
         let summary = report.summary(end, why.as_str(), losses);
         self.folder.write_report(&report, &summary)?;
         self.history.end_run(self.run, end)?;
-        Ok(summary)
+        Ok(Finished { summary, report, folder: self.folder.path().to_owned() })
     }
 }
 
@@ -329,6 +343,8 @@ fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
 struct NodeLauncher {
     datapath: Arc<Datapath>,
     testbed_file: PathBuf,
+    /// One a line.
+    settings: String,
     robots: BTreeMap<VnfId, NodeId>,
     tell: Mutex<Sender<Message>>,
 }
@@ -345,6 +361,7 @@ impl Launcher for NodeLauncher {
         // The very file that runs, even if another was put in its place since.
         let mut command = Command::new("/proc/self/exe");
         command.args(["vnf", "navigation"]).env(navigation::TESTBED, &self.testbed_file);
+        command.env(navigation::SETTINGS, &self.settings);
         if let Some(robot) = self.robots.get(&vnf.id) {
             command.env(navigation::ROBOT, robot.as_str());
         }

@@ -14,7 +14,7 @@ use std::{
 };
 
 use cotorra_graph::Testbed;
-use cotorra_testbed::{Options, Run, RunError, Summary, Token};
+use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{cli::RunArgs, logs, output, signals, testbed_file};
@@ -56,9 +56,15 @@ impl From<RunError> for Error {
 
 /// Runs a testbed.
 pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
-    let loaded = testbed_file::load(&args.file)?;
-    let token = token()?;
-    let options = Options { seed: args.seed, until: args.until, out: args.out.clone(), api: args.api, token };
+    let loaded = testbed_file::load(&args.file, &args.settings)?;
+    let options = Options {
+        seed: args.seed,
+        until: args.until,
+        folder: Place::In(args.out.clone()),
+        api: args.api,
+        token: token()?,
+        settings: args.settings.clone(),
+    };
     if args.dry_run {
         output::print(&plan::describe(&loaded.testbed, &args))?;
         return Ok(ExitCode::SUCCESS);
@@ -83,27 +89,31 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let places = Places { api: run.api_address(), folder: &folder };
     let mut view = View::new(&testbed, args.until, &places, &terminal);
     watch(&run, &mut view, &interrupts);
-    let summary = run.finish().map_err(Error::from);
+    let finished = run.finish().map_err(Error::from);
     view.close();
-    let summary = summary?;
-    tracing::info!(ended = summary.ended, valid = summary.fidelity.valid, "over");
-    output::print(&summary::describe(&summary, &folder))?;
-    Ok(verdict(&summary))
+    let finished = finished?;
+    tracing::info!(ended = finished.summary.ended, valid = finished.summary.fidelity.valid, "over");
+    tell(&finished)
 }
 
 /// Runs a testbed in virtual time.
 fn simulate(testbed: Testbed, text: &str, options: &Options, headless: bool) -> miette::Result<ExitCode> {
     let interrupts = signals::listen().map_err(Error::Signals)?;
     let spinner = if headless { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-    let (summary, folder) = cotorra_testbed::simulate(testbed, text, options, |now| {
+    let finished = cotorra_testbed::simulate(testbed, text, options, |now| {
         spinner.set_message(format!("{:.0} s of virtual time", now.as_secs_f64()));
         spinner.tick();
         interrupts.try_recv().is_err()
     })
     .map_err(Error::from)?;
     spinner.finish_and_clear();
-    output::print(&summary::describe(&summary, &folder))?;
-    Ok(verdict(&summary))
+    tell(&finished)
+}
+
+/// Says what came of a run.
+fn tell(finished: &Finished) -> miette::Result<ExitCode> {
+    output::print(&summary::describe(&finished.summary, &finished.folder))?;
+    Ok(verdict(&finished.summary))
 }
 
 /// The API's token, if one is set.

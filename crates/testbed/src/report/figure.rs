@@ -4,13 +4,13 @@ use cotorra_graph::ServiceTime;
 use kuva::{
     backend::svg::SvgBackend,
     plot::{
-        LinePlot,
+        LinePlot, ScatterPlot,
         annotations::{ReferenceLine, ShadedRegion, TextAnnotation},
     },
     render::{figure::Figure, layout::Layout, plots::Plot},
 };
 
-use super::summary::{RegionSummary, took_ms};
+use super::summary::{RegionSummary, Report, took_ms};
 
 /// The published figure ends here, milliseconds; spikes above are cut.
 const TOP_MS: f64 = 40.0;
@@ -30,6 +30,18 @@ pub struct Panel<'a> {
     pub regions: Vec<RegionSummary>,
     /// The dashed line.
     pub target_ms: Option<f64>,
+    /// What the line is called; with this or points there is a legend.
+    pub line: Option<&'static str>,
+    /// Points and what they are called: seconds, milliseconds.
+    pub points: Option<(&'static str, Vec<(f64, f64)>)>,
+}
+
+impl<'a> Panel<'a> {
+    /// The service times of a run.
+    pub fn of(title: String, report: &'a Report) -> Self {
+        let (samples, regions) = (report.samples(), report.regions());
+        Self { title, samples, regions, target_ms: report.target_ms(), line: None, points: None }
+    }
 }
 
 /// Draws the panels, one below the other, as SVG.
@@ -60,7 +72,13 @@ fn draw_panel(panel: &Panel<'_>, end: f64) -> (Vec<Plot>, Layout) {
     // A sample without an answer is drawn where it would be at best: at the top.
     let points = samples.iter().map(|s| (s.emitted.as_secs_f64(), took_ms(s).unwrap_or(TOP_MS).min(TOP_MS)));
     let line = LinePlot::new().with_data(points).with_color("#1f3b5c").with_stroke_width(1.2);
-    let plots = vec![Plot::Line(line)];
+    let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
+    let mut plots = vec![Plot::Line(line)];
+    if let Some((name, points)) = &panel.points {
+        let points =
+            ScatterPlot::new().with_data(points.iter().copied()).with_color("#d35400").with_size(2.5);
+        plots.push(Plot::Scatter(points.with_legend(*name)));
+    }
     let mut layout = Layout::auto_from_plots(&plots)
         .with_title(panel.title.clone())
         .with_x_label("time (s)")

@@ -19,6 +19,66 @@ pub struct FolderError {
     source: io::Error,
 }
 
+/// Where a run's folder is made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// In this folder, named after the testbed and the time.
+    In(PathBuf),
+    /// It is this one, which does not exist yet.
+    At(PathBuf),
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Self::In(PathBuf::from("runs"))
+    }
+}
+
+impl Place {
+    /// Makes the folder, and those above it; gives its absolute path.
+    ///
+    /// # Errors
+    /// [`FolderError`] when that is not possible, or [`Place::At`] is there already.
+    pub(crate) fn create(&self, name: &str) -> Result<PathBuf, FolderError> {
+        let fail = |path: &Path| {
+            let path = path.to_owned();
+            move |source| FolderError { path, source }
+        };
+        let (parent, names): (_, Vec<_>) = match self {
+            Self::At(path) => (path.parent().unwrap_or(Path::new("")), vec![path.clone()]),
+            Self::In(parent) => {
+                let time = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S");
+                let stem = format!("{name}-{time}");
+                // Two runs within one second each get their own.
+                let names = std::iter::once(stem.clone()).chain((2..1000).map(|i| format!("{stem}-{i}")));
+                (&**parent, names.map(|name| parent.join(name)).collect())
+            }
+        };
+        if !parent.as_os_str().is_empty() {
+            fs::create_dir_all(parent).map_err(fail(parent))?;
+        }
+        let mut taken = None;
+        for path in names {
+            match fs::create_dir(&path) {
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                    taken = Some(fail(&path)(error));
+                }
+                made => return made.and_then(|()| path.canonicalize()).map_err(fail(&path)),
+            }
+        }
+        Err(taken.expect("at least one name was tried"))
+    }
+}
+
+/// Writes a file whole or not at all: a reader never sees half of one.
+pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<(), FolderError> {
+    let path = folder.join(name);
+    let draft = folder.join(format!(".{name}.part"));
+    fs::write(&draft, text)
+        .and_then(|()| fs::rename(&draft, &path))
+        .map_err(|source| FolderError { path, source })
+}
+
 /// A run's folder.
 #[derive(Debug, Clone)]
 pub struct RunFolder {
@@ -26,32 +86,16 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Makes `<parent>/<name>-<local time>/` and `logs/` in it, and puts the testbed file there.
+    /// Makes it and `logs/` in it, and puts the testbed file there.
     ///
     /// # Errors
     /// [`FolderError`] when that is not possible.
-    pub fn create(parent: &Path, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
-        let time = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S");
-        let stem = format!("{name}-{time}");
-        let fail = |path: &Path| {
-            let path = path.to_owned();
-            move |source| FolderError { path, source }
-        };
-        fs::create_dir_all(parent).map_err(fail(parent))?;
-        // Two runs within one second each get their own.
-        let names = std::iter::once(stem.clone()).chain((2..1000).map(|i| format!("{stem}-{i}")));
-        for path in names.map(|name| parent.join(name)) {
-            match fs::create_dir(&path) {
-                Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
-                made => made.map_err(fail(&path))?,
-            }
-            let path = path.canonicalize().map_err(fail(&path))?;
-            fs::create_dir(path.join("logs")).map_err(fail(&path))?;
-            let folder = Self { path };
-            folder.write("testbed.yaml", testbed_text)?;
-            return Ok(folder);
-        }
-        Err(fail(parent)(io::Error::other("1000 runs began within this second")))
+    pub fn create(place: &Place, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
+        let path = place.create(name)?;
+        let logs = path.join("logs");
+        fs::create_dir(&logs).map_err(|source| FolderError { path: logs, source })?;
+        write(&path, "testbed.yaml", testbed_text)?;
+        Ok(Self { path })
     }
 
     /// Where it is; absolute.
@@ -69,30 +113,16 @@ impl RunFolder {
         self.path.join("logs")
     }
 
-    fn write(&self, name: &str, text: &str) -> Result<(), FolderError> {
-        let path = self.path.join(name);
-        // Whole or not at all: a reader never sees half a summary.
-        let draft = self.path.join(format!(".{name}.part"));
-        fs::write(&draft, text)
-            .and_then(|()| fs::rename(&draft, &path))
-            .map_err(|source| FolderError { path, source })
-    }
-
     /// Writes `summary.json`, `service_time.csv` and `service_time.svg`.
     ///
     /// # Errors
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary holds only what JSON can");
-        self.write("summary.json", &(json + "\n"))?;
-        self.write("service_time.csv", &csv(report))?;
-        let panel = Panel {
-            title: format!("{}: service time and attachment", summary.name),
-            samples: report.samples(),
-            regions: report.regions(),
-            target_ms: report.target_ms(),
-        };
-        self.write("service_time.svg", &draw(&[panel]))
+        write(&self.path, "summary.json", &(json + "\n"))?;
+        write(&self.path, "service_time.csv", &csv(report))?;
+        let title = format!("{}: service time and attachment", summary.name);
+        write(&self.path, "service_time.svg", &draw(&[Panel::of(title, report)]))
     }
 }
 

@@ -5,8 +5,8 @@ mod folder;
 mod summary;
 
 pub use figure::{Panel, draw};
-pub use folder::{FolderError, RunFolder};
+pub use folder::{FolderError, Place, RunFolder};
 pub use summary::{
-    Fidelity, HandoverRecord, LatenessSummary, Losses, PlacementRecord, Quantiles, RegionSummary, Report,
-    Summary,
+    DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, Losses, PlacementRecord, Quantiles,
+    RegionSummary, Report, Summary,
 };

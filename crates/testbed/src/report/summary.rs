@@ -1,6 +1,10 @@
 //! Turns the events of a run into its summary.
 
-use cotorra_graph::{Event, Lateness, NodeId, ServiceTime, Stamped, Testbed, Timestamp, VnfId};
+use std::collections::BTreeMap;
+
+use cotorra_graph::{
+    Event, Instruction, Lateness, NodeId, Position, ServiceTime, Stamped, Testbed, Timestamp, VnfId,
+};
 use serde::Serialize;
 
 /// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
@@ -110,6 +114,8 @@ pub struct HandoverRecord {
     pub gap_ms: f64,
     /// Whether fast transition was used.
     pub fast: bool,
+    /// Where the robot was; `None` if that is not known.
+    pub position: Option<Position>,
 }
 
 /// A VNF on a node.
@@ -121,6 +127,19 @@ pub struct PlacementRecord {
     pub vnf: VnfId,
     /// The node.
     pub node: NodeId,
+    /// Where its service's robot was; `None` if that is not known.
+    pub position: Option<Position>,
+}
+
+/// Something that a plug-in asked for and got: another radio unit, or another node for a VNF.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecisionRecord {
+    /// When.
+    pub at: Timestamp,
+    /// What.
+    pub instruction: Instruction,
+    /// Where the robot was that it is about; `None` if that is not known.
+    pub position: Option<Position>,
 }
 
 /// Whether the emulator did what it was asked.
@@ -200,8 +219,13 @@ pub struct Report {
     samples: Vec<ServiceTime>,
     handovers: Vec<HandoverRecord>,
     placements: Vec<PlacementRecord>,
+    decisions: Vec<DecisionRecord>,
     lateness: Lateness,
     faults: Vec<String>,
+    /// The robot of each VNF.
+    robots: BTreeMap<VnfId, NodeId>,
+    /// Where each robot was last.
+    positions: BTreeMap<NodeId, Position>,
 }
 
 impl Report {
@@ -214,8 +238,15 @@ impl Report {
             samples: Vec::new(),
             handovers: Vec::new(),
             placements: Vec::new(),
+            decisions: Vec::new(),
             lateness: Lateness::default(),
             faults: Vec::new(),
+            robots: testbed
+                .services
+                .iter()
+                .flat_map(|service| service.vnfs.iter().map(|vnf| (vnf.id.clone(), service.robot.clone())))
+                .collect(),
+            positions: BTreeMap::new(),
         }
     }
 
@@ -224,6 +255,13 @@ impl Report {
         let at_s = at.as_secs_f64();
         match event {
             Event::ServiceTime(sample) => self.samples.push(sample.clone()),
+            Event::Robot(context) => {
+                let position = context.sensors.pose.position();
+                match self.positions.get_mut(&context.robot) {
+                    Some(last) => *last = position,
+                    None => drop(self.positions.insert(context.robot.clone(), position)),
+                }
+            }
             Event::Handover(h) => self.handovers.push(HandoverRecord {
                 at_s,
                 robot: h.robot.clone(),
@@ -231,14 +269,35 @@ impl Report {
                 to: h.to.clone(),
                 gap_ms: h.gap.as_secs_f64() * 1e3,
                 fast: h.fast,
+                position: self.positions.get(&h.robot).copied(),
             }),
             Event::Placement(p) => {
-                self.placements.push(PlacementRecord { at_s, vnf: p.vnf.clone(), node: p.node.clone() });
+                let position = self.position_for(&p.vnf);
+                let (vnf, node) = (p.vnf.clone(), p.node.clone());
+                self.placements.push(PlacementRecord { at_s, vnf, node, position });
+            }
+            Event::Decision(decision) if decision.refused.is_none() => {
+                let position = match &decision.instruction {
+                    Instruction::Attach { robot, .. } => self.positions.get(robot).copied(),
+                    Instruction::Place { vnf, .. } => self.position_for(vnf),
+                    _ => return,
+                };
+                let instruction = decision.instruction.clone();
+                self.decisions.push(DecisionRecord { at: *at, instruction, position });
             }
             Event::Lateness(lateness) => self.lateness = *lateness,
             Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
             _ => {}
         }
+    }
+
+    fn position_for(&self, vnf: &VnfId) -> Option<Position> {
+        self.positions.get(self.robots.get(vnf)?).copied()
+    }
+
+    /// What plug-ins asked for and got, in order.
+    pub fn decisions(&self) -> &[DecisionRecord] {
+        &self.decisions
     }
 
     /// The service times so far, in the order of their answers.
@@ -310,7 +369,7 @@ pub(super) fn took_ms(sample: &ServiceTime) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::time::Duration;
+    use std::{path::Path, time::Duration};
 
     fn sample(sequence: u32, attachment: &str, took_ms: Option<u64>) -> Stamped {
         let emitted = Timestamp::from_secs_f64(f64::from(sequence));
@@ -327,16 +386,9 @@ mod tests {
     }
 
     fn report() -> Report {
-        Report {
-            name: "test".into(),
-            seed: 1,
-            target_ms: Some(15.0),
-            samples: Vec::new(),
-            handovers: Vec::new(),
-            placements: Vec::new(),
-            lateness: Lateness::default(),
-            faults: Vec::new(),
-        }
+        let text = "name: test\nnodes: { a: { kind: switch } }\n";
+        let testbed = cotorra_graph::testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
+        Report { target_ms: Some(15.0), ..Report::new(&testbed, 1) }
     }
 
     #[test]

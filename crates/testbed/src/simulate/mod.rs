@@ -7,7 +7,6 @@ use std::{
     cell::{Cell, RefCell},
     collections::{BTreeMap, VecDeque},
     panic::{AssertUnwindSafe, catch_unwind},
-    path::PathBuf,
     rc::Rc,
     sync::Arc,
     time::Duration,
@@ -30,8 +29,8 @@ use crate::{
     core::Core,
     core_loop::End,
     plugins::{PluginError, bundled, panic_text},
-    report::{Losses, Report, RunFolder, Summary},
-    run::{Options, RunError},
+    report::{Losses, Report, RunFolder},
+    run::{Finished, Options, RunError},
 };
 
 /// The port from which robots send; any would do.
@@ -41,7 +40,7 @@ const ROBOT_PORT: u16 = 40_000;
 const HISTORY_PACE: usize = 10_000;
 
 /// Runs a testbed in virtual time to the end of its walks, or up to `options.until`, and leaves what a run leaves; gives
-/// its summary and its folder. `go_on` is asked now and then, with the time, whether to. The API is not served.
+/// what it came to. `go_on` is asked now and then, with the time, whether to. The API is not served.
 ///
 /// The same testbed, seed and version give the same bytes in every file but the log.
 ///
@@ -52,7 +51,7 @@ pub fn simulate(
     text: &str,
     options: &Options,
     mut go_on: impl FnMut(Timestamp) -> bool,
-) -> Result<(Summary, PathBuf), RunError> {
+) -> Result<Finished, RunError> {
     let testbed = Arc::new(testbed);
     let seed = options.seed.unwrap_or(testbed.seed);
     let until = options.until.map(|until| Timestamp::ZERO + until);
@@ -60,7 +59,7 @@ pub fn simulate(
         return Err(RunError::Endless);
     }
     let mut simulation = Simulation::new(Arc::clone(&testbed), seed)?;
-    let folder = RunFolder::create(&options.out, &testbed.name, text)?;
+    let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
     let history = History::open(folder.history())?;
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
@@ -94,7 +93,7 @@ pub fn simulate(
     let summary = report.summary(now, end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, now)?;
-    Ok((summary, folder.path().to_owned()))
+    Ok(Finished { summary, report, folder: folder.path().to_owned() })
 }
 
 /// A testbed in virtual time, from its beginning.
@@ -122,12 +121,7 @@ impl Simulation {
         let fabric = Rc::new(RefCell::new(Fabric::new(&testbed.graph, seed)?));
         let network = VirtualNetwork { fabric, now: Rc::new(Cell::new(Timestamp::ZERO)) };
         let navigation = Navigation::default();
-        let engine = VirtualEngine {
-            testbed: Arc::clone(&testbed),
-            serving: navigation.clone(),
-            running: BTreeMap::new(),
-            happened: VecDeque::new(),
-        };
+        let engine = VirtualEngine::new(&testbed, navigation.clone());
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine)
             .map_err(|e| RunError::Robot(e.to_string()))?;
         let plugins = testbed.plugins.iter().map(|spec| match &spec.program {
@@ -301,10 +295,23 @@ type Serving = BTreeMap<NodeId, Vec<(InstanceId, NavigationVnf)>>;
 
 /// Runs the navigation VNF as a part of the simulation; an instance is ready at once.
 struct VirtualEngine {
-    testbed: Arc<Testbed>,
+    /// What an instance begins as, by VNF.
+    planned: BTreeMap<VnfId, NavigationVnf>,
     serving: Navigation,
-    running: BTreeMap<InstanceId, (VnfId, NodeId)>,
+    running: BTreeMap<InstanceId, NodeId>,
     happened: VecDeque<EngineEvent>,
+}
+
+impl VirtualEngine {
+    /// Plans all walks.
+    fn new(testbed: &Testbed, serving: Navigation) -> Self {
+        let by_robot = NavigationVnf::of_all(testbed);
+        let planned = testbed.services.iter().flat_map(|service| {
+            let planned = by_robot.get(&service.robot);
+            service.vnfs.iter().filter_map(move |vnf| Some((vnf.id.clone(), planned?.clone())))
+        });
+        Self { planned: planned.collect(), serving, running: BTreeMap::new(), happened: VecDeque::new() }
+    }
 }
 
 impl Engine for VirtualEngine {
@@ -312,17 +319,15 @@ impl Engine for VirtualEngine {
         if vnf.program != Program::Navigation {
             return Err("only the bundled navigation VNF runs in virtual time".to_owned());
         }
-        let service = self.testbed.services.iter().find(|s| s.vnfs.iter().any(|v| v.id == vnf.id));
-        let robot = &service.ok_or("it belongs to no service")?.robot;
-        let navigation = NavigationVnf::new(&self.testbed, robot).map_err(|e| e.to_string())?;
+        let navigation = self.planned.get(&vnf.id).ok_or("its robot has no walk")?.clone();
         self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, navigation));
-        self.running.insert(instance, (vnf.id.clone(), node.clone()));
+        self.running.insert(instance, node.clone());
         self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
         Ok(())
     }
 
     fn stop(&mut self, instance: InstanceId) {
-        if let Some((_, node)) = self.running.remove(&instance)
+        if let Some(node) = self.running.remove(&instance)
             && let Some(instances) = self.serving.0.borrow_mut().get_mut(&node)
         {
             instances.retain(|(id, _)| *id != instance);

@@ -3,7 +3,7 @@ use std::path::Path;
 use cotorra_graph::Instruction;
 
 use super::*;
-use crate::report::{Losses, Report};
+use crate::report::{Losses, Place, Report};
 
 fn corridor() -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
@@ -123,18 +123,17 @@ fn two_runs_with_one_seed_leave_the_same_bytes() {
         let options = Options {
             seed: Some(3),
             until: Some(Duration::from_secs(40)),
-            out: out.path().to_owned(),
-            api: None,
-            token: None,
+            folder: Place::In(out.path().to_owned()),
+            ..Options::default()
         };
         simulate(Testbed::clone(&corridor()), &text, &options, |_| true).unwrap()
     };
-    let ((first, a), (second, b)) = (run(), run());
-    assert_eq!(first, second);
-    assert!(first.fidelity.valid && first.samples > 700, "{first:?}");
+    let (first, second) = (run(), run());
+    assert_eq!(first.summary, second.summary);
+    assert!(first.summary.fidelity.valid && first.summary.samples > 700, "{:?}", first.summary);
     for name in ["summary.json", "service_time.csv", "service_time.svg", "testbed.yaml"] {
-        let read = |folder: &PathBuf| std::fs::read_to_string(folder.join(name)).unwrap();
-        let (a, b) = (read(&a), read(&b));
+        let read = |run: &Finished| std::fs::read_to_string(run.folder.join(name)).unwrap();
+        let (a, b) = (read(&first), read(&second));
         let differs = a.bytes().zip(b.bytes()).position(|(a, b)| a != b);
         assert!(a == b, "{name} differs from byte {differs:?} on: {:?}", a.get(differs.unwrap_or(0)..));
     }
@@ -144,8 +143,7 @@ fn two_runs_with_one_seed_leave_the_same_bytes() {
 fn virtual_time_without_an_end_is_refused() {
     let mut testbed = Testbed::clone(&corridor());
     testbed.walks.clear();
-    let options = Options { seed: None, until: None, out: PathBuf::new(), api: None, token: None };
-    assert!(matches!(simulate(testbed, "", &options, |_| true), Err(RunError::Endless)));
+    assert!(matches!(simulate(testbed, "", &Options::default(), |_| true), Err(RunError::Endless)));
 }
 
 #[test]
