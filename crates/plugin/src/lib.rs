@@ -61,7 +61,7 @@ pub trait Plugin: Send {
 }
 
 /// What a plug-in wants done, in order.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Actions {
     wanted: Vec<(Instruction, Option<String>)>,
 }

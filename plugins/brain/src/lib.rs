@@ -26,7 +26,7 @@ use crate::{costmap::Costmap, navigation::Navigation};
 /// Navigates robots along their walks: answers each κ(r) with [`Instruction::Move`].
 ///
 /// At the end of a walk, and where no way leads on, the velocity is zero; the latter with the reason.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Brain {
     only: Option<NodeId>,
     navigations: BTreeMap<NodeId, Navigation>,
@@ -41,6 +41,14 @@ impl Brain {
     /// For one robot, as a navigation VNF serves it.
     pub fn for_robot(robot: NodeId) -> Self {
         Self { only: Some(robot), ..Self::default() }
+    }
+
+    /// A brain for each of its robots.
+    fn split(self) -> impl Iterator<Item = (NodeId, Self)> {
+        self.navigations.into_iter().map(|(robot, navigation)| {
+            let navigations = BTreeMap::from([(robot.clone(), navigation)]);
+            (robot.clone(), Self { only: Some(robot), navigations })
+        })
     }
 }
 

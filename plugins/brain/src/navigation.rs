@@ -33,10 +33,11 @@ pub struct Step {
 }
 
 /// The navigation of one robot along its walk.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Navigation {
     map: Option<Arc<Costmap>>,
     walk: Walk,
+    /// For detours; it grows with the first.
     planner: Planner,
     /// The way to each waypoint from the one before it; to the first there is none.
     legs: Vec<Option<Result<Path, Unreachable>>>,
@@ -44,7 +45,7 @@ pub struct Navigation {
 }
 
 /// The way to a waypoint from a place off its leg.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Detour {
     waypoint: usize,
     from: Position,
@@ -58,7 +59,7 @@ impl Navigation {
         let mut leg = |pair: &[Position]| Some(way(map.as_deref(), &mut planner, pair[0], pair[1]));
         let first = walk.waypoints.first().map(|_| None);
         let legs = first.into_iter().chain(walk.waypoints.windows(2).map(&mut leg)).collect();
-        Self { map, walk, planner, legs, detour: None }
+        Self { map, walk, planner: Planner::default(), legs, detour: None }
     }
 
     /// How to move from `pose` when `waypoint` is the next one.

@@ -54,7 +54,7 @@ pub enum Unreachable {
 
 /// A* on the eight neighbours of a cell (Hart, Nilsson, Raphael 1968), with the octile distance as its heuristic.
 /// Its buffers are kept from one search to the next.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Planner {
     visits: Vec<Visit>,
     search: u32,

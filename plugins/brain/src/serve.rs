@@ -3,7 +3,7 @@
 //! The robot waits for the answer, so each is sent before anything else is looked at, by one thread that blocks on
 //! its socket.
 
-use std::{convert::Infallible, io, net::UdpSocket};
+use std::{collections::BTreeMap, convert::Infallible, io, net::UdpSocket};
 
 use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, SensorData, Testbed, Velocity};
 use cotorra_plugin::{
@@ -33,7 +33,7 @@ pub enum Rejected {
 }
 
 /// The navigation VNF of one robot, without its socket.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct NavigationVnf {
     brain: Brain,
     actions: Actions,
@@ -52,9 +52,20 @@ impl NavigationVnf {
             return Err(NoWalk { robot: robot.clone(), testbed: testbed.name.clone() });
         }
         let mut brain = Brain::for_robot(robot.clone());
-        let mut actions = Actions::default();
-        brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut actions);
-        Ok(Self { brain, actions, robot: robot.clone(), standstill: None })
+        brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut Actions::default());
+        Ok(Self::with(robot.clone(), brain))
+    }
+
+    /// The navigation VNF of each robot that has a walk. They share the map's costs, which take longer to make than
+    /// any plan; a clone serves as another instance.
+    pub fn of_all(testbed: &Testbed) -> BTreeMap<NodeId, Self> {
+        let mut brain = Brain::new();
+        brain.start(cotorra_graph::Timestamp::ZERO, testbed, &mut Actions::default());
+        brain.split().map(|(robot, brain)| (robot.clone(), Self::with(robot, brain))).collect()
+    }
+
+    fn with(robot: NodeId, brain: Brain) -> Self {
+        Self { brain, actions: Actions::default(), robot, standstill: None }
     }
 
     /// Writes the answer to a datagram to `answer`, in place of what it held.

@@ -3,7 +3,10 @@ use std::path::Path;
 use cotorra_graph::Instruction;
 
 use super::*;
-use crate::report::{Losses, Place, Report};
+use crate::{
+    Finished, Options,
+    report::{Losses, Place, Report},
+};
 
 fn corridor() -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
