@@ -30,6 +30,7 @@ Examples:
   cotorra doctor                                   what this machine can do
   cotorra check testbeds/corridor.yaml             is this testbed file right?
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
+  cotorra experiment okpi                          repeat the published comparison
   cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
 
 Exit status:
@@ -41,6 +42,11 @@ Exit status:
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Run(RunArgs),
+    /// Repeat a published experiment, and set it beside what was published
+    Experiment {
+        #[command(subcommand)]
+        experiment: Experiment,
+    },
     Check(CheckArgs),
     /// Print the JSON Schema of a testbed file
     ///
@@ -175,6 +181,58 @@ pub struct RunArgs {
     /// Say more on standard error; twice for even more
     ///
     /// The log in the run's folder always has the first of the two; COTORRA_LOG filters both in more detail.
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// Published experiments.
+#[derive(Debug, Subcommand)]
+pub enum Experiment {
+    Okpi(OkpiArgs),
+}
+
+/// OKpi beside the state of the art, along the corridor and back
+///
+/// The first validation of the COTORRA letter (arXiv 2101.07676): once navigation stays in the cloud and the robot
+/// roams by periodic probing, and once OKpi decides on radio unit and server. It leaves a folder with the figure in the
+/// published layout, the tables beside the published medians, the samples behind both, and a folder for each walk.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra experiment okpi                      in virtual time, in seconds
+  cotorra experiment okpi --emulate            with real packets, in about 15 minutes
+  cotorra experiment okpi --set plugins.okpi.settings.gamma=10
+
+Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+pub struct OkpiArgs {
+    /// With real packets, one walk after the other: about 15 minutes
+    #[arg(long, conflicts_with = "simulate")]
+    pub emulate: bool,
+    /// In virtual time, as without --emulate
+    #[arg(long)]
+    pub simulate: bool,
+    /// The testbed file; its radio units are named as the letter's
+    #[arg(long, value_name = "FILE", default_value = "testbeds/corridor.yaml")]
+    pub testbed: PathBuf,
+    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub settings: Vec<Setting>,
+    /// Seed of everything random, in place of the file's
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// End each walk after so much time, such as 60s or 2min
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Folder in which the experiment gets a folder of its own
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub out: PathBuf,
+    /// Write plain lines in place of the live view
+    #[arg(long)]
+    pub headless: bool,
+    /// Only say what would be run
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Say more on standard error; twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
 }

@@ -8,6 +8,7 @@ mod clean;
 mod cli;
 mod doctor;
 mod exec;
+mod experiment;
 mod logs;
 mod output;
 mod run;
@@ -20,7 +21,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use miette::{IntoDiagnostic, MietteHandlerOpts};
 
-use cli::{BundledVnf, Cli, Command};
+use cli::{BundledVnf, Cli, Command, Experiment};
 use testbed_file::FileError;
 
 fn main() -> ExitCode {
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> miette::Result<ExitCode> {
     match command {
         Command::Run(args) => return run::run(args),
+        Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
         Command::Check(args) => return check::check(&args),
         Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
         Command::OpenApi => output::print(&cotorra_testbed::openapi())?,

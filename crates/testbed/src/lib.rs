@@ -6,6 +6,7 @@
 mod api;
 mod core;
 mod core_loop;
+pub mod experiment;
 mod live;
 mod navigation;
 mod plugins;

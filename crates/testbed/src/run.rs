@@ -66,6 +66,13 @@ pub struct Finished {
     pub folder: PathBuf,
 }
 
+impl Finished {
+    /// Whether somebody ended it before its time.
+    pub fn was_stopped(&self) -> bool {
+        self.summary.ended == End::Stopped.as_str()
+    }
+}
+
 /// Why a testbed cannot be brought up, or its run not be finished.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
@@ -204,6 +211,7 @@ impl Run {
             events: stream.clone(),
             core: tell.clone(),
             namespaces: Arc::new(namespaces.collect()),
+            lockstep: None,
         };
         let server = Server::start(listener, context, options.token)?;
         plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;

@@ -7,17 +7,21 @@ mod view;
 
 use std::{
     env, io,
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::ExitCode,
     sync::mpsc::{self, RecvTimeoutError},
     time::Duration,
 };
 
-use cotorra_graph::Testbed;
 use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
-use crate::{cli::RunArgs, logs, output, signals, testbed_file};
+use crate::{
+    cli::RunArgs,
+    logs::{self, LogFile},
+    output, signals,
+    testbed_file::{self, Loaded},
+};
 use view::{Places, View};
 
 /// How often the view looks; no service time is missed while robots ask for navigation no more often.
@@ -30,7 +34,7 @@ pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
 
 /// What keeps a run from its beginning or its end.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
-enum Error {
+pub enum Error {
     #[error(transparent)]
     #[diagnostic(help("`cotorra doctor` says what this machine can do, and what to do about the rest"))]
     Datapath(cotorra_datapath::Error),
@@ -69,45 +73,73 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         output::print(&plan::describe(&loaded.testbed, &args))?;
         return Ok(ExitCode::SUCCESS);
     }
-    if args.simulate {
-        return simulate(loaded.testbed, &loaded.text, &options, args.headless);
-    }
-    // Before the first thread: only a process with a single one may enter a user namespace.
-    cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
-
-    let target = if args.headless { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-    let terminal = MultiProgress::with_draw_target(target);
-    let log = logs::begin(args.verbose, &terminal);
-    let interrupts = signals::listen().map_err(Error::Signals)?;
-    let run = Run::start(loaded.testbed, &loaded.text, &args.file, options).map_err(Error::from)?;
-    let folder = run.folder().to_owned();
-    let path = folder.join("logs/cotorra.log");
-    log.open(&path).map_err(|source| Error::Log { path, source })?;
-    tracing::info!(version = env!("CARGO_PKG_VERSION"), file = %args.file.display(), api = %run.api_address(), "up");
-
-    let testbed = run.testbed().clone();
-    let places = Places { api: run.api_address(), folder: &folder };
-    let mut view = View::new(&testbed, args.until, &places, &terminal);
-    watch(&run, &mut view, &interrupts);
-    let finished = run.finish().map_err(Error::from);
-    view.close();
-    let finished = finished?;
-    tracing::info!(ended = finished.summary.ended, valid = finished.summary.fidelity.valid, "over");
+    let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
+    let finished = if args.simulate {
+        stage.simulate(&loaded, &options, "")?
+    } else {
+        stage.emulate(&loaded, &args.file, options)?
+    };
     tell(&finished)
 }
 
-/// Runs a testbed in virtual time.
-fn simulate(testbed: Testbed, text: &str, options: &Options, headless: bool) -> miette::Result<ExitCode> {
-    let interrupts = signals::listen().map_err(Error::Signals)?;
-    let spinner = if headless { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-    let finished = cotorra_testbed::simulate(testbed, text, options, |now| {
-        spinner.set_message(format!("{:.0} s of virtual time", now.as_secs_f64()));
-        spinner.tick();
-        interrupts.try_recv().is_err()
-    })
-    .map_err(Error::from)?;
-    spinner.finish_and_clear();
-    tell(&finished)
+/// What runs in a process share: the terminal, the log, and Ctrl-C.
+pub struct Stage {
+    terminal: MultiProgress,
+    log: LogFile,
+    interrupts: mpsc::Receiver<()>,
+}
+
+impl Stage {
+    /// Sets the stage, for real packets or for virtual time.
+    pub fn set(headless: bool, verbose: u8, real: bool) -> miette::Result<Self> {
+        if real {
+            // Before the first thread: only a process with a single one may enter a user namespace.
+            cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
+        }
+        let target = if headless { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
+        let terminal = MultiProgress::with_draw_target(target);
+        let log = logs::begin(verbose, &terminal);
+        let interrupts = signals::listen().map_err(Error::Signals)?;
+        Ok(Self { terminal, log, interrupts })
+    }
+
+    /// Runs a testbed with real packets, to its end.
+    pub fn emulate(&self, loaded: &Loaded, file: &Path, options: Options) -> miette::Result<Finished> {
+        let until = options.until;
+        let run = Run::start(loaded.testbed.clone(), &loaded.text, file, options).map_err(Error::from)?;
+        let folder = run.folder().to_owned();
+        self.log_to(&folder)?;
+        let version = env!("CARGO_PKG_VERSION");
+        tracing::info!(version, file = %file.display(), api = %run.api_address(), "up");
+        let places = Places { api: run.api_address(), folder: &folder };
+        let mut view = View::new(&loaded.testbed, until, &places, &self.terminal);
+        watch(&run, &mut view, &self.interrupts);
+        let finished = run.finish().map_err(Error::from);
+        view.close();
+        let finished = finished?;
+        tracing::info!(ended = finished.summary.ended, valid = finished.summary.fidelity.valid, "over");
+        Ok(finished)
+    }
+
+    /// Runs a testbed in virtual time, to its end; `what` says what it is, if that needs saying.
+    pub fn simulate(&self, loaded: &Loaded, options: &Options, what: &str) -> miette::Result<Finished> {
+        let spinner = self.terminal.add(ProgressBar::new_spinner().with_prefix(what.to_owned()));
+        let finished = cotorra_testbed::simulate(loaded.testbed.clone(), &loaded.text, options, |now| {
+            spinner.set_message(format!("{what}{:.0} s of virtual time", now.as_secs_f64()));
+            spinner.tick();
+            self.interrupts.try_recv().is_err()
+        })
+        .map_err(Error::from);
+        spinner.finish_and_clear();
+        let finished = finished?;
+        self.log_to(&finished.folder)?;
+        Ok(finished)
+    }
+
+    fn log_to(&self, folder: &Path) -> Result<(), Error> {
+        let path = folder.join("logs/cotorra.log");
+        self.log.open(&path).map_err(|source| Error::Log { path, source })
+    }
 }
 
 /// Says what came of a run.
@@ -121,7 +153,8 @@ pub fn token_text() -> Option<String> {
     env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
 }
 
-fn token() -> Result<Option<Token>, Error> {
+/// The same, checked.
+pub fn token() -> Result<Option<Token>, Error> {
     token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()
 }
 
@@ -140,6 +173,7 @@ fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
     }
 }
 
-fn verdict(summary: &Summary) -> ExitCode {
+/// How the program ends after a run.
+pub fn verdict(summary: &Summary) -> ExitCode {
     if summary.fidelity.valid { ExitCode::SUCCESS } else { ExitCode::from(NOT_VALID) }
 }

@@ -3,6 +3,7 @@
 mod api;
 mod command_line;
 mod documents;
+mod experiment;
 mod harness;
 mod interruption;
 mod plugin;

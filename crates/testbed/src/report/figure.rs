@@ -6,6 +6,7 @@ use kuva::{
     plot::{
         LinePlot, ScatterPlot,
         annotations::{ReferenceLine, ShadedRegion, TextAnnotation},
+        legend::LegendPosition,
     },
     render::{figure::Figure, layout::Layout, plots::Plot},
 };
@@ -47,7 +48,15 @@ impl<'a> Panel<'a> {
 /// Draws the panels, one below the other, as SVG.
 pub fn draw(panels: &[Panel<'_>]) -> String {
     let end = panels.iter().flat_map(|p| p.samples).map(|s| s.emitted.as_secs_f64()).fold(1.0, f64::max);
-    let (plots, layouts) = panels.iter().map(|panel| draw_panel(panel, end)).unzip();
+    // A radio unit has one colour in all panels.
+    let mut names: Vec<&str> = Vec::new();
+    for region in panels.iter().flat_map(|panel| &panel.regions) {
+        let name = name(region);
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    let (plots, layouts) = panels.iter().map(|panel| draw_panel(panel, end, &names)).unzip();
     let scene = Figure::new(panels.len(), 1)
         .with_plots(plots)
         .with_layouts(layouts)
@@ -66,7 +75,11 @@ fn number_clips(svg: String) -> String {
     })
 }
 
-fn draw_panel(panel: &Panel<'_>, end: f64) -> (Vec<Plot>, Layout) {
+fn name(region: &RegionSummary) -> &str {
+    region.attachment.as_ref().map_or("none", |attachment| attachment.as_str())
+}
+
+fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
     let mut samples: Vec<_> = panel.samples.iter().collect();
     samples.sort_by_key(|s| s.emitted);
     // A sample without an answer is drawn where it would be at best: at the top.
@@ -87,19 +100,16 @@ fn draw_panel(panel: &Panel<'_>, end: f64) -> (Vec<Plot>, Layout) {
         .with_x_axis_min(0.0)
         .with_x_axis_max((end / 50.0).ceil() * 50.0)
         .with_y_axis_min(0.0)
-        .with_y_axis_max(TOP_MS);
+        .with_y_axis_max(TOP_MS)
+        .with_legend_position(LegendPosition::InsideBottomRight);
     if let Some(target) = panel.target_ms {
         let line =
             ReferenceLine::horizontal(target).with_color("#c0392b").with_label(format!("target {target} ms"));
         layout = layout.with_reference_line(line);
     }
-    let mut names: Vec<&str> = Vec::new();
     for (region, to) in close_gaps(&panel.regions) {
-        let name = region.attachment.as_ref().map_or("none", |a| a.as_str());
-        let shade = names.iter().position(|n| *n == name).unwrap_or_else(|| {
-            names.push(name);
-            names.len() - 1
-        });
+        let name = name(region);
+        let shade = names.iter().position(|n| *n == name).unwrap_or_default();
         let shading = ShadedRegion::vertical(region.from_s, to)
             .with_color(SHADES[shade % SHADES.len()])
             .with_opacity(0.22);

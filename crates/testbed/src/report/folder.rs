@@ -39,7 +39,7 @@ impl Place {
     ///
     /// # Errors
     /// [`FolderError`] when that is not possible, or [`Place::At`] is there already.
-    pub(crate) fn create(&self, name: &str) -> Result<PathBuf, FolderError> {
+    pub fn create(&self, name: &str) -> Result<PathBuf, FolderError> {
         let fail = |path: &Path| {
             let path = path.to_owned();
             move |source| FolderError { path, source }

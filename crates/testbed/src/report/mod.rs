@@ -5,7 +5,9 @@ mod folder;
 mod summary;
 
 pub use figure::{Panel, draw};
+pub(crate) use folder::write;
 pub use folder::{FolderError, Place, RunFolder};
+pub(crate) use summary::took_ms;
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, Losses, PlacementRecord, Quantiles,
     RegionSummary, Report, Summary,

@@ -295,6 +295,11 @@ impl Report {
         self.positions.get(self.robots.get(vnf)?).copied()
     }
 
+    /// Changes of attachment, in order.
+    pub fn handovers(&self) -> &[HandoverRecord] {
+        &self.handovers
+    }
+
     /// What plug-ins asked for and got, in order.
     pub fn decisions(&self) -> &[DecisionRecord] {
         &self.decisions
@@ -362,7 +367,7 @@ impl Report {
 }
 
 /// What a sample took, in milliseconds.
-pub(super) fn took_ms(sample: &ServiceTime) -> Option<f64> {
+pub(crate) fn took_ms(sample: &ServiceTime) -> Option<f64> {
     sample.took.map(|took| took.as_secs_f64() * 1e3)
 }
 

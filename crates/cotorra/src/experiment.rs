@@ -1,0 +1,95 @@
+//! `cotorra experiment`: repeats a published experiment and shows it beside what was published.
+
+use std::{path::Path, process::ExitCode};
+
+use cotorra_graph::testbed_file::Setting;
+use cotorra_testbed::{
+    Finished, FolderError, Options, Place,
+    experiment::okpi::{CONTENDERS, Comparison, FILES},
+};
+
+use crate::{
+    cli::OkpiArgs,
+    output,
+    run::{self, Stage},
+    testbed_file::{self, Loaded, count},
+};
+
+/// Why an experiment has no result.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("stopped during the walk of {contender}, which is in {folder}")]
+    #[diagnostic(help("a comparison needs both walks: run the experiment again"))]
+    Stopped { contender: &'static str, folder: String },
+}
+
+/// Runs OKpi beside the state of the art.
+pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
+    let mut variants = Vec::new();
+    for contender in CONTENDERS {
+        let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
+        let settings: Vec<_> = args.settings.iter().cloned().chain([plugin]).collect();
+        let loaded = testbed_file::load(&args.testbed, &settings)?;
+        variants.push((contender, settings, loaded));
+    }
+    let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
+    if args.dry_run {
+        output::print(&plan(args, how, &variants[0].2))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let stage = Stage::set(args.headless, args.verbose, args.emulate)?;
+    let folder = Place::In(args.out.clone()).create("experiment-okpi").map_err(Error::from)?;
+    let mut walks = Vec::new();
+    for (i, (contender, settings, loaded)) in variants.iter().enumerate() {
+        let options = Options {
+            seed: args.seed,
+            until: args.until,
+            folder: Place::At(folder.join(contender.plugin)),
+            token: run::token()?,
+            settings: settings.clone(),
+            ..Options::default()
+        };
+        let finished = if args.emulate {
+            eprintln!("{} of {}: {}", i + 1, variants.len(), contender.name);
+            stage.emulate(loaded, &args.testbed, options)?
+        } else {
+            stage.simulate(loaded, &options, &format!("{}: ", contender.name))?
+        };
+        if finished.was_stopped() {
+            let folder = finished.folder.display().to_string();
+            return Err(Error::Stopped { contender: contender.name, folder }.into());
+        }
+        walks.push(finished);
+    }
+    let [soa, okpi] = &walks[..] else { unreachable!("there are two contenders") };
+    let testbed = &variants[0].2.testbed;
+    let how = format!("{how}, seed {}", soa.summary.seed);
+    let comparison = Comparison::of(testbed, &soa.report, &okpi.report);
+    comparison.write(&folder, &how, testbed, &soa.report, &okpi.report).map_err(Error::from)?;
+    output::print(&describe(&comparison, &how, &walks, &folder))?;
+    let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
+    Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
+}
+
+fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
+    let mut text = format!("{}: {}\n\n", args.testbed.display(), testbed_file::overview(&loaded.testbed));
+    for contender in CONTENDERS {
+        text += &format!("  a walk with {} (plug-in `{}`), {how}\n", contender.name, contender.plugin);
+    }
+    let folder = args.out.join("experiment-okpi-<time>");
+    text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+}
+
+fn describe(comparison: &Comparison, how: &str, walks: &[Finished], folder: &Path) -> String {
+    let mut text = comparison.to_markdown(how) + "\n";
+    for (contender, walk) in CONTENDERS.iter().zip(walks) {
+        let Finished { summary, .. } = walk;
+        let verdict = if summary.fidelity.valid { "valid" } else { "NOT VALID" };
+        let samples = count(summary.samples, "sample");
+        text += &format!("{}: {samples}, {verdict}: {}\n", contender.name, summary.fidelity.reason);
+    }
+    let walks: Vec<_> = CONTENDERS.iter().map(|contender| format!("{}/", contender.plugin)).collect();
+    text + &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), walks.join("  "))
+}

@@ -1,0 +1,3 @@
+//! Published experiments, to be repeated in one command and set beside what was published.
+
+pub mod okpi;

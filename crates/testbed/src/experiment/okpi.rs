@@ -1,0 +1,467 @@
+//! The COTORRA letter's first validation (arXiv 2101.07676): a robot walks the corridor and back, once with the state
+//! of the art - navigation stays in the cloud, the robot roams by periodic probing - and once orchestrated by OKpi.
+
+use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
+
+use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
+use serde::Serialize;
+
+use crate::report::{FolderError, Panel, Quantiles, Report, draw, took_ms, write};
+
+/// One of those that are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Contender {
+    /// What the figure and the table call it.
+    pub name: &'static str,
+    /// The plug-in that decides.
+    pub plugin: &'static str,
+}
+
+/// The state of the art, then OKpi.
+pub const CONTENDERS: [Contender; 2] =
+    [Contender { name: "SoA", plugin: "probing" }, Contender { name: "OKpi", plugin: "okpi" }];
+
+/// The files that [`Comparison::write`] makes.
+pub const FILES: [&str; 4] = ["comparison.svg", "comparison.md", "comparison.json", "samples.csv"];
+
+/// A part of the walk, and the medians that were published for it, ms.
+struct Published {
+    name: &'static str,
+    segment: Segment,
+    leg: Leg,
+    theory: f64,
+    okpi: f64,
+    soa: f64,
+}
+
+const PUBLISHED: [Published; 5] = {
+    use {Leg::*, Segment::*};
+    [
+        Published { name: "R1/R3 out", segment: A, leg: Out, theory: 11.0, okpi: 11.34, soa: 11.80 },
+        Published { name: "R2/R4 out", segment: B, leg: Out, theory: 10.0, okpi: 10.39, soa: 20.35 },
+        Published { name: "R5/R6", segment: C, leg: Out, theory: 11.0, okpi: 10.77, soa: 28.91 },
+        Published { name: "R2/R4 back", segment: B, leg: Back, theory: 10.0, okpi: 10.27, soa: 20.32 },
+        Published { name: "R1/R3 back", segment: A, leg: Back, theory: 11.0, okpi: 11.37, soa: 11.46 },
+    ]
+};
+
+/// A published change of radio unit and server: where, as the coordinate that changes there.
+struct PublishedChange {
+    leg: Leg,
+    axis: Axis,
+    metres: f64,
+    radio_unit: &'static str,
+    server: &'static str,
+}
+
+const PUBLISHED_CHANGES: [PublishedChange; 6] = {
+    use {Axis::*, Leg::*};
+    [
+        PublishedChange { leg: Out, axis: Y, metres: -24.6, radio_unit: "R3", server: "cloud" },
+        PublishedChange { leg: Out, axis: Y, metres: -10.9, radio_unit: "R2", server: "edge" },
+        PublishedChange { leg: Out, axis: X, metres: 15.8, radio_unit: "R5", server: "fog" },
+        PublishedChange { leg: Back, axis: X, metres: 17.8, radio_unit: "R2", server: "edge" },
+        PublishedChange { leg: Back, axis: Y, metres: -12.5, radio_unit: "R3", server: "cloud" },
+        PublishedChange { leg: Back, axis: Y, metres: -26.1, radio_unit: "R1", server: "cloud" },
+    ]
+};
+
+/// A sample so soon before or after a handover was completed is one of the handover.
+const AROUND_HANDOVER_S: f64 = 1.0;
+/// OKpi-t is drawn each so often, seconds.
+const POINT_EVERY_S: f64 = 2.0;
+
+/// The corridor's segments, each with its radio units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Segment {
+    A,
+    B,
+    C,
+}
+
+impl Segment {
+    fn of(radio_unit: &NodeId) -> Option<Self> {
+        match radio_unit.as_str() {
+            "R1" | "R3" => Some(Self::A),
+            "R2" | "R4" => Some(Self::B),
+            "R5" | "R6" => Some(Self::C),
+            _ => None,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Leg {
+    Out,
+    Back,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Axis {
+    X,
+    Y,
+}
+
+impl Axis {
+    fn of(self, position: Position) -> f64 {
+        match self {
+            Self::X => position.x,
+            Self::Y => position.y,
+        }
+    }
+}
+
+/// The two walks, beside each other and beside what was published.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Medians, part by part of the walk.
+    pub parts: Vec<Part>,
+    /// Where OKpi decided to change.
+    pub changes: Vec<Change>,
+    /// What share of the samples was above the target; those without an answer are.
+    pub above_target: Vec<AboveTarget>,
+    /// The target, ms.
+    pub target_ms: Option<f64>,
+}
+
+/// A part of the walk: median service times, ms. `None` where there was no sample.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Part {
+    /// As the letter's regions.
+    pub name: &'static str,
+    /// The sum of the known link delays for what OKpi decided.
+    pub theory_ms: Option<f64>,
+    /// As published.
+    pub published_theory_ms: f64,
+    /// OKpi, measured.
+    pub okpi_ms: Option<f64>,
+    /// As published.
+    pub published_okpi_ms: f64,
+    /// The state of the art, measured.
+    pub soa_ms: Option<f64>,
+    /// As published.
+    pub published_soa_ms: f64,
+}
+
+/// A decision for another radio unit or server.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Change {
+    /// When it was taken, seconds.
+    pub at_s: f64,
+    /// Where the robot was; `None` if that was not known yet.
+    pub position: Option<Position>,
+    /// The radio unit from then on.
+    pub radio_unit: NodeId,
+    /// The server from then on.
+    pub server: NodeId,
+    /// How far from where it was published, metres; `None` where no such change was.
+    pub off_published_m: Option<f64>,
+}
+
+/// What share of a contender's samples was above the target.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AboveTarget {
+    /// Whose.
+    pub contender: &'static str,
+    /// Of all.
+    pub of_all: f64,
+    /// Of those that no handover was near.
+    pub away_from_handovers: f64,
+    /// How many samples there are.
+    pub samples: usize,
+}
+
+impl Comparison {
+    /// Compares two walks on a testbed.
+    pub fn of(testbed: &Testbed, soa: &Report, okpi: &Report) -> Self {
+        let decided = Decided::by(testbed, okpi);
+        let theory = decided.theory(testbed);
+        let at_samples: Vec<_> = okpi
+            .samples()
+            .iter()
+            .map(|sample| {
+                (
+                    sample,
+                    decided.at(sample.emitted.as_secs_f64()).and_then(|state| theory.get(state).copied()),
+                )
+            })
+            .collect();
+        let [soa_legs, okpi_legs] = [soa, okpi].map(Legs::of);
+        let median = |values: Vec<f64>| Quantiles::of(values).map(|quantiles| quantiles.p50);
+        let parts = PUBLISHED.iter().map(|published| {
+            let measured = |report: &Report, legs: &Legs| {
+                let inside = report.samples().iter().filter(|sample| legs.is_in(sample, published));
+                median(inside.filter_map(took_ms).collect())
+            };
+            let inside = at_samples.iter().filter(|(sample, _)| okpi_legs.is_in(sample, published));
+            Part {
+                name: published.name,
+                theory_ms: median(inside.filter_map(|(_, theory)| *theory).collect()),
+                published_theory_ms: published.theory,
+                okpi_ms: measured(okpi, &okpi_legs),
+                published_okpi_ms: published.okpi,
+                soa_ms: measured(soa, &soa_legs),
+                published_soa_ms: published.soa,
+            }
+        });
+        let target_ms = soa.target_ms();
+        let above = |name, report: &Report| target_ms.and_then(|target| above_target(name, report, target));
+        let [first, second] = CONTENDERS.map(|contender| contender.name);
+        Self {
+            parts: parts.collect(),
+            changes: decided.changes(&okpi_legs),
+            above_target: [above(first, soa), above(second, okpi)].into_iter().flatten().collect(),
+            target_ms,
+        }
+    }
+
+    /// The table of medians, the changes and the shares, in Markdown. `how` says how the walks were run.
+    pub fn to_markdown(&self, how: &str) -> String {
+        let ms = |value: Option<f64>| value.map_or("-".to_owned(), |ms| format!("{ms:.2}"));
+        let mut text = format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n");
+        text += "| part of the walk | theory | published | OKpi | published | SoA | published |\n";
+        text += "|---|---:|---:|---:|---:|---:|---:|\n";
+        for part in &self.parts {
+            line(
+                &mut text,
+                format_args!(
+                    "| {} | {} | {} | {} | {:.2} | {} | {:.2} |",
+                    part.name,
+                    ms(part.theory_ms),
+                    part.published_theory_ms,
+                    ms(part.okpi_ms),
+                    part.published_okpi_ms,
+                    ms(part.soa_ms),
+                    part.published_soa_ms,
+                ),
+            );
+        }
+        text += "\n| OKpi's decision | at | where | off the published place |\n|---|---:|---:|---:|\n";
+        for change in &self.changes {
+            let place = change.position.map_or("-".to_owned(), |at| at.to_string());
+            let off = change.off_published_m.map_or("-".to_owned(), |off| format!("{off:.1} m"));
+            line(
+                &mut text,
+                format_args!(
+                    "| {} + {} | {:.1} s | {place} | {off} |",
+                    change.radio_unit, change.server, change.at_s
+                ),
+            );
+        }
+        let target = self.target_ms.unwrap_or_default();
+        line(
+            &mut text,
+            format_args!(
+                "\n| samples above {target} ms | of all | more than {AROUND_HANDOVER_S} s from any handover | samples |\n|---|---:|---:|---:|"
+            ),
+        );
+        for above in &self.above_target {
+            line(
+                &mut text,
+                format_args!(
+                    "| {} | {:.2} % | {:.2} % | {} |",
+                    above.contender,
+                    above.of_all * 100.0,
+                    above.away_from_handovers * 100.0,
+                    above.samples
+                ),
+            );
+        }
+        text
+    }
+
+    /// Writes [`FILES`]: the figure in the published layout, the tables, and the samples behind both.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write(
+        &self,
+        folder: &Path,
+        how: &str,
+        testbed: &Testbed,
+        soa: &Report,
+        okpi: &Report,
+    ) -> Result<(), FolderError> {
+        let decided = Decided::by(testbed, okpi);
+        let theory = decided.theory(testbed);
+        let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
+        let end = okpi.samples().iter().map(|s| s.emitted.as_secs_f64()).fold(0.0, f64::max);
+        let points = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
+        let points = points.filter_map(|seconds| Some((seconds, at(seconds)?))).collect();
+        let panels = [
+            Panel {
+                line: Some("SoA"),
+                ..Panel::of("State of the art: navigation in the cloud, periodic probing".to_owned(), soa)
+            },
+            Panel {
+                line: Some("OKpi-e"),
+                points: Some(("OKpi-t", points)),
+                ..Panel::of("OKpi".to_owned(), okpi)
+            },
+        ];
+        let [figure, tables, data, samples] = FILES;
+        write(folder, figure, &draw(&panels))?;
+        write(folder, tables, &self.to_markdown(how))?;
+        let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
+        write(folder, data, &(json + "\n"))?;
+        let mut csv = String::from("contender,emitted_s,service_time_ms,theory_ms,attachment,server\n");
+        for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {
+            let mut all: Vec<_> = report.samples().iter().collect();
+            all.sort_by_key(|sample| sample.emitted);
+            for sample in all {
+                let emitted = sample.emitted.as_secs_f64();
+                let number = |value: Option<f64>| value.map(|ms| format!("{ms:.6}")).unwrap_or_default();
+                let theory = if contender.plugin == "okpi" { number(at(emitted)) } else { String::new() };
+                let attachment = sample.attachment.as_ref().map_or("", NodeId::as_str);
+                line(
+                    &mut csv,
+                    format_args!(
+                        "{},{emitted:.9},{},{theory},{attachment},{}",
+                        contender.name,
+                        number(took_ms(sample)),
+                        sample.server
+                    ),
+                );
+            }
+        }
+        write(folder, samples, &csv)
+    }
+}
+
+fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
+    writeln!(text, "{arguments}").expect("writing into a string cannot fail");
+}
+
+fn above_target(contender: &'static str, report: &Report, target_ms: f64) -> Option<AboveTarget> {
+    let handovers: Vec<_> =
+        report.handovers().iter().map(|handover| (handover.at_s, handover.gap_ms / 1e3)).collect();
+    let near = |sample: &ServiceTime| {
+        let at = sample.emitted.as_secs_f64();
+        handovers
+            .iter()
+            .any(|(done, gap)| (done - gap - AROUND_HANDOVER_S..=done + AROUND_HANDOVER_S).contains(&at))
+    };
+    let above = |sample: &ServiceTime| took_ms(sample).is_none_or(|ms| ms > target_ms);
+    let samples = report.samples().len();
+    let of = |wanted: &dyn Fn(&ServiceTime) -> bool| {
+        report.samples().iter().filter(|sample| wanted(sample)).count() as f64 / samples as f64
+    };
+    (samples > 0).then(|| AboveTarget {
+        contender,
+        of_all: of(&above),
+        away_from_handovers: of(&|sample| above(sample) && !near(sample)),
+        samples,
+    })
+}
+
+/// When a walk turned: its first sample in segment C.
+#[derive(Debug)]
+struct Legs {
+    turned_s: f64,
+}
+
+impl Legs {
+    fn of(report: &Report) -> Self {
+        let in_c =
+            |sample: &&ServiceTime| sample.attachment.as_ref().and_then(Segment::of) == Some(Segment::C);
+        let times = report.samples().iter().filter(in_c).map(|sample| sample.emitted.as_secs_f64());
+        Self { turned_s: times.fold(f64::INFINITY, f64::min) }
+    }
+
+    fn at(&self, seconds: f64) -> Leg {
+        if seconds < self.turned_s { Leg::Out } else { Leg::Back }
+    }
+
+    fn is_in(&self, sample: &ServiceTime, part: &Published) -> bool {
+        let segment = sample.attachment.as_ref().and_then(Segment::of);
+        // Segment C is walked out and back in one.
+        let leg = part.segment == Segment::C || self.at(sample.emitted.as_secs_f64()) == part.leg;
+        segment == Some(part.segment) && leg
+    }
+}
+
+/// A radio unit and a server.
+type State = (NodeId, NodeId);
+
+/// What was decided for the robot, over time.
+#[derive(Debug)]
+struct Decided {
+    robot: Option<NodeId>,
+    /// From when on, where the robot was, and what.
+    states: Vec<(f64, Option<Position>, State)>,
+}
+
+impl Decided {
+    /// Follows the decisions for the first service's robot from where it was at the first sample.
+    fn by(testbed: &Testbed, report: &Report) -> Self {
+        let service = testbed.services.first();
+        let navigation = service.and_then(|s| s.vnfs.iter().find(|vnf| vnf.program == Program::Navigation));
+        let (Some(service), Some(navigation)) = (service, navigation) else {
+            return Self { robot: None, states: Vec::new() };
+        };
+        let first = report.samples().iter().find_map(|sample| sample.attachment.clone());
+        let mut state = first.map(|unit| (unit, navigation.node.clone()));
+        let mut states: Vec<_> = state.iter().map(|state| (0.0, None, state.clone())).collect();
+        for decision in report.decisions() {
+            let Some((unit, server)) = &mut state else { break };
+            match &decision.instruction {
+                Instruction::Attach { robot, radio_unit } if *robot == service.robot => {
+                    *unit = radio_unit.clone()
+                }
+                Instruction::Place { vnf, node } if *vnf == navigation.id => *server = node.clone(),
+                _ => continue,
+            }
+            let (at, state) = (decision.at.as_secs_f64(), (unit.clone(), server.clone()));
+            match states.last_mut() {
+                // A new radio unit and a new server in one decision.
+                Some(last) if last.0 == at => last.2 = state,
+                Some(last) if last.2 == state => {}
+                _ => states.push((at, decision.position, state)),
+            }
+        }
+        Self { robot: Some(service.robot.clone()), states }
+    }
+
+    fn at(&self, seconds: f64) -> Option<&State> {
+        let next = self.states.partition_point(|(from, ..)| *from <= seconds);
+        self.states.get(next.checked_sub(1)?).map(|(.., state)| state)
+    }
+
+    /// The sum of the known link delays in each state, there and back, ms.
+    fn theory(&self, testbed: &Testbed) -> BTreeMap<State, f64> {
+        let Some(robot) = &self.robot else { return BTreeMap::new() };
+        let with_theory = |(.., state): &(f64, Option<Position>, State)| {
+            let taken = round_trip(&testbed.graph, robot, state)?;
+            Some((state.clone(), taken.as_secs_f64() * 1e3))
+        };
+        self.states.iter().filter_map(with_theory).collect()
+    }
+
+    fn changes(&self, legs: &Legs) -> Vec<Change> {
+        let change = |(at_s, position, (unit, server)): &(f64, Option<Position>, State)| {
+            let published = PUBLISHED_CHANGES.iter().find(|published| {
+                published.radio_unit == unit.as_str()
+                    && published.server == server.as_str()
+                    && (published.leg == legs.at(*at_s) || published.radio_unit == "R5")
+            });
+            let off = published.zip(*position);
+            Change {
+                at_s: *at_s,
+                position: *position,
+                radio_unit: unit.clone(),
+                server: server.clone(),
+                off_published_m: off.map(|(published, at)| (published.axis.of(at) - published.metres).abs()),
+            }
+        };
+        self.states.iter().skip(1).map(change).collect()
+    }
+}
+
+fn round_trip(graph: &HardwareGraph, robot: &NodeId, (unit, server): &State) -> Option<Duration> {
+    let attached = |of: &NodeId| (of == robot).then_some(unit);
+    let there = graph.route(robot, server, attached)?;
+    let back = graph.route(server, robot, attached)?;
+    Some(there.delay + back.delay)
+}
