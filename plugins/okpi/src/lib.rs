@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod coverage;
+mod exploration;
 mod model;
 mod now;
 mod paths;

@@ -72,7 +72,7 @@ pub enum InvalidSettings {
 
 impl Settings {
     pub(crate) fn decode(settings: &Map<String, Value>) -> Result<Self, InvalidSettings> {
-        let mut search = Search { gamma: 4, k_paths: NonZeroUsize::MIN.saturating_add(2), relax: false };
+        let mut search = Search::at(4);
         let (mut floor, mut margin, mut areas, mut hysteresis) = (None, None, None, None);
         let mut queues = BTreeMap::new();
         for (name, value) in settings {
@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn nothing_set_is_the_published_resolution() {
         let settings = decode(json!({})).unwrap();
-        assert_eq!(settings.search, Search { gamma: 4, k_paths: 3.try_into().unwrap(), relax: false });
+        assert_eq!(settings.search, Search::at(4));
         assert_eq!(settings.coverage, Coverage::Signal { floor_dbm: -80.0, margin_db: 7.5 });
         assert!(settings.processing.is_empty());
     }
@@ -215,7 +215,7 @@ mod tests {
             "processing": { "navigation": { "service_rate": "500 /s", "arrival_rate": "20/s" } },
         }))
         .unwrap();
-        assert_eq!(settings.search, Search { gamma: 10, k_paths: 5.try_into().unwrap(), relax: true });
+        assert_eq!(settings.search, Search { k_paths: 5.try_into().unwrap(), relax: true, ..Search::at(10) });
         let area = vec![Position::new(0.0, 0.0), Position::new(1.5, 0.0), Position::new(0.0, 2.0)];
         let areas = BTreeMap::from([(NodeId::new("R1").unwrap(), area)]);
         assert_eq!(settings.coverage, Coverage::Survey { areas, hysteresis_m: 0.8 });

@@ -3,7 +3,7 @@
 
 mod common;
 
-use std::{num::NonZeroUsize, sync::LazyLock};
+use std::sync::LazyLock;
 
 use common::{context, corridor, survey};
 use cotorra_graph::{
@@ -239,7 +239,7 @@ fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
 #[test]
 fn generated_graphs_are_placed_the_same_each_time() {
     let (service, infrastructure) = common::generated(100, 4, Some(0.9), 3);
-    let search = cotorra_okpi::Search { gamma: 10, k_paths: NonZeroUsize::MIN, relax: false };
+    let search = cotorra_okpi::Search::at(10);
     let place = || cotorra_okpi::place(&service, &infrastructure, search).unwrap();
     assert_eq!(place(), place());
 }

@@ -11,7 +11,7 @@ use cotorra_okpi::{Chain, Infeasible, Infrastructure, Link, Node, Placed, Queue,
 use proptest::prelude::*;
 
 fn search(gamma: u16) -> Search {
-    Search { gamma, k_paths: NonZeroUsize::new(8).unwrap(), relax: false }
+    Search { k_paths: NonZeroUsize::new(8).unwrap(), ..Search::at(gamma) }
 }
 
 fn node(i: usize, cpus: f64, cost: f64, reliability: f64, forwards: bool) -> Node {

@@ -15,8 +15,11 @@ pub struct Used {
 impl Used {
     pub fn service_time(&self, service: &Chain, infrastructure: &Infrastructure) -> Duration {
         let links = self.paths.iter().flatten().map(|&link| infrastructure.links[link].round_trip);
-        let processing =
-            service.vnfs.iter().filter_map(|vnf| vnf.processing).map(|queue| queue.delay().unwrap());
+        let processing = service
+            .vnfs
+            .iter()
+            .filter_map(|vnf| vnf.processing)
+            .map(|queue| queue.delay().expect("the queue is stable"));
         links.chain(processing).sum()
     }
 
@@ -78,8 +81,10 @@ impl Used {
 
     /// The links and hosts of a placement, by their places; its paths must join its hosts.
     pub fn of(placed: &Placed, infrastructure: &Infrastructure) -> Self {
-        let host = |id: &NodeId| infrastructure.nodes.iter().position(|node| node.id == *id).unwrap();
-        let link = |id: &LinkId| infrastructure.links.iter().position(|link| link.id == *id).unwrap();
+        let host =
+            |id: &NodeId| infrastructure.nodes.iter().position(|node| node.id == *id).expect("it is a node");
+        let link =
+            |id: &LinkId| infrastructure.links.iter().position(|link| link.id == *id).expect("it is a link");
         let hosts: Vec<_> = placed.placement.iter().map(|placement| host(&placement.node)).collect();
         let paths: Vec<Vec<_>> = placed.paths.iter().map(|path| path.iter().map(link).collect()).collect();
         assert_eq!(paths.len() + 1, hosts.len());

@@ -99,7 +99,9 @@ pub fn generated(nodes: usize, vnfs: usize, reliability: Option<f64>, run: u64) 
     for switch in switches.clone() {
         let next = switches.start + (switch + 1 - switches.start) % switches.len();
         link(switch, next, 50 + below(200), false);
-        link(switch, switches.start + below(switches.len()), 50 + below(200), false);
+        let chord = 2 + below(switches.len() - 2);
+        let across = switches.start + (switch - switches.start + chord) % switches.len();
+        link(switch, across, 50 + below(200), false);
     }
     for server in first_server..nodes {
         link(server, switches.start + below(switches.len()), 50 + below(450), false);
@@ -114,4 +116,30 @@ pub fn generated(nodes: usize, vnfs: usize, reliability: Option<f64>, run: u64) 
     };
     let service_time = Duration::from_millis(6 + 4 * vnfs as u64);
     (Chain { vnfs: (0..vnfs).map(vnf).collect(), service_time, reliability }, infrastructure)
+}
+
+/// A graph on which all that a placement must keep is scarce; all seeded. Not each has a placement.
+pub fn contested(nodes: usize, run: u64) -> (Chain, Infrastructure) {
+    let mut drawn = 0;
+    let mut between = |least: u64, most: u64| {
+        drawn += 1;
+        least + seed::split(run, &format!("contested {drawn}")) % (most - least + 1)
+    };
+    let vnfs = between(3, 5) as usize;
+    let (mut service, mut infrastructure) = generated(nodes, vnfs, None, run);
+    for node in infrastructure.nodes.iter_mut().filter(|node| node.cost > 0.0) {
+        node.cpus = between(2, 5) as f64;
+        node.reliability = 1.0 - between(1, 100) as f64 / 1e4;
+    }
+    for link in &mut infrastructure.links {
+        link.free_bps = if link.wireless { 20e6 } else { between(2, 12) as f64 * 1e6 };
+        link.reliability = 1.0 - between(0, 30) as f64 / 1e4;
+    }
+    for vnf in &mut service.vnfs[1..] {
+        vnf.cpus = between(1, 3) as f64;
+        vnf.rate_bps = between(1, 4) as f64 * 1e6;
+    }
+    service.service_time = Duration::from_micros(between(2500, 7000));
+    service.reliability = Some(0.95 + between(0, 35) as f64 / 1e3);
+    (service, infrastructure)
 }
