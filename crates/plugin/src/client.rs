@@ -22,6 +22,8 @@ pub use events::Events;
 const PATIENCE: Duration = Duration::from_secs(10);
 /// A stream that is silent for so long, though the server keeps it alive every 15 s, has ended.
 const SILENCE: Duration = Duration::from_secs(60);
+/// Status of a testbed whose run has ended.
+const ENDED: u16 = 503;
 /// The largest answer that is read, bytes: 10,000 contexts of a testbed with a few hundred radio units.
 const LARGEST_ANSWER: u64 = 256 << 20;
 
@@ -100,6 +102,13 @@ pub enum ClientError {
         /// What is wrong.
         reason: String,
     },
+}
+
+impl ClientError {
+    /// Whether it says that the testbed's run has ended: while that says so, or by having closed.
+    fn is_end(&self) -> bool {
+        matches!(self, Self::Failed { status: ENDED, .. } | Self::Unreachable { .. })
+    }
 }
 
 /// Which part of a history is wanted; by default all of it, from its beginning, up to the server's limit.
@@ -338,7 +347,8 @@ impl Client {
         Ok(())
     }
 
-    /// What happens from now on: events of these kinds (`robot`, `handover`, …), of all if none is named.
+    /// What happens from now on: events of these kinds (`robot`, `handover`, …), of all if none is named. Virtual time
+    /// stands still from one event until the next is asked for: what is instructed meanwhile is done at once.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -349,7 +359,19 @@ impl Client {
         if !kinds.is_empty() {
             request = request.query("kinds", kinds.join(","));
         }
-        Ok(Events::new(url.clone(), self.answer(&url, request.call())?.into_body().into_reader()))
+        let stream = self.answer(&url, request.call())?.into_body().into_reader();
+        Ok(Events::new(self.clone(), url, stream))
+    }
+
+    /// Says that everything up to a mark was taken in; virtual time goes on, and stops at `wake_at` at the latest.
+    fn done(&self, mark: u64, wake_at: Option<Timestamp>) -> Result<(), ClientError> {
+        let url = self.url(&format!("marks/{mark}"));
+        let wake_at = wake_at.map(|at| at.as_nanos().to_string());
+        let request =
+            wake_at.iter().fold(self.agent.post(&url), |request, at| request.query("wake_at_ns", at));
+        let request = self.identify(request).config().timeout_global(Some(PATIENCE)).build();
+        let _: Done = read(&url, self.answer(&url, request.send_empty())?)?;
+        Ok(())
     }
 
     fn get<T: DeserializeOwned>(&self, path: &str, query: &[(&str, String)]) -> Result<T, ClientError> {

@@ -13,6 +13,7 @@ use cotorra_network_control::{Network, NetworkGone, Refused, vim::Engine};
 use tokio::sync::broadcast;
 
 use crate::{
+    api::Follower,
     core::Core,
     live::Live,
     plugins::{Now, PluginHost, Refusal},
@@ -53,6 +54,15 @@ pub(crate) enum Message {
     },
     /// The emulated network tells what happened in it.
     Network(Stamped),
+    /// A plug-in that virtual time waits for wants to be told what happens. In real time there is none.
+    Follow(Follower),
+    /// It has taken in all that it was told up to a mark.
+    Done {
+        /// The mark's number.
+        mark: u64,
+        /// When it wants to be woken.
+        wake_at: Option<Timestamp>,
+    },
     /// Something is to be looked at.
     Wake,
     /// The run is to end.
@@ -184,7 +194,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
             Message::PluginFailed { plugin, reason } => self.cut_off(now, &plugin, reason),
             Message::Network(event) => self.core.observe(event),
-            Message::Wake | Message::Stop => {}
+            Message::Follow(_) | Message::Done { .. } | Message::Wake | Message::Stop => {}
         }
     }
 

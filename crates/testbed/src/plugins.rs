@@ -72,9 +72,9 @@ pub enum PluginError {
         /// What is wrong.
         reason: String,
     },
-    /// It runs apart, where virtual time does not reach.
-    #[error("plug-in `{0}` is a program of its own, which cannot take part in virtual time")]
-    NotInVirtualTime(PluginId),
+    /// It needs the API, which only a whole run serves.
+    #[error("plug-in `{0}` is a program of its own: it takes part in a run, not in a bare simulation")]
+    NeedsRun(PluginId),
     /// Its program cannot be started.
     #[error("plug-in `{plugin}`: cannot start `{program}`: {source}")]
     Start {
@@ -100,6 +100,12 @@ pub(crate) fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dy
         },
         _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
     }
+}
+
+/// The plug-ins of a testbed that are programs of their own.
+pub(crate) fn programs(testbed: &Testbed) -> impl Iterator<Item = &PluginId> {
+    let is_program = |spec: &&PluginSpec| matches!(spec.program, PluginProgram::Command(_));
+    testbed.plugins.iter().filter(is_program).map(|spec| &spec.id)
 }
 
 /// What a panic says.
@@ -174,6 +180,21 @@ impl PluginHost {
             self.places.insert(spec.id.clone(), place);
         }
         Ok(())
+    }
+
+    /// Starts the plug-ins of a testbed that are programs of their own, and no others; gives which they are.
+    pub(crate) fn start_programs(
+        &mut self,
+        testbed: &Testbed,
+        api: SocketAddr,
+        logs: &Path,
+    ) -> Result<Vec<PluginId>, PluginError> {
+        for spec in &testbed.plugins {
+            if let PluginProgram::Command(words) = &spec.program {
+                self.places.insert(spec.id.clone(), spawn_process(spec, words, api, logs)?);
+            }
+        }
+        Ok(programs(testbed).cloned().collect())
     }
 
     fn spawn_thread(

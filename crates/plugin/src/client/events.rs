@@ -2,28 +2,41 @@
 
 use std::io::{self, BufRead, BufReader, Read};
 
-use cotorra_graph::Stamped;
+use cotorra_graph::{Stamped, Timestamp};
 
-use super::ClientError;
+use super::{Client, ClientError};
 
 /// What happens in a testbed, as it happens: an iterator that blocks for the next event and ends with the run.
 pub struct Events {
+    client: Client,
     url: String,
     lines: BufReader<Box<dyn Read + Send>>,
     line: Vec<u8>,
     missed: u64,
 }
 
+/// What a stream tells.
+#[derive(Debug)]
+pub(super) enum Told {
+    Event(Box<Stamped>),
+    /// That is all up to now; virtual time stands still until it is done with that.
+    Mark {
+        number: u64,
+        now: Timestamp,
+    },
+}
+
 /// One server-sent event.
 #[derive(Debug, Default, PartialEq)]
 struct Message {
     name: String,
+    id: String,
     data: String,
 }
 
 impl Events {
-    pub(super) fn new(url: String, stream: impl Read + Send + 'static) -> Self {
-        Self { url, lines: BufReader::new(Box::new(stream)), line: Vec::new(), missed: 0 }
+    pub(super) fn new(client: Client, url: String, stream: impl Read + Send + 'static) -> Self {
+        Self { client, url, lines: BufReader::new(Box::new(stream)), line: Vec::new(), missed: 0 }
     }
 
     /// How many events this reader was too slow for so far.
@@ -59,9 +72,34 @@ impl Events {
                     has_data = true;
                 }
                 "event" => value.clone_into(&mut message.name),
+                "id" => value.clone_into(&mut message.id),
                 // Comments, which keep the connection alive, and fields of no meaning here.
                 _ => {}
             }
+        }
+    }
+}
+
+impl Events {
+    /// What is told next; `None` at the end of the stream.
+    pub(super) fn told(&mut self) -> Option<Result<Told, ClientError>> {
+        loop {
+            // A testbed that ends closes all connections: a stream that breaks off has ended, too.
+            let message = self.message().ok()??;
+            let malformed = |reason: String| ClientError::Malformed { url: self.url.clone(), reason };
+            return Some(match message.name.as_str() {
+                "missed" => {
+                    self.missed += message.data.trim().parse().unwrap_or(1);
+                    continue;
+                }
+                "mark" => match (message.id.parse(), message.data.parse()) {
+                    (Ok(number), Ok(now)) => Ok(Told::Mark { number, now: Timestamp::from_nanos(now) }),
+                    _ => Err(malformed(format!("a mark `{}` at `{}`", message.id, message.data))),
+                },
+                _ => {
+                    serde_json::from_str(&message.data).map(Told::Event).map_err(|e| malformed(e.to_string()))
+                }
+            });
         }
     }
 }
@@ -71,17 +109,16 @@ impl Iterator for Events {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            // A testbed that ends closes all connections: a stream that breaks off has ended, too.
-            let message = self.message().ok()??;
-            if message.name == "missed" {
-                self.missed += message.data.trim().parse().unwrap_or(1);
-                continue;
-            }
-            let event = serde_json::from_str(&message.data);
-            return Some(event.map_err(|error| ClientError::Malformed {
-                url: self.url.clone(),
-                reason: error.to_string(),
-            }));
+            return Some(match self.told()? {
+                Ok(Told::Event(event)) => Ok(*event),
+                // All events before it were asked for, and so is the next: those before were taken in.
+                Ok(Told::Mark { number, .. }) => match self.client.done(number, None) {
+                    Ok(()) => continue,
+                    Err(error) if error.is_end() => return None,
+                    Err(error) => Err(error),
+                },
+                Err(error) => Err(error),
+            });
         }
     }
 }
@@ -100,7 +137,12 @@ mod tests {
     use super::*;
 
     fn read(stream: &str) -> Events {
-        Events::new("http://test/api/v1/events".to_owned(), io::Cursor::new(stream.as_bytes().to_vec()))
+        let client = Client::new("http://test").unwrap();
+        Events::new(
+            client,
+            "http://test/api/v1/events".to_owned(),
+            io::Cursor::new(stream.as_bytes().to_vec()),
+        )
     }
 
     fn notices(stream: &str) -> Vec<(u64, String)> {

@@ -7,39 +7,51 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Stamped, Timestamp};
+use cotorra_graph::{Stamped, Testbed, Timestamp};
 
-use super::{Client, ClientError};
+use super::{Client, ClientError, events::Told};
 use crate::{Actions, Plugin};
 
 /// Events that wait for the plug-in; beyond these the testbed drops the oldest.
 const WAITING: usize = 1024;
-/// Status of a testbed whose run has ended.
-const ENDED: u16 = 503;
+
+/// What the stream tells, as it comes.
+type Inbox = Receiver<Result<Told, ClientError>>;
 
 impl Client {
-    /// Runs a plug-in until the testbed's run ends. Its time is the testbed's; it starts with the first event.
+    /// Runs a plug-in until the testbed's run ends. Its time is the testbed's: in real time it starts with the first
+    /// event, in virtual time at the beginning, and time stands still while the plug-in thinks.
     ///
     /// # Errors
     /// [`ClientError`], but never [`ClientError::Refused`].
     pub fn run(&self, plugin: &mut dyn Plugin) -> Result<(), ClientError> {
         // The stream first: nothing that happens while the testbed is read is lost.
-        let events = self.events(&[])?;
+        let mut events = self.events(&[])?;
         let testbed = self.testbed()?;
         let (sender, inbox) = sync_channel(WAITING);
         // Ends with the stream, or with the first event that nobody takes any more.
-        thread::spawn(move || {
-            for event in events {
-                if sender.send(event.map(Box::new)).is_err() {
-                    break;
-                }
+        thread::spawn(move || while events.told().is_some_and(|told| sender.send(told).is_ok()) {});
+        let ran = match inbox.recv() {
+            Ok(Ok(Told::Event(first))) => self.run_in_real_time(plugin, &testbed, first, &inbox),
+            Ok(Ok(Told::Mark { number, now })) => {
+                self.run_in_virtual_time(plugin, &testbed, (number, now), &inbox)
             }
-        });
+            Ok(Err(error)) => Err(error),
+            Err(_) => Ok(()),
+        };
+        ran.or_else(|error| if error.is_end() { Ok(()) } else { Err(error) })
+    }
+
+    fn run_in_real_time(
+        &self,
+        plugin: &mut dyn Plugin,
+        testbed: &Testbed,
+        first: Box<Stamped>,
+        inbox: &Inbox,
+    ) -> Result<(), ClientError> {
         let mut actions = Actions::default();
-        let Ok(first) = inbox.recv() else { return Ok(()) };
-        let first = first?;
         let mut clock = Clock::starting(first.at);
-        plugin.start(first.at, &testbed, &mut actions);
+        plugin.start(first.at, testbed, &mut actions);
         let mut next = Next::Event(first);
         loop {
             match next {
@@ -47,15 +59,55 @@ impl Client {
                 Next::Deadline => plugin.expire(clock.now(), &mut actions),
                 Next::End => return Ok(()),
             }
-            for (instruction, reason) in actions.drain() {
-                match self.instruct(&instruction, reason.as_deref()) {
-                    Ok(()) | Err(ClientError::Refused(_)) => {}
-                    Err(ClientError::Failed { status: ENDED, .. }) => return Ok(()),
-                    Err(error) => return Err(error),
-                }
-            }
-            next = wait(&inbox, plugin.next_deadline(), &clock)?;
+            self.give(&mut actions)?;
+            next = wait(inbox, plugin.next_deadline(), &clock)?;
         }
+    }
+
+    /// Calls the plug-in as the simulation would call it in process: at each mark, first for a deadline that has come,
+    /// then for all that happened, with one time for all of it.
+    fn run_in_virtual_time(
+        &self,
+        plugin: &mut dyn Plugin,
+        testbed: &Testbed,
+        (first, now): (u64, Timestamp),
+        inbox: &Inbox,
+    ) -> Result<(), ClientError> {
+        let mut actions = Actions::default();
+        plugin.start(now, testbed, &mut actions);
+        self.give(&mut actions)?;
+        self.done(first, plugin.next_deadline())?;
+        let mut happened = Vec::new();
+        for told in inbox {
+            let (mark, now) = match told? {
+                Told::Event(event) => {
+                    happened.push(event);
+                    continue;
+                }
+                Told::Mark { number, now } => (number, now),
+            };
+            if plugin.next_deadline().is_some_and(|deadline| deadline <= now) {
+                plugin.expire(now, &mut actions);
+                self.give(&mut actions)?;
+            }
+            for event in happened.drain(..) {
+                plugin.handle(now, &event.event, &mut actions);
+                self.give(&mut actions)?;
+            }
+            self.done(mark, plugin.next_deadline())?;
+        }
+        Ok(())
+    }
+
+    /// Gives the instructions that the plug-in left.
+    fn give(&self, actions: &mut Actions) -> Result<(), ClientError> {
+        for (instruction, reason) in actions.drain() {
+            match self.instruct(&instruction, reason.as_deref()) {
+                Ok(()) | Err(ClientError::Refused(_)) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
     }
 }
 
@@ -66,21 +118,22 @@ enum Next {
     End,
 }
 
-fn wait(
-    inbox: &Receiver<Result<Box<Stamped>, ClientError>>,
-    deadline: Option<Timestamp>,
-    clock: &Clock,
-) -> Result<Next, ClientError> {
-    let received = match deadline.map(|deadline| deadline.since(clock.now())) {
-        None => inbox.recv().map_err(|_| RecvTimeoutError::Disconnected),
-        // However many events wait, a deadline that has passed comes first.
-        Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
-        Some(left) => inbox.recv_timeout(left),
-    };
-    match received {
-        Ok(event) => event.map(Next::Event),
-        Err(RecvTimeoutError::Timeout) => Ok(Next::Deadline),
-        Err(RecvTimeoutError::Disconnected) => Ok(Next::End),
+fn wait(inbox: &Inbox, deadline: Option<Timestamp>, clock: &Clock) -> Result<Next, ClientError> {
+    loop {
+        let received = match deadline.map(|deadline| deadline.since(clock.now())) {
+            None => inbox.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            // However many events wait, a deadline that has passed comes first.
+            Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
+            Some(left) => inbox.recv_timeout(left),
+        };
+        return match received {
+            Ok(Ok(Told::Event(event))) => Ok(Next::Event(event)),
+            // Real time waits for nobody, and has none.
+            Ok(Ok(Told::Mark { .. })) => continue,
+            Ok(Err(error)) => Err(error),
+            Err(RecvTimeoutError::Timeout) => Ok(Next::Deadline),
+            Err(RecvTimeoutError::Disconnected) => Ok(Next::End),
+        };
     }
 }
 

@@ -52,7 +52,13 @@ async fn ask<T: Send + 'static>(
     context: Context,
     question: impl FnOnce(&History, RunId) -> cotorra_measurements::Result<T> + Send + 'static,
 ) -> Answer<T> {
-    let asked = tokio::task::spawn_blocking(move || question(&context.history, context.run)).await;
+    let ask = move || {
+        if let Some(lockstep) = &context.lockstep {
+            lockstep.recorder.flush()?;
+        }
+        question(&context.history, context.run)
+    };
+    let asked = tokio::task::spawn_blocking(ask).await;
     match asked {
         Ok(answer) => answer.map(Json).map_err(|error| Failure::unavailable(error.to_string())),
         Err(broken) => Err(Failure::unavailable(format!("the question broke off: {broken}"))),

@@ -8,15 +8,15 @@ mod stream;
 mod types;
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
     path::PathBuf,
     sync::{Arc, mpsc},
 };
 
-use axum::{Json, Router, middleware, routing::get};
-use cotorra_graph::{NodeId, Stamped, Testbed};
-use cotorra_measurements::{History, RunId};
+use axum::{Json, Router, middleware, routing::get, serve::ListenerExt as _};
+use cotorra_graph::{NodeId, PluginId, Stamped, Testbed};
+use cotorra_measurements::{History, Recorder, RunId};
 use tokio::sync::{broadcast, oneshot};
 use utoipa::OpenApi as _;
 use utoipa_axum::{router::OpenApiRouter, routes};
@@ -24,6 +24,7 @@ use utoipa_axum::{router::OpenApiRouter, routes};
 use crate::{core_loop::Message, live::Live};
 
 pub use auth::Token;
+pub(crate) use stream::{Follower, Told};
 
 /// What the API's handlers need.
 #[derive(Clone)]
@@ -35,6 +36,17 @@ pub(crate) struct Context {
     pub(crate) events: broadcast::Sender<Arc<Stamped>>,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
+    /// In virtual time only.
+    pub(crate) lockstep: Option<Lockstep>,
+}
+
+/// What is different in virtual time, which stands still while a plug-in answers.
+#[derive(Clone)]
+pub(crate) struct Lockstep {
+    /// For whom it does.
+    pub(crate) plugins: Arc<BTreeSet<PluginId>>,
+    /// Made durable before the history is asked, so that an answer does not depend on the writer's speed.
+    pub(crate) recorder: Recorder,
 }
 
 /// Why the API cannot be served.
@@ -88,6 +100,7 @@ fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
         .routes(routes!(measurements::events))
         .routes(routes!(measurements::state))
         .routes(routes!(stream::events))
+        .routes(routes!(stream::done))
         .split_for_parts()
 }
 
@@ -151,7 +164,8 @@ impl Server {
             .spawn(move || {
                 runtime.block_on(async move {
                     let listener = match tokio::net::TcpListener::from_std(listener.0) {
-                        Ok(listener) => listener,
+                        // What happens is told at once, not when the reader acknowledges what it heard before.
+                        Ok(listener) => listener.tap_io(|stream| drop(stream.set_nodelay(true))),
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
                     // An open event stream must not keep a finished run alive: stop at once, not gracefully.

@@ -1,7 +1,5 @@
 //! What is known right now, and instructions.
 
-use std::sync::mpsc;
-
 use axum::{Json, extract::State, http::HeaderMap};
 use cotorra_graph::{LinkContext, NodeId, Placement, PluginId, RadioContext, RobotContext};
 
@@ -64,6 +62,12 @@ pub(super) async fn placements(State(context): State<Context>) -> Json<Vec<Place
     Json(context.live.read(|now| now.placements.values().cloned().collect()))
 }
 
+/// Who asks, as the header says.
+pub(super) fn plugin(headers: &HeaderMap) -> Result<Option<PluginId>, Failure> {
+    let name = headers.get("x-cotorra-plugin").map(|name| name.to_str().unwrap_or_default());
+    name.map(PluginId::new).transpose().map_err(|e| Failure::bad_request(e.to_string()))
+}
+
 /// Give an instruction: move or scan with a robot, attach it, place a VNF, change a link's conditions.
 ///
 /// The header `X-Cotorra-Plugin` names who asks; the decision is recorded under that name.
@@ -75,12 +79,7 @@ pub(super) async fn instruct(
     headers: HeaderMap,
     Body(body): Body<InstructionBody>,
 ) -> Answer<Done> {
-    let plugin = match headers.get("x-cotorra-plugin").map(|name| name.to_str().unwrap_or_default().parse()) {
-        None => "api".parse().expect("`api` is a name"),
-        Some(name) => {
-            name.map_err(|e: <PluginId as std::str::FromStr>::Err| Failure::bad_request(e.to_string()))?
-        }
-    };
+    let plugin = plugin(&headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let message = Message::Instruct {
         plugin,
@@ -88,11 +87,10 @@ pub(super) async fn instruct(
         reason: body.reason,
         reply: Some(Box::new(move |done| drop(reply.send(done)))),
     };
-    let ended = |_: mpsc::SendError<Message>| Failure::unavailable("the run has ended");
-    context.core.send(message).map_err(ended)?;
+    context.core.send(message).map_err(|_| Failure::ended())?;
     match answer.await {
         Ok(Ok(())) => Ok(Json(Done { done: true })),
         Ok(Err(refused)) => Err(Failure::refused(refused.to_string())),
-        Err(_) => Err(Failure::unavailable("the run has ended")),
+        Err(_) => Err(Failure::ended()),
     }
 }

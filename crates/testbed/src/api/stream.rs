@@ -1,23 +1,66 @@
-//! What happens, as it happens: server-sent events.
+//! What happens, as it happens: server-sent events; and in virtual time, when a plug-in has taken them in.
 
-use std::{convert::Infallible, sync::Arc};
+use std::{convert::Infallible, pin::Pin, sync::Arc};
 
 use axum::{
+    Json,
     extract::State,
+    http::HeaderMap,
     response::sse::{Event as SseEvent, KeepAlive, Sse},
 };
-use cotorra_graph::Stamped;
+use cotorra_graph::{PluginId, Stamped, Timestamp};
 use cotorra_measurements::Kind;
 use serde::Deserialize;
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tokio_stream::{
     Stream, StreamExt,
-    wrappers::{BroadcastStream, errors::BroadcastStreamRecvError},
+    wrappers::{BroadcastStream, UnboundedReceiverStream, errors::BroadcastStreamRecvError},
 };
 
 use super::{
-    Context,
-    types::{Failure, FailureBody, Query},
+    Answer, Context,
+    routes::plugin,
+    types::{Done, Failure, FailureBody, Path, Query},
 };
+use crate::core_loop::Message;
+
+/// A stream of events to a plug-in that virtual time waits for.
+pub(crate) struct Follower {
+    /// Whose.
+    pub(crate) plugin: PluginId,
+    kinds: Option<Vec<Kind>>,
+    tell: UnboundedSender<Told>,
+}
+
+/// What such a stream tells.
+pub(crate) enum Told {
+    /// Something happened.
+    Event(Arc<Stamped>),
+    /// That is all up to now; time stands still until it is done with that.
+    Mark {
+        /// What is to be given back.
+        number: u64,
+        /// The time.
+        now: Timestamp,
+    },
+}
+
+impl Follower {
+    /// Whether it asked for events of this kind.
+    pub(crate) fn wants(&self, event: &Stamped) -> bool {
+        is_wanted(self.kinds.as_deref(), event)
+    }
+
+    /// Tells it; false if nobody reads any more.
+    pub(crate) fn tell(&self, told: Told) -> bool {
+        self.tell.send(told).is_ok()
+    }
+
+    /// Whether nobody reads any more.
+    pub(crate) fn is_gone(&self) -> bool {
+        self.tell.is_closed()
+    }
+}
 
 /// Which events.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
@@ -30,25 +73,70 @@ pub(super) struct Which {
 
 /// Events as they happen. A reader that is too slow loses the oldest, is told how many by an event named `missed`, and
 /// slows nobody.
-#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(Which),
+///
+/// In virtual time a plug-in that the testbed started (`X-Cotorra-Plugin` names it) loses none: at once, and then after
+/// the events of each moment, its stream has an event named `mark`, with a number as its `id` and the time, in
+/// nanoseconds, as its data. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
+#[utoipa::path(get, path = "/api/v1/events", tag = "events",
+    params(Which, ("X-Cotorra-Plugin" = Option<String>, Header)),
     responses((status = 200, body = String, content_type = "text/event-stream",
         description = "each `data:` is a Stamped event"), (status = 400, body = FailureBody)))]
 pub(super) async fn events(
     State(context): State<Context>,
+    headers: HeaderMap,
     Query(which): Query<Which>,
 ) -> Result<Sse<impl Stream<Item = Result<SseEvent, Infallible>>>, Failure> {
     let kinds = which.kinds.as_deref().map(parse_kinds).transpose()?;
-    let wanted =
-        move |event: &Stamped| kinds.as_ref().is_none_or(|kinds| kinds.contains(&Kind::of(&event.event)));
-    let stream =
-        BroadcastStream::new(context.events.subscribe()).filter_map(move |received| match received {
-            Ok(event) if wanted(&event) => Some(Ok(encode(&event))),
-            Ok(_) => None,
-            Err(BroadcastStreamRecvError::Lagged(missed)) => {
-                Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
+    let is_waited_for = |plugin: &PluginId| {
+        context.lockstep.as_ref().is_some_and(|lockstep| lockstep.plugins.contains(plugin))
+    };
+    let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&headers)?.filter(is_waited_for) {
+        Some(plugin) => {
+            let (tell, told) = unbounded_channel();
+            let follower = Follower { plugin, kinds, tell };
+            context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
+            Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
+        }
+        None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
+            match received {
+                Ok(event) if is_wanted(kinds.as_deref(), &event) => Some(Ok(encode(&event))),
+                Ok(_) => None,
+                Err(BroadcastStreamRecvError::Lagged(missed)) => {
+                    Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
+                }
             }
-        });
+        })),
+    };
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
+}
+
+/// When a plug-in wants to be woken.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Wake {
+    /// At this time at the latest, nanoseconds since the run began, there is another mark, events or not.
+    wake_at_ns: Option<u64>,
+}
+
+/// Say that all events before a mark were taken in, and all instructions that they call for were given: virtual time
+/// goes on. In real time, which waits for nobody, it does nothing.
+#[utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events", params(("number" = u64, Path), Wake),
+    responses((status = 200, body = Done), (status = 400, body = FailureBody)))]
+pub(super) async fn done(
+    State(context): State<Context>,
+    Path(mark): Path<u64>,
+    Query(wake): Query<Wake>,
+) -> Answer<Done> {
+    if context.lockstep.is_some() {
+        let wake_at = wake.wake_at_ns.map(Timestamp::from_nanos);
+        context.core.send(Message::Done { mark, wake_at }).map_err(|_| Failure::ended())?;
+    }
+    Ok(Json(Done { done: true }))
+}
+
+fn is_wanted(kinds: Option<&[Kind]>, event: &Stamped) -> bool {
+    kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&event.event)))
 }
 
 /// Names of kinds with commas between.
@@ -64,4 +152,13 @@ pub(super) fn parse_kinds(names: &str) -> Result<Vec<Kind>, Failure> {
 fn encode(event: &Arc<Stamped>) -> SseEvent {
     let json = serde_json::to_string(event).expect("an event holds only what JSON can");
     SseEvent::default().data(json)
+}
+
+fn encode_told(told: &Told) -> SseEvent {
+    match told {
+        Told::Event(event) => encode(event),
+        Told::Mark { number, now } => {
+            SseEvent::default().event("mark").id(number.to_string()).data(now.as_nanos().to_string())
+        }
+    }
 }

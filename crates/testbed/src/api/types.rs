@@ -109,6 +109,10 @@ impl Failure {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, reason)
     }
 
+    pub(super) fn ended() -> Self {
+        Self::unavailable("the run has ended")
+    }
+
     pub(super) fn refused(reason: impl Into<String>) -> Self {
         Self { key: "refused", ..Self::new(StatusCode::CONFLICT, reason) }
     }

@@ -1,6 +1,7 @@
 //! A testbed in virtual time: the very same core, fabric, robots and plug-ins, driven by their own deadlines instead of
 //! a clock. Nothing sleeps, nothing is random but by the seed, and the same seed gives the same events.
 
+mod apart;
 mod engine;
 mod network;
 mod run;
@@ -14,7 +15,8 @@ use std::{
 };
 
 use cotorra_fabric::{Fabric, PortId};
-use cotorra_graph::{Event, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_network_control::Refused;
 use cotorra_plugin::{Actions, Plugin, wire::NAVIGATION_PORT};
 
 pub use self::run::simulate;
@@ -24,7 +26,7 @@ use self::{
 };
 use crate::{
     core::Core,
-    plugins::{PluginError, bundled, panic_text},
+    plugins::{PluginError, bundled, panic_text, programs},
     run::RunError,
 };
 
@@ -39,6 +41,10 @@ pub struct Simulation {
     plugins: Vec<Hosted>,
     graph: Arc<Testbed>,
     events: VecDeque<Stamped>,
+    /// When somebody outside wants a step.
+    alarm: Option<Timestamp>,
+    /// Whether the next step is not the first.
+    begun: bool,
 }
 
 struct Hosted {
@@ -51,23 +57,41 @@ impl Simulation {
     /// A simulation of a testbed at time zero.
     ///
     /// # Errors
-    /// [`RunError`] when the graph, a robot or a plug-in cannot be.
+    /// [`RunError`] when the graph, a robot or a plug-in cannot be; a plug-in that is a program of its own cannot.
     pub fn new(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
+        if let Some(program) = programs(&testbed).next() {
+            return Err(PluginError::NeedsRun(program.clone()).into());
+        }
+        Self::without_programs(testbed, seed)
+    }
+
+    /// The same, leaving out plug-ins that are programs of their own.
+    fn without_programs(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, seed)?);
         let navigation = Navigation::default();
         let engine = VirtualEngine::new(&testbed, navigation.clone());
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine)
             .map_err(|e| RunError::Robot(e.to_string()))?;
-        let plugins = testbed.plugins.iter().map(|spec| match &spec.program {
-            PluginProgram::Bundled(name) => {
-                Ok(Hosted { id: spec.id.clone(), plugin: bundled(spec, name, seed)?, cut: false })
-            }
-            PluginProgram::Command(_) => Err(PluginError::NotInVirtualTime(spec.id.clone())),
+        let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {
+            PluginProgram::Bundled(name) => Some(bundled(spec, name, seed).map(|plugin| Hosted {
+                id: spec.id.clone(),
+                plugin,
+                cut: false,
+            })),
+            PluginProgram::Command(_) => None,
         });
         let plugins = plugins.collect::<Result<_, _>>()?;
         core.start(Timestamp::ZERO);
-        let mut simulation =
-            Self { core, network, navigation, plugins, graph: testbed, events: VecDeque::new() };
+        let mut simulation = Self {
+            core,
+            network,
+            navigation,
+            plugins,
+            graph: testbed,
+            events: VecDeque::new(),
+            alarm: None,
+            begun: false,
+        };
         for place in 0..simulation.plugins.len() {
             let testbed = Arc::clone(&simulation.graph);
             simulation
@@ -78,17 +102,52 @@ impl Simulation {
 
     /// Goes on to the next thing that is due, and does it; gives the time. Events are to be polled after each step.
     pub fn step(&mut self) -> Timestamp {
+        if self.begun {
+            self.network.now.set(self.next_time());
+        }
+        self.begun = true;
         let now = self.network.now.get();
         // In memory nothing can be gone.
         let _ = self.core.advance(now);
         self.carry(now);
         self.tell(now);
+        now
+    }
+
+    /// When the next thing is due.
+    fn next_time(&self) -> Timestamp {
+        let now = self.network.now.get();
         let plugins = self.plugins.iter().filter(|p| !p.cut).filter_map(|p| p.plugin.next_deadline());
         let fabric = self.network.fabric.borrow_mut().poll(now, &mut |_, _| {});
-        let next = plugins.chain(fabric).fold(self.core.next_deadline(), Timestamp::min);
+        let next = plugins.chain(fabric).chain(self.alarm).fold(self.core.next_deadline(), Timestamp::min);
         // A deadline that is not in the future was met by this step; time must not stand still.
-        self.network.now.set(next.max(now + Duration::from_nanos(1)));
-        now
+        next.max(now + Duration::from_nanos(1))
+    }
+
+    /// Lets the next step be at that time at the latest.
+    fn set_alarm(&mut self, at: Option<Timestamp>) {
+        self.alarm = at;
+    }
+
+    /// Does what somebody outside asks for, now.
+    fn instruct(
+        &mut self,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let now = self.network.now.get();
+        let done = self.core.instruct(now, plugin, instruction, reason);
+        self.tell_events(now);
+        done
+    }
+
+    /// Tells that a plug-in outside was cut off; the robots that it moved stop.
+    fn cut_off(&mut self, plugin: PluginId, reason: String, robots: &[NodeId]) {
+        let now = self.network.now.get();
+        robots.iter().for_each(|robot| self.core.stop_robot(now, robot));
+        self.events.push_back(Stamped { at: now, event: Event::PluginFault { plugin, reason } });
+        self.tell_events(now);
     }
 
     /// What happened, oldest first.
@@ -162,6 +221,10 @@ impl Simulation {
                 self.call(now, place, |plugin, now, actions| plugin.expire(now, actions));
             }
         }
+        self.tell_events(now);
+    }
+
+    fn tell_events(&mut self, now: Timestamp) {
         while let Some(event) = self.core.poll_event() {
             for place in 0..self.plugins.len() {
                 self.call(now, place, |plugin, now, actions| plugin.handle(now, &event.event, actions));

@@ -2,10 +2,13 @@
 
 use std::sync::Arc;
 
-use cotorra_graph::{Testbed, Timestamp};
-use cotorra_measurements::{History, RunInfo};
+use cotorra_graph::{Stamped, Testbed, Timestamp};
+use cotorra_measurements::{History, Recorder, RunInfo};
 
-use super::Simulation;
+use super::{
+    Simulation,
+    apart::{Apart, Asked},
+};
 use crate::{
     core_loop::End,
     report::{Losses, Report, RunFolder},
@@ -16,7 +19,8 @@ use crate::{
 const HISTORY_PACE: usize = 10_000;
 
 /// Runs a testbed in virtual time to the end of its walks, or up to `options.until`, and leaves what a run leaves; gives
-/// what it came to. `go_on` is asked now and then, with the time, whether to. The API is not served.
+/// what it came to. `go_on` is asked now and then, with the time, whether to. The API is served where a plug-in is a
+/// program of its own, which time waits for; by default on any free port of 127.0.0.1.
 ///
 /// The same testbed, seed and version give the same bytes in every file but the log.
 ///
@@ -34,40 +38,71 @@ pub fn simulate(
     if until.is_none() && testbed.walks.is_empty() {
         return Err(RunError::Endless);
     }
-    let mut simulation = Simulation::new(Arc::clone(&testbed), seed)?;
+    let mut simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-    let history = History::open(folder.history())?;
+    let history = Arc::new(History::open(folder.history())?);
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
     let run = history.begin_run(&info)?;
     let recorder = history.recorder(run)?;
-    let mut report = Report::new(&testbed, seed);
-    let mut unwritten = 0;
-    let (now, end) = loop {
-        let now = simulation.step();
-        while let Some(event) = simulation.poll_event() {
-            report.absorb(&event);
-            recorder.record(event);
-            unwritten += 1;
-        }
-        if unwritten >= HISTORY_PACE {
-            unwritten = 0;
-            recorder.flush()?;
-            if !go_on(now) {
-                break (now, End::Stopped);
-            }
+    let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0 };
+    let asked =
+        Asked { testbed: &testbed, history: &history, run, recorder: &books.recorder, logs: &folder.logs() };
+    let mut apart = Apart::start(&asked, options)?;
+    let mut now = Timestamp::ZERO;
+    let end = loop {
+        // Before the first step, too: programs are there when it begins.
+        if let Some(apart) = &mut apart
+            && !apart.settle(now, &mut simulation, &mut |event| books.keep(event), &mut go_on)
+        {
+            break End::Stopped;
         }
         if simulation.is_finished() {
-            break (now, End::Walked);
+            break End::Walked;
         }
         if until.is_some_and(|until| now >= until) {
-            break (now, End::Until);
+            break End::Until;
+        }
+        now = simulation.step();
+        while let Some(event) = simulation.poll_event() {
+            if let Some(apart) = &mut apart {
+                apart.publish(&event);
+            }
+            books.keep(event);
+        }
+        if books.unwritten >= HISTORY_PACE {
+            books.catch_up()?;
+            if !go_on(now) {
+                break End::Stopped;
+            }
         }
     };
-    recorder.flush()?;
+    drop(apart);
+    books.catch_up()?;
+    let Books { report, recorder, .. } = books;
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.stats().dropped };
     let summary = report.summary(now, end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, now)?;
     Ok(Finished { summary, report, folder: folder.path().to_owned() })
+}
+
+/// Where what happens is kept.
+struct Books {
+    report: Report,
+    recorder: Recorder,
+    unwritten: usize,
+}
+
+impl Books {
+    fn keep(&mut self, event: Stamped) {
+        self.report.absorb(&event);
+        self.recorder.record(event);
+        self.unwritten += 1;
+    }
+
+    fn catch_up(&mut self) -> Result<(), cotorra_measurements::Error> {
+        self.unwritten = 0;
+        self.recorder.flush()
+    }
 }
