@@ -3,14 +3,14 @@
 
 mod common;
 
-use std::sync::LazyLock;
+use std::{sync::LazyLock, time::Duration};
 
-use common::{context, corridor, survey};
+use common::{context, corridor, exact, survey};
 use cotorra_graph::{
-    Decision, Event, Handover, Instruction, LinkId, NodeId, Placement, PluginId, Position, Testbed,
-    Timestamp, VirtualLinkMapping,
+    Conditions, Decision, Event, Handover, Instruction, LinkId, NodeId, NodeKind, Placement, PluginId,
+    Position, Rate, Testbed, Timestamp, VirtualLinkMapping, VnfId,
 };
-use cotorra_okpi::Okpi;
+use cotorra_okpi::{Chain, Infrastructure, Link, Node, Okpi, Search, Vnf};
 use cotorra_plugin::{Actions, Plugin};
 use proptest::prelude::*;
 use serde_json::{Map, Value, json};
@@ -136,6 +136,94 @@ fn resolution_decides_between_edge_and_fog() {
     assert_eq!(last(&processed), "fog");
 }
 
+/// The corridor as a decision sees it with some radio units in reach, put together from the testbed file alone.
+fn seen(testbed: &Testbed, units: &[&str]) -> (Chain, Infrastructure) {
+    let graph = &testbed.graph;
+    let place = |id: &NodeId| graph.nodes.iter().position(|node| node.id == *id).unwrap();
+    let nodes = graph.nodes.iter().map(|node| Node {
+        id: node.id.clone(),
+        cpus: node.capacity().map_or(0.0, |capacity| capacity.cpus),
+        memory_bytes: node.capacity().map_or(0, |capacity| capacity.memory_bytes),
+        cost: if let NodeKind::Server(server) = &node.kind { server.cost } else { 0.0 },
+        reliability: 1.0,
+        forwards: node.forwards(),
+    });
+    let link = |id: LinkId, ends: [&NodeId; 2], ms: [f64; 2], mbps: f64, wireless| Link {
+        id,
+        ends: ends.map(place),
+        round_trip: Duration::from_secs_f64((ms[0] + ms[1]) / 1e3),
+        free_bps: mbps * 1e6,
+        reliability: 1.0,
+        wireless,
+    };
+    let robot = NodeId::new("robot").unwrap();
+    let air = units.iter().map(|unit| {
+        let unit = NodeId::new(unit).unwrap();
+        link(LinkId::wireless(&robot, &unit), [&robot, &unit], [1.0, 1.0], 8.0, true)
+    });
+    let ms = |conditions: &Conditions| conditions.delay.as_secs_f64() * 1e3;
+    let wired = graph.links.iter().map(|wire| {
+        let mbps = match wire.forward.rate {
+            Rate::Fixed { bits_per_second } => bits_per_second.mbps(),
+            _ => wire.medium.mbps(),
+        };
+        let delays = [ms(&wire.forward), ms(&wire.backward)];
+        link(wire.id.clone(), wire.ends.each_ref(), delays, mbps, false)
+    });
+    let servers = ["fog", "edge", "cloud"].map(|name| place(&NodeId::new(name).unwrap()));
+    let vnf = |name, cpus, hosts, rate_bps| Vnf {
+        id: VnfId::new(name).unwrap(),
+        cpus,
+        memory_bytes: 1_000_000_000,
+        hosts,
+        rate_bps,
+        processing: None,
+    };
+    let vnfs = vec![
+        vnf("robot-driver", 0.0, vec![place(&robot)], 0.0),
+        vnf("navigation", 4.0, servers.to_vec(), 6e6),
+    ];
+    let chain = Chain { vnfs, service_time: Duration::from_millis(15), reliability: None };
+    (chain, Infrastructure { nodes: nodes.collect(), links: air.chain(wired).collect() })
+}
+
+#[test]
+fn from_ten_levels_on_the_corridor_costs_what_it_must() {
+    let testbed = corridor();
+    let mut offered: Vec<Vec<&str>> =
+        vec![vec!["R1"], vec!["R3"], vec!["R2"], vec!["R4"], vec!["R5"], vec!["R6"]];
+    offered.extend([
+        vec!["R1", "R3"],
+        vec!["R3", "R2"],
+        vec!["R4", "R2"],
+        vec!["R5", "R4"],
+        vec!["R6", "R5"],
+    ]);
+    for units in offered {
+        let (chain, infrastructure) = seen(&testbed, &units);
+        let optimum = exact::optimum(&chain, &infrastructure).unwrap();
+        for gamma in 10..=100 {
+            let placed = cotorra_okpi::place(&chain, &infrastructure, Search::at(gamma)).unwrap();
+            assert_eq!(placed.cost, optimum, "{units:?}, gamma = {gamma}");
+        }
+    }
+}
+
+#[test]
+fn every_decision_on_the_way_out_and_back_is_the_optimum() {
+    let testbed = corridor();
+    for gamma in [10, 15, 50, 100] {
+        for settings in [with("gamma", json!(gamma)), Map::from_iter([("gamma".to_owned(), json!(gamma))])] {
+            for change in walk(&settings) {
+                let (chain, infrastructure) = seen(&testbed, &[&change.unit]);
+                let optimum = exact::optimum(&chain, &infrastructure).unwrap();
+                let cost = format!("for a cost of {optimum}: ");
+                assert!(change.reason.contains(&cost), "{change:?}, but the optimum is {optimum}");
+            }
+        }
+    }
+}
+
 #[test]
 fn by_signal_alone_the_nearest_of_each_segment_is_taken() {
     let changes = walk(&Map::new());
@@ -239,7 +327,7 @@ fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
 #[test]
 fn generated_graphs_are_placed_the_same_each_time() {
     let (service, infrastructure) = common::generated(100, 4, Some(0.9), 3);
-    let search = cotorra_okpi::Search::at(10);
+    let search = Search::at(10);
     let place = || cotorra_okpi::place(&service, &infrastructure, search).unwrap();
     assert_eq!(place(), place());
 }
