@@ -65,12 +65,22 @@ impl Okpi {
     /// - `processing`: VNFs that take time, as `navigation: { service_rate: 500 /s, arrival_rate: 20 /s }`: the μ
     ///   and λ of an M/M/1 queue with processor sharing; by default none does.
     ///
+    /// What they name is checked by [`Okpi::for_testbed`].
+    ///
     /// # Errors
     /// [`InvalidSettings`] for a setting that does not exist, or that has no such value.
     pub fn from_settings(
         settings: &serde_json::Map<String, serde_json::Value>,
     ) -> Result<Self, InvalidSettings> {
         Ok(Self { settings: Settings::decode(settings)?, now: None, decisions: Vec::new() })
+    }
+
+    /// The same, if all that its settings name exists in the testbed that it is to orchestrate.
+    ///
+    /// # Errors
+    /// [`InvalidSettings::UnknownName`].
+    pub fn for_testbed(self, testbed: &Testbed) -> Result<Self, InvalidSettings> {
+        self.settings.check(testbed).map(|()| self)
     }
 
     /// Decides for all services of a robot that is at a new location.

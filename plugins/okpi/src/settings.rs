@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, num::NonZeroUsize, ops::RangeInclusive};
 
-use cotorra_graph::{NodeId, Position, VnfId};
+use cotorra_graph::{NodeId, Position, Testbed, VnfId};
 use serde_json::{Map, Value};
 
 use crate::{coverage::Coverage, model::Queue, placement::Search};
@@ -65,6 +65,18 @@ pub enum InvalidSettings {
     /// Signals say nothing where areas are surveyed, and the other way round.
     #[error("`{0}` cannot be set together with `coverage`: areas take the place of signals")]
     WithCoverage(&'static str),
+    /// A testbed has no thing of that name.
+    #[error("{setting}: the testbed has no {kind} `{name}`{}", did_you_mean(.nearest))]
+    UnknownName {
+        /// The setting.
+        setting: &'static str,
+        /// What it names.
+        kind: &'static str,
+        /// The name.
+        name: String,
+        /// The name of that kind that is most like it; `None` where there is none.
+        nearest: Option<String>,
+    },
     /// Only areas have an edge to be kept beyond.
     #[error("`hysteresis` needs `coverage`: it is how far beyond its area a radio unit is kept")]
     HysteresisAlone,
@@ -110,6 +122,38 @@ impl Settings {
         };
         Ok(Self { search, coverage, processing: queues })
     }
+}
+
+impl Settings {
+    /// Whether all that is named exists in a testbed.
+    ///
+    /// # Errors
+    /// [`InvalidSettings::UnknownName`] for the first that does not.
+    pub(crate) fn check(&self, testbed: &Testbed) -> Result<(), InvalidSettings> {
+        if let Coverage::Survey { areas, .. } = &self.coverage {
+            let units: Vec<_> = testbed.graph.radio_units().map(|(node, _)| node.id.as_str()).collect();
+            check_names("coverage", "radio unit", areas.keys().map(NodeId::as_str), &units)?;
+        }
+        let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
+        let vnfs: Vec<_> = vnfs.map(|vnf| vnf.id.as_str()).collect();
+        check_names("processing", "VNF", self.processing.keys().map(VnfId::as_str), &vnfs)
+    }
+}
+
+fn check_names<'a>(
+    setting: &'static str,
+    kind: &'static str,
+    mut names: impl Iterator<Item = &'a str>,
+    known: &[&str],
+) -> Result<(), InvalidSettings> {
+    let Some(name) = names.find(|name| !known.contains(name)) else { return Ok(()) };
+    let unlike = |known: &&&str| strsim::damerau_levenshtein(&known.to_lowercase(), &name.to_lowercase());
+    let nearest = known.iter().min_by_key(unlike).map(|&nearest| nearest.to_owned());
+    Err(InvalidSettings::UnknownName { setting, kind, name: name.to_owned(), nearest })
+}
+
+fn did_you_mean(nearest: &Option<String>) -> String {
+    nearest.as_ref().map_or_else(String::new, |nearest| format!("; did you mean `{nearest}`?"))
 }
 
 /// A setting that is a figure with a unit.

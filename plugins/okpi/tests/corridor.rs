@@ -325,6 +325,23 @@ fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
 }
 
 #[test]
+fn what_the_testbed_does_not_have_cannot_be_set() {
+    let testbed = corridor();
+    let said = |settings: &Map<String, Value>| {
+        let okpi = Okpi::from_settings(settings).unwrap();
+        okpi.for_testbed(&testbed).map_err(|error| error.to_string()).err()
+    };
+    assert_eq!(said(&Map::new()), None);
+    assert_eq!(said(&survey()), None);
+    let unit = with("coverage", json!({ "R2": [[0, 0], [1, 0], [0, 1]], "r44": [[0, 0], [1, 0], [0, 1]] }));
+    let expected = "coverage: the testbed has no radio unit `r44`; did you mean `R4`?";
+    assert_eq!(said(&unit).as_deref(), Some(expected));
+    let queue = json!({ "navigaton": { "service_rate": "500 /s", "arrival_rate": "20 /s" } });
+    let expected = "processing: the testbed has no VNF `navigaton`; did you mean `navigation`?";
+    assert_eq!(said(&with("processing", queue)).as_deref(), Some(expected));
+}
+
+#[test]
 fn generated_graphs_are_placed_the_same_each_time() {
     let (service, infrastructure) = common::generated(100, 4, Some(0.9), 3);
     let search = Search::at(10);
