@@ -2,6 +2,7 @@
 
 use std::{
     net::{IpAddr, SocketAddr},
+    num::NonZero,
     path::PathBuf,
     time::Duration,
 };
@@ -9,6 +10,7 @@ use std::{
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 use cotorra_graph::{NodeId, testbed_file::Setting};
+use cotorra_testbed::sweep::Axis;
 
 /// Where a run serves its API unless that is taken.
 pub const DEFAULT_API: &str = "127.0.0.1:7700";
@@ -30,6 +32,7 @@ Examples:
   cotorra doctor                                   what this machine can do
   cotorra check testbeds/corridor.yaml             is this testbed file right?
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
+  cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra experiment okpi                          repeat the published comparison
   cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
 
@@ -42,6 +45,7 @@ Exit status:
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Run(RunArgs),
+    Sweep(SweepArgs),
     /// Repeat a published experiment, and set it beside what was published
     Experiment {
         #[command(subcommand)]
@@ -183,6 +187,49 @@ pub struct RunArgs {
     /// The log in the run's folder always has the first of the two; COTORRA_LOG filters both in more detail.
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+/// Run a testbed in virtual time for all combinations of some settings, each with many seeds
+///
+/// A setting's values are a list, as in plugin=probing,okpi, or a range, as in 1..4, 0..1:0.25 (in steps of 0.25) or
+/// 5..20:5 ms. What a path is: docs/testbed-file.md, "Variants". As many runs go on at a time as there are CPUs.
+///
+/// Each run is kept as soon as it is done. The same command goes on where one was stopped, and one with more values or
+/// seeds adds to it. It leaves runs.csv (a row a run), cells.csv (a row a combination: means and 95 % confidence
+/// intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20
+  cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
+  cotorra sweep testbeds/corridor.yaml --set plugin=okpi --set plugins.okpi.settings.gamma=2..20:2 --dry-run")]
+pub struct SweepArgs {
+    /// The testbed file.
+    pub file: PathBuf,
+    /// A setting and its values; can be given several times
+    #[arg(long = "set", value_name = "PATH=VALUES")]
+    pub axes: Vec<Axis>,
+    /// Runs of each combination, each with a seed of its own, from the file's seed on
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub seeds: u32,
+    /// End each run after so much time, such as 60s or 2min, if the walks take longer
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Runs at a time; as many as there are CPUs if it is left out
+    #[arg(short, long, value_name = "N")]
+    pub jobs: Option<NonZero<usize>>,
+    /// The sweep's folder, in place of one under sweeps/ that is named after what is swept
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Forget the runs that the folder has
+    #[arg(long)]
+    pub fresh: bool,
+    /// Write plain lines in place of the progress bar
+    #[arg(long)]
+    pub headless: bool,
+    /// Only say what would be run
+    #[arg(long)]
+    pub dry_run: bool,
 }
 
 /// Published experiments.

@@ -13,6 +13,7 @@ mod logs;
 mod output;
 mod run;
 mod signals;
+mod sweep;
 mod table;
 mod testbed_file;
 
@@ -44,6 +45,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
     match command {
         Command::Run(args) => return run::run(args),
         Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
+        Command::Sweep(args) => return sweep::sweep(&args),
         Command::Check(args) => return check::check(&args),
         Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
         Command::OpenApi => output::print(&cotorra_testbed::openapi())?,

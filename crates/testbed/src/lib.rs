@@ -13,6 +13,7 @@ mod plugins;
 mod report;
 mod run;
 mod simulate;
+pub mod sweep;
 
 pub use api::{ApiError, Token, openapi};
 pub use live::{Live, Snapshot};

@@ -8,3 +8,4 @@ mod harness;
 mod interruption;
 mod plugin;
 mod run;
+mod sweep;

@@ -66,7 +66,7 @@ pub fn draw(panels: &[Panel<'_>]) -> String {
 }
 
 /// The library numbers clip paths through a process's life; the same figure is to have the same bytes.
-fn number_clips(svg: String) -> String {
+pub(crate) fn number_clips(svg: String) -> String {
     const MARK: &str = "<clipPath id=\"";
     let ids = svg.split(MARK).skip(1).filter_map(|rest| rest.split('"').next().map(str::to_owned));
     ids.collect::<Vec<_>>().iter().enumerate().fold(svg, |svg, (i, id)| {

@@ -19,6 +19,12 @@ pub struct FolderError {
     source: io::Error,
 }
 
+impl FolderError {
+    pub(crate) fn new(path: &Path, source: io::Error) -> Self {
+        Self { path: path.to_owned(), source }
+    }
+}
+
 /// Where a run's folder is made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {

@@ -4,6 +4,7 @@ mod figure;
 mod folder;
 mod summary;
 
+pub(crate) use figure::number_clips;
 pub use figure::{Panel, draw};
 pub(crate) use folder::write;
 pub use folder::{FolderError, Place, RunFolder};

@@ -1,0 +1,167 @@
+//! `cotorra sweep`: many runs in virtual time, with progress, and what they say together.
+
+use std::{fs, num::NonZero, path::Path, process::ExitCode, thread, time::Duration};
+
+use cotorra_testbed::{
+    FolderError,
+    sweep::{Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder},
+};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::{
+    cli::SweepArgs,
+    output, signals,
+    table::Table,
+    testbed_file::{self, FileError, count},
+};
+
+/// More combinations than this are not listed on the terminal.
+const LISTED: usize = 40;
+/// What a shell calls a program that SIGINT ended.
+const INTERRUPTED: u8 = 130;
+/// Without a progress bar, a line at each such share of the runs.
+const LINES: usize = 20;
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error(transparent)]
+    Sweep(SweepError),
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    #[error("cannot listen to Ctrl-C: {0}")]
+    Signals(ctrlc::Error),
+}
+
+/// What a sweep says of its testbed file is shown in its place.
+fn told(error: SweepError) -> miette::Report {
+    match error {
+        SweepError::Testbed(wrong) => FileError::from(wrong).into(),
+        other => Error::Sweep(other).into(),
+    }
+}
+
+/// Runs a sweep.
+pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
+    let loaded = testbed_file::load(&args.file, &[])?;
+    let base = args.file.parent().unwrap_or(Path::new(""));
+    let sweep =
+        Sweep::new(&args.file.display().to_string(), loaded.text, base).seeds(args.seeds).until(args.until);
+    let sweep = args.axes.iter().cloned().fold(sweep, Sweep::axis);
+    let runs = sweep.points().map_err(told)?.len();
+    let place = match &args.out {
+        Some(out) => out.clone(),
+        None => sweep.default_folder(Path::new("sweeps")).map_err(told)?,
+    };
+    let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
+    if args.dry_run {
+        output::print(&plan(&sweep, args, &place, runs, jobs))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let folder = SweepFolder::open(&place).map_err(Error::from)?;
+    if args.fresh {
+        folder.clear().map_err(Error::from)?;
+    }
+    let mut progress = Progress::new(args.headless);
+    let runs = sweep.run(&folder, jobs, |done, of| {
+        progress.show(done, of);
+        interrupts.try_recv().is_err()
+    });
+    progress.close();
+    let runs = runs.map_err(told)?;
+    // Of what there is: a sweep that was stopped has its tables, too.
+    folder.write(&sweep, &runs).map_err(Error::from)?;
+    output::print(&describe(&sweep, &runs, folder.path()))?;
+    Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })
+}
+
+struct Progress {
+    bar: Option<ProgressBar>,
+    lines: usize,
+}
+
+impl Progress {
+    fn new(headless: bool) -> Self {
+        let style = ProgressStyle::with_template("{wide_bar:.cyan/dim}  {pos} of {len} runs, {eta} to go")
+            .expect("a template that is right")
+            .progress_chars("━╸─");
+        let bar = ProgressBar::new(0).with_style(style);
+        bar.enable_steady_tick(Duration::from_millis(200));
+        let shown = !headless && !bar.is_hidden();
+        Self { bar: shown.then_some(bar), lines: 0 }
+    }
+
+    fn show(&mut self, done: usize, of: usize) {
+        match &self.bar {
+            Some(bar) => {
+                if bar.length() != Some(of as u64) {
+                    // Runs of an earlier time say nothing of how long the rest takes.
+                    bar.set_length(of as u64);
+                    bar.set_position(done as u64);
+                    bar.reset_eta();
+                }
+                bar.set_position(done as u64);
+            }
+            None if done * LINES / of.max(1) >= self.lines => {
+                self.lines = done * LINES / of.max(1) + 1;
+                eprintln!("{done} of {of} runs");
+            }
+            None => {}
+        }
+    }
+
+    fn close(self) {
+        if let Some(bar) = self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path, runs: usize, jobs: NonZero<usize>) -> String {
+    let mut table = Table::new("<<");
+    for axis in sweep.axes() {
+        table.row([axis.path().to_owned(), axis.values().join(", ")]);
+    }
+    table.row(["seeds".to_owned(), args.seeds.to_string()]);
+    let again =
+        if fs::exists(place).unwrap_or(false) { "; it exists: what it has is not run again" } else { "" };
+    let text =
+        format!("{}: {} in virtual time, {jobs} at a time\n\n", args.file.display(), count(runs, "run"));
+    text + &table.render("  ") + &format!("\n{}/{again}\n  {}\n", place.display(), FILES.join("  "))
+}
+
+fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
+    let resumed =
+        if runs.resumed > 0 { format!(", {} of them from before", runs.resumed) } else { String::new() };
+    let mut text = format!("{} of {}{resumed}\n\n", runs.done.len(), count(runs.total, "run"));
+    let cells = sweep.cells(runs);
+    let axes = sweep.axes();
+    let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>"));
+    let heads = ["runs", "median, ms", "p99, ms", "above target, %"].map(str::to_owned);
+    table.row(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
+    for cell in cells.iter().take(LISTED) {
+        let Cell { values, runs, service_time_p50_ms, service_time_p99_ms, above_target, .. } = cell;
+        let figures = [
+            runs.to_string(),
+            interval(*service_time_p50_ms, 1.0),
+            interval(*service_time_p99_ms, 1.0),
+            interval(*above_target, 100.0),
+        ];
+        table.row(values.iter().cloned().chain(figures));
+    }
+    text += &table.render("  ");
+    if cells.len() > LISTED {
+        text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
+    }
+    if runs.done.len() < runs.total {
+        text += "\nThe sweep was stopped; the same command goes on.\n";
+    }
+    text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+}
+
+/// `11.21 ± 0.02`.
+fn interval(interval: Option<Interval>, factor: f64) -> String {
+    let Some(Interval { mean, high, .. }) = interval else { return "-".to_owned() };
+    let half = high.map(|high| format!(" ± {:.2}", (high - mean) * factor)).unwrap_or_default();
+    format!("{:.2}{half}", mean * factor)
+}

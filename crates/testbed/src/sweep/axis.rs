@@ -1,0 +1,174 @@
+//! A setting and the values that it takes in turn.
+
+use std::{fmt, str::FromStr};
+
+/// More values than this are surely a mistake.
+const MOST: usize = 10_000;
+
+/// A setting and the values that it takes in turn, written `path=value,value` or `path=from..to`, where `to` is one of
+/// them. Steps are of 1 unless a step follows, as in `1..2:0.25`; a unit follows last, as in `5..20:5 ms`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Axis {
+    path: String,
+    values: Vec<String>,
+}
+
+/// Why a text is no axis.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidAxis {
+    /// There is no `=`, or nothing on one side of it.
+    #[error("`{0}` has no values: write it like links.*.delay_scale=1..4 or plugin=probing,okpi")]
+    Form(String),
+    /// A range whose steps lead nowhere.
+    #[error("`{0}` leads nowhere: a range goes up, by a step above 0")]
+    Range(String),
+    /// A range of very many values.
+    #[error("`{0}` are more than {MOST} values")]
+    Many(String),
+    /// A value twice.
+    #[error("`{0}` is there twice")]
+    Twice(String),
+}
+
+impl Axis {
+    /// The setting's path.
+    pub fn path(&self) -> &str {
+        &self.path
+    }
+
+    /// Its values; one or more, none twice.
+    pub fn values(&self) -> &[String] {
+        &self.values
+    }
+
+    /// Its values as numbers, units aside, if all are.
+    pub fn numbers(&self) -> Option<Vec<f64>> {
+        let number =
+            |value: &String| value.split_whitespace().next()?.parse().ok().filter(|n: &f64| n.is_finite());
+        self.values.iter().map(number).collect()
+    }
+}
+
+impl FromStr for Axis {
+    type Err = InvalidAxis;
+
+    fn from_str(text: &str) -> Result<Self, InvalidAxis> {
+        let form = || InvalidAxis::Form(text.to_owned());
+        let (path, values) = text.split_once('=').ok_or_else(form)?;
+        let path = path.trim().to_owned();
+        let mut all = Vec::new();
+        for part in split(values) {
+            match range(part) {
+                Some(range) => all.extend(range?),
+                None => all.push(part.to_owned()),
+            }
+        }
+        if path.is_empty() || all.iter().any(String::is_empty) {
+            return Err(form());
+        }
+        if all.len() > MOST {
+            return Err(InvalidAxis::Many(values.to_owned()));
+        }
+        let mut sorted: Vec<_> = all.iter().collect();
+        sorted.sort();
+        match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => Err(InvalidAxis::Twice(pair[0].clone())),
+            None => Ok(Self { path, values: all }),
+        }
+    }
+}
+
+impl fmt::Display for Axis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}={}", self.path, self.values.join(","))
+    }
+}
+
+/// Splits at commas that stand in no brackets and in no quotes.
+fn split(text: &str) -> Vec<&str> {
+    let (mut parts, mut start, mut depth, mut quote) = (Vec::new(), 0, 0_u32, None);
+    for (at, c) in text.char_indices() {
+        match (c, quote) {
+            (_, Some(open)) => quote = (c != open).then_some(open),
+            ('"' | '\'', None) => quote = Some(c),
+            ('[' | '{', None) => depth += 1,
+            (']' | '}', None) => depth = depth.saturating_sub(1),
+            (',', None) if depth == 0 => {
+                parts.push(text[start..at].trim());
+                start = at + 1;
+            }
+            _ => {}
+        }
+    }
+    parts.push(text[start..].trim());
+    parts
+}
+
+/// The values of a range; `None` if it is none.
+fn range(text: &str) -> Option<Result<Vec<String>, InvalidAxis>> {
+    let (from, rest) = text.split_once("..")?;
+    let from: f64 = from.trim().parse().ok()?;
+    let numeric = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-' | '+' | ':' | ' ');
+    let (numbers, unit) = rest.split_at(rest.find(|c| !numeric(c)).unwrap_or(rest.len()));
+    let (to, step) = numbers.split_once(':').unwrap_or((numbers, "1"));
+    let (to, step): (f64, f64) = (to.trim().parse().ok()?, step.trim().parse().ok()?);
+    let steps = ((to - from) / step + 1e-9).floor();
+    if !(steps >= 0.0 && step > 0.0) {
+        return Some(Err(InvalidAxis::Range(text.to_owned())));
+    }
+    if steps >= MOST as f64 {
+        return Some(Err(InvalidAxis::Many(text.to_owned())));
+    }
+    let value = |i: usize| {
+        // As people write it: 0.3, not 0.30000000000000004.
+        let number = ((from + i as f64 * step) * 1e9).round() / 1e9;
+        format!("{number} {}", unit.trim()).trim_end().to_owned()
+    };
+    Some(Ok((0..=steps as usize).map(value).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_lists_and_ranges() {
+        for (text, expected) in [
+            ("a.b=1..4", &["1", "2", "3", "4"][..]),
+            ("a=0..1:0.25", &["0", "0.25", "0.5", "0.75", "1"]),
+            ("a=0.1..0.4:0.1", &["0.1", "0.2", "0.3", "0.4"]),
+            ("a=5..20:5 ms", &["5 ms", "10 ms", "15 ms", "20 ms"]),
+            ("a=5..7ms", &["5 ms", "6 ms", "7 ms"]),
+            ("a=1..4:2,9", &["1", "3", "9"]),
+            ("plugin=probing, okpi", &["probing", "okpi"]),
+            ("a=[1, 2],{b: 3, c: [4, 5]},'x, y'", &["[1, 2]", "{b: 3, c: [4, 5]}", "'x, y'"]),
+            ("a=10 Mbit/s", &["10 Mbit/s"]),
+            ("a=-2..-1", &["-2", "-1"]),
+        ] {
+            assert_eq!(text.parse::<Axis>().unwrap().values(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_axis_says_so() {
+        for (text, said) in [
+            ("a", "has no values"),
+            ("=1", "has no values"),
+            ("a=1,,2", "has no values"),
+            ("a=4..1", "leads nowhere"),
+            ("a=1..4:0", "leads nowhere"),
+            ("a=1..100000", "more than"),
+            ("a=1..3,2", "`2` is there twice"),
+        ] {
+            let wrong = text.parse::<Axis>().unwrap_err().to_string();
+            assert!(wrong.contains(said), "{text}: {wrong}");
+        }
+    }
+
+    #[test]
+    fn numbers_may_have_units() {
+        let axis = |text: &str| text.parse::<Axis>().unwrap();
+        assert_eq!(axis("a=5..6 ms").numbers(), Some(vec![5.0, 6.0]));
+        assert_eq!(axis("a=one,2").numbers(), None);
+    }
+}

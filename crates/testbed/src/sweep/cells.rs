@@ -1,0 +1,93 @@
+//! What several runs of one combination say together.
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::Measured;
+
+/// A combination of values, and what its runs say together.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Cell {
+    /// A value for each axis.
+    pub values: Vec<String>,
+    /// How many runs.
+    pub runs: usize,
+    /// Of the runs' median service times, ms.
+    pub service_time_p50_ms: Option<Interval>,
+    /// Of their 99th percentiles, ms.
+    pub service_time_p99_ms: Option<Interval>,
+    /// Of their shares of samples above the target.
+    pub above_target: Option<Interval>,
+    /// Of their numbers of handovers.
+    pub handovers: Option<Interval>,
+}
+
+/// A mean over runs and its 95 % confidence interval, by Student's t distribution.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Interval {
+    /// The mean.
+    pub mean: f64,
+    /// From here; `None` for a single run, which says nothing of others.
+    pub low: Option<f64>,
+    /// To here.
+    pub high: Option<f64>,
+}
+
+impl Interval {
+    /// Of these values; `None` if there are none.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        if values.len() < 2 {
+            return (!values.is_empty()).then_some(Self { mean, low: None, high: None });
+        }
+        let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        let t = StudentsT::new(0.0, 1.0, n - 1.0)
+            .expect("the scale and the freedom are above 0")
+            .inverse_cdf(0.975);
+        let half = t * (variance / n).sqrt();
+        Some(Self { mean, low: Some(mean - half), high: Some(mean + half) })
+    }
+}
+
+impl Cell {
+    pub(crate) fn of(values: Vec<String>, runs: &[&Measured]) -> Self {
+        let over = |figure: fn(&Measured) -> Option<f64>| {
+            Interval::of(&runs.iter().filter_map(|run| figure(run)).collect::<Vec<_>>())
+        };
+        Self {
+            values,
+            runs: runs.len(),
+            service_time_p50_ms: over(|run| run.service_time_p50_ms),
+            service_time_p99_ms: over(|run| run.service_time_p99_ms),
+            above_target: over(|run| run.above_target),
+            handovers: over(|run| Some(run.handovers as f64)),
+        }
+    }
+
+    /// The intervals by name, as the table's columns have them.
+    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 4] {
+        [
+            ("service_time_p50_ms", self.service_time_p50_ms),
+            ("service_time_p99_ms", self.service_time_p99_ms),
+            ("above_target", self.above_target),
+            ("handovers", self.handovers),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_interval_is_students() {
+        // t for 4 degrees of freedom is 2.776; the standard error of 1 to 5 is sqrt(2.5 / 5).
+        let Interval { mean, low, high } = Interval::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
+        assert_eq!(mean, 3.0);
+        assert!((high.unwrap() - 3.0 - 2.776_445 * 0.5_f64.sqrt()).abs() < 1e-5, "{high:?}");
+        assert!((low.unwrap() + high.unwrap() - 6.0).abs() < 1e-12);
+        assert_eq!(Interval::of(&[7.0]), Some(Interval { mean: 7.0, low: None, high: None }));
+        assert_eq!(Interval::of(&[]), None);
+    }
+}

@@ -1,0 +1,198 @@
+//! A sweep's folder: a journal to which each run is added when it is done, and the tables and the plot made from it.
+
+use std::{
+    collections::HashMap,
+    fmt::Write as _,
+    fs::{self, File},
+    io::{self, BufRead, BufReader, Write as _},
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Interval, Measured, Runs, Sweep, figure};
+use crate::report::{FolderError, write};
+
+/// What [`SweepFolder::write`] makes: a row a run, a row a combination, a row a region of a run, and the plot.
+pub const FILES: [&str; 4] = ["runs.csv", "cells.csv", "regions.csv", "sweep.svg"];
+
+const JOURNAL: &str = "journal.jsonl";
+
+/// A sweep's folder. One process at a time can have it.
+#[derive(Debug)]
+pub struct SweepFolder {
+    path: PathBuf,
+    journal: File,
+}
+
+/// A line of the journal.
+#[derive(Serialize, Deserialize)]
+struct Line<M> {
+    run: String,
+    measured: M,
+}
+
+impl SweepFolder {
+    /// Opens a folder, or makes it.
+    ///
+    /// # Errors
+    /// [`FolderError`] if that is not possible, or another process has it.
+    pub fn open(path: &Path) -> Result<Self, FolderError> {
+        let fail = |path: &Path, source| FolderError::new(path, source);
+        fs::create_dir_all(path).map_err(|e| fail(path, e))?;
+        let path = path.canonicalize().map_err(|e| fail(path, e))?;
+        let journal = path.join(JOURNAL);
+        let file = File::options().read(true).append(true).create(true).open(&journal);
+        let file = file.map_err(|e| fail(&journal, e))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => {
+                return Err(fail(&journal, io::Error::other("another process runs this sweep")));
+            }
+            Err(fs::TryLockError::Error(error)) => return Err(fail(&journal, error)),
+        }
+        let folder = Self { path, journal: file };
+        folder.mend().map_err(|e| fail(&journal, e))?;
+        Ok(folder)
+    }
+
+    /// Cuts off a last line that was not written to its end.
+    fn mend(&self) -> io::Result<()> {
+        let text = fs::read(self.path.join(JOURNAL))?;
+        let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+        if whole < text.len() { self.journal.set_len(whole as u64) } else { Ok(()) }
+    }
+
+    /// Where it is; absolute.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Forgets all runs.
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn clear(&self) -> Result<(), FolderError> {
+        self.journal.set_len(0).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
+    }
+
+    /// The runs that it has, by name.
+    pub(crate) fn kept(&self) -> Result<HashMap<String, Measured>, FolderError> {
+        let path = self.path.join(JOURNAL);
+        let fail = |source| FolderError::new(&path, source);
+        let mut kept = HashMap::new();
+        for line in BufReader::new(File::open(&path).map_err(fail)?).lines() {
+            let Line { run, measured } =
+                serde_json::from_str(&line.map_err(fail)?).map_err(|e| fail(e.into()))?;
+            kept.insert(run, measured);
+        }
+        Ok(kept)
+    }
+
+    /// Keeps a run. When this returns it survives the end of the process, however that comes.
+    pub(crate) fn keep(&self, run: &str, measured: &Measured) -> Result<(), FolderError> {
+        let line = Line { run: run.to_owned(), measured };
+        let mut line = serde_json::to_string(&line).expect("what is measured holds only what JSON can");
+        line.push('\n');
+        (&self.journal).write_all(line.as_bytes()).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
+    }
+
+    /// Writes [`FILES`].
+    ///
+    /// # Errors
+    /// [`FolderError`].
+    pub fn write(&self, sweep: &Sweep, runs: &Runs) -> Result<(), FolderError> {
+        let cells = sweep.cells(runs);
+        let [of_runs, of_cells, of_regions, plot] = FILES;
+        write(&self.path, of_runs, &runs_csv(sweep, runs))?;
+        write(&self.path, of_cells, &cells_csv(sweep, &cells))?;
+        write(&self.path, of_regions, &regions_csv(sweep, runs))?;
+        write(&self.path, plot, &figure::draw(sweep, &cells))
+    }
+}
+
+fn runs_csv(sweep: &Sweep, runs: &Runs) -> String {
+    let mut text = heads(sweep);
+    text += "seed";
+    for (name, _) in runs.done.first().iter().flat_map(|done| done.measured.figures()) {
+        text += &format!(",{name}");
+    }
+    text.push('\n');
+    for done in &runs.done {
+        values(&mut text, &done.point.values);
+        text += &done.point.seed.to_string();
+        for (_, figure) in done.measured.figures() {
+            push(&mut text, figure);
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn cells_csv(sweep: &Sweep, cells: &[super::Cell]) -> String {
+    let mut text = heads(sweep);
+    text += "runs";
+    for (name, _) in cells.first().iter().flat_map(|cell| cell.intervals()) {
+        text += &format!(",{name},{name}_low,{name}_high");
+    }
+    text.push('\n');
+    for cell in cells {
+        values(&mut text, &cell.values);
+        text += &cell.runs.to_string();
+        for (_, interval) in cell.intervals() {
+            let Interval { mean, low, high } =
+                interval.unwrap_or(Interval { mean: f64::NAN, low: None, high: None });
+            for figure in [Some(mean).filter(|mean| !mean.is_nan()), low, high] {
+                push(&mut text, figure);
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn regions_csv(sweep: &Sweep, runs: &Runs) -> String {
+    let mut text = heads(sweep);
+    text += "seed,robot,attachment,server,from_s,to_s,samples,service_time_p50_ms\n";
+    for done in &runs.done {
+        for region in &done.measured.regions {
+            values(&mut text, &done.point.values);
+            let attachment = region.attachment.as_ref().map_or("", |attachment| attachment.as_str());
+            let fixed = write!(
+                text,
+                "{},{},{attachment},{},{:.6},{:.6},{}",
+                done.point.seed, region.robot, region.server, region.from_s, region.to_s, region.samples
+            );
+            fixed.expect("writing into a string cannot fail");
+            push(&mut text, region.p50_ms);
+            text.push('\n');
+        }
+    }
+    text
+}
+
+fn heads(sweep: &Sweep) -> String {
+    let mut text = String::new();
+    values(&mut text, &sweep.axes().iter().map(|axis| axis.path().to_owned()).collect::<Vec<_>>());
+    text
+}
+
+/// Cells, each with the comma behind it, quoted where need be (RFC 4180, 2).
+fn values(text: &mut String, values: &[String]) {
+    for value in values {
+        if value.contains(['"', ',', '\n', '\r']) {
+            *text += &format!("\"{}\",", value.replace('"', "\"\""));
+        } else {
+            *text += &format!("{value},");
+        }
+    }
+}
+
+/// A comma and a figure; nothing behind the comma where there is none.
+fn push(text: &mut String, figure: Option<f64>) {
+    text.push(',');
+    if let Some(figure) = figure {
+        // Nanoseconds of a figure in milliseconds.
+        *text += &format!("{}", (figure * 1e6).round() / 1e6);
+    }
+}

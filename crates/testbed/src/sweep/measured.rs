@@ -1,0 +1,114 @@
+//! What is kept of one run of a sweep.
+
+use cotorra_graph::NodeId;
+use serde::{Deserialize, Serialize};
+
+use crate::report::{Quantiles, RegionSummary, Summary};
+
+/// What came of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Measured {
+    /// How long it took, in virtual time, seconds.
+    pub duration_s: f64,
+    /// Whether every walk was done.
+    pub walked: bool,
+    /// How many service times were measured, unanswered ones included.
+    pub samples: usize,
+    /// How many of them got no answer.
+    pub unanswered: usize,
+    /// Share of samples over the target.
+    pub above_target: Option<f64>,
+    /// Median service time, ms.
+    pub service_time_p50_ms: Option<f64>,
+    /// Its 95th percentile.
+    pub service_time_p95_ms: Option<f64>,
+    /// Its 99th percentile.
+    pub service_time_p99_ms: Option<f64>,
+    /// The longest.
+    pub service_time_max_ms: Option<f64>,
+    /// Changes of radio unit.
+    pub handovers: usize,
+    /// Median time without connection in a handover, ms.
+    pub handover_gap_p50_ms: Option<f64>,
+    /// The longest.
+    pub handover_gap_max_ms: Option<f64>,
+    /// Placements after those at the start.
+    pub migrations: usize,
+    /// Plug-ins that were cut off.
+    pub plugin_faults: usize,
+    /// Stretches with one attachment and one server.
+    pub regions: Vec<Region>,
+}
+
+/// A stretch with one attachment and one server.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Region {
+    /// The robot.
+    pub robot: NodeId,
+    /// Its radio unit; `None` while it had none.
+    pub attachment: Option<NodeId>,
+    /// Where navigation ran.
+    pub server: NodeId,
+    /// Emission of the first sample, seconds.
+    pub from_s: f64,
+    /// Of the last.
+    pub to_s: f64,
+    /// Samples in it.
+    pub samples: usize,
+    /// Median service time, ms; `None` if no sample was answered.
+    pub p50_ms: Option<f64>,
+}
+
+impl Measured {
+    pub(crate) fn of(summary: &Summary) -> Self {
+        let service_time = |of: fn(&Quantiles) -> f64| summary.service_time_ms.as_ref().map(of);
+        let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
+        let region = |region: &RegionSummary| Region {
+            robot: region.robot.clone(),
+            attachment: region.attachment.clone(),
+            server: region.server.clone(),
+            from_s: region.from_s,
+            to_s: region.to_s,
+            samples: region.samples,
+            p50_ms: region.p50_ms,
+        };
+        Self {
+            duration_s: summary.duration_s,
+            walked: summary.ended == crate::core_loop::End::Walked.as_str(),
+            samples: summary.samples,
+            unanswered: summary.unanswered,
+            above_target: summary.above_target,
+            service_time_p50_ms: service_time(|q| q.p50),
+            service_time_p95_ms: service_time(|q| q.p95),
+            service_time_p99_ms: service_time(|q| q.p99),
+            service_time_max_ms: service_time(|q| q.max),
+            handovers: summary.handovers.len(),
+            handover_gap_p50_ms: gaps.map(|q| q.p50),
+            handover_gap_max_ms: gaps.map(|q| q.max),
+            migrations: summary.placements.iter().filter(|placement| placement.at_s > 0.0).count(),
+            plugin_faults: summary.plugin_faults.len(),
+            regions: summary.regions.iter().map(region).collect(),
+        }
+    }
+
+    /// The figures by name, as the table's columns have them; `None` where there is none.
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 14] {
+        let count = |n: usize| Some(n as f64);
+        [
+            ("duration_s", Some(self.duration_s)),
+            ("walked", count(usize::from(self.walked))),
+            ("samples", count(self.samples)),
+            ("unanswered", count(self.unanswered)),
+            ("above_target", self.above_target),
+            ("service_time_p50_ms", self.service_time_p50_ms),
+            ("service_time_p95_ms", self.service_time_p95_ms),
+            ("service_time_p99_ms", self.service_time_p99_ms),
+            ("service_time_max_ms", self.service_time_max_ms),
+            ("handovers", count(self.handovers)),
+            ("handover_gap_p50_ms", self.handover_gap_p50_ms),
+            ("handover_gap_max_ms", self.handover_gap_max_ms),
+            ("migrations", count(self.migrations)),
+            ("plugin_faults", count(self.plugin_faults)),
+        ]
+    }
+}

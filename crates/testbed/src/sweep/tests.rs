@@ -1,0 +1,112 @@
+use std::{fs, path::PathBuf};
+
+use super::*;
+
+const JOBS: NonZero<usize> = NonZero::new(2).unwrap();
+
+fn testbeds() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
+}
+
+fn sweep(axes: &[&str]) -> Sweep {
+    let text = fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
+    let sweep = Sweep::new("corridor.yaml", text, &testbeds()).until(Some(Duration::from_secs(15)));
+    axes.iter().fold(sweep, |sweep, axis| sweep.axis(axis.parse().unwrap()))
+}
+
+fn files(folder: &SweepFolder) -> Vec<String> {
+    FILES.map(|name| fs::read_to_string(folder.path().join(name)).unwrap()).into()
+}
+
+#[test]
+fn points_are_all_combinations_with_all_seeds() {
+    let sweep = sweep(&["links.*.delay_scale=1..2", "plugin=probing,okpi"]).seeds(2);
+    let points: Vec<_> = sweep.points().unwrap().iter().map(|point| sweep.name(point)).collect();
+    assert_eq!(points.len(), 8);
+    assert_eq!(points[0], "links.*.delay_scale=1 plugin=probing seed=1");
+    assert_eq!(points[3], "links.*.delay_scale=1 plugin=okpi seed=2");
+    assert_eq!(points[7], "links.*.delay_scale=2 plugin=okpi seed=2");
+}
+
+#[test]
+fn a_value_that_cannot_be_is_told_before_anything_runs() {
+    let SweepError::Testbed(wrong) = sweep(&["links.*.delay=1 ms,2"]).points().unwrap_err() else { panic!() };
+    assert!(wrong.to_string().contains("`2` has no unit"), "{wrong}");
+}
+
+#[test]
+fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    let sweep = sweep(&["links.*.delay_scale=1,2"]).seeds(3);
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    assert_eq!((runs.done.len(), runs.resumed, runs.total), (6, 0, 6));
+    let medians: Vec<_> = sweep.cells(&runs).iter().map(|cell| cell.service_time_p50_ms.unwrap()).collect();
+    // 2 ms over the air, and 9 ms over the wire once or twice.
+    assert!((medians[1].mean - medians[0].mean - 9.0).abs() < 0.1, "{medians:?}");
+    assert!(medians.iter().all(|i| i.low.unwrap() <= i.mean && i.mean <= i.high.unwrap()));
+}
+
+#[test]
+fn a_sweep_that_was_stopped_goes_on_and_ends_with_the_same_bytes() {
+    let out = tempfile::tempdir().unwrap();
+    let open = |name: &str| SweepFolder::open(&out.path().join(name)).unwrap();
+    let sweep = sweep(&["plugin=probing,okpi"]).seeds(3);
+    let whole = open("whole");
+    let runs = sweep.run(&whole, JOBS, |_, _| true).unwrap();
+    whole.write(&sweep, &runs).unwrap();
+
+    let path = {
+        let folder = open("stopped");
+        let stopped = sweep.run(&folder, JOBS, |done, _| done < 2).unwrap();
+        assert!((2..6).contains(&stopped.done.len()), "{}", stopped.done.len());
+        folder.path().to_owned()
+    };
+    // Killed in the middle of a line.
+    let journal = path.join("journal.jsonl");
+    let mut text = fs::read_to_string(&journal).unwrap();
+    let lines = text.lines().count();
+    text += "{\"run\":\"plugin=okpi se";
+    fs::write(&journal, text).unwrap();
+
+    let folder = open("stopped");
+    let mut told = Vec::new();
+    let rest = sweep
+        .run(&folder, JOBS, |done, of| {
+            told.push((done, of));
+            true
+        })
+        .unwrap();
+    assert_eq!((rest.done.len(), rest.resumed), (6, lines));
+    assert_eq!(told.first(), Some(&(lines, 6)));
+    assert_eq!(rest.done, runs.done);
+    folder.write(&sweep, &rest).unwrap();
+    assert_eq!(files(&folder), files(&whole));
+}
+
+#[test]
+fn tables_are_tidy() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    let sweep = sweep(&["walks.robot.waypoints=[[25.5, -27.8], [25.5, -24.6]]", "plugin=probing"]);
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    folder.write(&sweep, &runs).unwrap();
+    let files = files(&folder);
+    let head = "walks.robot.waypoints,plugin,seed,duration_s,walked,samples,unanswered,above_target,";
+    assert!(files[0].starts_with(head), "{}", files[0]);
+    assert!(files[0].lines().nth(1).unwrap().starts_with("\"[[25.5, -27.8], [25.5, -24.6]]\",probing,1,"));
+    for table in &files[..3] {
+        let commas = |line: &str| line.replace("\"[[25.5, -27.8], [25.5, -24.6]]\"", "").matches(',').count();
+        let columns = commas(table.lines().next().unwrap());
+        assert!(table.lines().all(|line| commas(line) == columns), "{table}");
+    }
+    assert!(files[3].starts_with("<svg"));
+}
+
+#[test]
+fn two_processes_do_not_share_a_folder() {
+    let out = tempfile::tempdir().unwrap();
+    let _first = SweepFolder::open(out.path()).unwrap();
+    let second = SweepFolder::open(out.path()).unwrap_err().to_string();
+    assert!(second.contains("another process runs this sweep"), "{second}");
+}
