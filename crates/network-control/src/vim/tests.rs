@@ -62,26 +62,49 @@ fn id<T: std::str::FromStr>(name: &str) -> T {
     name.parse().ok().unwrap()
 }
 
+/// How many instances of `moving` run.
+fn instances(vim: &Vim<InMemoryEngine>) -> usize {
+    vim.engine.running().filter(|(_, vnf, _)| vnf.as_str() == "moving").count()
+}
+
+fn order(events: &[Event]) -> Vec<String> {
+    let name = |event: &Event| match event {
+        Event::Vnf(v) => format!("{:?} {}", v.state, v.node),
+        Event::Placement(p) => format!("placed {}", p.node),
+        other => panic!("{other:?}"),
+    };
+    events.iter().map(name).collect()
+}
+
 #[test]
 fn a_move_starts_the_new_instance_before_it_stops_the_old_one() {
     let mut vim = vim();
     assert!(vim.all_ready());
     vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
     // Both run until the new one is ready; packets still go to the old one.
-    assert_eq!(vim.engine.running().filter(|(_, vnf, _)| vnf.as_str() == "moving").count(), 2);
+    assert_eq!(instances(&vim), 2);
     assert_eq!(names(&vim)[1], ("moving".into(), "a".into()));
-    let events = vim.poll(Timestamp::ZERO);
+    let ready = Timestamp::from_secs_f64(0.7);
+    assert_eq!(order(&vim.poll(ready)), ["Started b", "placed b"]);
     assert_eq!(names(&vim)[1], ("moving".into(), "b".into()));
-    let order: Vec<_> = events
-        .iter()
-        .map(|e| match e {
-            Event::Vnf(v) => format!("{:?} {}", v.state, v.node),
-            Event::Placement(p) => format!("placed {}", p.node),
-            other => panic!("{other:?}"),
-        })
-        .collect();
-    assert_eq!(order, ["Started b", "placed b", "Stopped a"]);
-    assert_eq!(vim.engine.running().filter(|(_, vnf, _)| vnf.as_str() == "moving").count(), 1);
+    // The old one still answers what was under way to it.
+    assert_eq!(instances(&vim), 2);
+    let end = vim.next_deadline().unwrap();
+    assert_eq!(end, ready + LAST_PACKETS);
+    assert_eq!(order(&vim.poll(end)), ["Stopped a"]);
+    assert_eq!((instances(&vim), vim.next_deadline()), (1, None));
+}
+
+#[test]
+fn an_instance_that_is_about_to_stop_serves_again_at_once() {
+    let mut vim = vim();
+    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    vim.poll(Timestamp::ZERO);
+    let back = Timestamp::from_secs_f64(0.5);
+    assert_eq!(order(&vim.place(back, &id("moving"), &id("a")).unwrap()), ["placed a"]);
+    assert_eq!((names(&vim)[1].1.as_str(), instances(&vim), vim.all_ready()), ("a", 2, true));
+    assert_eq!(order(&vim.poll(back + LAST_PACKETS)), ["Stopped b"]);
+    assert_eq!(instances(&vim), 1);
 }
 
 #[test]

@@ -24,8 +24,6 @@ use crate::{
     run::{Options, RunError},
 };
 
-/// A program that says nothing for so long while time waits for it counts as hung.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// How often it is looked whether a program that time waits for still runs.
 const LOOK: Duration = Duration::from_millis(20);
 /// Events that wait for a reader that time does not wait for; one that is further behind misses the oldest.
@@ -107,8 +105,13 @@ pub(super) struct Asked<'a> {
 }
 
 impl Apart {
-    /// Serves the API and starts the programs; `None` where a testbed has none.
-    pub(super) fn start(asked: &Asked<'_>, options: &Options) -> Result<Option<Self>, RunError> {
+    /// Serves the API and starts the programs; `None` where a testbed has none. One that says nothing for longer than
+    /// `patience` while time waits for it is cut off.
+    pub(super) fn start(
+        asked: &Asked<'_>,
+        options: &Options,
+        patience: Duration,
+    ) -> Result<Option<Self>, RunError> {
         let testbed = asked.testbed;
         if programs(testbed).next().is_none() {
             return Ok(None);
@@ -134,7 +137,6 @@ impl Apart {
         let started = host.start_programs(testbed, server.address(), asked.logs)?;
         let program = |id| Program { id, streams: Vec::new(), cut: false };
         let programs = started.into_iter().map(program).collect();
-        let patience = PATIENCE;
         Ok(Some(Self { _server: server, host, programs, inbox, live, stream, marks: 0, patience }))
     }
 

@@ -1,6 +1,6 @@
 //! A whole run in virtual time: what a run leaves, in a folder.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Recorder, RunInfo};
@@ -18,6 +18,9 @@ use crate::{
 /// After so many events the history is waited for, which virtual time would leave behind.
 const HISTORY_PACE: usize = 10_000;
 
+/// A program that says nothing for so long while time waits for it counts as hung.
+const PATIENCE: Duration = Duration::from_secs(60);
+
 /// Runs a testbed in virtual time to the end of its walks, or up to `options.until`, and leaves what a run leaves; gives
 /// what it came to. `go_on` is asked now and then, with the time, whether to. The API is served where a plug-in is a
 /// program of its own, which time waits for; by default on any free port of 127.0.0.1.
@@ -30,6 +33,17 @@ pub fn simulate(
     testbed: Testbed,
     text: &str,
     options: &Options,
+    go_on: impl FnMut(Timestamp) -> bool,
+) -> Result<Finished, RunError> {
+    simulate_with(testbed, text, options, PATIENCE, go_on)
+}
+
+/// The same with another patience for programs.
+pub(super) fn simulate_with(
+    testbed: Testbed,
+    text: &str,
+    options: &Options,
+    patience: Duration,
     mut go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
     let testbed = Arc::new(testbed);
@@ -48,7 +62,7 @@ pub fn simulate(
     let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0 };
     let asked =
         Asked { testbed: &testbed, history: &history, run, recorder: &books.recorder, logs: &folder.logs() };
-    let mut apart = Apart::start(&asked, options)?;
+    let mut apart = Apart::start(&asked, options, patience)?;
     let mut now = Timestamp::ZERO;
     let end = loop {
         // Before the first step, too: programs are there when it begins.

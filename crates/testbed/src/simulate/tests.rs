@@ -93,6 +93,43 @@ fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
 }
 
 #[test]
+fn whenever_a_vnf_moves_every_position_packet_is_answered() {
+    let testbed = corridor();
+    let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
+    // To and fro, each time at another moment between two position packets, which go out every 50 ms.
+    let mut moves =
+        (0..100_u16).map(|i| (Timestamp::from_secs_f64(1.0 + 0.1525 * f64::from(i)), i % 2)).peekable();
+    let (mut node, mut switched, mut samples) = ("cloud".to_owned(), Vec::new(), 0);
+    while moves.peek().is_some() || simulation.network.now.get().as_secs_f64() < 18.0 {
+        simulation.set_alarm(moves.peek().map(|(at, _)| *at));
+        let now = simulation.step();
+        while let Some(Stamped { at, event }) = simulation.poll_event() {
+            match event {
+                Event::Placement(placement) if placement.vnf.as_str() == "navigation" => {
+                    node = placement.node.to_string();
+                    switched.push((at, node.clone()));
+                }
+                Event::ServiceTime(sample) => {
+                    assert!(sample.took.is_some(), "sample {} got no answer", sample.sequence);
+                    // Packets go where the VNF is placed when they are emitted.
+                    let placed = switched.iter().rev().find(|(at, _)| *at <= sample.emitted);
+                    assert_eq!(placed.unwrap().1, sample.server.as_str());
+                    samples += 1;
+                }
+                _ => {}
+            }
+        }
+        if let Some((_, place)) = moves.next_if(|(at, _)| *at <= now) {
+            let node = ["edge", "cloud"][usize::from(place)].parse().unwrap();
+            let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node };
+            simulation.instruct("test".parse().unwrap(), place, None).unwrap();
+        }
+    }
+    assert_eq!((node.as_str(), switched.len()), ("cloud", 101));
+    assert!(samples > 330, "{samples} samples");
+}
+
+#[test]
 fn a_plugin_that_panics_is_cut_off_and_the_robot_walks_on() {
     struct Bomb;
     impl Plugin for Bomb {
@@ -134,11 +171,11 @@ fn two_runs_with_one_seed_leave_the_same_bytes() {
     let (first, second) = (run(), run());
     assert_eq!(first.summary, second.summary);
     assert!(first.summary.fidelity.valid && first.summary.samples > 700, "{:?}", first.summary);
-    for name in ["summary.json", "service_time.csv", "service_time.svg", "testbed.yaml"] {
-        let read = |run: &Finished| std::fs::read_to_string(run.folder.join(name)).unwrap();
+    for name in ["summary.json", "service_time.csv", "service_time.svg", "testbed.yaml", "history.sqlite"] {
+        let read = |run: &Finished| std::fs::read(run.folder.join(name)).unwrap();
         let (a, b) = (read(&first), read(&second));
-        let differs = a.bytes().zip(b.bytes()).position(|(a, b)| a != b);
-        assert!(a == b, "{name} differs from byte {differs:?} on: {:?}", a.get(differs.unwrap_or(0)..));
+        let differs = a.iter().zip(&b).position(|(a, b)| a != b);
+        assert!(a == b, "{name} differs from byte {differs:?} on");
     }
 }
 
@@ -173,4 +210,98 @@ fn okpi_keeps_the_target_with_the_published_placements() {
     assert_eq!(decided, [&out[..], &back[..]].concat());
     let over = report.samples().iter().filter(|s| s.took.is_none_or(|took| took.as_millis() >= 15)).count();
     assert!(over * 200 < report.samples().len(), "{over} of {} over the target", report.samples().len());
+}
+
+/// A run of the first seconds with the plug-in `probing` replaced by a program.
+fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Duration) -> (Finished, String) {
+    let out = tempfile::tempdir().unwrap();
+    let mut testbed = Testbed::clone(&corridor());
+    testbed.plugins[0].program = PluginProgram::Command(command.iter().map(ToString::to_string).collect());
+    testbed.plugins[0].settings = serde_json::from_value(settings).unwrap();
+    let options = Options {
+        seed: Some(1),
+        until: Some(Duration::from_secs(60)),
+        folder: Place::In(out.path().to_owned()),
+        ..Options::default()
+    };
+    let finished = run::simulate_with(testbed, "", &options, patience, |_| true).unwrap();
+    let samples = std::fs::read_to_string(finished.folder.join("service_time.csv")).unwrap();
+    (finished, samples)
+}
+
+const PATIENT: Duration = Duration::from_secs(600);
+
+/// The command that runs [`the_program_of_other_tests`].
+fn this_program() -> String {
+    std::env::current_exe().unwrap().to_str().unwrap().to_owned()
+}
+
+const AS_PROGRAM: [&str; 2] = ["--exact", "simulate::tests::the_program_of_other_tests"];
+
+/// What other tests start as a plug-in; by itself it does nothing.
+#[test]
+fn the_program_of_other_tests() {
+    if std::env::var_os("COTORRA_API").is_none() {
+        return;
+    }
+    let settings = cotorra_plugin::client::settings().unwrap();
+    if settings.contains_key("hang") {
+        let mut events = cotorra_plugin::client::Client::from_env().unwrap().events(&["robot"]).unwrap();
+        events.next().unwrap().unwrap();
+        loop {
+            std::thread::park();
+        }
+    }
+    let mut probing = cotorra_probing::Probing::from_settings(&settings, 1).unwrap();
+    cotorra_plugin::client::run(&mut probing).unwrap();
+}
+
+#[test]
+fn a_plugin_does_the_same_in_process_and_as_a_program() {
+    let testbed = corridor();
+    let mut report = Report::new(&testbed, 1);
+    for event in events_of(&testbed, 1, 60.0) {
+        report.absorb(&event);
+    }
+    let [exact, name] = AS_PROGRAM;
+    let run = || run_with_program(&[&this_program(), exact, name], serde_json::json!({}), PATIENT);
+    let ((first, samples), (second, again)) = (run(), run());
+    assert_eq!(first.summary.plugin_faults, [""; 0]);
+    assert!(!first.summary.handovers.is_empty());
+    let took = |report: &Report| report.samples().iter().map(|s| (s.sequence, s.took)).collect::<Vec<_>>();
+    let (apart, within) = (took(&first.report), took(&report));
+    let both = apart.len().min(within.len());
+    assert!(both > 1100);
+    assert_eq!(apart[..both], within[..both]);
+    assert_eq!(samples, again);
+    assert_eq!(first.summary, second.summary);
+}
+
+#[test]
+fn a_program_that_hangs_or_ends_is_cut_off_and_the_run_goes_on() {
+    let impatient = Duration::from_millis(300);
+    let [exact, name] = AS_PROGRAM;
+    let hung = [&*this_program(), exact, name];
+    for (command, patience, complaint) in [
+        (&["false"][..], PATIENT, "its program ended"),
+        (&["sleep", "1000"], impatient, "followed no `/api/v1/events`"),
+        (&hung, impatient * 10, "was not done with mark"),
+    ] {
+        let (finished, _) = run_with_program(command, serde_json::json!({ "hang": true }), patience);
+        let faults = &finished.summary.plugin_faults;
+        assert!(matches!(&faults[..], [fault] if fault.contains(complaint)), "{command:?}: {faults:?}");
+        assert!(finished.summary.samples > 1100);
+    }
+}
+
+#[test]
+fn who_waits_for_a_program_can_stop_the_run() {
+    let mut testbed = Testbed::clone(&corridor());
+    testbed.plugins[0].program = PluginProgram::Command(vec!["sleep".to_owned(), "1000".to_owned()]);
+    let out = tempfile::tempdir().unwrap();
+    let folder = Place::In(out.path().to_owned());
+    let options = Options { folder, ..Options::default() };
+    assert!(simulate(testbed.clone(), "", &options, |_| false).unwrap().was_stopped());
+    let bare = Simulation::new(Arc::new(testbed), 1);
+    assert!(matches!(bare, Err(RunError::Plugin(PluginError::NeedsRun(_)))));
 }
