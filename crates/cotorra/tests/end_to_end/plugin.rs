@@ -2,15 +2,19 @@
 
 use std::{
     fs,
+    path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
-use crate::harness::{Run, corridor, project_file, wait_until};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::harness::{Run, corridor, cotorra, output, project_file, stderr, wait_until};
 
 #[test]
 fn the_python_example_runs_against_a_live_testbed() {
     let script = project_file("examples/strongest_signal.py");
-    assert!(fs::read_to_string(&script).unwrap().lines().count() < 60);
+    assert!(fs::read_to_string(&script).unwrap().lines().count() <= 60);
     let run = Run::start(&corridor(), &["--until", "5min"]);
     run.wait_for_service();
     let mut python = Command::new("python3");
@@ -28,6 +32,77 @@ fn the_python_example_runs_against_a_live_testbed() {
                 > 1
     });
     assert!(python.try_wait().unwrap().is_none(), "it ended by itself");
+    // What virtual time waits for does nothing here.
+    assert_eq!(run.post("/api/v1/marks/1?wake_at_ns=5", "{}").0, 200);
     python.kill().unwrap();
     python.wait().unwrap();
+}
+
+/// The corridor with a script as its only plug-in.
+fn corridor_with(script: &str, folder: &Path) -> PathBuf {
+    let text = fs::read_to_string(corridor()).unwrap();
+    let map = project_file("testbeds/maps/corridor.yaml");
+    let script = project_file(script);
+    let (before, _) = text.split_once("\nplugins:").unwrap();
+    let before = before.replace("maps/corridor.yaml", map.to_str().unwrap());
+    let plugins = format!("\nplugins:\n  - id: mine\n    command: [python3, {}]\n", script.display());
+    let file = folder.join("testbed.yaml");
+    fs::write(&file, before + &plugins).unwrap();
+    file
+}
+
+#[test]
+fn virtual_time_waits_for_a_python_script_and_repeats_to_the_byte() {
+    let out = TempDir::new().unwrap();
+    for (script, servers) in [
+        ("examples/strongest_signal.py", &["cloud"][..]),
+        // On the way to R2 the cloud is too far; on this walk nothing else is.
+        ("examples/cheapest_in_time.py", &["cloud", "edge"]),
+    ] {
+        let testbed = corridor_with(script, out.path());
+        let simulate = |name: &str| {
+            let folder = out.path().join(Path::new(script).file_stem().unwrap()).join(name);
+            let run = ["run", "--simulate", "--headless", "--until", "100s", "--out"].map(Path::new);
+            let done = output(run.into_iter().chain([&*folder, &*testbed]));
+            assert!(done.status.success(), "{}", stderr(&done));
+            fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path()
+        };
+        let (first, second) = (simulate("first"), simulate("second"));
+        for name in ["summary.json", "service_time.csv", "service_time.svg", "history.sqlite"] {
+            let read = |folder: &Path| fs::read(folder.join(name)).unwrap();
+            assert!(read(&first) == read(&second), "{script}: {name} differs");
+        }
+        let summary: Value =
+            serde_json::from_str(&fs::read_to_string(first.join("summary.json")).unwrap()).unwrap();
+        assert_eq!(summary["plugin_faults"], serde_json::json!([]), "{script}");
+        assert!(!summary["handovers"].as_array().unwrap().is_empty(), "{script}: {summary}");
+        let regions = summary["regions"].as_array().unwrap().iter();
+        let mut visited: Vec<_> = regions.map(|region| region["server"].as_str().unwrap()).collect();
+        visited.dedup();
+        assert_eq!(visited, servers, "{script}");
+    }
+}
+
+#[test]
+fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
+    let out = TempDir::new().unwrap();
+    let testbed = corridor_with("examples/strongest_signal.py", out.path());
+    let text = fs::read_to_string(&testbed).unwrap();
+    let (before, _) = text.split_once("command:").unwrap();
+    fs::write(&testbed, format!("{before}command: [sleep, '1000']\n")).unwrap();
+    let folder = out.path().join("runs");
+    let mut command = cotorra(["run", "--simulate", "--headless", "--out"].map(Path::new));
+    let mut child = command.arg(&folder).arg(&testbed).stdout(Stdio::null()).spawn().unwrap();
+    // It waits once the plug-in's log is there.
+    let started = || {
+        let runs = fs::read_dir(&folder).into_iter().flatten().flatten();
+        runs.map(|run| run.path().join("logs/plugin-mine.log")).any(|log| log.exists())
+    };
+    wait_until(started);
+    assert!(Command::new("kill").args(["-s", "INT", &child.id().to_string()]).status().unwrap().success());
+    child.wait().unwrap();
+    let run = fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path();
+    let summary: Value =
+        serde_json::from_str(&fs::read_to_string(run.join("summary.json")).unwrap()).unwrap();
+    assert_eq!(summary["ended"], "it was stopped");
 }

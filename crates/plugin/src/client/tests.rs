@@ -233,6 +233,50 @@ fn a_plug_in_runs_apart_until_the_run_ends() {
 }
 
 #[test]
+fn in_virtual_time_a_plug_in_is_called_mark_by_mark_and_says_when_it_wants_to_be_woken() {
+    let scanned =
+        |at: u64| format!("data: {{\"at\": {at}, \"event\": \"scanned\", \"robot\": \"robot\"}}\n\n");
+    let mark = |number: u64, now: u64| format!("event: mark\nid: {number}\ndata: {now}\n\n");
+    let events = [mark(7, 0), scanned(90), scanned(100), mark(8, 100), mark(12, 5_000)].concat();
+    let done = || ok(&json!({ "done": true }));
+    let (client, asked) = server(vec![
+        stream(&events),
+        ok(&testbed()),
+        done(), // the scan at the start
+        done(), // mark 7
+        done(), // two scans, one for each event
+        response("409 Conflict", r#"{"refused": "no"}"#),
+        done(), // mark 8
+        done(), // mark 12
+    ]);
+    let mut plugin = Scanner::default();
+    client.run(&mut plugin).unwrap();
+    let t = Timestamp::from_nanos;
+    let calls = [("start", t(0)), ("expire", t(100)), ("handle", t(100)), ("handle", t(100))];
+    assert_eq!(plugin.calls, calls, "one time for a whole mark, and a deadline that has come first");
+    let lines: Vec<_> =
+        asked.try_iter().map(|request| request.line).filter(|line| line.contains("marks")).collect();
+    let said = ["POST /api/v1/marks/7?wake_at_ns=0", "POST /api/v1/marks/8", "POST /api/v1/marks/12"];
+    assert_eq!(lines, said);
+}
+
+#[test]
+fn a_mark_is_done_when_the_event_after_it_is_asked_for() {
+    let events = "event: mark\nid: 1\ndata: 0\n\n\
+                  data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
+                  event: mark\nid: 2\ndata: 5\n\n";
+    let done = || ok(&json!({ "done": true }));
+    let (client, asked) = server(vec![stream(events), done(), done()]);
+    let mut events = client.events(&[]).unwrap();
+    assert_eq!(asked.recv().unwrap().line, "GET /api/v1/events");
+    assert!(events.next().unwrap().is_ok());
+    assert_eq!(asked.recv().unwrap().line, "POST /api/v1/marks/1");
+    assert!(asked.try_recv().is_err(), "the event is still being taken in");
+    assert!(events.next().is_none());
+    assert_eq!(asked.recv().unwrap().line, "POST /api/v1/marks/2");
+}
+
+#[test]
 fn a_plug_in_ends_with_a_run_that_ends_before_it() {
     let (client, _asked) = server(vec![stream(":\n\n"), ok(&testbed())]);
     client.run(&mut Scanner::default()).unwrap();
