@@ -52,7 +52,7 @@ fn row(gamma: u16, instances: &[Instance]) {
         gaps.extend(placed.map(|placed| (placed.cost / instance.optimum - 1.0) * 100.0));
     }
     let found = gaps.len() as f64 / instances.len() as f64 * 100.0;
-    let mean = gaps.iter().sum::<f64>() / gaps.len().max(1) as f64;
+    let mean = gaps.iter().fold(0.0, |sum, gap| sum + gap) / gaps.len().max(1) as f64;
     let [p95, largest] = [0.95, 1.0].map(|share| quantile(&mut gaps, share));
     let [median, slowest] = [0.5, 1.0].map(|share| quantile(&mut times, share));
     println!(

@@ -79,17 +79,15 @@ impl Way {
 #[derive(Debug, Clone)]
 enum Wired {
     Nothing,
-    /// The shortest path, by its tree, from a node to another.
+    /// The path that a tree has to a node.
     Tree(Rc<Tree>, usize),
-    Links(Rc<[usize]>),
 }
 
 impl Wired {
-    fn links(&self) -> Rc<[usize]> {
+    fn links(&self) -> Vec<usize> {
         match self {
-            Self::Nothing => Rc::from([]),
-            Self::Tree(tree, to) => tree.links(*to).into(),
-            Self::Links(links) => Rc::clone(links),
+            Self::Nothing => Vec::new(),
+            Self::Tree(tree, to) => tree.links(*to),
         }
     }
 }
@@ -206,26 +204,38 @@ pub(crate) struct Exploration<'d, 'a> {
     decision: &'d mut Decision<'a>,
     gamma: u64,
     kpis: Pair<Kpi>,
+    /// Whether cost matters, and which radio unit is taken.
+    priced: bool,
     /// Levels in a nanosecond, and in a unit of unreliability.
     scale: Pair<f64>,
     labels: Vec<Label>,
     /// Labels of each VNF on each host.
     fronts: Vec<Vec<usize>>,
     queue: BinaryHeap<Reverse<(Rank, usize)>>,
-    /// Which links the path uses that is being continued; they fail only once.
-    used: Vec<bool>,
+    /// What the path that is being continued sends over each link, bit/s; `None` over those that it does not use.
+    used: Vec<Option<f64>>,
 }
 
 impl<'d, 'a> Exploration<'d, 'a> {
-    pub(crate) fn new(decision: &'d mut Decision<'a>, gamma: f64, kpis: Pair<Kpi>) -> Self {
+    pub(crate) fn new(decision: &'d mut Decision<'a>, gamma: f64, kpis: Pair<Kpi>, priced: bool) -> Self {
         let Service { vnfs, service_time, reliability } = decision.service;
         let budgets =
             [service_time.as_nanos() as f64, reliability.map_or(f64::INFINITY, |target| -target.ln())];
         let fronts = vec![Vec::new(); vnfs.len() * decision.infrastructure.nodes.len()];
         let scale = budgets.map(|budget| gamma / budget);
         let gamma = gamma as u64;
-        let used = vec![false; decision.infrastructure.links.len()];
-        Self { decision, gamma, kpis, scale, labels: Vec::new(), fronts, queue: BinaryHeap::new(), used }
+        let used = vec![None; decision.infrastructure.links.len()];
+        Self {
+            decision,
+            gamma,
+            kpis,
+            priced,
+            scale,
+            labels: Vec::new(),
+            fronts,
+            queue: BinaryHeap::new(),
+            used,
+        }
     }
 
     /// The best placement, or the first VNF that gets none.
@@ -243,9 +253,9 @@ impl<'d, 'a> Exploration<'d, 'a> {
             // What came after it may have beaten it.
             if !self.is_needless(&self.labels[at], Some(at)) {
                 let used = self.taken_of_links(&self.labels[at]);
-                used.iter().for_each(|(link, _)| self.used[*link] = true);
+                used.iter().for_each(|&(link, sent)| self.used[link] = Some(sent));
                 self.go_on(at);
-                used.iter().for_each(|(link, _)| self.used[*link] = false);
+                used.iter().for_each(|(link, _)| self.used[*link] = None);
             }
         }
         Err(farthest.map_or(0, |vnf| vnf + 1))
@@ -264,13 +274,13 @@ impl<'d, 'a> Exploration<'d, 'a> {
         let wide = |link: &Option<usize>| link.is_none_or(|link| links[link].free_bps >= rate);
         for first in self.decision.ends[from].clone().into_iter().filter(wide) {
             let start = first.map_or(from, unit);
-            let trees = self.decision.paths.shortest(start, rate);
+            let mut trees = self.decision.paths.shortest(start, rate);
             for &to in next.hosts.iter().filter(|&&to| to != from) {
                 for place in 0..self.decision.ends[to].len() {
                     let last = self.decision.ends[to][place];
                     if wide(&last) {
                         let end = last.map_or(to, unit);
-                        self.go_to(before, to, [first, last], [start, end], &trees);
+                        self.go_to(before, to, [first, last], [start, end], &mut trees);
                     }
                 }
             }
@@ -284,7 +294,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         to: usize,
         wireless: Pair<Option<usize>>,
         [start, end]: [usize; 2],
-        trees: &Shortest,
+        trees: &mut Shortest,
     ) {
         let [first, last] = wireless.map(|link| self.over_the_air(link));
         let way = |wired, figures, free_bps: f64| Way {
@@ -308,10 +318,10 @@ impl<'d, 'a> Exploration<'d, 'a> {
         // … or where the fastest is full of what the service sends over it already.
         if !finds_room {
             let rate = self.decision.service.vnfs[self.labels[before].vnf + 1].rate_bps;
-            for path in self.decision.paths.next(start, end, rate).iter() {
-                let wired = Wired::Links(Rc::clone(&path.links));
-                let figures = self.anew(path.figures, path.links.iter().copied());
-                self.reach(Some(before), to, way(wired, figures, path.free_bps));
+            let Some(tree) = self.decision.paths.around(trees, start, rate, &self.used) else { return };
+            if let Some((figures, free_bps)) = tree.to(end) {
+                let figures = self.anew(figures, tree.walk(end));
+                self.reach(Some(before), to, way(over(&tree), figures, free_bps));
             }
         }
     }
@@ -320,7 +330,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
     fn over_the_air(&self, link: Option<usize>) -> (Figures, f64) {
         link.map_or((Figures::default(), f64::INFINITY), |link| {
             let figures = self.decision.paths.figures(link);
-            let figures = if self.used[link] { figures.again() } else { figures };
+            let figures = if self.used[link].is_some() { figures.again() } else { figures };
             (figures, self.decision.infrastructure.links[link].free_bps)
         })
     }
@@ -330,7 +340,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         if self.decision.service.reliability.is_none() {
             return figures;
         }
-        let again = path.filter(|&link| self.used[link]);
+        let again = path.filter(|&link| self.used[link].is_some());
         let known: f64 = again.map(|link| self.decision.paths.figures(link).failure).sum();
         Figures { failure: (figures.failure - known).max(0.0), ..figures }
     }
@@ -370,9 +380,13 @@ impl<'d, 'a> Exploration<'d, 'a> {
                 Kpi::Kept | Kpi::Ignored => {}
             }
         }
-        let cost = last.map_or(0, |label| label.cost) + decision.cost(vnf, node);
-        let used = way.wireless.iter().flatten().max().copied().unwrap_or(0);
-        let preference = last.map_or(0, |label| label.preference).max(used);
+        let (mut cost, mut preference, mut cost_to_come) = (0, 0, 0);
+        if self.priced {
+            cost = last.map_or(0, |label| label.cost) + decision.cost(vnf, node);
+            cost_to_come = after.cost;
+            let used = way.wireless.iter().flatten().max().copied().unwrap_or(0);
+            preference = last.map_or(0, |label| label.preference).max(used);
+        }
         let exact = way.hops.iter().fold(own, |sum, hop| sum.and(*hop));
         let exact = last.map_or(exact, |label| label.exact.and(exact));
         let narrow = way.free_bps < decision.after[0].rate_bps || last.is_some_and(|label| label.narrow);
@@ -383,7 +397,8 @@ impl<'d, 'a> Exploration<'d, 'a> {
         if !self.links_fit(&label) {
             return false;
         }
-        let rank = (excess, cost + after.cost, preference, exact.delay_ns, exact.failure.max(0.0).to_bits());
+        let rank =
+            (excess, cost + cost_to_come, preference, exact.delay_ns, exact.failure.max(0.0).to_bits());
         let front = self.front(&label);
         self.fronts[front].push(self.labels.len());
         self.queue.push(Reverse((rank, self.labels.len())));
@@ -428,7 +443,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
     /// The links of a label's way.
     fn links(&self, label: &Label) -> Vec<usize> {
         let [first, last] = label.way.wireless;
-        first.into_iter().chain(label.way.wired.links().iter().copied()).chain(last).collect()
+        first.into_iter().chain(label.way.wired.links()).chain(last).collect()
     }
 
     /// What a path takes of each link that it uses, bit/s.
@@ -574,6 +589,6 @@ impl Node {
 }
 
 /// Whether so much is free, but for rounding errors of sums.
-fn fits(free: f64, needed: f64) -> bool {
+pub(crate) fn fits(free: f64, needed: f64) -> bool {
     needed <= free + free.abs().min(1e12) * 1e-9
 }

@@ -54,7 +54,8 @@ impl Okpi {
     ///
     /// - `gamma`: γ, levels that each KPI's budget is counted in, rounded up at each hop; by default `4`, with which
     ///   the published decisions come out;
-    /// - `k_paths`: paths that are tried between two hosts, by default `3`;
+    /// - `k_paths`: paths that are tried between two hosts, from `1` to `3`, by default `3`: the fastest, the most
+    ///   reliable, the fastest with room beside what the service sends already;
     /// - `relax`: where no placement keeps the KPIs, `true` takes the one that exceeds them least and says so, `false`,
     ///   the default, leaves all as it is;
     /// - `floor` and `margin`: a radio unit covers a location where its mean signal is above the floor, by default

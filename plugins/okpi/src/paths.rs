@@ -1,13 +1,16 @@
-//! Paths between hosts over wired links: the shortest to all by one tree, and the next shortest by Yen's algorithm
-//! (Management Science 17(11), 1971), which is run only for the pairs that need more than the shortest.
+//! Paths between hosts over wired links, from one host to all others by one tree: the fastest, those that fail least
+//! often, and the fastest that have room beside what is sent already.
 
 use std::{
     cmp::Reverse,
-    collections::{BTreeSet, BinaryHeap, HashMap},
+    collections::{BinaryHeap, HashMap},
     rc::Rc,
 };
 
-use crate::model::{Infrastructure, Link};
+use crate::{
+    exploration::fits,
+    model::{Infrastructure, Link},
+};
 
 /// Delay and reliability of some links in a row.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -85,20 +88,14 @@ impl Tree {
     }
 }
 
-/// A way from one node to another: links in order.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Path {
-    pub(crate) links: Rc<[usize]>,
-    pub(crate) figures: Figures,
-    /// What is free on its narrowest link, bit/s.
-    pub(crate) free_bps: f64,
-}
-
-/// The shortest paths from one node: the fastest and, where reliability counts, those that fail least often.
+/// The shortest paths from one node.
 #[derive(Debug, Clone)]
 pub(crate) struct Shortest {
     pub(crate) fastest: Rc<Tree>,
+    /// Those that fail least often, where reliability counts.
     pub(crate) safest: Option<Rc<Tree>>,
+    /// The fastest with room beside what is sent already, once they were asked for.
+    around: Option<Rc<Tree>>,
 }
 
 /// A source, and the rate that links must have free (as bits, so that it can be a key).
@@ -110,10 +107,10 @@ pub(crate) struct Paths<'a> {
     figures: Vec<Figures>,
     /// Wired links of each node: the other end and the link.
     edges: Vec<Vec<(usize, usize)>>,
+    /// How many paths are tried between two hosts.
     at_most: usize,
     reliability_counts: bool,
     shortest: HashMap<Key, Shortest>,
-    alternatives: HashMap<(Key, usize), Rc<[Path]>>,
 }
 
 impl<'a> Paths<'a> {
@@ -126,8 +123,7 @@ impl<'a> Paths<'a> {
             edges[b].push((a, i));
         }
         let figures = infrastructure.links.iter().map(Figures::of).collect();
-        let (shortest, alternatives) = (HashMap::new(), HashMap::new());
-        Self { infrastructure, figures, edges, at_most, reliability_counts, shortest, alternatives }
+        Self { infrastructure, figures, edges, at_most, reliability_counts, shortest: HashMap::new() }
     }
 
     /// What a link amounts to.
@@ -141,9 +137,9 @@ impl<'a> Paths<'a> {
         if let Some(known) = self.shortest.get(&key) {
             return known.clone();
         }
-        let tree = |by| Rc::new(self.tree(by, &[(from, Figures::default())], None, rate_bps, &|_, _| true));
-        let safest = self.reliability_counts.then(|| tree(By::Failure));
-        let found = Shortest { fastest: tree(By::Delay), safest };
+        let tree = |by| Rc::new(self.tree(by, &[(from, Figures::default())], rate_bps, &|_| 0.0));
+        let safest = (self.reliability_counts && self.at_most > 1).then(|| tree(By::Failure));
+        let found = Shortest { fastest: tree(By::Delay), safest, around: None };
         self.shortest.insert(key, found.clone());
         found
     }
@@ -160,7 +156,7 @@ impl<'a> Paths<'a> {
             let beyond = ends.iter().find(|(end, _)| *end == robot).map(|(_, beyond)| *beyond);
             ends.extend(beyond.map(|beyond| (unit, beyond.and(self.figures[link]))));
         }
-        let tree = self.tree(By::Delay, &ends, None, rate_bps, &|_, _| true);
+        let tree = self.tree(By::Delay, &ends, rate_bps, &|_| 0.0);
         let nowhere = u64::MAX;
         let mut all: Vec<_> =
             (0..self.edges.len()).map(|node| tree.to(node).map_or(nowhere, |(f, _)| f.delay_ns)).collect();
@@ -171,64 +167,32 @@ impl<'a> Paths<'a> {
         all
     }
 
-    /// The next paths after the fastest, fastest first.
-    pub(crate) fn next(&mut self, from: usize, to: usize, rate_bps: f64) -> Rc<[Path]> {
-        let key = ((from, rate_bps.to_bits()), to);
-        if let Some(paths) = self.alternatives.get(&key) {
-            return paths.clone();
+    /// The fastest paths from a node that have so much free besides what is sent over links already; `None` where so
+    /// many paths are not to be tried.
+    pub(crate) fn around(
+        &self,
+        known: &mut Shortest,
+        from: usize,
+        rate_bps: f64,
+        sent: &[Option<f64>],
+    ) -> Option<Rc<Tree>> {
+        if self.at_most < 3 {
+            return None;
         }
-        let tree = self.shortest(from, rate_bps).fastest;
-        let found: Rc<[_]> = if from == to || tree.to(to).is_none() {
-            Rc::from([])
-        } else {
-            self.yen(from, to, rate_bps, tree.links(to)).into()
+        let tree = || {
+            self.tree(By::Delay, &[(from, Figures::default())], rate_bps, &|link| sent[link].unwrap_or(0.0))
         };
-        self.alternatives.insert(key, found.clone());
-        found
+        Some(Rc::clone(known.around.get_or_insert_with(|| Rc::new(tree()))))
     }
 
-    fn yen(&self, from: usize, to: usize, rate_bps: f64, first: Vec<usize>) -> Vec<Path> {
-        let mut found = vec![first];
-        // By delay, then by links, so that equals come in an order of their own.
-        let mut candidates: BTreeSet<(u64, Vec<usize>)> = BTreeSet::new();
-        while found.len() < self.at_most {
-            let last = found[found.len() - 1].clone();
-            let mut spur = from;
-            let mut passed = BTreeSet::new();
-            for i in 0..last.len() {
-                let same_so_far = found.iter().filter(|path| path.len() > i && path[..i] == last[..i]);
-                let without: BTreeSet<_> = same_so_far.map(|path| path[i]).collect();
-                let open = |node: usize, link: usize| !passed.contains(&node) && !without.contains(&link);
-                let tree = self.tree(By::Delay, &[(spur, Figures::default())], Some(to), rate_bps, &open);
-                if tree.to(to).is_some() {
-                    let links: Vec<_> = last[..i].iter().copied().chain(tree.links(to)).collect();
-                    candidates.insert((self.path(&links).figures.delay_ns, links));
-                }
-                passed.insert(spur);
-                let [a, b] = self.infrastructure.links[last[i]].ends;
-                spur = if a == spur { b } else { a };
-            }
-            let Some((_, links)) = candidates.pop_first() else { break };
-            found.push(links);
-        }
-        found.iter().skip(1).map(|links| self.path(links)).collect()
-    }
-
-    fn path(&self, links: &[usize]) -> Path {
-        let figures = links.iter().fold(Figures::default(), |sum, &link| sum.and(self.figures[link]));
-        let free = links.iter().map(|&link| self.infrastructure.links[link].free_bps);
-        Path { links: links.into(), figures, free_bps: free.fold(f64::INFINITY, f64::min) }
-    }
-
-    /// Dijkstra's algorithm from some nodes, over nodes that forward; of equals the one with fewer hops, then the
-    /// first. Nothing beyond `to` is sought, and of the wired links with so much free only the open ones are taken.
+    /// Dijkstra's algorithm from some nodes, over nodes that forward and wired links that have so much free besides what
+    /// is sent over them; of equals the path with fewer hops, then the first.
     fn tree(
         &self,
         by: By,
         from: &[(usize, Figures)],
-        to: Option<usize>,
         rate_bps: f64,
-        open: &dyn Fn(usize, usize) -> bool,
+        sent_bps: &dyn Fn(usize) -> f64,
     ) -> Tree {
         let nodes = &self.infrastructure.nodes;
         let mut reached: Vec<Option<Reached>> = vec![None; self.edges.len()];
@@ -243,16 +207,13 @@ impl<'a> Paths<'a> {
             }
         }
         while let Some(Reverse((rank, at, beginning))) = queue.pop() {
-            if Some(at) == to {
-                break;
-            }
             // Paths begin at each of the first nodes, even where one from another leads there that is shorter.
             let begun = beginning.map(|i| (from[i].1, f64::INFINITY));
             let known = || reached[at].filter(|_| rank == best[at]).map(|r| (r.figures, r.free_bps));
             let Some((figures_here, free_here)) = begun.or_else(known) else { continue };
             for &(next, link) in &self.edges[at] {
                 let free = self.infrastructure.links[link].free_bps;
-                if free < rate_bps || !open(next, link) {
+                if !fits(free, rate_bps + sent_bps(link)) {
                     continue;
                 }
                 let figures = figures_here.and(self.figures[link]);
@@ -261,7 +222,7 @@ impl<'a> Paths<'a> {
                     best[next] = rank;
                     let free_bps = free_here.min(free);
                     reached[next] = Some(Reached { figures, free_bps, by: Some((at, link)) });
-                    if nodes[next].forwards || Some(next) == to {
+                    if nodes[next].forwards {
                         queue.push(Reverse((rank, next, None)));
                     }
                 }

@@ -16,7 +16,8 @@ use crate::{
 pub struct Search {
     /// γ: levels that each KPI's budget is divided into.
     pub gamma: u16,
-    /// Paths that are tried between two hosts.
+    /// Paths that are tried between two hosts, as far as they differ: the fastest, the one that fails least often, the
+    /// fastest with room beside what the service sends already. There are no more.
     pub k_paths: NonZeroUsize,
     /// So many labels of a VNF on a host must beat another, each with other resources taken, before it is dropped.
     pub rivals: NonZeroUsize,
@@ -152,11 +153,12 @@ pub fn place(
         return Err(Infeasible::NoLevels);
     }
     let mut decision = Decision::new(service, infrastructure, search)?;
-    let mut seek = |gamma, kpis| Exploration::new(&mut decision, gamma, kpis).run();
-    if let Ok(placed) = seek(f64::from(search.gamma), [Kpi::Kept; 2]) {
+    let mut seek = |gamma, kpis, priced| Exploration::new(&mut decision, gamma, kpis, priced).run();
+    if let Ok(placed) = seek(f64::from(search.gamma), [Kpi::Kept; 2], true) {
         return Ok(placed);
     }
-    let closest = match seek(EXACTLY, [Kpi::Relaxed; 2]) {
+    // What can be reached at all does not depend on its cost, unless somebody is to pay it.
+    let closest = match seek(EXACTLY, [Kpi::Relaxed; 2], search.relax) {
         Ok(closest) if search.relax => return Ok(closest),
         Ok(closest) => closest,
         Err(vnf) => {
@@ -170,16 +172,16 @@ pub fn place(
         return Err(Infeasible::Resolution { gamma: search.gamma });
     }
     let target = service.service_time;
-    let fastest = seek(EXACTLY, [Kpi::Relaxed, Kpi::Ignored]).unwrap_or_else(|_| closest.clone());
+    let fastest = seek(EXACTLY, [Kpi::Relaxed, Kpi::Ignored], false).unwrap_or_else(|_| closest.clone());
     if late(&fastest) {
         let least = fastest.service_time;
         return Err(Infeasible::ServiceTime { least, target, excess: least - target });
     }
-    let safest = seek(EXACTLY, [Kpi::Ignored, Kpi::Relaxed]).unwrap_or(closest);
+    let safest = seek(EXACTLY, [Kpi::Ignored, Kpi::Relaxed], false).unwrap_or(closest);
     if let Some(target) = service.reliability.filter(|_| failing(&safest)) {
         let most = safest.reliability;
         return Err(Infeasible::Reliability { most, target, lack: target - most });
     }
-    let both = seek(EXACTLY, [Kpi::Relaxed, Kpi::Kept]).unwrap_or(safest);
+    let both = seek(EXACTLY, [Kpi::Relaxed, Kpi::Kept], false).unwrap_or(safest);
     Err(Infeasible::Together { service_time: both.service_time, target })
 }

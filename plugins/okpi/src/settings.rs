@@ -91,7 +91,7 @@ impl Settings {
             match name.as_str() {
                 "gamma" => search.gamma = count("gamma", value, 1000)? as u16,
                 "k_paths" => {
-                    let paths = count("k_paths", value, 64)? as usize;
+                    let paths = count("k_paths", value, 3)? as usize;
                     search.k_paths = search.k_paths.min(NonZeroUsize::MIN).saturating_add(paths - 1);
                 }
                 "relax" => {
@@ -254,12 +254,12 @@ mod tests {
     #[test]
     fn reads_all_that_can_be_set() {
         let settings = decode(json!({
-            "gamma": 10, "k_paths": 5, "relax": true, "hysteresis": "0.8 m",
+            "gamma": 10, "k_paths": 2, "relax": true, "hysteresis": "0.8 m",
             "coverage": { "R1": [[0, 0], [1.5, 0], [0, 2]] },
             "processing": { "navigation": { "service_rate": "500 /s", "arrival_rate": "20/s" } },
         }))
         .unwrap();
-        assert_eq!(settings.search, Search { k_paths: 5.try_into().unwrap(), relax: true, ..Search::at(10) });
+        assert_eq!(settings.search, Search { k_paths: 2.try_into().unwrap(), relax: true, ..Search::at(10) });
         let area = vec![Position::new(0.0, 0.0), Position::new(1.5, 0.0), Position::new(0.0, 2.0)];
         let areas = BTreeMap::from([(NodeId::new("R1").unwrap(), area)]);
         assert_eq!(settings.coverage, Coverage::Survey { areas, hysteresis_m: 0.8 });
@@ -275,7 +275,7 @@ mod tests {
             (json!({ "gama": 4 }), "`gama` is not a setting of okpi; its settings are `gamma`"),
             (json!({ "gamma": 0 }), "gamma: 0 is not a whole number from 1 to 1000"),
             (json!({ "gamma": 2.5 }), "gamma: 2.5 is not a whole number from 1 to 1000"),
-            (json!({ "k_paths": "3" }), "k_paths: \"3\" is not a whole number from 1 to 64"),
+            (json!({ "k_paths": "3" }), "k_paths: \"3\" is not a whole number from 1 to 3"),
             (json!({ "relax": 1 }), "relax: 1 is neither"),
             (
                 json!({ "floor": "-80" }),

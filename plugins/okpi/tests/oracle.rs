@@ -3,16 +3,12 @@
 
 mod common;
 
-use std::{num::NonZeroUsize, time::Duration};
+use std::time::Duration;
 
 use common::{check::Used, contested, exact::optimum};
 use cotorra_graph::{LinkId, NodeId, VnfId};
 use cotorra_okpi::{Chain, Infeasible, Infrastructure, Link, Node, Placed, Queue, Search, Vnf, place};
 use proptest::prelude::*;
-
-fn search(gamma: u16) -> Search {
-    Search { k_paths: NonZeroUsize::new(8).unwrap(), ..Search::at(gamma) }
-}
 
 fn node(i: usize, cpus: f64, cost: f64, reliability: f64, forwards: bool) -> Node {
     let id = NodeId::new(&format!("n{i}")).unwrap();
@@ -67,7 +63,7 @@ proptest! {
         gamma in 1u16..50,
     ) {
         let optimum = optimum(&service, &infrastructure);
-        match place(&service, &infrastructure, search(gamma)) {
+        match place(&service, &infrastructure, Search::at(gamma)) {
             Ok(placed) => {
                 let used = Used::of(&placed, &infrastructure);
                 prop_assert_eq!(used.violation(&service, &infrastructure), None);
@@ -86,7 +82,7 @@ proptest! {
 
     #[test]
     fn what_is_said_to_be_reachable_is_so_and_no_more((service, infrastructure) in problem()) {
-        let Err(error) = place(&service, &infrastructure, search(10)) else { return Ok(()) };
+        let Err(error) = place(&service, &infrastructure, Search::at(10)) else { return Ok(()) };
         let with = |service_time, reliability| {
             optimum(&Chain { service_time, reliability, ..service.clone() }, &infrastructure)
         };
@@ -117,7 +113,7 @@ proptest! {
     #[test]
     fn one_vnf_finely_counted_is_placed_at_the_optimum((mut service, infrastructure) in problem()) {
         service.vnfs.truncate(2);
-        let placed = place(&service, &infrastructure, search(1000)).ok().map(|placed| placed.cost);
+        let placed = place(&service, &infrastructure, Search::at(1000)).ok().map(|placed| placed.cost);
         // Half a budget's level a hop is all that rounding can cost.
         let share = |service_time: Duration, rest: f64| Chain {
             service_time: service_time.mul_f64(rest),
@@ -137,8 +133,8 @@ proptest! {
 
     #[test]
     fn relaxed_placements_keep_all_but_the_kpis((service, infrastructure) in problem()) {
-        let relaxed = place(&service, &infrastructure, Search { relax: true, ..search(4) });
-        let strict = place(&service, &infrastructure, search(4));
+        let relaxed = place(&service, &infrastructure, Search { relax: true, ..Search::at(4) });
+        let strict = place(&service, &infrastructure, Search::at(4));
         match (relaxed, strict) {
             (Ok(relaxed), Ok(strict)) => prop_assert_eq!(relaxed, strict),
             (Ok(relaxed), Err(_)) => {
@@ -155,7 +151,7 @@ proptest! {
 #[test]
 fn few_placements_are_missed_on_contested_graphs() {
     let (mut placements, mut missed) = (0, Vec::new());
-    for run in 0..100 {
+    for run in 0..50 {
         let (service, infrastructure) = contested(20, run);
         let optimum = optimum(&service, &infrastructure);
         placements += usize::from(optimum.is_some());
@@ -170,7 +166,7 @@ fn few_placements_are_missed_on_contested_graphs() {
             (Err(_), None) => {}
         }
     }
-    assert!(placements >= 70, "{placements} graphs have a placement");
+    assert!(placements >= 35, "{placements} graphs have a placement");
     assert!(missed.len() <= placements / 25, "of {placements} placements missed: {missed:#?}");
 }
 
@@ -199,21 +195,21 @@ fn server(placed: &Placed) -> &str {
 #[test]
 fn takes_the_cheapest_that_keeps_each_kpi() {
     let (mut service, mut infrastructure) = two_servers();
-    let placed = place(&service, &infrastructure, search(10)).unwrap();
+    let placed = place(&service, &infrastructure, Search::at(10)).unwrap();
     assert_eq!((server(&placed), placed.cost, placed.service_time), ("n3", 4.0, Duration::from_millis(12)));
     assert_eq!(placed.attachment, Some(NodeId::new("n1").unwrap()));
     service.service_time = Duration::from_millis(10);
-    assert_eq!(server(&place(&service, &infrastructure, search(10)).unwrap()), "n2");
+    assert_eq!(server(&place(&service, &infrastructure, Search::at(10)).unwrap()), "n2");
     service.service_time = Duration::from_millis(15);
     service.reliability = Some(0.99);
-    assert_eq!(server(&place(&service, &infrastructure, search(10)).unwrap()), "n2");
+    assert_eq!(server(&place(&service, &infrastructure, Search::at(10)).unwrap()), "n2");
     service.reliability = None;
     infrastructure.links[2].free_bps = 5e6;
-    assert_eq!(server(&place(&service, &infrastructure, search(10)).unwrap()), "n2");
+    assert_eq!(server(&place(&service, &infrastructure, Search::at(10)).unwrap()), "n2");
     infrastructure.links[2].free_bps = 6e6;
-    assert_eq!(server(&place(&service, &infrastructure, search(10)).unwrap()), "n3");
+    assert_eq!(server(&place(&service, &infrastructure, Search::at(10)).unwrap()), "n3");
     infrastructure.nodes[3].cpus = 3.0;
-    assert_eq!(server(&place(&service, &infrastructure, search(10)).unwrap()), "n2");
+    assert_eq!(server(&place(&service, &infrastructure, Search::at(10)).unwrap()), "n2");
 }
 
 #[test]
@@ -221,7 +217,7 @@ fn says_which_kpi_cannot_be_kept_and_by_how_much() {
     let said = |change: fn(&mut Chain, &mut Infrastructure), gamma| {
         let (mut service, mut infrastructure) = two_servers();
         change(&mut service, &mut infrastructure);
-        place(&service, &infrastructure, search(gamma)).unwrap_err().to_string()
+        place(&service, &infrastructure, Search::at(gamma)).unwrap_err().to_string()
     };
     assert_eq!(
         said(|service, _| service.service_time = Duration::from_millis(5), 10),
