@@ -84,7 +84,7 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
     samples.sort_by_key(|s| s.emitted);
     // A sample without an answer is drawn where it would be at best: at the top.
     let points = samples.iter().map(|s| (s.emitted.as_secs_f64(), took_ms(s).unwrap_or(TOP_MS).min(TOP_MS)));
-    let line = LinePlot::new().with_data(points).with_color("#1f3b5c").with_stroke_width(1.2);
+    let line = LinePlot::new().with_data(thin(points, end)).with_color("#1f3b5c").with_stroke_width(1.2);
     let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
     let mut plots = vec![Plot::Line(line)];
     if let Some((name, points)) = &panel.points {
@@ -124,8 +124,57 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
     (plots, layout)
 }
 
+/// Of the points in each column of the figure the lowest and the highest, in order: all that can be seen.
+fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
+    let mut thinned = Vec::new();
+    // The column, and the first of its lowest and of its highest.
+    let mut open: Option<(u32, [(f64, f64); 2])> = None;
+    let mut close = |open: Option<(u32, [(f64, f64); 2])>| {
+        if let Some((_, [low, high])) = open {
+            let (first, second) = if low.0 <= high.0 { (low, high) } else { (high, low) };
+            thinned.push(first);
+            if second != first {
+                thinned.push(second);
+            }
+        }
+    };
+    for point in points {
+        let column = (point.0 / end * WIDTH) as u32;
+        match &mut open {
+            Some((of, [low, high])) if *of == column => {
+                if point.1 < low.1 {
+                    *low = point;
+                }
+                if point.1 > high.1 {
+                    *high = point;
+                }
+            }
+            _ => close(open.replace((column, [point; 2]))),
+        }
+    }
+    close(open);
+    thinned
+}
+
 /// Regions with the time up to which each is shaded: the next one's beginning.
 fn close_gaps(regions: &[RegionSummary]) -> impl Iterator<Item = (&RegionSummary, f64)> {
     let ends = regions.iter().skip(1).map(|next| next.from_s).chain(regions.last().map(|last| last.to_s));
     regions.iter().zip(ends)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thinning_keeps_every_spike_and_the_order() {
+        let at = |i: u32| f64::from(i) / 10_000.0 * 400.0;
+        let spike = |i: u32| if i % 1000 == 500 { 35.0 } else { 11.0 };
+        let thinned = thin((0..10_000).map(|i| (at(i), spike(i))), 400.0);
+        assert!(thinned.len() <= 2 * WIDTH as usize, "{}", thinned.len());
+        assert!(thinned.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        let spikes: Vec<_> = thinned.iter().filter(|point| point.1 == 35.0).map(|point| point.0).collect();
+        assert_eq!(spikes, (0..10).map(|i| at(500 + 1000 * i)).collect::<Vec<_>>());
+        assert_eq!(thin(std::iter::empty(), 1.0), []);
+    }
 }
