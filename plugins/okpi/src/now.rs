@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, NodeKind, Rate, Service,
+    Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, NodeKind, Rate, Scale, Service,
     Testbed, Trace, VnfEvent, VnfId, VnfState,
 };
 
@@ -56,8 +56,11 @@ impl Now {
     pub(crate) fn new(testbed: &Testbed) -> Self {
         let links = testbed.graph.links.iter();
         let carriage = links.flat_map(|link| {
-            [(Direction::Forward, &link.forward), (Direction::Backward, &link.backward)]
-                .map(|(direction, conditions)| ((link.id.clone(), direction), carriage(conditions)))
+            let ways = [(Direction::Forward, &link.forward), (Direction::Backward, &link.backward)];
+            ways.into_iter().zip(link.scales).map(|((direction, conditions), scale)| {
+                let medium = link.medium.bits_per_second() as f64;
+                ((link.id.clone(), direction), scaled(carriage(conditions), scale, medium))
+            })
         });
         let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
         Self {
@@ -289,6 +292,15 @@ fn node(node: &cotorra_graph::Node) -> model::Node {
     model::Node { id: node.id.clone(), cpus, memory_bytes, cost, reliability, forwards: node.forwards() }
 }
 
+/// What a link that is scaled from the beginning does, before its first event tells: delay ψ·d, throughput λ/δ.
+fn scaled((delay, rate_bps): Carriage, scale: Scale, medium_bps: f64) -> Carriage {
+    let seconds = delay.as_secs_f64() * scale.delay_scale;
+    let delay =
+        if scale.delay_scale == 1.0 { delay } else { Duration::try_from_secs_f64(seconds).unwrap_or(delay) };
+    let untouched = scale.drop_scale == 1.0;
+    (delay, if untouched { rate_bps } else { rate_bps.min(medium_bps) / scale.drop_scale })
+}
+
 fn carriage(conditions: &Conditions) -> Carriage {
     let rate = match &conditions.rate {
         Rate::Unlimited => f64::INFINITY,
@@ -307,8 +319,8 @@ mod tests {
     use std::path::Path;
 
     use cotorra_graph::{
-        Attachment, Decision, Handover, LinkContext, Placement, Pose, PoseSource, RobotContext, Scale,
-        SensorData, Velocity, VirtualLinkMapping, testbed_file,
+        Attachment, Decision, Handover, LinkContext, Placement, Pose, PoseSource, RobotContext, SensorData,
+        Velocity, VirtualLinkMapping, testbed_file,
     };
 
     use super::*;
@@ -427,6 +439,16 @@ walks:
         assert_eq!(concerned(&mut now, &event(7)), ["first", "second"]);
         let seen = now.infrastructure(&testbed.services[0], &[]);
         assert_eq!(seen.links.last().unwrap().round_trip, Duration::from_millis(12));
+    }
+
+    #[test]
+    fn a_link_that_is_scaled_from_the_beginning_is_seen_so() {
+        let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
+        let testbed =
+            testbed_file::parse("x.yaml", &text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let seen = Now::new(&testbed).infrastructure(&testbed.services[0], &[]);
+        let far = seen.links.last().unwrap();
+        assert_eq!((far.round_trip, far.free_bps), (Duration::from_millis(20), 2.5e6));
     }
 
     #[test]
