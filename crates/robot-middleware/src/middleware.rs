@@ -2,7 +2,7 @@
 //! instructions to the drivers; and what happened, told as events.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     sync::Arc,
     time::Duration,
 };
@@ -61,12 +61,18 @@ pub struct RobotMiddleware {
     robots: BTreeMap<NodeId, Managed>,
     context_interval: Duration,
     next_context: Timestamp,
+    /// Up to when time has come. A robot moves there when it is looked at.
+    now: Timestamp,
+    /// When each service has something due, and whose it is.
+    due: BTreeSet<(Timestamp, NodeId)>,
     events: VecDeque<Stamped>,
 }
 
 struct Managed {
     driver: Box<dyn RobotDriver>,
     service: Option<ServiceEndpoint>,
+    /// Its entry in `due`.
+    due: Option<Timestamp>,
     /// Whether the last command was outside what the robot can do; told once, not with every packet.
     flagged: bool,
 }
@@ -82,6 +88,8 @@ impl RobotMiddleware {
             robots: BTreeMap::new(),
             context_interval,
             next_context: Timestamp::ZERO,
+            now: Timestamp::ZERO,
+            due: BTreeSet::new(),
             events: VecDeque::new(),
         }
     }
@@ -118,7 +126,31 @@ impl RobotMiddleware {
     /// Adds a robot, in place of one of that name.
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
-        self.robots.insert(robot, Managed { driver, service, flagged: false });
+        let before =
+            self.robots.insert(robot.clone(), Managed { driver, service, due: None, flagged: false });
+        if let Some(at) = before.and_then(|before| before.due) {
+            self.due.remove(&(at, robot.clone()));
+        }
+        self.note_due(&robot);
+    }
+
+    /// Keeps `due` right after a call to a robot's service.
+    fn note_due(&mut self, robot: &NodeId) {
+        let Some(managed) = self.robots.get_mut(robot) else { return };
+        let next = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
+        let before = std::mem::replace(&mut managed.due, next);
+        if before != next {
+            before.map(|at| self.due.remove(&(at, robot.clone())));
+            self.due.extend(next.map(|at| (at, robot.clone())));
+        }
+    }
+
+    /// Robots whose service has something due, by name.
+    fn due_by(&self, now: Timestamp) -> Vec<NodeId> {
+        let mut due: Vec<_> =
+            self.due.iter().take_while(|(at, _)| *at <= now).map(|(_, robot)| robot.clone()).collect();
+        due.sort_unstable();
+        due
     }
 
     /// The robots, by name.
@@ -127,18 +159,24 @@ impl RobotMiddleware {
     }
 
     /// σ of a robot, now.
-    pub fn sensors(&self, robot: &NodeId) -> Option<SensorData> {
-        self.robots.get(robot).map(|managed| managed.driver.sensors())
+    pub fn sensors(&mut self, robot: &NodeId) -> Option<SensorData> {
+        self.driver(robot).map(RobotDriver::sensors)
     }
 
     /// Where the robots are, now.
-    pub fn positions(&self) -> impl Iterator<Item = (&NodeId, Position)> {
-        self.robots.iter().map(|(robot, managed)| (robot, managed.driver.sensors().pose.position()))
+    pub fn positions(&mut self) -> impl Iterator<Item = (&NodeId, Position)> {
+        let now = self.now;
+        self.robots.iter_mut().map(move |(robot, managed)| {
+            managed.driver.advance(now);
+            (robot, managed.driver.sensors().pose.position())
+        })
     }
 
     /// The driver of a robot, for what only it knows, such as its last scan.
-    pub fn driver(&self, robot: &NodeId) -> Option<&dyn RobotDriver> {
-        self.robots.get(robot).map(|managed| &*managed.driver)
+    pub fn driver(&mut self, robot: &NodeId) -> Option<&dyn RobotDriver> {
+        let managed = self.robots.get_mut(robot)?;
+        managed.driver.advance(self.now);
+        Some(&*managed.driver)
     }
 
     /// Whether every walk is at its end; false where there is none.
@@ -149,20 +187,23 @@ impl RobotMiddleware {
 
     /// When something is due: κ, a position packet, or the end of the wait for an answer.
     pub fn next_deadline(&self) -> Timestamp {
-        let services = self.robots.values().filter_map(|managed| managed.service.as_ref()?.next_deadline());
-        services.fold(self.next_context, Timestamp::min)
+        self.due.first().map_or(self.next_context, |(at, _)| self.next_context.min(*at))
     }
 
     /// Time has come to `now`: robots move, answers that did not come are given up, and κ is built when it is due,
     /// with φ as `attachments` tells it of a robot.
     pub fn advance(&mut self, now: Timestamp, mut attachments: impl FnMut(&NodeId) -> Vec<Attachment>) {
+        self.now = self.now.max(now);
         let context_due = self.next_context <= now;
-        for (robot, managed) in &mut self.robots {
-            managed.driver.advance(now);
+        let due = self.due_by(now);
+        let all = context_due.then(|| self.robots.keys().cloned().collect());
+        for robot in all.as_ref().unwrap_or(&due) {
+            let Some(managed) = self.robots.get_mut(robot) else { continue };
             while let Some(missing) = managed.service.as_mut().and_then(|service| service.expire(now)) {
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
             if context_due {
+                managed.driver.advance(now);
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: attachments(robot),
@@ -172,6 +213,7 @@ impl RobotMiddleware {
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
             }
         }
+        due.iter().for_each(|robot| self.note_due(robot));
         while self.next_context <= now {
             self.next_context = self.next_context + self.context_interval;
         }
@@ -184,11 +226,17 @@ impl RobotMiddleware {
         now: Timestamp,
         route: impl FnOnce(&NodeId) -> Route,
     ) -> Option<PositionPacket> {
-        let is_due = |managed: &Managed| managed.service.as_ref().is_some_and(|service| service.is_due(now));
-        let (robot, managed) = self.robots.iter_mut().find(|(_, managed)| is_due(managed))?;
+        let is_due = |robot: &NodeId| {
+            let service = self.robots.get(robot).and_then(|managed| managed.service.as_ref());
+            service.is_some_and(|service| service.is_due(now))
+        };
+        let robot = self.due_by(now).into_iter().find(is_due)?;
+        let managed = self.robots.get_mut(&robot)?;
         managed.driver.advance(now);
         let pose = managed.driver.sensors().pose;
-        managed.service.as_mut()?.emit(now, &pose, route(robot))
+        let packet = managed.service.as_mut()?.emit(now, &pose, route(&robot));
+        self.note_due(&robot);
+        packet
     }
 
     /// A navigation packet arrived at a robot. What it brings is told as events; the robot follows it unless it is
@@ -207,6 +255,7 @@ impl RobotMiddleware {
         if answer.finished {
             managed.finish(now, &mut self.events);
         }
+        self.note_due(robot);
     }
 
     /// Moves a robot as an instruction says ([`cotorra_graph::Instruction::Move`]).
@@ -230,6 +279,7 @@ impl RobotMiddleware {
         if managed.service.as_mut().is_some_and(|service| service.reach(waypoint)) {
             managed.finish(now, &mut self.events);
         }
+        self.note_due(robot);
         Ok(())
     }
 

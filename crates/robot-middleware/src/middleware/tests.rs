@@ -252,7 +252,7 @@ fn what_a_robot_cannot_do_is_told_once_until_it_can_again() {
 
 #[test]
 fn robots_are_where_they_say() {
-    let middleware = middleware();
+    let mut middleware = middleware();
     let positions: Vec<_> = middleware.positions().map(|(robot, p)| (robot.as_str(), p)).collect();
     assert_eq!(positions, [("idle", Position::new(1.0, 3.0)), ("robot1", Position::new(1.0, 1.0))]);
     assert!(!middleware.finished());

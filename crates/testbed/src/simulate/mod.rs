@@ -8,14 +8,17 @@ mod run;
 mod udp;
 
 use std::{
-    collections::VecDeque,
+    collections::{HashMap, VecDeque},
+    net::Ipv4Addr,
     panic::{AssertUnwindSafe, catch_unwind},
     sync::Arc,
     time::Duration,
 };
 
 use cotorra_fabric::{Fabric, PortId};
-use cotorra_graph::{Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{
+    Event, HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
+};
 use cotorra_network_control::Refused;
 use cotorra_plugin::{Actions, Plugin, wire::NAVIGATION_PORT};
 
@@ -40,6 +43,7 @@ pub struct Simulation {
     navigation: Navigation,
     plugins: Vec<Hosted>,
     graph: Arc<Testbed>,
+    ports: HashMap<Ipv4Addr, PortId>,
     events: VecDeque<Stamped>,
     /// When somebody outside wants a step.
     alarm: Option<Timestamp>,
@@ -82,11 +86,13 @@ impl Simulation {
         });
         let plugins = plugins.collect::<Result<_, _>>()?;
         core.start(Timestamp::ZERO);
+        let hosts = testbed.graph.hosts().count();
         let mut simulation = Self {
             core,
             network,
             navigation,
             plugins,
+            ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
             graph: testbed,
             events: VecDeque::new(),
             alarm: None,
@@ -209,9 +215,8 @@ impl Simulation {
         self.network.fabric.borrow().port(host)
     }
 
-    fn port_at(&self, address: std::net::Ipv4Addr) -> Option<PortId> {
-        let hosts = self.graph.graph.hosts().count();
-        (0..hosts).find(|i| cotorra_graph::HostAddress::of(*i).ipv4 == address).map(PortId)
+    fn port_at(&self, address: Ipv4Addr) -> Option<PortId> {
+        self.ports.get(&address).copied()
     }
 
     /// Tells plug-ins what happened, and does what they ask for, until nothing new happens.
