@@ -48,6 +48,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             until: args.until,
             folder: Place::At(folder.join(contender.plugin)),
             token: run::token()?,
+            save_power: args.save_power,
             settings: settings.clone(),
             ..Options::default()
         };

@@ -39,11 +39,14 @@ pub struct Setting {
     pub port: PortKind,
     /// Spinning.
     pub busy_poll: BusyPoll,
+    /// Whether cores may fall asleep.
+    pub let_cores_sleep: bool,
 }
 
 impl Setting {
     fn start(self, graph: &HardwareGraph) -> Result<Datapath, Error> {
-        let options = Options { port: self.port, busy_poll: self.busy_poll, events: None };
+        let Self { port, busy_poll, let_cores_sleep } = self;
+        let options = Options { port, busy_poll, let_cores_sleep, events: None };
         let fabric = Fabric::new(graph, 1).expect("the graphs of benchmarks are sound");
         Datapath::start(graph, fabric, options)
     }

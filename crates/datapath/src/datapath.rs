@@ -13,6 +13,7 @@ use cotorra_fabric::Fabric;
 use cotorra_graph::{HardwareGraph, HostAddress, NodeId};
 
 use crate::{
+    awake::Awake,
     clock::Clock,
     engine::{Engine, EventSink, Handle, Shared},
     error::{Action, Error},
@@ -43,6 +44,8 @@ pub struct Options {
     pub port: PortKind,
     /// Spinning.
     pub busy_poll: BusyPoll,
+    /// Lets cores sleep that have nothing to do: saves power, and packets then wait for cores to wake.
+    pub let_cores_sleep: bool,
     /// Who gets the fabric's events.
     pub events: Option<EventSink>,
 }
@@ -57,6 +60,7 @@ pub struct Datapath {
     clock: Clock,
     handle: Handle,
     thread: Option<JoinHandle<std::io::Result<Fabric>>>,
+    _awake: Option<Awake>,
 }
 
 impl Datapath {
@@ -85,7 +89,9 @@ impl Datapath {
             .name("fabric".into())
             .spawn(|| engine.run())
             .action("start the fabric's thread")?;
-        Ok(Self { hosts, places, hosts_file, kind, clock, handle: Handle(shared), thread: Some(thread) })
+        let awake = (!options.let_cores_sleep).then(Awake::keep);
+        let (handle, thread) = (Handle(shared), Some(thread));
+        Ok(Self { hosts, places, hosts_file, kind, clock, handle, thread, _awake: awake })
     }
 
     /// The run's clock.

@@ -14,6 +14,7 @@
 //! # }
 //! ```
 
+mod awake;
 pub mod bench;
 mod capability;
 mod clock;

@@ -130,6 +130,37 @@ pub(crate) fn set_fifo(priority: c_int) -> io::Result<()> {
         .map(drop)
 }
 
+/// `SCHED_IDLE` for the calling thread: it runs only where nobody else wants to. Anyone may.
+pub(crate) fn set_idle() -> io::Result<()> {
+    let param = libc::sched_param { sched_priority: 0 };
+    // SAFETY: the pointer is to a live sched_param; 0 is the calling thread.
+    check(unsafe { libc::sched_setscheduler(0, libc::SCHED_IDLE, &param) }).map(drop)
+}
+
+/// The cores that the calling thread may run on.
+pub(crate) fn allowed_cores() -> io::Result<Vec<usize>> {
+    // SAFETY: a set of no cores is all zeros.
+    let mut set: libc::cpu_set_t = unsafe { mem::zeroed() };
+    // SAFETY: the pointer is to a live set of that size; 0 is the calling thread.
+    check(unsafe { libc::sched_getaffinity(0, mem::size_of_val(&set), &mut set) })?;
+    let most = 8 * mem::size_of_val(&set);
+    // SAFETY: every number is within the set.
+    Ok((0..most).filter(|&core| unsafe { libc::CPU_ISSET(core, &set) }).collect())
+}
+
+/// Keeps the calling thread on one core.
+pub(crate) fn pin(core: usize) -> io::Result<()> {
+    // SAFETY: a set of no cores is all zeros.
+    let mut set: libc::cpu_set_t = unsafe { mem::zeroed() };
+    if core >= 8 * mem::size_of_val(&set) {
+        return Err(io::ErrorKind::InvalidInput.into());
+    }
+    // SAFETY: the number is within the set.
+    unsafe { libc::CPU_SET(core, &mut set) };
+    // SAFETY: the pointer is to a live set of that size; 0 is the calling thread.
+    check(unsafe { libc::sched_setaffinity(0, mem::size_of_val(&set), &set) }).map(drop)
+}
+
 /// Asks the fair scheduler for the shortest slice, which lets the calling thread run soon after it wakes
 /// (Linux 6.12 and later; earlier ones ignore it). Anyone may.
 pub(crate) fn set_short_slice() -> io::Result<()> {

@@ -145,16 +145,6 @@ message! { "geometry_msgs/msg/Pose",
     }
 }
 
-message! { "geometry_msgs/msg/PoseStamped",
-    /// A pose, when and in which frame.
-    PoseStamped {
-        /// When and in which frame.
-        header: Header,
-        /// The pose.
-        pose: Pose,
-    }
-}
-
 message! { "geometry_msgs/msg/PoseWithCovariance",
     /// A pose and how sure it is.
     PoseWithCovariance {

@@ -3,7 +3,8 @@
 //! Everything that a navigation VNF must know to answer travels in the position packet, so that an instance on
 //! another server can take over with the next one. Both are a header of [`HEADER_LEN`] bytes, little endian like the
 //! CDR behind it, then the robot's name (position packets only), then one ROS message in CDR: a pose in the one, a twist
-//! in the other. The pose has no covariance, which navigation does not need, and which would be most of the packet.
+//! in the other. The pose comes without stamp, which is in the header, and without covariance, which navigation does not
+//! need, and which would be most of the packet. Its frame is the map's.
 //!
 //!
 //! | bytes | field |
@@ -19,7 +20,7 @@
 
 use cotorra_graph::{NodeId, Timestamp};
 
-use crate::messages::{Message, MessageError, PoseStamped, Twist};
+use crate::messages::{Message, MessageError, Pose, Twist};
 
 /// The UDP port where navigation VNFs listen.
 pub const NAVIGATION_PORT: u16 = 7711;
@@ -69,7 +70,7 @@ pub struct PositionPacket {
     /// Who emits it.
     pub robot: NodeId,
     /// Where it is.
-    pub pose: PoseStamped,
+    pub pose: Pose,
 }
 
 impl PositionPacket {
@@ -96,7 +97,7 @@ impl PositionPacket {
             emitted: header.emitted,
             waypoint: header.waypoint,
             robot: robot.ok_or(WireError::Robot)?,
-            pose: PoseStamped::decode(message)?,
+            pose: Pose::decode(message)?,
         })
     }
 }
@@ -206,7 +207,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::messages::Header;
 
     fn position() -> PositionPacket {
         let pose =
@@ -216,10 +216,7 @@ mod tests {
             emitted: Timestamp::from_nanos(1_400_000_123),
             waypoint: 3,
             robot: NodeId::new("robot1").unwrap(),
-            pose: PoseStamped {
-                header: Header::new(Timestamp::from_nanos(1_400_000_123), "map"),
-                pose: (&pose).into(),
-            },
+            pose: (&pose).into(),
         }
     }
 
@@ -231,8 +228,7 @@ mod tests {
         assert_eq!(bytes[8..16], [7, 0, 0, 0, 3, 0, 0, 0]);
         assert_eq!(bytes[16..24], 1_400_000_123u64.to_le_bytes());
         assert_eq!(bytes[24..30], *b"robot1");
-        // Stamp 8, frame 4 + 4, pose 56, behind 4 of encapsulation.
-        assert_eq!(bytes.len(), 24 + 6 + 4 + 72);
+        assert_eq!(bytes.len(), 24 + 6 + 4 + 56);
         assert_eq!(PositionPacket::decode(&bytes).unwrap(), position());
     }
 
@@ -277,7 +273,7 @@ mod tests {
         }
 
         #[test]
-        fn a_damaged_packet_never_panics(at in 0usize..106, value: u8, len in 0usize..=106) {
+        fn a_damaged_packet_never_panics(at in 0usize..90, value: u8, len in 0usize..=90) {
             let mut bytes = Vec::new();
             position().encode(&mut bytes);
             bytes[at] = value;
@@ -288,14 +284,13 @@ mod tests {
         #[test]
         fn packets_come_back_as_they_were(
             sequence: u32, waypoint: u32, emitted: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
-            frame in "\\PC{0,40}", x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
+            x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
         ) {
             let mut packet = position();
             (packet.sequence, packet.waypoint) = (sequence, waypoint);
             packet.emitted = Timestamp::from_nanos(emitted);
             packet.robot = NodeId::new(&name).unwrap();
-            packet.pose.header.frame_id = frame;
-            packet.pose.pose.position.x = x;
+            packet.pose.position.x = x;
             let mut bytes = Vec::new();
             packet.encode(&mut bytes);
             prop_assert_eq!(PositionPacket::decode(&bytes).unwrap(), packet.clone());

@@ -6,10 +6,7 @@ use cotorra_graph::{
     Capacity, Cell, Dbm, DomainId, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
     RobotModel, Timestamp, Velocity,
 };
-use cotorra_plugin::{
-    messages::{Header, PoseStamped},
-    wire::{NavigationPacket, PositionPacket},
-};
+use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 use cotorra_robot_middleware::{RobotDriver, Scan, SimulatedRobot, World};
 use divan::{Bencher, black_box};
 
@@ -98,7 +95,7 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
         emitted: now,
         waypoint: 3,
         robot: NodeId::new("robot1").expect("a name"),
-        pose: PoseStamped { header: Header::new(now, "map"), pose: (&pose).into() },
+        pose: (&pose).into(),
     };
     let mut datagram = Vec::new();
     bencher.bench_local(|| {

@@ -4,12 +4,9 @@
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, ServiceId, ServiceTime, Timestamp, Velocity, Walk};
-use cotorra_plugin::{
-    messages::{Header, PoseStamped},
-    wire::{NavigationPacket, PositionPacket},
-};
+use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
-use crate::{middleware::Route, random::Stream, ros::MAP_FRAME};
+use crate::{middleware::Route, random::Stream};
 
 /// The robot's end of the navigation service, as a state machine.
 ///
@@ -129,7 +126,7 @@ impl ServiceEndpoint {
             emitted: now,
             waypoint: self.waypoint,
             robot: self.robot.clone(),
-            pose: PoseStamped { header: Header::new(now, MAP_FRAME), pose: pose.into() },
+            pose: pose.into(),
         })
     }
 

@@ -51,6 +51,8 @@ pub struct Options {
     pub api: Option<SocketAddr>,
     /// What callers of the API must show.
     pub token: Option<Token>,
+    /// Lets cores sleep that have nothing to do; packets then wait for them to wake, and come later.
+    pub save_power: bool,
     /// With which the testbed file was read.
     pub settings: Vec<Setting>,
 }
@@ -166,7 +168,9 @@ impl Run {
             // The core's thread may have ended already.
             let _ = from_network.send(Message::Network(event));
         });
-        let with_events = cotorra_datapath::Options { events: Some(events), ..Default::default() };
+        let let_cores_sleep = options.save_power;
+        let with_events =
+            cotorra_datapath::Options { events: Some(events), let_cores_sleep, ..Default::default() };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);
         let clock = datapath.clock();
         let now: Now = Arc::new(move || clock.now());

@@ -6,11 +6,7 @@ mod common;
 use common::{context, corridor, pose, robot, testbed};
 use cotorra_brain::{Brain, NavigationVnf};
 use cotorra_graph::{PoseSource, Position, Timestamp};
-use cotorra_plugin::{
-    Actions, Plugin,
-    messages::{Header, PoseStamped},
-    wire::PositionPacket,
-};
+use cotorra_plugin::{Actions, Plugin, wire::PositionPacket};
 use divan::Bencher;
 
 fn main() {
@@ -62,7 +58,7 @@ fn packet_to_packet(bencher: Bencher) {
     let at = Timestamp::from_nanos(1);
     let mut pose = pose(25.6, -22.0, 1.4);
     pose.source = PoseSource::Localization;
-    let pose = PoseStamped { header: Header::new(at, "map"), pose: (&pose).into() };
+    let pose = (&pose).into();
     let (mut datagram, mut answer) = (Vec::new(), Vec::new());
     PositionPacket { sequence: 0, emitted: at, waypoint: 3, robot: robot(), pose }.encode(&mut datagram);
     bencher.bench_local(|| vnf.answer(&datagram, &mut answer).is_ok());

@@ -93,7 +93,7 @@ impl NavigationVnf {
 
 /// κ(r) as far as a position packet tells it.
 fn context(packet: &PositionPacket) -> RobotContext {
-    let pose = packet.pose.pose.planar(PoseSource::Localization);
+    let pose = packet.pose.planar(PoseSource::Localization);
     RobotContext {
         robot: packet.robot.clone(),
         attachments: Vec::new(),
@@ -144,7 +144,6 @@ pub fn serve(mut vnf: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallibl
 #[cfg(test)]
 mod tests {
     use cotorra_graph::{Pose, Position, Timestamp};
-    use cotorra_plugin::messages::{Header, PoseStamped};
 
     use super::*;
     use crate::testing::{robot, testbed};
@@ -164,7 +163,7 @@ mod tests {
             emitted: stamp,
             waypoint: 0,
             robot: NodeId::new(name).unwrap(),
-            pose: PoseStamped { header: Header::new(stamp, "map"), pose: (&pose).into() },
+            pose: (&pose).into(),
         }
         .encode(&mut bytes);
         bytes

@@ -58,12 +58,15 @@ fn round_trip(bench: &Bench) -> Result<Vec<Row>, Error> {
     bench.doing("round trips of 2 ms, with a core that spins");
     let setting = Setting { busy_poll: BusyPoll::Always, ..Setting::default() };
     let spinning = row("  with a core that spins", bench::round_trip(setting, ONE_WAY, ROUND_TRIPS)?);
+    bench.doing("round trips of 2 ms, with cores that may sleep");
+    let setting = Setting { let_cores_sleep: true, ..Setting::default() };
+    let sleeping = row("  with cores that may sleep", bench::round_trip(setting, ONE_WAY, ROUND_TRIPS)?);
     let peer = peers::rattan_is_there(bench).and_then(|()| {
         bench.doing("round trips of 2 ms through rattan");
         peers::rattan_round_trips(bench, ONE_WAY, ROUND_TRIPS)
     });
     let peer = peer.map_or_else(|missing| rattan_missing(&missing), |measured| row("  rattan", measured));
-    Ok(vec![usual.aiming_at(GOAL), spinning.aiming_at("p50 10 µs, with a core to spare"), peer])
+    Ok(vec![usual.aiming_at(GOAL), spinning.aiming_at("p50 10 µs, with a core to spare"), sleeping, peer])
 }
 
 fn tcp(bench: &Bench) -> Result<Vec<Row>, Error> {

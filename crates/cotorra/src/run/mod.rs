@@ -67,6 +67,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         folder: Place::In(args.out.clone()),
         api: args.api,
         token: token()?,
+        save_power: args.save_power,
         settings: args.settings.clone(),
     };
     if args.dry_run {

@@ -273,7 +273,7 @@ fn contexts_tell_what_was_asked_what_is_done_and_what_came_of_it() {
 fn a_link_begins_with_the_scales_of_its_file() {
     let mut graph = Network::new().servers(&["a", "b"]).link("a", "b", delay(10)).graph();
     graph.links[0].scales[0] = Scale { delay_scale: 3.0, drop_scale: 1.0 };
-    let fabric = cotorra_fabric::Fabric::new(&graph, 1).unwrap();
+    let mut fabric = cotorra_fabric::Fabric::new(&graph, 1).unwrap();
     let [forward, backward] = &fabric.link_contexts(ms(0.0))[..] else { panic!("two directions") };
     assert_eq!((forward.asked.delay.as_millis(), forward.effective.delay.as_millis()), (10, 30));
     assert_eq!((forward.scale.delay_scale, backward.effective.delay.as_millis()), (3.0, 10));

@@ -82,7 +82,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
         }
         middleware.advance(now, attached);
         while let Some(packet) = middleware.poll_position(now, route) {
-            let pose = packet.pose.pose.planar(PoseSource::Simulator);
+            let pose = packet.pose.planar(PoseSource::Simulator);
             let waypoint = if pose.x > 4.9 {
                 3
             } else if pose.x > 2.9 {

@@ -33,7 +33,7 @@ bare_pose = make(
 pose = make("geometry_msgs/msg/PoseWithCovariance", pose=bare_pose, covariance=covariance)
 messages = [
     twist,
-    make("geometry_msgs/msg/PoseStamped", header=header("map"), pose=bare_pose),
+    bare_pose,
     make("geometry_msgs/msg/PoseWithCovarianceStamped", header=header("map"), pose=pose),
     make(
         "nav_msgs/msg/Odometry",
