@@ -19,6 +19,7 @@ use std::{
 };
 
 use cotorra_graph::{Instruction, NodeId, PluginId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp};
+use cotorra_okpi::Okpi;
 use cotorra_plugin::{Actions, Plugin};
 
 /// A call that takes longer than this counts as hung.
@@ -88,9 +89,14 @@ pub enum PluginError {
 }
 
 /// Makes the bundled plug-in that a testbed file names.
-pub(crate) fn bundled(spec: &PluginSpec, name: &str, seed: u64) -> Result<Box<dyn Plugin>, PluginError> {
+pub(crate) fn bundled(
+    spec: &PluginSpec,
+    name: &str,
+    testbed: &Testbed,
+    seed: u64,
+) -> Result<Box<dyn Plugin>, PluginError> {
     match name {
-        "okpi" => match cotorra_okpi::Okpi::from_settings(&spec.settings) {
+        "okpi" => match Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(testbed)) {
             Ok(plugin) => Ok(Box::new(plugin)),
             Err(e) => Err(PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() }),
         },
@@ -172,7 +178,7 @@ impl PluginHost {
         for spec in &testbed.plugins {
             let place = match &spec.program {
                 PluginProgram::Bundled(name) => {
-                    let plugin = bundled(spec, name, seed)?;
+                    let plugin = bundled(spec, name, testbed, seed)?;
                     self.spawn_thread(spec.id.clone(), plugin, testbed, now, say.clone())
                 }
                 PluginProgram::Command(words) => spawn_process(spec, words, api, logs)?,

@@ -77,7 +77,7 @@ impl Simulation {
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine)
             .map_err(|e| RunError::Robot(e.to_string()))?;
         let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {
-            PluginProgram::Bundled(name) => Some(bundled(spec, name, seed).map(|plugin| Hosted {
+            PluginProgram::Bundled(name) => Some(bundled(spec, name, &testbed, seed).map(|plugin| Hosted {
                 id: spec.id.clone(),
                 plugin,
                 cut: false,

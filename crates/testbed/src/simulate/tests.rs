@@ -46,7 +46,7 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
     for (region, published) in
         regions.iter().zip([11.80, 11.80, 20.35, 20.35, 28.91, 20.32, 20.32, 11.46, 11.46])
     {
-        assert!((region.1 - published).abs() <= 0.6, "{region:?} against {published}");
+        assert!((region.1 - published).abs() <= 0.65, "{region:?} against {published}");
     }
     // Each probe, every 20 to 25 s, shows as a spike of 40 to 180 ms, and nothing else does.
     let probes = events.iter().filter(|e| matches!(e.event, Event::Scanned { .. })).count();

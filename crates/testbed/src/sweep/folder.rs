@@ -68,6 +68,11 @@ impl SweepFolder {
         &self.path
     }
 
+    /// Where a run finds room while it goes on, if it needs any.
+    pub(crate) fn run(&self, place: usize) -> PathBuf {
+        self.path.join(format!("run-{place}"))
+    }
+
     /// Forgets all runs.
     ///
     /// # Errors

@@ -30,6 +30,7 @@ mod folder;
 mod measured;
 
 use std::{
+    fs,
     num::NonZero,
     panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
@@ -54,10 +55,10 @@ pub use self::{
 };
 use crate::{
     core_loop::End,
-    plugins::panic_text,
-    report::{FolderError, Losses, Report},
-    run::RunError,
-    simulate::Simulation,
+    plugins::{panic_text, programs},
+    report::{FolderError, Losses, Place, Report},
+    run::{Options, RunError},
+    simulate::{Simulation, simulate},
 };
 
 /// So many steps of a run pass between two looks whether the sweep is to stop.
@@ -249,7 +250,10 @@ impl Sweep {
                     while !stop.load(Ordering::Relaxed)
                         && let Some(&place) = missing.get(next.fetch_add(1, Ordering::Relaxed))
                     {
-                        let Some(result) = self.measure(&points[place], stop).transpose() else { return };
+                        let run = folder.run(place);
+                        let Some(result) = self.measure(&points[place], &run, stop).transpose() else {
+                            return;
+                        };
                         if tell.send((place, result)).is_err() {
                             return;
                         }
@@ -287,11 +291,22 @@ impl Sweep {
     }
 
     /// One run; `None` if it was stopped before its end.
-    fn measure(&self, point: &Point, stop: &AtomicBool) -> Result<Option<Measured>, SweepError> {
-        let testbed = Arc::new(self.testbed(&point.values)?);
-        let run = AssertUnwindSafe(|| self.simulate(testbed, point.seed, stop));
+    fn measure(
+        &self,
+        point: &Point,
+        folder: &Path,
+        stop: &AtomicBool,
+    ) -> Result<Option<Measured>, SweepError> {
+        let testbed = self.testbed(&point.values)?;
+        let run = || {
+            if programs(&testbed).next().is_some() {
+                self.simulate_with_programs(testbed, point.seed, folder, stop)
+            } else {
+                self.simulate(Arc::new(testbed), point.seed, stop)
+            }
+        };
         let named = || self.name(point);
-        match catch_unwind(run) {
+        match catch_unwind(AssertUnwindSafe(run)) {
             Ok(result) => result.map_err(|source| SweepError::Run { point: named(), source }),
             Err(panic) => {
                 Err(SweepError::Panicked { point: named(), reason: panic_text(&*panic).to_owned() })
@@ -330,6 +345,27 @@ impl Sweep {
             }
         }
         Ok(None)
+    }
+
+    /// The same where plug-ins are programs of their own, which need the folder of a run. It stays where one of them
+    /// was cut off: the program's log is in it.
+    fn simulate_with_programs(
+        &self,
+        testbed: Testbed,
+        seed: u64,
+        folder: &Path,
+        stop: &AtomicBool,
+    ) -> Result<Option<Measured>, RunError> {
+        // What another process left that was killed.
+        let _ = fs::remove_dir_all(folder);
+        let place = Place::At(folder.to_owned());
+        let options = Options { seed: Some(seed), until: self.until, folder: place, ..Options::default() };
+        let finished = simulate(testbed, &self.text, &options, |_| !stop.load(Ordering::Relaxed))?;
+        if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
+            // Nobody needs it any more, and what cannot be removed harms nobody.
+            let _ = fs::remove_dir_all(folder);
+        }
+        Ok((!finished.was_stopped()).then(|| Measured::of(&finished.summary)))
     }
 
     /// What the runs say of each combination, in the order of [`Sweep::combinations`]; those without a run are left out.

@@ -110,3 +110,17 @@ fn two_processes_do_not_share_a_folder() {
     let second = SweepFolder::open(out.path()).unwrap_err().to_string();
     assert!(second.contains("another process runs this sweep"), "{second}");
 }
+
+#[test]
+fn programs_take_part_and_leave_their_logs_only_where_they_failed() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
+    // Follows no events: it ends, and is cut off.
+    let axis = "plugins=[{id: gone, command: ['true']}],[probing]";
+    let sweep = sweep(&[axis]).until(Some(Duration::from_secs(5)));
+    let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
+    let faults: Vec<_> = runs.done.iter().map(|done| done.measured.plugin_faults).collect();
+    assert_eq!(faults, [1, 0]);
+    assert!(folder.path().join("run-0/logs/plugin-gone.log").exists());
+    assert!(!folder.path().join("run-1").exists());
+}
