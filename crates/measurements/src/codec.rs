@@ -1,6 +1,7 @@
 //! How an event becomes a row, and a row an event: once, for every engine. The order of the columns is that of
 //! [`table`] and [`CONDITIONS`]; both directions go through them in it.
 
+pub(crate) mod binary;
 mod decode;
 mod encode;
 

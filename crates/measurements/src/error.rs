@@ -1,6 +1,6 @@
 //! What can go wrong with a history, in words that say what would be right.
 
-use std::{path::Path, sync::Arc};
+use std::sync::Arc;
 
 use crate::RunId;
 
@@ -9,65 +9,103 @@ use crate::RunId;
 pub enum Error {
     /// The file cannot be opened or created.
     #[error(
-        "{path}: cannot be opened as a history: {cause}; name a file in an existing folder that you can write to"
+        "{history}: cannot be opened as a history: {cause}; name a file in an existing folder that you can write to"
     )]
     Open {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
         /// What the engine says.
         cause: Arc<rusqlite::Error>,
     },
-    /// The file is something else.
-    #[error("{path}: is not a history of cotorra; name another file")]
+    /// The file or database is something else.
+    #[error("{history}: is not a history of cotorra; name another file or database")]
     NotAHistory {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
     },
-    /// A newer cotorra wrote the file.
+    /// A newer cotorra wrote it.
     #[error(
-        "{path}: has schema version {found}, but this cotorra knows versions up to {known}; use a newer cotorra"
+        "{history}: has schema version {found}, but this cotorra knows versions up to {known}; use a newer cotorra"
     )]
     NewerSchema {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
         /// Its version.
         found: u32,
         /// The newest version that this library reads.
         known: u32,
     },
-    /// The file may be read but not written.
-    #[error("{path}: is read-only; give write permission on the file and its folder, or name another file")]
+    /// It may be read but not written.
+    #[error("{history}: is read-only; give write permission on it, or name another")]
     ReadOnly {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
     },
     /// There is no room for more.
-    #[error("{path}: the disk is full; free some space, and recording goes on by itself")]
+    #[error("{history}: the disk is full; free some space, and recording goes on by itself")]
     Full {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
     },
-    /// Another process holds the file for too long.
-    #[error("{path}: another process keeps the history locked; end it, and recording goes on by itself")]
+    /// Another process holds it for too long.
+    #[error("{history}: another process keeps the history locked; end it, and recording goes on by itself")]
     Busy {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
     },
-    /// What the file holds makes no sense.
-    #[error("{path}: is damaged: {detail}; `sqlite3 {path} .recover` saves what can be read")]
+    /// What it holds makes no sense.
+    #[error(
+        "{history}: is damaged: {detail}; `sqlite3 FILE .recover` or the server's `mariadb-check` save what can be read"
+    )]
     Corrupt {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
         /// Where.
         detail: String,
     },
-    /// Any other error of the engine.
-    #[error("{path}: {cause}")]
+    /// Any other error of SQLite.
+    #[error("{history}: {cause}")]
     Engine {
-        /// The file.
-        path: Arc<Path>,
+        /// Its file, or its server and database.
+        history: Arc<str>,
         /// What the engine says.
         cause: Arc<rusqlite::Error>,
+    },
+    /// The server cannot be reached, or went away.
+    #[error("{history}: the server does not answer: {cause}; start it, or name another host or port")]
+    Unreachable {
+        /// Its server and database.
+        history: Arc<str>,
+        /// What the system says.
+        cause: Arc<str>,
+    },
+    /// Any other error of a server.
+    #[error("{history}: {cause}")]
+    Server {
+        /// Its server and database.
+        history: Arc<str>,
+        /// What the server says.
+        cause: Arc<str>,
+    },
+    /// What is recorded while a server is away cannot be kept.
+    #[error(
+        "{spool}: cannot keep what is recorded while the server is away: {cause}; put the spool elsewhere with `?spool=FOLDER` in the URL"
+    )]
+    Spool {
+        /// The file, or its folder.
+        spool: Arc<str>,
+        /// What the system says.
+        cause: Arc<std::io::Error>,
+    },
+    /// A server is away for so long that there is no room for more.
+    #[error(
+        "{spool}: is full with {megabytes} MB that were recorded while the server is away; start the server, and recording goes on by itself"
+    )]
+    SpoolFull {
+        /// The file.
+        spool: Arc<str>,
+        /// Its bound.
+        megabytes: u64,
     },
     /// There is no such run.
     #[error("there is no run {0} in this history")]

@@ -15,9 +15,11 @@ use serde::{Deserialize, Serialize};
 use crate::{
     error::Result,
     kind::{Kind, Series},
+    location::Location,
     memory::Memory,
     page::{Page, PageRequest},
     recorder::{Queue, Recorder},
+    server::Remote,
     sqlite::Sqlite,
     store::{Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
@@ -72,6 +74,20 @@ impl History {
     /// When it cannot be created, cannot be written, is no history, is damaged, or is of a newer cotorra.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::of(Arc::new(Sqlite::open(path.as_ref())?))
+    }
+
+    /// Opens the history at a location, or makes a new one there. A database that a server does not have is made, if
+    /// the user may. While a server is away, nothing is lost: what is recorded is kept in a file, up to 256 MB, and
+    /// brought to the server when it is back, or when the history is opened again.
+    ///
+    /// # Errors
+    /// When it cannot be opened, made, or written, is no history, is damaged, or is of a newer cotorra; when a
+    /// server does not answer.
+    pub fn connect(location: &Location) -> Result<Self> {
+        match location {
+            Location::File(path) => Self::open(path),
+            Location::Server(server) => Self::of(Arc::new(Remote::open(server)?)),
+        }
     }
 
     /// A history that is gone with the process, and grows in memory until then.

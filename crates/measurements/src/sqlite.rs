@@ -19,11 +19,9 @@ use self::{read::Reader, write::Writer};
 use crate::{
     error::{Error, Result},
     page::{Page, PageRequest},
+    schema::MIGRATIONS,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
-
-/// From each schema version to the next. Never edit one that was released: append another.
-const MIGRATIONS: &[&str] = &[include_str!("schema.sql")];
 
 /// Marks a database as a history of cotorra ("coto"), as SQLite's file format provides.
 const APPLICATION_ID: i32 = 0x636f_746f;
@@ -34,14 +32,13 @@ const BUSY: Duration = Duration::from_secs(5);
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
 
-/// Length of a stretch of `presence`, nanoseconds.
-const STRETCH: i64 = 5_000_000_000;
-
 type Fallible<T> = std::result::Result<T, rusqlite::Error>;
 
 /// A database file.
 pub(crate) struct Sqlite {
     path: Arc<Path>,
+    /// The path, as errors name it.
+    name: Arc<str>,
     readers: Mutex<Vec<Reader>>,
     /// Dropped last: the last connection to close folds the log into the file, and one that only reads cannot.
     writer: Mutex<Writer>,
@@ -50,20 +47,21 @@ pub(crate) struct Sqlite {
 impl Sqlite {
     /// Opens a history, or makes a new one.
     pub fn open(path: &Path) -> Result<Self> {
+        let name: Arc<str> = path.to_string_lossy().into();
         let path: Arc<Path> = path.into();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let mut connection = Connection::open_with_flags(&path, flags)
-            .map_err(|e| Error::Open { path: path.clone(), cause: Arc::new(e) })?;
-        prepare(&mut connection, &path)?;
-        Ok(Self { path, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
+            .map_err(|e| Error::Open { history: name.clone(), cause: Arc::new(e) })?;
+        prepare(&mut connection, &name)?;
+        Ok(Self { path, name, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
     }
 
     fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
         // A panic during a write rolled it back, so that poison means nothing here.
         let mut writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner);
-        work(&mut writer).map_err(|e| engine_error(&self.path, e))
+        work(&mut writer).map_err(|e| engine_error(&self.name, e))
     }
 
     fn read<T>(&self, ask: impl FnOnce(&Reader) -> Result<T>) -> Result<T> {
@@ -71,7 +69,7 @@ impl Sqlite {
         let taken = idle().pop();
         let reader = match taken {
             Some(reader) => reader,
-            None => Reader::open(&self.path)?,
+            None => Reader::open(&self.path, &self.name)?,
         };
         let answer = ask(&reader)?;
         let mut idle = idle();
@@ -83,24 +81,24 @@ impl Sqlite {
 }
 
 /// Checks what the file is before anything in it is touched, then brings it up to date.
-fn prepare(connection: &mut Connection, path: &Arc<Path>) -> Result<()> {
+fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
     let work = |connection: &mut Connection| -> Fallible<Result<()>> {
         connection.busy_timeout(BUSY)?;
-        if let Err(e) = version(connection, path)? {
+        if let Err(e) = version(connection, history)? {
             return Ok(Err(e));
         }
         if connection.is_readonly("main")? {
-            return Ok(Err(Error::ReadOnly { path: path.clone() }));
+            return Ok(Err(Error::ReadOnly { history: history.clone() }));
         }
         let mode: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
         if mode != "wal" {
-            tracing::warn!(path = %path.display(), mode, "the file system has no write-ahead log: readers wait");
+            tracing::warn!(%history, mode, "the file system has no write-ahead log: readers wait");
         }
         connection.pragma_update(None, "synchronous", "FULL")?;
         connection.set_prepared_statement_cache_capacity(64);
 
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let found = match version(&transaction, path)? {
+        let found = match version(&transaction, history)? {
             Ok(found) => found,
             Err(e) => return Ok(Err(e)),
         };
@@ -113,11 +111,11 @@ fn prepare(connection: &mut Connection, path: &Arc<Path>) -> Result<()> {
         }
         transaction.commit().map(Ok)
     };
-    work(connection).map_err(|e| engine_error(path, e))?
+    work(connection).map_err(|e| engine_error(history, e))?
 }
 
 /// The schema version of a file that may be a history; 0 for an empty one.
-fn version(connection: &Connection, path: &Arc<Path>) -> Fallible<Result<usize>> {
+fn version(connection: &Connection, history: &Arc<str>) -> Fallible<Result<usize>> {
     let application: i32 = connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
     let found: u32 = connection.pragma_query_value(None, "user_version", |row| row.get(0))?;
     let empty: bool = connection.query_row("SELECT count(*) = 0 FROM sqlite_schema", [], |row| row.get(0))?;
@@ -125,25 +123,25 @@ fn version(connection: &Connection, path: &Arc<Path>) -> Fallible<Result<usize>>
     Ok(match (application, found) {
         (0, 0) if empty => Ok(0),
         (APPLICATION_ID, found) if found > known => {
-            Err(Error::NewerSchema { path: path.clone(), found, known })
+            Err(Error::NewerSchema { history: history.clone(), found, known })
         }
         (APPLICATION_ID, found) => Ok(found as usize),
-        _ => Err(Error::NotAHistory { path: path.clone() }),
+        _ => Err(Error::NotAHistory { history: history.clone() }),
     })
 }
 
-fn engine_error(path: &Arc<Path>, error: rusqlite::Error) -> Error {
-    let path = path.clone();
+fn engine_error(history: &Arc<str>, error: rusqlite::Error) -> Error {
+    let history = history.clone();
     if let rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::IntegralValueOutOfRange(..) = error {
-        return Error::Corrupt { path, detail: error.to_string() };
+        return Error::Corrupt { history, detail: error.to_string() };
     }
     match error.sqlite_error_code() {
-        Some(ErrorCode::DiskFull) => Error::Full { path },
-        Some(ErrorCode::ReadOnly) => Error::ReadOnly { path },
-        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::Busy { path },
-        Some(ErrorCode::DatabaseCorrupt) => Error::Corrupt { path, detail: error.to_string() },
-        Some(ErrorCode::NotADatabase) => Error::NotAHistory { path },
-        _ => Error::Engine { path, cause: Arc::new(error) },
+        Some(ErrorCode::DiskFull) => Error::Full { history },
+        Some(ErrorCode::ReadOnly) => Error::ReadOnly { history },
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => Error::Busy { history },
+        Some(ErrorCode::DatabaseCorrupt) => Error::Corrupt { history, detail: error.to_string() },
+        Some(ErrorCode::NotADatabase) => Error::NotAHistory { history },
+        _ => Error::Engine { history, cause: Arc::new(error) },
     }
 }
 
@@ -184,7 +182,7 @@ impl Store for Sqlite {
     fn run(&self, run: RunId) -> Result<Run> {
         self.read(|reader| {
             let found = reader.connection.query_row(&format!("{RUN} WHERE id = ?1"), [run.0], run_of);
-            found.optional().map_err(|e| engine_error(&self.path, e))?.ok_or(Error::NoSuchRun(run))
+            found.optional().map_err(|e| engine_error(&self.name, e))?.ok_or(Error::NoSuchRun(run))
         })
     }
 
@@ -194,7 +192,7 @@ impl Store for Sqlite {
             let mut statement = reader.connection.prepare_cached(&question)?;
             statement.query_map(params![after.map_or(0, |run| run.0), limit as i64], run_of)?.collect()
         };
-        self.read(|reader| ask(reader).map_err(|e| engine_error(&self.path, e)))
+        self.read(|reader| ask(reader).map_err(|e| engine_error(&self.name, e)))
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {

@@ -1,5 +1,7 @@
 //! Events for tests: any that can be, from a small set of names so that series meet themselves again.
 
+pub mod mariadb;
+
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{

@@ -65,7 +65,7 @@ impl Store for Moody {
             mood = self.changed.wait(mood).unwrap();
         }
         match *mood {
-            Mood::Full => Err(Error::Full { path: std::path::Path::new("history.sqlite").into() }),
+            Mood::Full => Err(Error::Full { history: "history.sqlite".into() }),
             Mood::Panics => {
                 drop(mood);
                 panic!("as the test wants it")

@@ -13,12 +13,13 @@ use rusqlite::{
     fallible_streaming_iterator::FallibleStreamingIterator, params, types::FromSql,
 };
 
-use super::{BUSY, Fallible, STRETCH, engine_error};
+use super::{BUSY, Fallible, engine_error};
 use crate::{
     codec::{self, ReadError, Source},
     error::{Error, Result},
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
+    schema::STRETCH,
     store::{Gap, RunId, Selection, Span},
 };
 
@@ -28,7 +29,7 @@ const REMEMBERED: usize = 4096;
 /// A connection that reads.
 pub(crate) struct Reader {
     pub connection: Connection,
-    path: Arc<Path>,
+    history: Arc<str>,
     names: RefCell<HashMap<i64, Arc<str>>>,
     conditions: RefCell<HashMap<i64, Conditions>>,
 }
@@ -69,7 +70,7 @@ fn columns(kind: Kind, table: &str) -> String {
 }
 
 impl Reader {
-    pub fn open(path: &Arc<Path>) -> Result<Self> {
+    pub fn open(path: &Path, history: &Arc<str>) -> Result<Self> {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let open = || -> Fallible<Connection> {
             let connection = Connection::open_with_flags(path, flags)?;
@@ -80,8 +81,8 @@ impl Reader {
             Ok(connection)
         };
         Ok(Self {
-            connection: open().map_err(|e| engine_error(path, e))?,
-            path: path.clone(),
+            connection: open().map_err(|e| engine_error(history, e))?,
+            history: history.clone(),
             names: RefCell::default(),
             conditions: RefCell::default(),
         })
@@ -89,7 +90,7 @@ impl Reader {
 
     /// Asks within one transaction, of a run that exists.
     fn ask<T>(&self, run: RunId, question: impl FnOnce() -> std::result::Result<T, ReadError>) -> Result<T> {
-        let engine = |e| engine_error(&self.path, e);
+        let engine = |e| engine_error(&self.history, e);
         let transaction = self.connection.unchecked_transaction().map_err(engine)?;
         let exists = transaction
             .prepare_cached("SELECT 1 FROM run WHERE id = ?1")
@@ -99,13 +100,13 @@ impl Reader {
             return Err(Error::NoSuchRun(run));
         }
         question().map_err(|error| match error {
-            ReadError::Unreadable(detail) => Error::Corrupt { path: self.path.clone(), detail },
+            ReadError::Unreadable(detail) => Error::Corrupt { history: self.history.clone(), detail },
             ReadError::Engine(error) => error,
         })
     }
 
     fn engine<T>(&self, result: Fallible<T>) -> std::result::Result<T, ReadError> {
-        result.map_err(|e| ReadError::Engine(engine_error(&self.path, e)))
+        result.map_err(|e| ReadError::Engine(engine_error(&self.history, e)))
     }
 
     pub fn events(

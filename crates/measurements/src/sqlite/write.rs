@@ -11,10 +11,11 @@ use rusqlite::{
     CachedStatement, Connection, OptionalExtension, Transaction, TransactionBehavior, params, types::Null,
 };
 
-use super::{Fallible, STRETCH};
+use super::Fallible;
 use crate::{
     codec::{self, Fields, Role, Value},
     kind::{Kind, Series},
+    schema::STRETCH,
     store::{Entry, Gap, RunId},
 };
 

@@ -3,23 +3,69 @@
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
+use std::sync::Arc;
+
 use crate::{
     error::Error,
+    location::Location,
     memory::Memory,
+    server::Remote,
     sqlite::Sqlite,
-    testing::{run_info, stamped, time},
+    testing::{mariadb::MariaDb, run_info, stamped, time},
 };
 
-/// Both engines, with two runs each: the first is asked, the second is in the way.
-fn engines(folder: &tempfile::TempDir) -> Vec<(Box<dyn Store>, RunId, RunId)> {
-    let sqlite = Sqlite::open(&folder.path().join("history.sqlite")).unwrap();
-    let stores: [Box<dyn Store>; 2] = [Box::<Memory>::default(), Box::new(sqlite)];
-    let prepared = stores.into_iter().map(|store| {
-        let run = store.begin_run(&run_info("asked")).unwrap();
-        let other = store.begin_run(&run_info("other")).unwrap();
-        (store, run, other)
+/// All engines, for the many cases of one test.
+struct Engines {
+    folder: tempfile::TempDir,
+    /// A server's tables take long to make: its cases share a database.
+    remote: Option<(Arc<Remote>, Arc<MariaDb>)>,
+}
+
+impl Engines {
+    fn new() -> Self {
+        let remote = MariaDb::shared().map(|server| {
+            let Location::Server(place) = server.fresh().parse().unwrap() else { panic!("it is a server") };
+            (Arc::new(Remote::open(&place).unwrap()), server)
+        });
+        Self { folder: tempfile::tempdir().unwrap(), remote }
+    }
+
+    /// Each engine with two runs: the first is asked, the second is in the way.
+    fn fresh(&self) -> Vec<(Arc<dyn Store>, RunId, RunId)> {
+        let path = self.folder.path().join("history.sqlite");
+        for name in ["history.sqlite", "history.sqlite-wal", "history.sqlite-shm"] {
+            let _ = std::fs::remove_file(path.with_file_name(name));
+        }
+        let mut stores: Vec<Arc<dyn Store>> =
+            vec![Arc::<Memory>::default(), Arc::new(Sqlite::open(&path).unwrap())];
+        if let Some((remote, _)) = &self.remote {
+            stores.push(remote.clone());
+        }
+        let prepared = stores.into_iter().map(|store| {
+            let run = store.begin_run(&run_info("asked")).unwrap();
+            let other = store.begin_run(&run_info("other")).unwrap();
+            (store, run, other)
+        });
+        prepared.collect()
+    }
+}
+
+/// Runs a property with many cases against all engines.
+fn check<S: Strategy>(
+    what: S,
+    property: impl Fn(&dyn Store, RunId, RunId, &S::Value) -> std::result::Result<(), TestCaseError>,
+) where
+    S::Value: Clone,
+{
+    let engines = Engines::new();
+    let mut runner = proptest::test_runner::TestRunner::new(ProptestConfig {
+        source_file: Some(file!()),
+        ..ProptestConfig::with_cases(48)
     });
-    prepared.collect()
+    let outcome = runner.run(&what, |value| {
+        engines.fresh().into_iter().try_for_each(|(store, run, other)| property(&*store, run, other, &value))
+    });
+    outcome.unwrap_or_else(|failure| panic!("{failure}"));
 }
 
 fn append(store: &dyn Store, run: RunId, other: RunId, events: &[Stamped], batch: usize) {
@@ -55,101 +101,94 @@ fn sorted(events: &[Stamped]) -> Vec<Stamped> {
 
 const ALL: Span = Span { from: 0, until: i64::MAX };
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+/// What was recorded is read back equal, in the order of time and then of recording, whatever the clock did and
+/// whatever the size of batches and pages.
+#[test]
+fn gives_back_what_it_was_given() {
+    check((vec(stamped(), 0..60), 1..20_usize, 1..20_usize), |store, run, other, (events, batch, limit)| {
+        append(store, run, other, events, *batch);
+        let what = Selection::Kinds(&Kind::ALL);
+        let all = pages(*limit, |page| store.events(run, &what, ALL, page).unwrap());
+        prop_assert_eq!(all, sorted(events));
+        Ok(())
+    });
+}
 
-    /// What was recorded is read back equal, in the order of time and then of recording, whatever the clock did
-    /// and whatever the size of batches and pages.
-    #[test]
-    fn gives_back_what_it_was_given(events in vec(stamped(), 0..60), batch in 1..20_usize, limit in 1..20_usize) {
-        let folder = tempfile::tempdir().unwrap();
-        for (store, run, other) in engines(&folder) {
-            append(&*store, run, other, &events, batch);
-            let what = Selection::Kinds(&Kind::ALL);
-            let all = pages(limit, |page| store.events(run, &what, ALL, page).unwrap());
-            prop_assert_eq!(all, sorted(&events));
-        }
-    }
+fn span(from: Timestamp, until: Timestamp) -> Span {
+    Span { from: from.as_nanos() as i64, until: until.as_nanos() as i64 }
+}
 
-    #[test]
-    fn selects_kinds_and_times(
-        events in vec(stamped(), 0..60),
-        kinds in proptest::sample::subsequence(Kind::ALL.to_vec(), 1..5),
-        (from, until) in (time(), time()),
-        limit in 1..20_usize,
-    ) {
-        let folder = tempfile::tempdir().unwrap();
-        let span = Span { from: from.as_nanos() as i64, until: until.as_nanos() as i64 };
-        for (store, run, other) in engines(&folder) {
-            append(&*store, run, other, &events, 10);
-            let what = Selection::Kinds(&kinds);
-            let found = pages(limit, |page| store.events(run, &what, span, page).unwrap());
-            let mut wanted = sorted(&events);
-            wanted.retain(|s| from <= s.at && s.at <= until && kinds.contains(&Kind::of(&s.event)));
+#[test]
+fn selects_kinds_and_times() {
+    let kinds = proptest::sample::subsequence(Kind::ALL.to_vec(), 1..5);
+    let what = (vec(stamped(), 0..60), kinds, time(), time(), 1..20_usize);
+    check(what, |store, run, other, (events, kinds, from, until, limit)| {
+        append(store, run, other, events, 10);
+        let what = Selection::Kinds(kinds);
+        let found = pages(*limit, |page| store.events(run, &what, span(*from, *until), page).unwrap());
+        let mut wanted = sorted(events);
+        wanted.retain(|s| *from <= s.at && s.at <= *until && kinds.contains(&Kind::of(&s.event)));
+        prop_assert_eq!(found, wanted);
+        Ok(())
+    });
+}
+
+#[test]
+fn selects_series_and_times() {
+    let what = (vec(stamped(), 0..60), time(), time(), 1..5_usize);
+    check(what, |store, run, other, (events, from, until, limit)| {
+        append(store, run, other, events, 10);
+        for series in events.iter().filter_map(|s| Series::of(&s.event)) {
+            let what = Selection::Series(series.clone());
+            let found = pages(*limit, |page| store.events(run, &what, span(*from, *until), page).unwrap());
+            let mut wanted = sorted(events);
+            wanted.retain(|s| {
+                *from <= s.at && s.at <= *until && Series::of(&s.event).as_ref() == Some(&series)
+            });
             prop_assert_eq!(found, wanted);
         }
-    }
+        Ok(())
+    });
+}
 
-    #[test]
-    fn selects_series_and_times(
-        events in vec(stamped(), 0..60),
-        (from, until) in (time(), time()),
-        limit in 1..5_usize,
-    ) {
-        let folder = tempfile::tempdir().unwrap();
-        let span = Span { from: from.as_nanos() as i64, until: until.as_nanos() as i64 };
-        for (store, run, other) in engines(&folder) {
-            append(&*store, run, other, &events, 10);
-            for series in events.iter().filter_map(|s| Series::of(&s.event)) {
-                let what = Selection::Series(series.clone());
-                let found = pages(limit, |page| store.events(run, &what, span, page).unwrap());
-                let mut wanted = sorted(&events);
-                wanted.retain(|s| {
-                    from <= s.at && s.at <= until && Series::of(&s.event).as_ref() == Some(&series)
-                });
-                prop_assert_eq!(found, wanted);
-            }
-        }
-    }
-
-    /// The state at a time holds the last of every series, and nothing else.
-    #[test]
-    fn knows_the_latest_of_every_series(events in vec(stamped(), 0..60), at in time(), batch in 1..20_usize) {
-        let folder = tempfile::tempdir().unwrap();
-        let wanted: std::collections::BTreeMap<Series, Stamped> = sorted(&events)
+/// The state at a time holds the last of every series, and nothing else.
+#[test]
+fn knows_the_latest_of_every_series() {
+    check((vec(stamped(), 0..60), time(), 1..20_usize), |store, run, other, (events, at, batch)| {
+        let wanted: std::collections::BTreeMap<Series, Stamped> = sorted(events)
             .into_iter()
-            .filter(|stamped| stamped.at <= at)
+            .filter(|stamped| stamped.at <= *at)
             .filter_map(|stamped| Some((Series::of(&stamped.event)?, stamped)))
             .collect();
-        for (store, run, other) in engines(&folder) {
-            append(&*store, run, other, &events, batch);
-            let mut found = store.latest(run, at.as_nanos() as i64).unwrap();
-            found.sort_by_key(|stamped| Series::of(&stamped.event));
-            prop_assert_eq!(found, wanted.values().cloned().collect::<Vec<_>>());
-        }
-    }
+        append(store, run, other, events, *batch);
+        let mut found = store.latest(run, at.as_nanos() as i64).unwrap();
+        found.sort_by_key(|stamped| Series::of(&stamped.event));
+        prop_assert_eq!(found, wanted.values().cloned().collect::<Vec<_>>());
+        Ok(())
+    });
+}
 
-    #[test]
-    fn tells_gaps(gaps in vec((time(), time(), 1..u64::MAX), 0..10), limit in 1..5_usize) {
-        let folder = tempfile::tempdir().unwrap();
-        let gaps: Vec<Gap> = gaps
-            .into_iter()
-            .map(|(a, b, events)| Gap { from: a.min(b), until: a.max(b), events })
-            .collect();
-        for (store, run, other) in engines(&folder) {
-            let entries: Vec<_> = gaps.iter().flat_map(|gap| [(run, *gap), (other, *gap)]).collect();
-            store.append(&[], &entries).unwrap();
-            let mut wanted = gaps.clone();
-            wanted.sort_by_key(|gap| gap.from);
-            prop_assert_eq!(pages(limit, |page| store.gaps(run, ALL, page).unwrap()), wanted);
-        }
-    }
+#[test]
+fn tells_gaps() {
+    check((vec((time(), time(), 1..u64::MAX), 0..10), 1..5_usize), |store, run, other, (gaps, limit)| {
+        let gap = |(a, b, events): &(Timestamp, Timestamp, u64)| Gap {
+            from: *a.min(b),
+            until: *a.max(b),
+            events: *events,
+        };
+        let mut wanted: Vec<Gap> = gaps.iter().map(gap).collect();
+        let entries: Vec<_> = wanted.iter().flat_map(|gap| [(run, *gap), (other, *gap)]).collect();
+        store.append(&[], &entries).unwrap();
+        wanted.sort_by_key(|gap| gap.from);
+        prop_assert_eq!(pages(*limit, |page| store.gaps(run, ALL, page).unwrap()), wanted);
+        Ok(())
+    });
 }
 
 #[test]
 fn lists_runs_and_knows_none_that_is_not_there() {
-    let folder = tempfile::tempdir().unwrap();
-    for (store, first, second) in engines(&folder) {
+    let engines = Engines::new();
+    for (store, first, second) in engines.fresh() {
         store.end_run(first, Timestamp::from_nanos(7)).unwrap();
         let runs = store.runs(None, 10).unwrap();
         assert_eq!(runs.iter().map(|run| run.id).collect::<Vec<_>>(), [first, second]);

@@ -110,7 +110,7 @@ CREATE TABLE radio (
     seq        INTEGER NOT NULL,
     radio_unit INTEGER NOT NULL,
     channel    INTEGER NOT NULL,
-    load       REAL,                      -- share of the last second, 0 to 1
+    "load"     REAL,                      -- share of the last second, 0 to 1
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
@@ -263,7 +263,7 @@ CREATE TABLE decision (
     angular_radps REAL,
     waypoint      INTEGER,
     direction     INTEGER,                -- NULL: both
-    change        TEXT,                   -- JSON: the wished change of conditions
+    "change"      TEXT,                   -- JSON: the wished change of conditions
     reason        TEXT,
     refused       TEXT,                   -- NULL: it was done
     PRIMARY KEY (run, t_ns, seq)

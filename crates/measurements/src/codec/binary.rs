@@ -1,0 +1,190 @@
+//! Entries in bytes, column by column: for what is kept beside a history until it can be taken in. Nothing is
+//! referred to; names and conditions are written out.
+
+use std::sync::Arc;
+
+use cotorra_graph::{Conditions, Stamped, Timestamp};
+
+use super::{Fields, ReadError, Source, Value, decode, decode_conditions, encode, encode_conditions, table};
+use crate::{
+    Kind,
+    store::{Entry, RunId},
+};
+
+const NULL: u8 = 0;
+const INTEGER: u8 = 1;
+const REAL: u8 = 2;
+const TEXT: u8 = 3;
+
+/// Appends an entry.
+pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
+    let (mut row, mut children) = (Fields::default(), Fields::default());
+    encode(&entry.stamped.event, &mut row, &mut children);
+    let kind = Kind::of(&entry.stamped.event);
+    write_integer(entry.run.0, bytes);
+    write_integer(entry.stamped.at.as_nanos().cast_signed(), bytes);
+    bytes.push(kind as u8);
+    row.0.iter().for_each(|value| write_value(value, bytes));
+    if let Some((_, columns)) = table(kind).children {
+        write_integer((children.0.len() / columns.len()) as i64, bytes);
+        children.0.iter().for_each(|value| write_value(value, bytes));
+    }
+}
+
+fn write_value(value: &Value<'_>, bytes: &mut Vec<u8>) {
+    let mut text = |text: &str| {
+        bytes.push(TEXT);
+        write_integer(text.len() as i64, bytes);
+        bytes.extend(text.as_bytes());
+    };
+    match value {
+        Value::Null => bytes.push(NULL),
+        Value::Integer(n) => {
+            bytes.push(INTEGER);
+            write_integer(*n, bytes);
+        }
+        Value::Real(x) => {
+            bytes.push(REAL);
+            bytes.extend(x.to_le_bytes());
+        }
+        Value::Text(value) => text(value),
+        Value::Name(name) => text(name),
+        Value::Conditions(_, conditions) => {
+            let mut row = Fields::default();
+            encode_conditions(conditions, &mut row);
+            row.0.iter().for_each(|value| write_value(value, bytes));
+        }
+    }
+}
+
+/// Small figures, of either sign, take few bytes: zigzag and LEB128, as in Protocol Buffers' `sint64`.
+pub(crate) fn write_integer(n: i64, bytes: &mut Vec<u8>) {
+    let mut left = ((n << 1) ^ (n >> 63)).cast_unsigned();
+    while left >= 0x80 {
+        bytes.push(left as u8 | 0x80);
+        left >>= 7;
+    }
+    bytes.push(left as u8);
+}
+
+/// What [`write()`] wrote, from the first byte on.
+pub(crate) struct Bytes<'a>(pub &'a [u8]);
+
+type Answer<T> = std::result::Result<T, ReadError>;
+
+impl Bytes<'_> {
+    /// The next entry.
+    pub fn entry(&mut self) -> Answer<Entry> {
+        let run = RunId(self.plain_integer()?);
+        let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());
+        let kind = self.byte()?;
+        let kind = Kind::ALL.get(usize::from(kind)).ok_or_else(|| unreadable("there is no such kind"))?;
+        Ok(Entry { run, stamped: Stamped { at, event: decode(*kind, self)? } })
+    }
+
+    /// The next integer, as [`write_integer`] wrote it.
+    pub fn plain_integer(&mut self) -> Answer<i64> {
+        let mut n = 0_u64;
+        for shift in (0..64).step_by(7) {
+            let byte = self.byte()?;
+            n |= u64::from(byte & 0x7f) << shift;
+            if byte < 0x80 {
+                return Ok((n >> 1).cast_signed() ^ -((n & 1).cast_signed()));
+            }
+        }
+        Err(unreadable("an integer has no end"))
+    }
+
+    fn byte(&mut self) -> Answer<u8> {
+        Ok(self.take(1)?[0])
+    }
+
+    fn take(&mut self, count: usize) -> Answer<&[u8]> {
+        let (taken, rest) = self.0.split_at_checked(count).ok_or_else(|| unreadable("it ends early"))?;
+        self.0 = rest;
+        Ok(taken)
+    }
+}
+
+fn unreadable(what: &str) -> ReadError {
+    ReadError::Unreadable(what.to_owned())
+}
+
+impl Source for Bytes<'_> {
+    fn integer(&mut self) -> Answer<Option<i64>> {
+        match self.byte()? {
+            NULL => Ok(None),
+            INTEGER => self.plain_integer().map(Some),
+            _ => Err(unreadable("an integer is none")),
+        }
+    }
+
+    fn real(&mut self) -> Answer<Option<f64>> {
+        match self.byte()? {
+            NULL => Ok(None),
+            REAL => {
+                let bytes = self.take(8)?.try_into().expect("eight bytes were taken");
+                Ok(Some(f64::from_le_bytes(bytes)))
+            }
+            _ => Err(unreadable("a number is none")),
+        }
+    }
+
+    fn text(&mut self) -> Answer<Option<String>> {
+        match self.byte()? {
+            NULL => Ok(None),
+            TEXT => {
+                let length =
+                    usize::try_from(self.plain_integer()?).map_err(|_| unreadable("a text is short"))?;
+                let text = str::from_utf8(self.take(length)?).map_err(|_| unreadable("a text is none"))?;
+                Ok(Some(text.to_owned()))
+            }
+            _ => Err(unreadable("a text is none")),
+        }
+    }
+
+    fn name(&mut self) -> Answer<Option<Arc<str>>> {
+        Ok(self.text()?.map(Arc::from))
+    }
+
+    fn conditions(&mut self) -> Answer<Conditions> {
+        decode_conditions(self)
+    }
+
+    fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Answer<()>) -> Answer<()> {
+        for _ in 0..self.plain_integer()? {
+            read(self)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::{collection::vec, prelude::*};
+
+    use super::*;
+    use crate::testing::stamped;
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(events in vec((any::<i64>(), stamped()), 0..10)) {
+            let entries: Vec<_> =
+                events.into_iter().map(|(run, stamped)| Entry { run: RunId(run), stamped }).collect();
+            let mut bytes = Vec::new();
+            entries.iter().for_each(|entry| write(entry, &mut bytes));
+            let mut rest = Bytes(&bytes);
+            for entry in &entries {
+                prop_assert_eq!(&rest.entry().unwrap(), entry);
+            }
+            prop_assert!(rest.0.is_empty());
+        }
+
+        /// Whatever the bytes are, there is an entry or an error.
+        #[test]
+        fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..200)) {
+            let mut rest = Bytes(&bytes);
+            while rest.entry().is_ok() {}
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! The one schema, and how each engine says it. A version is a file of SQL that SQLite takes as it is; what MySQL and
+//! MariaDB say otherwise (types, keys, storage) is put in its place here.
+
+/// From each schema version to the next. Never edit one that was released: append another.
+pub(crate) const MIGRATIONS: &[&str] = &[include_str!("schema/1.sql"), include_str!("schema/2.sql")];
+
+/// Length of a stretch of `presence`, nanoseconds.
+pub(crate) const STRETCH: i64 = 5_000_000_000;
+
+/// What a server says otherwise, in the order in which it is replaced.
+const OTHERWISE: &[(&str, &str)] = &[
+    // A migration that was killed half-way goes on where it was: a server commits each statement by itself.
+    ("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"),
+    ("INTEGER PRIMARY KEY", "BIGINT AUTO_INCREMENT PRIMARY KEY"),
+    ("INTEGER", "BIGINT"),
+    ("REAL", "DOUBLE"),
+    // The longest name has 127 characters. The comparison is by bytes, as SQLite's.
+    ("TEXT NOT NULL UNIQUE", "VARCHAR(190) NOT NULL UNIQUE"),
+    ("TEXT", "LONGTEXT"),
+    ("WITHOUT ROWID", ""),
+];
+
+/// A migration as single statements for MySQL and MariaDB, in a session with `ANSI_QUOTES`.
+pub(crate) fn for_server(migration: &str) -> Vec<String> {
+    let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
+    let without_comments = migration.lines().map(|line| words(line.split("--").next().unwrap_or_default()));
+    let text = without_comments.collect::<Vec<_>>().join("\n");
+    let statements = text.split(';').map(str::trim).filter(|statement| !statement.is_empty());
+    let translate = |statement: &str| {
+        let said = OTHERWISE.iter().fold(statement.to_owned(), |sql, (here, there)| sql.replace(here, there));
+        format!("{} ENGINE = InnoDB CHARACTER SET utf8mb4 COLLATE utf8mb4_bin", said.trim_end())
+    };
+    statements.map(translate).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_is_told_in_its_own_words() {
+        let statements: Vec<String> = MIGRATIONS.iter().flat_map(|migration| for_server(migration)).collect();
+        assert!(statements.iter().all(|statement| statement.starts_with("CREATE TABLE IF NOT EXISTS ")));
+        assert_eq!(
+            statements[1],
+            "CREATE TABLE IF NOT EXISTS name (\nid BIGINT AUTO_INCREMENT PRIMARY KEY,\ntext VARCHAR(190) NOT NULL UNIQUE\n) \
+             ENGINE = InnoDB CHARACTER SET utf8mb4 COLLATE utf8mb4_bin"
+        );
+    }
+}

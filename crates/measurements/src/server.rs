@@ -1,0 +1,425 @@
+//! Histories in MySQL and MariaDB. Batches go straight to the server while it is there, each in one transaction. When
+//! it goes away they are spooled to a file instead, and a thread of its own waits for the server and takes them over,
+//! in order and each once, before anything newer: recording never waits for a network.
+
+mod connection;
+mod read;
+mod spool;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::{
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use cotorra_graph::{Stamped, Timestamp};
+use mysql::{Conn, Row, prelude::Queryable};
+
+use self::{
+    connection::{Fallible, connect, engine_error, prepare},
+    read::{Reader, integer, text},
+    spool::{Next, Record, Spool},
+    write::{Failure, Receipt, Writer},
+};
+use crate::{
+    codec::ReadError,
+    error::{Error, Result},
+    location::Server,
+    page::{Page, PageRequest},
+    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
+};
+
+/// A server that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long an answer, or a batch from the spool, may take.
+const LONG_PATIENCE: Duration = Duration::from_secs(60);
+
+/// Between attempts to reach a server that went away.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// A spool takes so many bytes.
+const SPOOL: u64 = 256_000_000;
+
+/// Connections for reading that are kept for the next question.
+const IDLE_READERS: usize = 4;
+
+/// A database of a server.
+pub(crate) struct Remote {
+    shared: Arc<Shared>,
+    readers: Mutex<Vec<Reader>>,
+    drainer: Option<JoinHandle<()>>,
+}
+
+/// What the thread that empties the spool has in common with those who write.
+struct Shared {
+    server: Server,
+    state: Mutex<State>,
+    /// The server went away, or the history is closed.
+    changed: Condvar,
+}
+
+struct State {
+    /// Writes while the server is there and the spool is empty.
+    direct: Option<Writer>,
+    spool: Spool,
+    /// The number of the next batch. One whose fate is unknown is spooled under its number.
+    batch: u64,
+    closing: bool,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // What these locks guard is whole at any time: a panic in the middle of a write rolls it back.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Remote {
+    /// Opens a history, or makes a new one, and takes in what processes left behind that recorded it while the
+    /// server was away.
+    pub fn open(server: &Server) -> Result<Self> {
+        Self::with_spool_of(server, SPOOL)
+    }
+
+    fn with_spool_of(server: &Server, bound: u64) -> Result<Self> {
+        let engine = |e| engine_error(&server.name, e);
+        let mut connection = connect(server, LONG_PATIENCE).map_err(engine)?;
+        prepare(&mut connection, server)?;
+        let spool = Spool::create(&server.spool, &server.name, bound)?;
+        let mut writer = Writer::new(connection);
+        for left in Spool::left_behind(&server.spool, &server.name)? {
+            take_in(server, &mut writer, &left)?;
+            forget(&mut writer.connection, &left).map_err(engine)?;
+        }
+        let direct = connect(server, PATIENCE).map_err(engine)?;
+        let state = State { direct: Some(Writer::new(direct)), spool, batch: 0, closing: false };
+        let shared =
+            Arc::new(Shared { server: server.clone(), state: Mutex::new(state), changed: Condvar::new() });
+        let drainer = thread::Builder::new().name("spool".to_owned()).spawn({
+            let shared = shared.clone();
+            move || shared.drain()
+        });
+        let drainer = drainer.map_err(|cause| Error::Thread { cause: Arc::new(cause) })?;
+        Ok(Self { shared, readers: Mutex::default(), drainer: Some(drainer) })
+    }
+
+    fn read<T>(&self, ask: impl Fn(&Reader) -> Result<T>) -> Result<T> {
+        let server = &self.shared.server;
+        let taken = lock(&self.readers).pop();
+        let fresh = || {
+            let connection = connect(server, LONG_PATIENCE).map_err(|e| engine_error(&server.name, e))?;
+            Ok(Reader::new(connection, &server.name))
+        };
+        let (reader, answer) = match taken {
+            Some(reader) => match ask(&reader) {
+                // The server may have been started anew since this connection was made.
+                Err(Error::Unreachable { .. }) => {
+                    lock(&self.readers).clear();
+                    let reader = fresh()?;
+                    let answer = ask(&reader)?;
+                    (reader, answer)
+                }
+                answer => (reader, answer?),
+            },
+            None => {
+                let reader = fresh()?;
+                let answer = ask(&reader)?;
+                (reader, answer)
+            }
+        };
+        let mut idle = lock(&self.readers);
+        if idle.len() < IDLE_READERS {
+            idle.push(reader);
+        }
+        Ok(answer)
+    }
+}
+
+impl Shared {
+    fn engine(&self, error: mysql::Error) -> Error {
+        engine_error(&self.server.name, error)
+    }
+
+    /// From now on, what is recorded is spooled.
+    fn lose(&self, state: &mut State, error: &Error) {
+        tracing::warn!(%error, spool = state.spool.name(), "the history is spooled to a file until its server is back");
+        state.direct = None;
+        self.changed.notify_all();
+    }
+
+    /// Waits for a server that went away, and brings it what was spooled, until the history is closed.
+    fn drain(&self) {
+        let mut state = lock(&self.state);
+        loop {
+            while state.direct.is_some() && !state.closing {
+                state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            }
+            if state.direct.is_some() {
+                return;
+            }
+            // When the history is closed, one more attempt.
+            let closing = state.closing;
+            drop(state);
+            let outcome = self.catch_up();
+            state = lock(&self.state);
+            match outcome {
+                Ok(()) => tracing::info!("the server of the history is back, and has all that was spooled"),
+                Err(error) if closing => {
+                    tracing::warn!(%error, spool = state.spool.name(), "what was recorded stays in the spool until the history is opened again");
+                    return;
+                }
+                Err(error) => {
+                    tracing::debug!(%error, "the server of the history is still away");
+                    if !state.closing {
+                        let wait = self.changed.wait_timeout(state, RETRY);
+                        state = wait.unwrap_or_else(PoisonError::into_inner).0;
+                    }
+                }
+            }
+        }
+    }
+
+    fn catch_up(&self) -> Result<()> {
+        let connection = connect(&self.server, LONG_PATIENCE).map_err(|e| self.engine(e))?;
+        let mut direct = connect(&self.server, PATIENCE).map_err(|e| self.engine(e))?;
+        let mut writer = Writer::new(connection);
+        let (reader, id) = {
+            let state = lock(&self.state);
+            (state.spool.reader(), state.spool.writer.clone())
+        };
+        let mut taken = taken(&mut writer.connection, &id).map_err(|e| self.engine(e))?;
+        let mut place = Spool::begin();
+        loop {
+            let end = {
+                let mut state = lock(&self.state);
+                if place == state.spool.end() {
+                    direct.ping().map_err(|e| self.engine(e))?;
+                    state.spool.clear()?;
+                    state.direct = Some(Writer::new(direct));
+                    self.changed.notify_all();
+                    return Ok(());
+                }
+                state.spool.end()
+            };
+            match reader.next(place, end)? {
+                Next::Record(number, record, behind) => {
+                    if taken.is_none_or(|taken| number > taken) {
+                        take_record(
+                            &self.server,
+                            &mut writer,
+                            Receipt { writer: &id, batch: number },
+                            &record,
+                        )?;
+                        taken = Some(number);
+                    }
+                    place = behind;
+                }
+                Next::End | Next::Damage(_) => {
+                    let cause = std::io::Error::other("the file was changed by another program");
+                    let spool = lock(&self.state).spool.name().into();
+                    return Err(Error::Spool { spool, cause: Arc::new(cause) });
+                }
+            }
+        }
+    }
+}
+
+/// The last batch of a process that was taken in.
+fn taken(connection: &mut Conn, writer: &str) -> Fallible<Option<u64>> {
+    connection.exec_first("SELECT batches FROM spool WHERE writer = ?", (writer,))
+}
+
+/// Takes in what a process left behind.
+fn take_in(server: &Server, writer: &mut Writer, spool: &Spool) -> Result<()> {
+    let taken = taken(&mut writer.connection, &spool.writer).map_err(|e| engine_error(&server.name, e))?;
+    let (reader, mut place, mut batches) = (spool.reader(), Spool::begin(), 0);
+    loop {
+        match reader.next(place, spool.end())? {
+            Next::Record(number, record, behind) => {
+                if taken.is_none_or(|taken| number > taken) {
+                    take_record(server, writer, Receipt { writer: &spool.writer, batch: number }, &record)?;
+                    batches += 1;
+                }
+                place = behind;
+            }
+            Next::End => break,
+            Next::Damage(detail) => {
+                let aside = spool.put_aside()?;
+                tracing::error!(file = %aside.display(), detail, "part of a spool is damaged, and was put aside");
+                break;
+            }
+        }
+    }
+    if batches > 0 {
+        tracing::info!(batches, spool = spool.name(), "took in what was recorded while the server was away");
+    }
+    Ok(())
+}
+
+/// Removes a spool of which everything was taken in.
+fn forget(connection: &mut Conn, spool: &Spool) -> Fallible<()> {
+    if let Err(error) = spool.remove() {
+        // Its receipt stays, so that nothing is taken in again.
+        tracing::warn!(%error, "a spool that is not needed any more is left");
+        return Ok(());
+    }
+    connection.exec_drop("DELETE FROM spool WHERE writer = ?", (&spool.writer,))
+}
+
+fn take_record(server: &Server, writer: &mut Writer, receipt: Receipt<'_>, record: &Record) -> Result<()> {
+    let outcome = match record {
+        Record::Batch { events, gaps } => writer.append(events, gaps, receipt),
+        Record::End { run, at } => end_run(&mut writer.connection, *run, *at),
+    };
+    match outcome {
+        Ok(()) => Ok(()),
+        Err(Failure::Engine(error)) => Err(engine_error(&server.name, error)),
+        Err(Failure::NoSuchRun(run)) => {
+            tracing::error!(%run, "what was spooled of this run is dropped: the history does not have it any more");
+            Ok(())
+        }
+    }
+}
+
+fn end_run(connection: &mut Conn, run: RunId, at: Timestamp) -> std::result::Result<(), Failure> {
+    let ended = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
+    let found: Option<i64> = connection.exec_first("SELECT id FROM run WHERE id = ?", (run.0,))?;
+    found.ok_or(Failure::NoSuchRun(run))?;
+    Ok(connection.exec_drop("UPDATE run SET ended_ns = ? WHERE id = ?", (ended, run.0))?)
+}
+
+impl Drop for Remote {
+    fn drop(&mut self) {
+        lock(&self.shared.state).closing = true;
+        self.shared.changed.notify_all();
+        if let Some(drainer) = self.drainer.take()
+            && drainer.join().is_err()
+        {
+            tracing::error!("the thread that empties the spool panicked; the spool is kept");
+        }
+        let mut state = lock(&self.shared.state);
+        let State { direct, spool, .. } = &mut *state;
+        if let Some(writer) = direct
+            && let Err(error) = forget(&mut writer.connection, spool)
+        {
+            tracing::debug!(%error, "a receipt stays in the history");
+        }
+    }
+}
+
+const RUN: &str = "SELECT id, name, seed, started_unix_ns, testbed, ended_ns FROM run";
+
+fn run_of(row: &Row) -> std::result::Result<Run, ReadError> {
+    let ended = if row.as_ref(5) == Some(&mysql::Value::NULL) { None } else { Some(integer(row, 5)?) };
+    Ok(Run {
+        id: RunId(integer(row, 0)?),
+        info: RunInfo {
+            name: text(row, 1)?.unwrap_or_default(),
+            seed: integer(row, 2)?.cast_unsigned(),
+            started_at_unix_ns: integer(row, 3)?,
+            testbed: text(row, 4)?.unwrap_or_default(),
+        },
+        ended: ended.map(|t| Timestamp::from_nanos(t.cast_unsigned())),
+    })
+}
+
+impl Store for Remote {
+    fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
+        let mut state = lock(&self.shared.state);
+        let Some(writer) = &mut state.direct else {
+            let cause = "it went away, and what was recorded is not in it yet".into();
+            return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
+        };
+        let begun = writer.connection.exec_drop(
+            "INSERT INTO run (name, seed, started_unix_ns, testbed, next_seq) VALUES (?, ?, ?, ?, 0)",
+            (&info.name, info.seed.cast_signed(), info.started_at_unix_ns, &info.testbed),
+        );
+        match begun {
+            Ok(()) => Ok(RunId(writer.connection.last_insert_id().cast_signed())),
+            Err(error) => {
+                let error = self.shared.engine(error);
+                if let Error::Unreachable { .. } = error {
+                    self.shared.lose(&mut state, &error);
+                }
+                Err(error)
+            }
+        }
+    }
+
+    fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
+        let mut state = lock(&self.shared.state);
+        if let Some(writer) = &mut state.direct {
+            match end_run(&mut writer.connection, run, at) {
+                Ok(()) => return Ok(()),
+                Err(Failure::NoSuchRun(run)) => return Err(Error::NoSuchRun(run)),
+                Err(Failure::Engine(error)) => {
+                    let error = self.shared.engine(error);
+                    self.shared.lose(&mut state, &error);
+                }
+            }
+        }
+        let number = state.batch;
+        state.spool.push_end(number, run, at)?;
+        state.batch += 1;
+        Ok(())
+    }
+
+    fn run(&self, run: RunId) -> Result<Run> {
+        let question = format!("{RUN} WHERE id = ?");
+        let found = self.read(|reader| {
+            reader.ask(|| reader.rows(&question, (run.0,))?.first().map(run_of).transpose())
+        })?;
+        found.ok_or(Error::NoSuchRun(run))
+    }
+
+    fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
+        let question = format!("{RUN} WHERE id > ? ORDER BY id LIMIT ?");
+        let after = after.map_or(0, |run| run.0);
+        self.read(|reader| {
+            reader.ask(|| reader.rows(&question, (after, limit))?.iter().map(run_of).collect())
+        })
+    }
+
+    fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
+        let mut state = lock(&self.shared.state);
+        let number = state.batch;
+        let State { direct, spool, .. } = &mut *state;
+        if let Some(writer) = direct {
+            match writer.append(events, gaps, Receipt { writer: &spool.writer, batch: number }) {
+                Ok(()) => {
+                    state.batch += 1;
+                    return Ok(());
+                }
+                Err(Failure::NoSuchRun(run)) => return Err(Error::NoSuchRun(run)),
+                Err(Failure::Engine(error)) => match self.shared.engine(error) {
+                    // Rolled back, because another process was in the way: the same is tried again soon.
+                    error @ Error::Busy { .. } => return Err(error),
+                    error => self.shared.lose(&mut state, &error),
+                },
+            }
+        }
+        state.spool.push_batch(number, events, gaps)?;
+        state.batch += 1;
+        Ok(())
+    }
+
+    fn events(
+        &self,
+        run: RunId,
+        what: &Selection<'_>,
+        span: Span,
+        page: PageRequest,
+    ) -> Result<Page<Stamped>> {
+        self.read(|reader| reader.events(run, what, span, page))
+    }
+
+    fn gaps(&self, run: RunId, span: Span, page: PageRequest) -> Result<Page<Gap>> {
+        self.read(|reader| reader.gaps(run, span, page))
+    }
+
+    fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
+        self.read(|reader| reader.latest(run, at))
+    }
+}

@@ -1,0 +1,393 @@
+//! Servers when things go wrong, and what other engines have no part in.
+
+use std::{fs, sync::Barrier};
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::{
+    History, Kind, Location,
+    location::Server,
+    schema::MIGRATIONS,
+    testing::{mariadb::MariaDb, notice, placement, run_info},
+};
+
+fn place(url: &str) -> Server {
+    match url.parse().unwrap() {
+        Location::Server(server) => server,
+        Location::File(_) => panic!("{url} is a server"),
+    }
+}
+
+fn session(url: &str) -> Conn {
+    connect(&place(url), LONG_PATIENCE).unwrap()
+}
+
+fn refusal(url: &str) -> Error {
+    match Remote::open(&place(url)) {
+        Ok(_) => panic!("no history can be opened there"),
+        Err(error) => error,
+    }
+}
+
+impl Remote {
+    /// Waits until the server has all that was spooled.
+    fn wait_until_caught_up(&self) {
+        let mut state = lock(&self.shared.state);
+        while state.direct.is_none() {
+            state = self.shared.changed.wait(state).unwrap();
+        }
+    }
+
+    fn spools(&self) -> bool {
+        lock(&self.shared.state).direct.is_none()
+    }
+}
+
+fn everything(history: &History, run: RunId) -> Vec<Stamped> {
+    let mut all = Vec::new();
+    let mut request = PageRequest::first(PageRequest::MAX);
+    loop {
+        let page = history.events(run, &[], .., request).unwrap();
+        all.extend(page.items);
+        let Some(next) = page.next else { return all };
+        request = PageRequest::after(next, PageRequest::MAX);
+    }
+}
+
+fn numbered(n: u64) -> Stamped {
+    if n.is_multiple_of(10) {
+        placement(n, "brain", ["fog", "edge"][n as usize / 10 % 2])
+    } else {
+        notice(n, &n.to_string())
+    }
+}
+
+/// Records some numbers, flushing now and then.
+fn record(history: &History, run: RunId, numbers: std::ops::Range<u64>) {
+    let recorder = history.recorder(run).unwrap();
+    for n in numbers {
+        recorder.record(numbered(n));
+        if n.is_multiple_of(17) {
+            recorder.flush().unwrap();
+        }
+    }
+    recorder.flush().unwrap();
+}
+
+fn all(numbers: u64) -> Vec<Stamped> {
+    (0..numbers).map(numbered).collect()
+}
+
+fn spool_files(server: &MariaDb) -> usize {
+    fs::read_dir(server.spool()).map_or(0, |files| files.count())
+}
+
+#[test]
+fn a_history_is_there_when_it_is_opened_again() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    let location: Location = url.parse().unwrap();
+    let history = History::connect(&location).unwrap();
+    let run = history.begin_run(&run_info("first")).unwrap();
+    record(&history, run, 0..100);
+    history.end_run(run, Timestamp::from_nanos(9)).unwrap();
+    drop(history);
+    let receipts: Option<i64> = session(&url).query_first("SELECT count(*) FROM spool").unwrap();
+    assert_eq!(receipts, Some(0), "who closes in order leaves nothing behind");
+
+    // By its socket as well.
+    let by_socket = url.replace('?', &format!("?socket={}&", server.socket().display()));
+    let history = History::connect(&by_socket.parse().unwrap()).unwrap();
+    assert_eq!(history.run(run).unwrap().ended, Some(Timestamp::from_nanos(9)));
+    assert_eq!(history.run(run).unwrap().info, run_info("first"));
+    record(&history, run, 100..120);
+    assert_eq!(everything(&history, run), all(120));
+    assert_ne!(history.begin_run(&run_info("second")).unwrap(), run);
+}
+
+#[test]
+fn processes_may_open_a_new_database_at_once_and_share_it() {
+    let Some(server) = MariaDb::shared() else { return };
+    let place = place(&server.fresh());
+    let together = Barrier::new(4);
+    thread::scope(|scope| {
+        for node in ["fog", "edge", "cloud", "fog"] {
+            scope.spawn(|| {
+                together.wait();
+                let history = History::of(Arc::new(Remote::open(&place).unwrap())).unwrap();
+                let run = history.begin_run(&run_info("shared")).unwrap();
+                let recorder = history.recorder(run).unwrap();
+                for t in 0..50 {
+                    recorder.record(placement(t, "brain", node));
+                    recorder.flush().unwrap();
+                }
+                let wanted: Vec<_> = (0..50).map(|t| placement(t, "brain", node)).collect();
+                assert_eq!(everything(&history, run), wanted);
+            });
+        }
+    });
+}
+
+#[test]
+fn refuses_what_is_no_history_and_leaves_it_alone() {
+    let Some(server) = MariaDb::shared() else { return };
+    let alien = server.fresh();
+    session(&server.url("mysql")).query_drop(format!("CREATE DATABASE {}", quoted_name(&alien))).unwrap();
+    session(&alien).query_drop("CREATE TABLE songs (title TEXT)").unwrap();
+    assert!(matches!(refusal(&alien), Error::NotAHistory { .. }));
+    assert_eq!(session(&alien).query::<String, _>("SHOW TABLES").unwrap(), ["songs"]);
+}
+
+fn quoted_name(url: &str) -> String {
+    place(url).database
+}
+
+#[test]
+fn refuses_a_newer_schema_and_brings_an_older_one_up_to_date() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    drop(Remote::open(&place(&url)).unwrap());
+    let newer = MIGRATIONS.len() as u32 + 1;
+    let set = |version: u32| {
+        session(&url).exec_drop("UPDATE cotorra_schema SET version = ?", (version,)).unwrap();
+    };
+    set(newer);
+    let error = refusal(&url);
+    assert!(matches!(error, Error::NewerSchema { found, known, .. } if found == newer && known == newer - 1));
+
+    // A migration that was killed half-way: some of its tables are there.
+    set(0);
+    session(&url).query_drop("DROP TABLE spool, notice").unwrap();
+    let history = History::connect(&url.parse().unwrap()).unwrap();
+    let run = history.begin_run(&run_info("migrated")).unwrap();
+    record(&history, run, 0..20);
+    assert_eq!(everything(&history, run), all(20));
+}
+
+/// No error, and nothing that is shown of a history, holds the password.
+#[test]
+fn says_who_was_refused_but_not_the_password() {
+    let Some(server) = MariaDb::shared() else { return };
+    let wrong = server.fresh().replace("s3cret", "wr0ng");
+    let error = refusal(&wrong);
+    assert!(matches!(error, Error::Server { .. }), "{error}");
+    let told = format!("{error} {error:?}");
+    assert!(told.contains("cotorra") && !told.contains("wr0ng"), "{told}");
+    let nobody = refusal("mysql://cotorra:wr0ng@127.0.0.1:1/cotorra");
+    assert!(matches!(nobody, Error::Unreachable { .. }) && !format!("{nobody} {nobody:?}").contains("wr0ng"));
+}
+
+/// No question goes through all of a table.
+#[test]
+fn questions_use_the_keys() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    let history = History::connect(&url.parse().unwrap()).unwrap();
+    let run = history.begin_run(&run_info("plans")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    for t in 0..3000 {
+        recorder.record(placement(t * 5_000_000_000, ["brain", "map"][t as usize % 2], "fog"));
+    }
+    recorder.flush().unwrap();
+    let mut session = session(&url);
+    session.query_drop("ANALYZE TABLE presence, placement").unwrap();
+    let mut plan = |sql: &str, parameters: Vec<i64>| -> Vec<String> {
+        let rows: Vec<Row> = session.exec(format!("EXPLAIN {sql}"), parameters).unwrap();
+        rows.iter()
+            .map(|row| format!("{:?} {:?}", row.get::<String, _>("type"), row.get::<String, _>("Extra")))
+            .collect()
+    };
+    let found = plan(read::LAST_STRETCHES, vec![1, 3, 1000]);
+    assert!(found[0].contains("range") && found[0].contains("Using index for group-by"), "{found:?}");
+    for series in [None, Some([1, 0])] {
+        let select = read::Select { kind: Kind::Placement, series, until: 0, limit: 1 };
+        let mut parameters = vec![run.0, 5_000_000_000, 5_000_000_000, 3, 50_000_000_000];
+        parameters.extend(series.map(|ids| ids[0]));
+        parameters.push(100);
+        let found = plan(&select.sql(), parameters);
+        assert!(found[0].contains("range") && !found[0].contains("filesort"), "{found:?}");
+    }
+}
+
+#[test]
+fn nothing_is_lost_when_the_server_is_stopped_and_started_again() {
+    let Some(server) = MariaDb::start() else { return };
+    let store = Arc::new(Remote::open(&place(&server.fresh())).unwrap());
+    let history = History::of(store.clone()).unwrap();
+    let run = history.begin_run(&run_info("stopped")).unwrap();
+    record(&history, run, 0..100);
+    let mut recorded = 100;
+    for round in 0..3 {
+        let recorder = history.recorder(run).unwrap();
+        if round == 1 {
+            server.kill()
+        } else {
+            server.stop()
+        }
+        // What is flushed is durable, though nobody can be asked.
+        for n in recorded..recorded + 500 {
+            recorder.record(numbered(n));
+            if n.is_multiple_of(50) {
+                recorder.flush().unwrap();
+            }
+        }
+        recorder.flush().unwrap();
+        assert!(store.spools());
+        assert!(matches!(
+            history.events(run, &[], .., PageRequest::default()),
+            Err(Error::Unreachable { .. })
+        ));
+        assert!(matches!(history.begin_run(&run_info("no")), Err(Error::Unreachable { .. })));
+        recorded += 500;
+        server.resume();
+        // Recorded while the spool is emptied: behind what is in it.
+        for n in recorded..recorded + 100 {
+            recorder.record(numbered(n));
+        }
+        recorder.flush().unwrap();
+        recorded += 100;
+        store.wait_until_caught_up();
+        assert_eq!(everything(&history, run), all(recorded));
+    }
+    assert_eq!(history.recorder(run).unwrap().stats().dropped, 0);
+    assert!(history.gaps(run, .., PageRequest::default()).unwrap().items.is_empty());
+    assert_eq!(history.state_at(run, Timestamp::MAX).unwrap().placements.len(), 1);
+}
+
+#[test]
+fn what_stays_in_the_spool_is_taken_in_when_the_history_is_opened_again() {
+    let Some(server) = MariaDb::start() else { return };
+    let location: Location = server.fresh().parse().unwrap();
+    let history = History::connect(&location).unwrap();
+    let run = history.begin_run(&run_info("left behind")).unwrap();
+    record(&history, run, 0..50);
+    let recorder = history.recorder(run).unwrap();
+    server.kill();
+    for n in 50..300 {
+        recorder.record(numbered(n));
+    }
+    history.end_run(run, Timestamp::from_nanos(300)).unwrap();
+    drop((history, recorder));
+    assert_eq!(spool_files(&server), 1);
+
+    assert!(matches!(History::connect(&location), Err(Error::Unreachable { .. })));
+    server.resume();
+    let history = History::connect(&location).unwrap();
+    assert_eq!(everything(&history, run), all(300));
+    assert_eq!(history.run(run).unwrap().ended, Some(Timestamp::from_nanos(300)));
+    drop(history);
+    assert_eq!(spool_files(&server), 0);
+}
+
+/// A server that hangs is left after a while; what it did with the last batch is found out when it is back.
+#[test]
+fn a_server_that_hangs_is_one_that_is_gone() {
+    let Some(server) = MariaDb::start() else { return };
+    let store = Arc::new(Remote::open(&place(&server.fresh())).unwrap());
+    let history = History::of(store.clone()).unwrap();
+    let run = history.begin_run(&run_info("hangs")).unwrap();
+    record(&history, run, 0..100);
+    let recorder = history.recorder(run).unwrap();
+    server.signal("-STOP");
+    for n in 100..200 {
+        recorder.record(numbered(n));
+    }
+    recorder.flush().unwrap();
+    assert!(store.spools());
+    server.signal("-CONT");
+    store.wait_until_caught_up();
+    assert_eq!(everything(&history, run), all(200));
+}
+
+/// The batch was taken in, but its process never heard of that: it is spooled, and not taken in again.
+#[test]
+fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    let store = Remote::open(&place(&url)).unwrap();
+    let run = store.begin_run(&run_info("unknown")).unwrap();
+    let entries = |numbers: std::ops::Range<u64>| -> Vec<Entry> {
+        numbers.map(|n| Entry { run, stamped: numbered(n) }).collect()
+    };
+    store.append(&entries(0..10), &[]).unwrap();
+    store.append(&entries(10..20), &[]).unwrap();
+    {
+        let mut state = lock(&store.shared.state);
+        // As if the answer to the last one had been lost.
+        let number = state.batch - 1;
+        state.spool.push_batch(number, &entries(10..20), &[]).unwrap();
+        let error = Error::Stopped;
+        store.shared.lose(&mut state, &error);
+    }
+    store.append(&entries(20..30), &[]).unwrap();
+    store.wait_until_caught_up();
+    drop(store);
+    let history = History::connect(&url.parse().unwrap()).unwrap();
+    assert_eq!(everything(&history, run), all(30));
+}
+
+/// When the spool is full, the queue fills, and what does not fit in it becomes a gap.
+#[test]
+fn a_full_spool_makes_gaps_in_the_end() {
+    let Some(server) = MariaDb::start() else { return };
+    let store = Arc::new(Remote::with_spool_of(&place(&server.fresh()), 20_000).unwrap());
+    let history = History::of(store.clone()).unwrap();
+    let run = history.begin_run(&run_info("full")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    server.stop();
+    let mut recorded = 0;
+    let error = loop {
+        for _ in 0..50 {
+            recorder.record(numbered(recorded));
+            recorded += 1;
+        }
+        if let Err(error) = recorder.flush() {
+            break error;
+        }
+    };
+    assert!(matches!(error, Error::SpoolFull { .. }), "{error}");
+    while recorder.stats().dropped == 0 {
+        recorder.record(numbered(recorded));
+        recorded += 1;
+    }
+    let stats = recorder.stats();
+    server.resume();
+    store.wait_until_caught_up();
+    recorder.flush().unwrap();
+    let found = everything(&history, run);
+    assert_eq!(found.len() as u64, stats.recorded);
+    assert!(found == all(recorded)[..found.len()]);
+    let gaps = history.gaps(run, .., PageRequest::default()).unwrap().items;
+    assert_eq!(gaps.iter().map(|gap| gap.events).sum::<u64>(), stats.dropped);
+}
+
+/// A number that a server has no word for stays what it is.
+#[test]
+fn odd_figures_come_back() {
+    let Some(server) = MariaDb::shared() else { return };
+    let history = History::connect(&server.fresh().parse().unwrap()).unwrap();
+    let run = history.begin_run(&run_info("odd")).unwrap();
+    let lateness = |x: f64| {
+        let lateness =
+            cotorra_graph::Lateness { frames: u64::MAX, p50_us: x, p99_us: -x, max_us: f64::MIN_POSITIVE };
+        Stamped { at: Timestamp::ZERO, event: cotorra_graph::Event::Lateness(lateness) }
+    };
+    let recorder = history.recorder(run).unwrap();
+    let odd = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.1 + 0.2, 5e-324, f64::MAX / 2.0].map(lateness);
+    odd.iter().for_each(|stamped| recorder.record(stamped.clone()));
+    recorder.flush().unwrap();
+    let found = everything(&history, run);
+    assert_eq!(format!("{found:?}").replace("-NaN", "NaN"), format!("{odd:?}").replace("-NaN", "NaN"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    /// Whatever stands in for a URL, there is an answer, and it does not tell the password.
+    #[test]
+    fn any_text_is_a_location_or_not(text in "(mysql://)?[a-z:@/?=%\\[\\]]{0,30}") {
+        if let Ok(location) = text.parse::<Location>() {
+            let _ = location.to_string();
+        }
+    }
+}
