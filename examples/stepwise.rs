@@ -1,5 +1,5 @@
 //! A cotorra plug-in in Rust, as a program of its own: robots roam by periodic scans, and navigation takes a step to
-//! the next dearer server when answers are late three times in a row; from the dearest back to the cheapest.
+//! the next dearer server when answers are late six times in a row; from the dearest back to the cheapest.
 //!
 //! `cargo build --release -p cotorra-plugin --example stepwise`, then name it in a testbed file as
 //! `command: [target/release/examples/stepwise]`. Its setting is `scan_every`, in seconds, by default 10.
@@ -11,8 +11,8 @@ use cotorra_graph::{
 };
 use cotorra_plugin::{Actions, Plugin, client};
 
-/// So many late answers in a row are no handover any more.
-const PATIENCE: u32 = 3;
+/// So many late answers in a row are neither a scan nor a handover any more.
+const PATIENCE: u32 = 6;
 
 struct Stepwise {
     scan_every: Duration,
