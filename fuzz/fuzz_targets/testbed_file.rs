@@ -1,14 +1,16 @@
-//! No testbed file panics, exhausts memory, or has its mistakes told beside the text.
+//! No testbed file, and no setting on top of one, panics, exhausts memory, or has its mistakes told beside the text.
 #![no_main]
 
 use std::path::Path;
 
-use cotorra_graph::testbed_file;
+use cotorra_graph::testbed_file::{self, Setting};
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(|text: &str| {
-    if let Err(wrong) = testbed_file::parse("fuzz.yaml", text, Path::new("/nonexistent")) {
-        assert!(wrong.list.iter().all(|d| text.get(d.span.clone()).is_some()));
+fuzz_target!(|input: (Option<String>, String)| {
+    let (setting, text) = input;
+    let settings: Vec<Setting> = setting.iter().filter_map(|setting| setting.parse().ok()).collect();
+    if let Err(wrong) = testbed_file::parse_with("fuzz.yaml", &text, Path::new("/nonexistent"), &settings) {
+        assert!(wrong.list.iter().all(|d| wrong.source_text.get(d.span.clone()).is_some()));
         _ = wrong.to_string();
     }
 });

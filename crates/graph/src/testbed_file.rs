@@ -223,6 +223,18 @@ mod tests {
             }
         }
 
+        /// A setting changes the shipped file, or is told about, in its place.
+        #[test]
+        fn no_setting_panics(path in "(links|plugins|nodes|walks|plugin|wireless|\\PC{1,5})(\\.[a-zA-Z0-9*-]{1,9}){0,4}", value in "\\PC{0,12}") {
+            let text = std::fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
+            let text = text.replace("map: maps/corridor.yaml", "");
+            if let Ok(setting) = Setting::new(&path, &value)
+                && let Err(wrong) = parse_with("x.yaml", &text, &testbeds(), &[setting])
+            {
+                check_places(&wrong);
+            }
+        }
+
         /// A file that was cut, or in which something was written over, is accepted or told about, in its place.
         #[test]
         fn no_spoilt_file_panics(at in 0_usize..5000, cut in 0_usize..40, put in "\\PC{0,8}") {
