@@ -175,9 +175,10 @@ pub struct RunArgs {
     pub api: Option<SocketAddr>,
     /// Run in virtual time: as fast as this machine can, and the same to the byte each time
     ///
-    /// The same network, robots, VNFs and bundled plug-ins, without namespaces, packets of the kernel's or an API. Plug-ins
-    /// and VNFs that are programs of their own cannot take part.
-    #[arg(long, conflicts_with = "api")]
+    /// The same network, robots, VNFs and plug-ins, without namespaces or packets of the kernel's. For plug-ins that are
+    /// programs of their own, time stands still while they answer, and the API is served. VNFs that are programs cannot
+    /// take part.
+    #[arg(long)]
     pub simulate: bool,
     /// Let idle cores fall asleep
     ///

@@ -17,6 +17,7 @@ use crate::{
     kind::{Kind, Series},
     location::Location,
     memory::Memory,
+    paced::PacedRecorder,
     page::{Page, PageRequest},
     recorder::{Queue, Recorder},
     server::Remote,
@@ -117,6 +118,15 @@ impl History {
     pub fn recorder(&self, run: RunId) -> Result<Recorder> {
         self.store.run(run)?;
         Ok(self.queue.recorder(run))
+    }
+
+    /// Takes the events of a run and writes them when it is told to, as virtual time needs it.
+    ///
+    /// # Errors
+    /// When there is no such run.
+    pub fn paced_recorder(&self, run: RunId) -> Result<PacedRecorder> {
+        self.store.run(run)?;
+        Ok(PacedRecorder::new(self.store.clone(), run))
     }
 
     /// Makes what was recorded durable and notes when the run ended. A run that was killed has no end.

@@ -16,7 +16,7 @@ use std::{
 
 use axum::{Json, Router, middleware, routing::get, serve::ListenerExt as _};
 use cotorra_graph::{NodeId, PluginId, Stamped, Testbed};
-use cotorra_measurements::{History, Recorder, RunId};
+use cotorra_measurements::{History, PacedRecorder, RunId};
 use tokio::sync::{broadcast, oneshot};
 use utoipa::OpenApi as _;
 use utoipa_axum::{router::OpenApiRouter, routes};
@@ -46,7 +46,7 @@ pub(crate) struct Lockstep {
     /// For whom it does.
     pub(crate) plugins: Arc<BTreeSet<PluginId>>,
     /// Made durable before the history is asked, so that an answer does not depend on the writer's speed.
-    pub(crate) recorder: Recorder,
+    pub(crate) recorder: PacedRecorder,
 }
 
 /// Why the API cannot be served.

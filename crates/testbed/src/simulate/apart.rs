@@ -11,7 +11,7 @@ use std::{
 };
 
 use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
-use cotorra_measurements::{History, Recorder, RunId};
+use cotorra_measurements::{History, PacedRecorder, RunId};
 use cotorra_network_control::Refused;
 use tokio::sync::broadcast;
 
@@ -100,7 +100,7 @@ pub(super) struct Asked<'a> {
     pub(super) testbed: &'a Arc<Testbed>,
     pub(super) history: &'a Arc<History>,
     pub(super) run: RunId,
-    pub(super) recorder: &'a Recorder,
+    pub(super) recorder: &'a PacedRecorder,
     pub(super) logs: &'a Path,
 }
 

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Stamped, Testbed, Timestamp};
-use cotorra_measurements::{History, Recorder, RunInfo};
+use cotorra_measurements::{History, PacedRecorder, RunInfo};
 
 use super::{
     Simulation,
@@ -15,7 +15,7 @@ use crate::{
     run::{Finished, Options, RunError},
 };
 
-/// After so many events the history is waited for, which virtual time would leave behind.
+/// After so many events they are written.
 const HISTORY_PACE: usize = 10_000;
 
 /// A program that says nothing for so long while time waits for it counts as hung.
@@ -58,7 +58,7 @@ pub(super) fn simulate_with(
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
     let run = history.begin_run(&info)?;
-    let recorder = history.recorder(run)?;
+    let recorder = history.paced_recorder(run)?;
     let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0 };
     let asked =
         Asked { testbed: &testbed, history: &history, run, recorder: &books.recorder, logs: &folder.logs() };
@@ -94,7 +94,7 @@ pub(super) fn simulate_with(
     drop(apart);
     books.catch_up()?;
     let Books { report, recorder, .. } = books;
-    let losses = Losses { frames_dropped: 0, history_dropped: recorder.stats().dropped };
+    let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
     let summary = report.summary(now, end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, now)?;
@@ -104,7 +104,7 @@ pub(super) fn simulate_with(
 /// Where what happens is kept.
 struct Books {
     report: Report,
-    recorder: Recorder,
+    recorder: PacedRecorder,
     unwritten: usize,
 }
 

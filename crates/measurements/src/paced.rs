@@ -1,0 +1,105 @@
+//! The way in for who decides when to write. What it leaves depends on what was recorded and when it was told to
+//! write, not on how fast anything went: in virtual time the same run so leaves the same bytes.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use cotorra_graph::{Stamped, Timestamp};
+
+use crate::{
+    codec,
+    error::Result,
+    store::{Entry, Gap, RunId, Store},
+};
+
+/// Takes the events of one run and writes them when it is told to, on the thread that tells it. Clones share what
+/// waits. It grows with what waits, so who records has to say when.
+#[derive(Clone)]
+pub struct PacedRecorder {
+    run: RunId,
+    store: Arc<dyn Store>,
+    waiting: Arc<Mutex<Waiting>>,
+}
+
+#[derive(Default)]
+struct Waiting {
+    entries: Vec<Entry>,
+    /// What no history can hold.
+    gap: Option<Gap>,
+    dropped: u64,
+}
+
+impl PacedRecorder {
+    pub(crate) fn new(store: Arc<dyn Store>, run: RunId) -> Self {
+        Self { run, store, waiting: Arc::default() }
+    }
+
+    /// Takes an event.
+    pub fn record(&self, stamped: Stamped) {
+        let mut waiting = self.waiting();
+        if codec::storable(&stamped) {
+            waiting.entries.push(Entry { run: self.run, stamped });
+        } else {
+            waiting.lose(stamped.at);
+        }
+    }
+
+    /// Writes what waits; it is durable when this returns.
+    ///
+    /// # Errors
+    /// When it cannot be written. Nothing is lost by that: it waits for the next time.
+    pub fn flush(&self) -> Result<()> {
+        let mut waiting = self.waiting();
+        if waiting.entries.is_empty() && waiting.gap.is_none() {
+            return Ok(());
+        }
+        let gaps: Vec<_> = waiting.gap.iter().map(|gap| (self.run, *gap)).collect();
+        self.store.append(&waiting.entries, &gaps)?;
+        waiting.entries.clear();
+        waiting.gap = None;
+        Ok(())
+    }
+
+    /// Events lost because no history can hold them; the history tells them as gaps.
+    pub fn dropped(&self) -> u64 {
+        self.waiting().dropped
+    }
+
+    fn waiting(&self) -> MutexGuard<'_, Waiting> {
+        // Nothing is half done in it when an engine panics: what waits is dropped after it was written.
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Waiting {
+    fn lose(&mut self, at: Timestamp) {
+        self.dropped += 1;
+        let before = self.gap.unwrap_or(Gap { from: at, until: at, events: 0 });
+        let (from, until) = (before.from.min(at), before.until.max(at));
+        self.gap = Some(Gap { from, until, events: before.events + 1 });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        History, PageRequest,
+        testing::{notice, run_info},
+    };
+
+    #[test]
+    fn nothing_is_written_before_it_is_told_to_and_what_cannot_be_is_a_gap() {
+        let history = History::in_memory().unwrap();
+        let run = history.begin_run(&run_info("paced")).unwrap();
+        let recorder = history.paced_recorder(run).unwrap();
+        recorder.record(notice(1, "first"));
+        recorder.clone().record(notice(u64::MAX, "too late for any history"));
+        let events = || history.events(run, &[], .., PageRequest::default()).unwrap().items;
+        assert_eq!(events(), []);
+        recorder.flush().unwrap();
+        assert_eq!(events(), [notice(1, "first")]);
+        let gaps = history.gaps(run, .., PageRequest::default()).unwrap().items;
+        assert_eq!((gaps.len(), gaps[0].events, recorder.dropped()), (1, 1, 1));
+        recorder.flush().unwrap();
+        assert_eq!(events().len(), 1);
+    }
+}
