@@ -39,6 +39,7 @@ fn the_python_example_runs_against_a_live_testbed() {
 }
 
 /// The corridor with a script as its only plug-in.
+#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 fn corridor_with(script: &str, folder: &Path) -> PathBuf {
     let text = fs::read_to_string(corridor()).unwrap();
     let map = project_file("testbeds/maps/corridor.yaml");
