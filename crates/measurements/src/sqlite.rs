@@ -84,8 +84,14 @@ impl Sqlite {
 fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
     let work = |connection: &mut Connection| -> Fallible<Result<()>> {
         connection.busy_timeout(BUSY)?;
-        if let Err(e) = version(connection, history)? {
-            return Ok(Err(e));
+        match version(connection, history) {
+            // Where nothing can be written, not even a log that is read along, SQLite cannot read either.
+            Err(_) if connection.is_readonly("main")? => {
+                return Ok(Err(Error::ReadOnly { history: history.clone() }));
+            }
+            Err(e) => return Err(e),
+            Ok(Err(e)) => return Ok(Err(e)),
+            Ok(Ok(_)) => {}
         }
         if connection.is_readonly("main")? {
             return Ok(Err(Error::ReadOnly { history: history.clone() }));

@@ -1,13 +1,18 @@
-//! What was acknowledged survives kill -9, whenever it comes.
+//! What was acknowledged survives kill -9, whenever it comes: in a file, in a server, and in the spool of one that is
+//! away.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
+
+#[path = "../src/testing/mariadb.rs"]
+mod mariadb;
 
 use std::{
     io::{BufRead, BufReader, Write},
-    process::{Command, Stdio},
+    process::{Child, Command, Stdio},
 };
 
 use cotorra_graph::{Event, Stamped, Timestamp};
-use cotorra_measurements::{History, PageRequest, RunId, RunInfo};
+use cotorra_measurements::{History, Location, PageRequest, RunId, RunInfo};
+use mariadb::MariaDb;
 
 const PATH: &str = "COTORRA_TEST_HISTORY";
 
@@ -15,13 +20,14 @@ const PATH: &str = "COTORRA_TEST_HISTORY";
 #[test]
 #[ignore = "is started and killed by the test below"]
 fn records_until_it_is_killed() {
-    let Some(path) = std::env::var_os(PATH) else { return };
-    let history = History::open(path).unwrap();
+    let Ok(location) = std::env::var(PATH) else { return };
+    let mut acknowledge = std::io::stdout();
+    writeln!(acknowledge, "\nopening").unwrap();
+    let history = History::connect(&location.parse().unwrap()).unwrap();
     let info = RunInfo { name: "killed".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
     let run = history.begin_run(&info).unwrap();
     let recorder = history.recorder(run).unwrap();
-    let mut acknowledge = std::io::stdout();
-    writeln!(acknowledge, "\nrun {run}").unwrap();
+    writeln!(acknowledge, "run {run}").unwrap();
     for n in 0_u64.. {
         recorder.record(numbered(n));
         if n % 61 == 0 {
@@ -36,53 +42,119 @@ fn numbered(n: u64) -> Stamped {
     Stamped { at: Timestamp::from_nanos(n * 1000), event }
 }
 
-#[test]
-fn what_was_acknowledged_survives_kill_9() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("history.sqlite");
-    // One file, killed again and again: between acknowledgements, soon after the start, and late.
-    let acknowledged: Vec<(RunId, u64)> = [0, 1, 2, 3, 5, 8, 40, 100]
-        .into_iter()
-        .map(|acknowledgements| kill_after(acknowledgements, &path))
-        .collect();
+/// That process.
+struct Recording {
+    child: Child,
+    lines: Box<dyn Iterator<Item = String>>,
+}
 
-    let history = History::open(&path).unwrap();
-    assert_eq!(history.runs(None, 100).unwrap().len(), acknowledged.len());
+impl Recording {
+    fn start(location: &str) -> Self {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["records_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
+            .env(PATH, location)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let mut lines = Box::new(lines);
+        lines.find(|line| line == "opening").unwrap();
+        Self { child, lines }
+    }
+
+    fn run(&mut self) -> RunId {
+        self.lines.find_map(|line| line.strip_prefix("run ").map(|run| run.parse().unwrap())).unwrap()
+    }
+
+    /// The number that is acknowledged next, if there is one.
+    fn durable(&mut self) -> Option<u64> {
+        self.lines.find_map(|line| line.strip_prefix("durable ").map(|n| n.parse().unwrap()))
+    }
+
+    /// Waits for so many acknowledgements.
+    fn wait(&mut self, acknowledgements: usize) {
+        for _ in 0..acknowledgements {
+            self.durable().unwrap();
+        }
+    }
+
+    /// Gives back the last number that was acknowledged: what it said until it died counts as well.
+    fn kill(mut self) -> Option<u64> {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+        std::iter::from_fn(|| self.durable()).last()
+    }
+}
+
+/// All that was acknowledged is there, and nothing is missing or twice in between.
+fn check(history: &History, acknowledged: &[(RunId, u64)]) {
     for (run, durable) in acknowledged {
         let mut found = 0;
         let mut request = PageRequest::first(1000);
         loop {
-            let page = history.events(run, &[], .., request).unwrap();
+            let page = history.events(*run, &[], .., request).unwrap();
             for stamped in page.items {
-                assert_eq!(stamped, numbered(found), "nothing is missing in between");
+                assert_eq!(stamped, numbered(found));
                 found += 1;
             }
             let Some(next) = page.next else { break };
             request = PageRequest::after(next, 1000);
         }
-        assert!(found > durable, "run {run}: {durable} was acknowledged, but only {found} are there");
-        assert_eq!(history.run(run).unwrap().ended, None);
+        assert!(found > *durable, "run {run}: {durable} was acknowledged, but only {found} are there");
+        assert_eq!(history.run(*run).unwrap().ended, None);
     }
 }
 
-/// Gives back the run, and the last number that was acknowledged before the process died.
-fn kill_after(acknowledgements: usize, path: &std::path::Path) -> (RunId, u64) {
-    let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["records_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
-        .env(PATH, path)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
-    let run = lines.find_map(|line| line.strip_prefix("run ").map(|run| run.parse().unwrap())).unwrap();
-    let mut durable = lines.filter_map(|line| line.strip_prefix("durable ").map(|n| n.parse().unwrap()));
-    let mut last: u64 = durable.next().unwrap();
-    for _ in 0..acknowledgements {
-        last = durable.next().unwrap();
+#[test]
+fn what_was_acknowledged_survives_kill_9() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    let mut acknowledged = Vec::new();
+    // One file, killed again and again: between acknowledgements, soon after the start, and late.
+    for acknowledgements in [0, 1, 2, 3, 5, 8, 40, 100] {
+        let mut recording = Recording::start(path.to_str().unwrap());
+        let run = recording.run();
+        recording.wait(acknowledgements);
+        let Some(last) = recording.durable() else { panic!("it lives until it is killed") };
+        acknowledged.push((run, recording.kill().unwrap_or(last)));
     }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    // What it said until it died counts as well.
-    (run, durable.last().unwrap_or(last))
+    let history = History::open(&path).unwrap();
+    assert_eq!(history.runs(None, 100).unwrap().len(), acknowledged.len());
+    check(&history, &acknowledged);
+}
+
+/// The server dies under a process that records, the process dies with what it spooled, and so do those that take it
+/// in; in the end everything is there, once.
+#[test]
+fn what_was_acknowledged_survives_kill_9_of_process_and_server() {
+    let Some(server) = MariaDb::start() else { return };
+    let url = server.fresh();
+    let location: Location = url.parse().unwrap();
+    let mut acknowledged = Vec::new();
+    for (before, spooled, killed_while_taking_in) in [(5, 0, 0), (3, 30, 1), (0, 200, 3), (20, 300, 2)] {
+        let mut recording = Recording::start(&url);
+        let run = recording.run();
+        recording.wait(before);
+        server.kill();
+        recording.wait(spooled);
+        let Some(last) = recording.durable() else { panic!("it lives until it is killed") };
+        acknowledged.push((run, recording.kill().unwrap_or(last)));
+        server.resume();
+        for _ in 0..killed_while_taking_in {
+            Recording::start(&url).kill();
+        }
+    }
+    // The last one is killed while it brings the server what it spooled itself.
+    let mut recording = Recording::start(&url);
+    let run = recording.run();
+    server.kill();
+    recording.wait(100);
+    server.resume();
+    recording.wait(3);
+    let Some(last) = recording.durable() else { panic!("it lives until it is killed") };
+    acknowledged.push((run, recording.kill().unwrap_or(last)));
+
+    check(&History::connect(&location).unwrap(), &acknowledged);
+    assert_eq!(std::fs::read_dir(server.spool()).unwrap().count(), 0, "all spools were taken in");
 }

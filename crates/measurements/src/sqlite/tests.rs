@@ -330,3 +330,54 @@ fn questions_use_the_keys() {
         }
     }
 }
+
+#[test]
+fn brings_an_older_file_up_to_date() {
+    let (_folder, path) = folder();
+    let old = Connection::open(&path).unwrap();
+    old.execute_batch(MIGRATIONS[0]).unwrap();
+    old.pragma_update(None, "application_id", APPLICATION_ID).unwrap();
+    old.pragma_update(None, "user_version", 1).unwrap();
+    old.execute_batch(
+        "INSERT INTO run VALUES (1, 'old', 7, 0, '', NULL, 1); INSERT INTO notice VALUES (1, 5, 0, 'from before')",
+    )
+    .unwrap();
+    drop(old);
+    let history = History::open(&path).unwrap();
+    let run = history.runs(None, 1).unwrap()[0].id;
+    assert_eq!(everything(&history, run), [notice(5, "from before")]);
+    drop(history);
+    let version: u32 =
+        Connection::open(&path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap();
+    assert_eq!(version, MIGRATIONS.len() as u32);
+}
+
+/// A loss of power cuts the write-ahead log off anywhere: whole batches are left, from the first on.
+#[test]
+fn a_log_that_was_cut_off_leaves_whole_batches() {
+    let (folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("cut off")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    let batch = 50;
+    for t in 0..10 * batch {
+        recorder.record(notice(t, &t.to_string()));
+        if t % batch == batch - 1 {
+            recorder.flush().unwrap();
+        }
+    }
+    let log = fs::read(path.with_file_name("history.sqlite-wal")).unwrap();
+    let cut = folder.path().join("cut.sqlite");
+    let mut lengths = std::collections::BTreeSet::new();
+    for length in (0..=log.len()).step_by(2000).chain([log.len()]) {
+        fs::copy(&path, &cut).unwrap();
+        fs::write(cut.with_file_name("cut.sqlite-wal"), &log[..length]).unwrap();
+        let _ = fs::remove_file(cut.with_file_name("cut.sqlite-shm"));
+        let history = History::open(&cut).unwrap();
+        let events = if history.run(run).is_ok() { everything(&history, run) } else { Vec::new() };
+        assert_eq!(events, (0..events.len() as u64).map(|t| notice(t, &t.to_string())).collect::<Vec<_>>());
+        assert_eq!(events.len() as u64 % batch, 0, "a batch is there or is not");
+        lengths.insert(events.len());
+    }
+    assert!(lengths.len() > 5 && lengths.last() == Some(&(10 * batch as usize)), "{lengths:?}");
+}
