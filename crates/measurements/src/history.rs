@@ -13,7 +13,10 @@ use cotorra_graph::{
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    curve::{Curve, CurveRequest, Drawing},
+    difference::{Difference, difference},
     error::Result,
+    figure::Figure,
     kind::{Kind, Series},
     location::Location,
     memory::Memory,
@@ -290,6 +293,55 @@ impl History {
         Ok(state)
     }
 
+    /// A figure over a range of time, in a bounded number of points, with the gaps in it. An end that is not given is
+    /// where the first or last such sample is.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn curve(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        range: impl RangeBounds<Timestamp>,
+        request: &CurveRequest,
+    ) -> Result<Curve> {
+        let asked = span(&range);
+        let samples = self.store.extent(run, figure.kept().kind, asked)?;
+        let (first, last) = samples.unwrap_or((asked.from, asked.until));
+        let from = if asked.from == 0 { first } else { asked.from };
+        let until = if asked.until >= i64::MAX - 1 { last } else { asked.until };
+        let gaps = self.gaps_over(run, Span { from, until })?;
+        if until < from || (samples.is_none() && gaps.is_empty()) {
+            let points = Vec::new();
+            let quantiles = request.quantiles.clone();
+            return Ok(Curve { unit: figure.unit().to_owned(), figure: figure.clone(), quantiles, points });
+        }
+        let mut drawing = Drawing::new(from, until, request, gaps);
+        self.store.values(run, figure, Span { from, until }, &mut |t, value| drawing.add(t, value))?;
+        Ok(drawing.finish(figure.clone(), until))
+    }
+
+    /// All gaps that overlap with a span.
+    fn gaps_over(&self, run: RunId, span: Span) -> Result<Vec<Gap>> {
+        let before = Span { from: 0, until: span.until };
+        let mut gaps = Vec::new();
+        let mut request = PageRequest::first(PageRequest::MAX);
+        loop {
+            let page = self.store.gaps(run, before, request)?;
+            gaps.extend(page.items.into_iter().filter(|gap| nanos(gap.until) >= span.from));
+            let Some(next) = page.next else { return Ok(gaps) };
+            request = PageRequest::after(next, PageRequest::MAX);
+        }
+    }
+
+    /// Two runs side by side.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn difference(&self, a: RunId, b: RunId) -> Result<Difference> {
+        difference(&*self.store, [a, b])
+    }
+
     fn select<T: FromEvent>(
         &self,
         run: RunId,
@@ -351,7 +403,10 @@ from_event!(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{notice, placement, run_info};
+    use crate::{
+        LatenessQuantity,
+        testing::{notice, placement, run_info},
+    };
 
     fn recorded(events: &[Stamped]) -> (History, RunId) {
         let history = History::in_memory().unwrap();
@@ -405,5 +460,127 @@ mod tests {
         ]);
         assert_eq!(json["placements"], placements);
         assert_eq!(serde_json::from_value::<GraphState>(json).unwrap(), state);
+    }
+
+    fn lateness(seconds: u64, p99_us: f64) -> Stamped {
+        let lateness = cotorra_graph::Lateness { frames: 1, p50_us: 1.0, p99_us, max_us: 100.0 };
+        Stamped { at: Timestamp::from_nanos(seconds * 1_000_000_000), event: Event::Lateness(lateness) }
+    }
+
+    #[test]
+    fn a_curve_is_of_what_was_asked_for() {
+        let (history, run) = recorded(&[10, 20, 30, 40].map(|t| lateness(t, t as f64)));
+        let figure = Figure::Lateness(LatenessQuantity::P99);
+        let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);
+        let request = CurveRequest { points: 2, quantiles: vec![0.5] };
+        let means = |curve: &Curve| -> Vec<f64> {
+            curve.points.iter().map(|point| point.values.as_ref().unwrap().mean).collect()
+        };
+        let curve = history.curve(run, &figure, .., &request).unwrap();
+        assert_eq!(means(&curve), [15.0, 35.0]);
+        assert_eq!((curve.unit.as_str(), curve.points[0].from), ("µs", s(10)));
+        assert_eq!(means(&history.curve(run, &figure, s(15)..s(40), &request).unwrap()), [20.0, 30.0]);
+        // Ends that are given are the ends, so that curves of two runs have the same points.
+        let curve = history.curve(run, &figure, s(1)..s(101), &request).unwrap();
+        assert_eq!((means(&curve), curve.points[0].from), (vec![25.0], s(1)));
+        assert_eq!(curve.points[0].until, s(51));
+        let none = history.curve(run, &figure, s(50)..s(60), &request).unwrap();
+        assert!(none.points.is_empty());
+        assert!(history.curve(run, &figure, s(60)..s(50), &request).unwrap().points.is_empty());
+        let other = Figure::Load(NodeId::new("ap1").unwrap());
+        assert!(history.curve(run, &other, .., &request).unwrap().points.is_empty());
+    }
+
+    #[test]
+    fn a_curve_tells_what_was_lost() {
+        let (history, run) =
+            recorded(&[lateness(1, 1.0), notice(u64::MAX, "after 584 years"), lateness(2, 2.0)]);
+        let request = CurveRequest::default();
+        let figure = Figure::Lateness(LatenessQuantity::P99);
+        let curve = history.curve(run, &figure, .., &request).unwrap();
+        assert!(curve.points.iter().all(|point| !point.gap), "it was lost after the end of the curve");
+        let curve =
+            history.curve(run, &figure, ..=Timestamp::from_nanos(u64::MAX / 2 - 2), &request).unwrap();
+        assert!(!curve.points[0].gap);
+    }
+
+    #[test]
+    fn runs_are_told_side_by_side() {
+        use cotorra_graph::{Decision, Handover, Instruction, PluginId, ServiceId, VnfId};
+        let node = |name: &str| NodeId::new(name).unwrap();
+        let s = |seconds: u64| Timestamp::from_nanos(seconds * 1_000_000_000);
+        let service = |at: u64, unit: &str, took: Option<u64>| Stamped {
+            at: s(at),
+            event: Event::ServiceTime(ServiceTime {
+                service: ServiceId::new("navigation").unwrap(),
+                robot: node("r1"),
+                sequence: 0,
+                emitted: s(at),
+                took: took.map(std::time::Duration::from_millis),
+                attachment: Some(node(unit)),
+                server: node("fog"),
+            }),
+        };
+        let handover = Event::Handover(Handover {
+            robot: node("r1"),
+            from: Some(node("ap1")),
+            to: node("ap2"),
+            fast: true,
+            gap: std::time::Duration::from_millis(40),
+        });
+        let decision = Event::Decision(Decision {
+            plugin: PluginId::new("okpi").unwrap(),
+            instruction: Instruction::Place { vnf: VnfId::new("brain").unwrap(), node: node("edge") },
+            reason: Some("delay".to_owned()),
+            refused: None,
+        });
+        let second = 1_000_000_000;
+        let (history, a) = recorded(&[
+            placement(0, "brain", "fog"),
+            service(1, "ap1", Some(10)),
+            service(2, "ap1", Some(30)),
+            service(3, "ap2", None),
+            Stamped { at: s(4), event: handover },
+            lateness(5, 7.0),
+        ]);
+        history.end_run(a, s(10)).unwrap();
+        let b = history.begin_run(&run_info("other")).unwrap();
+        let recorder = history.recorder(b).unwrap();
+        for stamped in [
+            placement(0, "brain", "fog"),
+            service(1, "ap1", Some(20)),
+            Stamped { at: s(2), event: decision },
+            placement(3 * second, "brain", "edge"),
+        ] {
+            recorder.record(stamped);
+        }
+        history.end_run(b, s(10)).unwrap();
+
+        let told = history.difference(a, b).unwrap();
+        assert_eq!(told.runs.each_ref().map(|run| run.id), [a, b]);
+        let services = |entry: &[Option<crate::difference::Services>; 2]| {
+            entry.each_ref().map(|side| {
+                side.as_ref().map(|s| (s.unanswered, s.took_ms.as_ref().map(|took| took.quantiles[0])))
+            })
+        };
+        assert_eq!(services(&told.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
+        assert_eq!(told.regions.len(), 2);
+        assert_eq!(services(&told.regions[1].runs), [Some((1, None)), None]);
+        let handovers = told.handovers[0].runs[0].as_ref().unwrap();
+        assert_eq!((handovers.count, handovers.fast, handovers.gap_ms.as_ref().unwrap().max), (1, 1, 40.0));
+        assert_eq!(told.handovers[0].runs[1], None);
+        let seconds: Vec<_> = told
+            .placements
+            .iter()
+            .map(|entry| {
+                (entry.of.node.as_str(), entry.runs.each_ref().map(|p| p.as_ref().map(|p| p.seconds)))
+            })
+            .collect();
+        assert_eq!(seconds, [("edge", [None, Some(7.0)]), ("fog", [Some(10.0), Some(3.0)])]);
+        assert_eq!(told.decisions[0].of.instruction, "place");
+        assert_eq!(told.decisions[0].runs[1].as_ref().unwrap().count, 1);
+        assert_eq!(told.doubts[0].lateness_p99_us, Some(7.0));
+        let json = serde_json::to_string(&told).unwrap();
+        assert_eq!(serde_json::from_str::<Difference>(&json).unwrap(), told);
     }
 }

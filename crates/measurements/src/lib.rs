@@ -5,8 +5,12 @@
 //! a bound, so that no question is too big.
 #![forbid(unsafe_code)]
 
+mod chunk;
 mod codec;
+mod curve;
+pub mod difference;
 mod error;
+mod figure;
 mod history;
 mod kind;
 mod location;
@@ -21,7 +25,10 @@ mod store;
 #[cfg(test)]
 mod testing;
 
+pub use curve::{Curve, CurveRequest, Point, Values};
+pub use difference::Difference;
 pub use error::{Error, Result};
+pub use figure::{Figure, InvalidFigure, LatenessQuantity, LinkQuantity, RobotQuantity};
 pub use history::{GraphState, History, Sample};
 pub use kind::{InvalidKind, Kind};
 pub use location::{InvalidLocation, Location, Server};

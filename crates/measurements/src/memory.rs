@@ -9,6 +9,7 @@ use cotorra_graph::{Event, Stamped, Timestamp};
 
 use crate::{
     error::{Error, Result},
+    figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
@@ -173,6 +174,32 @@ impl Store for Memory {
             let end = Cursor { t: at, seq: i64::MAX };
             let last = recorded.series.values().filter_map(|cursors| cursors.range(..=end).next_back());
             last.map(|cursor| recorded.stamped(*cursor)).collect()
+        })
+    }
+
+    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+        self.with(run, |recorded| {
+            let wanted = within(span, PageRequest::default());
+            for (cursor, event) in recorded.events.iter().filter(|(cursor, _)| wanted(cursor)) {
+                figure.of(event, |value| {
+                    if !value.is_nan() {
+                        each(cursor.t, value);
+                    }
+                });
+            }
+        })
+    }
+
+    fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.with(run, |recorded| {
+            let wanted = within(span, PageRequest::default());
+            let mut times = recorded
+                .events
+                .iter()
+                .filter(|(cursor, event)| wanted(cursor) && Kind::of(event) == kind)
+                .map(|(cursor, _)| cursor.t);
+            let first = times.next()?;
+            Some((first, times.next_back().unwrap_or(first)))
         })
     }
 }

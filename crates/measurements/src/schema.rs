@@ -17,6 +17,7 @@ const OTHERWISE: &[(&str, &str)] = &[
     // The longest name has 127 characters. The comparison is by bytes, as SQLite's.
     ("TEXT NOT NULL UNIQUE", "VARCHAR(190) NOT NULL UNIQUE"),
     ("TEXT", "LONGTEXT"),
+    ("BLOB", "LONGBLOB"),
     ("WITHOUT ROWID", ""),
 ];
 

@@ -27,6 +27,8 @@ use self::{
 use crate::{
     codec::ReadError,
     error::{Error, Result},
+    figure::Figure,
+    kind::Kind,
     location::Server,
     page::{Page, PageRequest},
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
@@ -421,5 +423,20 @@ impl Store for Remote {
 
     fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
         self.read(|reader| reader.latest(run, at))
+    }
+
+    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+        // Gathered first: a question that is asked again must not tell anything twice.
+        let values = self.read(|reader| {
+            let mut values = Vec::new();
+            reader.values(run, figure, span, &mut |t, value| values.push((t, value)))?;
+            Ok(values)
+        })?;
+        values.into_iter().for_each(|(t, value)| each(t, value));
+        Ok(())
+    }
+
+    fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.read(|reader| reader.extent(run, kind, span))
     }
 }

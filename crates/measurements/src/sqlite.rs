@@ -18,6 +18,8 @@ use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionB
 use self::{read::Reader, write::Writer};
 use crate::{
     error::{Error, Result},
+    figure::Figure,
+    kind::Kind,
     page::{Page, PageRequest},
     schema::MIGRATIONS,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
@@ -221,5 +223,13 @@ impl Store for Sqlite {
 
     fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
         self.read(|reader| reader.latest(run, at))
+    }
+
+    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+        self.read(|reader| reader.values(run, figure, span, each))
+    }
+
+    fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.read(|reader| reader.extent(run, kind, span))
     }
 }

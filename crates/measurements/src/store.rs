@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     error::Result,
+    figure::Figure,
     kind::{Kind, Series},
     page::{Page, PageRequest},
 };
@@ -122,6 +123,12 @@ pub(crate) trait Store: Send + Sync {
 
     /// The last event of each series at a time or before.
     fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>>;
+
+    /// Calls `each` with the times and values of a figure in a span, in order; what is no number is left out.
+    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()>;
+
+    /// Times of the first and the last event of a kind in a span.
+    fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>>;
 }
 
 #[cfg(test)]

@@ -305,3 +305,17 @@ pub fn time() -> impl Strategy<Value = Timestamp> {
 pub fn stamped() -> impl Strategy<Value = Stamped> {
     (time(), event()).prop_map(|(at, event)| Stamped { at, event })
 }
+
+/// Any figure of the names above.
+pub fn figure() -> impl Strategy<Value = crate::Figure> {
+    use crate::{Figure, LatenessQuantity, LinkQuantity, RobotQuantity};
+    prop_oneof![
+        4 => (link(), direction(), select(LinkQuantity::ALL.to_vec())).prop_map(|(l, d, q)| Figure::Link(l, d, q)),
+        4 => (node(), select(RobotQuantity::ALL.to_vec())).prop_map(|(r, q)| Figure::Robot(r, q)),
+        2 => (node(), node()).prop_map(|(robot, radio_unit)| Figure::Signal { robot, radio_unit }),
+        1 => node().prop_map(Figure::Load),
+        2 => (of(service()), of(node())).prop_map(|(service, robot)| Figure::ServiceTime { service, robot }),
+        1 => of(node()).prop_map(|robot| Figure::HandoverGap { robot }),
+        1 => select(LatenessQuantity::ALL.to_vec()).prop_map(Figure::Lateness),
+    ]
+}

@@ -6,7 +6,7 @@ use cotorra_graph::{ConditionChange, Decision, Event, Instruction, LinkId, Plugi
 
 use super::*;
 use crate::{
-    History, Kind, Page, PageRequest,
+    Figure, History, Kind, Page, PageRequest,
     memory::Memory,
     store::{Run, RunInfo, Selection, Span},
     testing::{notice, run_info},
@@ -106,6 +106,14 @@ impl Store for Moody {
 
     fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
         self.memory.latest(run, at)
+    }
+
+    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+        self.memory.values(run, figure, span, each)
+    }
+
+    fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.memory.extent(run, kind, span)
     }
 }
 

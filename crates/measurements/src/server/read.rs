@@ -12,8 +12,10 @@ use mysql::{Conn, Params, Row, Value as Sql, prelude::Queryable};
 
 use super::connection::{Fallible, columns, engine_error, quoted};
 use crate::{
+    chunk,
     codec::{self, ReadError, Source},
     error::{Error, Result},
+    figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     schema::STRETCH,
@@ -200,6 +202,91 @@ impl Reader {
             let page_of = &rows[..rows.len().min(page.size())];
             let next = if rows.len() > page.size() { page_of.last().map(cursor).transpose()? } else { None };
             Ok(Page { items: page_of.iter().map(gap).collect::<Answer<_>>()?, next })
+        })
+    }
+
+    /// Stretch by stretch for what makes series, from its chunk where there is one.
+    pub fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, f64),
+    ) -> Result<()> {
+        let kept = figure.kept();
+        let sql = kept.sql("STRAIGHT_JOIN");
+        let mut each = |t: i64, value: f64| {
+            if (span.from..=span.until).contains(&t) && !value.is_nan() {
+                each(t, value * kept.factor);
+            }
+        };
+        self.ask_of(run, || {
+            let mut named = Vec::new();
+            for name in kept.named.iter().chain(&kept.child).map(|(_, name)| *name) {
+                match self.id(name)? {
+                    Some(id) => named.push(id),
+                    None => return Ok(()),
+                }
+            }
+            let Some(series) = &kept.series else {
+                return self.rows_of(&sql, [run.0, span.from, span.until], &named, &mut each);
+            };
+            let Some(ids) = self.ids(series)? else { return Ok(()) };
+            let named = [&ids[..codec::table(kept.kind).series.len()], &named].concat();
+            let place = kept.child.is_none().then(|| chunk::place(kept.kind, kept.column)).flatten();
+            let mut next = span.from / STRETCH;
+            loop {
+                let stretches = self.rows(
+                    "SELECT p.stretch, c.samples FROM presence p LEFT JOIN chunk c
+                     ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
+                     WHERE p.run = ? AND p.kind = ? AND p.a = ? AND p.b = ? AND p.stretch >= ? AND p.stretch <= ?
+                     ORDER BY p.stretch LIMIT ?",
+                    (run.0, kept.kind as i64, ids[0], ids[1], next, span.until / STRETCH, STRETCHES),
+                )?;
+                for row in &stretches {
+                    let stretch = integer(row, 0)?;
+                    next = stretch + 1;
+                    match (place, row.as_ref(1)) {
+                        (Some(place), Some(Sql::Bytes(samples))) => chunk::read(samples, place, &mut each)?,
+                        _ => {
+                            let from = span.from.max(stretch * STRETCH);
+                            let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
+                            self.rows_of(&sql, [run.0, from, until], &named, &mut each)?;
+                        }
+                    }
+                }
+                if (stretches.len() as u64) < STRETCHES {
+                    return Ok(());
+                }
+            }
+        })
+    }
+
+    /// Times and figures that a statement finds, one after the other.
+    fn rows_of(&self, sql: &str, of: [i64; 3], named: &[i64], each: &mut dyn FnMut(i64, f64)) -> Answer<()> {
+        let parameters = of.iter().chain(named).map(|n| Sql::Int(*n)).collect();
+        let mut connection = self.connection.borrow_mut();
+        for row in self.engine(connection.exec_iter(sql, Params::Positional(parameters)))? {
+            let row = self.engine(row)?;
+            let value = match row.as_ref(1) {
+                Some(Sql::Int(n)) => Some(*n as f64),
+                _ => real(&row, 1)?,
+            };
+            each(integer(&row, 0)?, value.unwrap_or(f64::NAN));
+        }
+        Ok(())
+    }
+
+    pub fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.ask_of(run, || {
+            let one = |order: &str| {
+                let table = quoted(kind.as_str());
+                let sql = format!(
+                    "SELECT t_ns FROM {table} WHERE run = ? AND t_ns >= ? AND t_ns <= ? ORDER BY t_ns {order} LIMIT 1"
+                );
+                self.rows(sql, (run.0, span.from, span.until))?.first().map(|row| integer(row, 0)).transpose()
+            };
+            Ok(one("ASC")?.zip(one("DESC")?))
         })
     }
 

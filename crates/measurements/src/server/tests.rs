@@ -31,6 +31,10 @@ fn refusal(url: &str) -> Error {
 }
 
 impl Remote {
+    pub fn place(&self) -> &Server {
+        &self.shared.server
+    }
+
     /// Waits until the server has all that was spooled.
     fn wait_until_caught_up(&self) {
         let mut state = lock(&self.shared.state);

@@ -9,6 +9,7 @@ use mysql::{Conn, Params, TxOpts, Value as Sql, prelude::Queryable};
 
 use super::connection::{Fallible, columns, quoted};
 use crate::{
+    chunk::{Chunk, has_chunks},
     codec::{self, Fields, Role, Value},
     kind::{Kind, Series},
     schema::STRETCH,
@@ -52,6 +53,7 @@ pub(super) struct Writer {
     rows: [Vec<Sql>; Kind::ALL.len()],
     children: [Vec<Sql>; Kind::ALL.len()],
     presence: Vec<Sql>,
+    chunks: Vec<Sql>,
     gaps: Vec<Sql>,
 }
 
@@ -62,6 +64,9 @@ struct Known {
     /// Places in `of_series`.
     series: HashMap<Series, usize>,
     of_series: Vec<KnownSeries>,
+    /// The next place in the order of recording that this process left, by run. If it is another one, another process
+    /// records the same run.
+    next_seq: BTreeMap<RunId, i64>,
 }
 
 /// What is known of a series.
@@ -71,6 +76,8 @@ struct KnownSeries {
     ids: [i64; 2],
     /// The last stretch that was noted.
     presence: Option<(RunId, i64)>,
+    /// All samples in it, if all of them are known.
+    chunk: Option<Chunk>,
     /// The last conditions and their id, by role.
     conditions: [Option<(Conditions, i64)>; Role::COUNT],
 }
@@ -92,6 +99,7 @@ impl Writer {
             rows: [const { Vec::new() }; Kind::ALL.len()],
             children: [const { Vec::new() }; Kind::ALL.len()],
             presence: Vec::new(),
+            chunks: Vec::new(),
             gaps: Vec::new(),
         }
     }
@@ -104,14 +112,19 @@ impl Writer {
         receipt: Receipt<'_>,
     ) -> Result<(), Failure> {
         let outcome = self.try_append(events, gaps, receipt);
-        for rows in self.rows.iter_mut().chain(&mut self.children).chain([&mut self.presence, &mut self.gaps])
-        {
+        for rows in self.rows.iter_mut().chain(&mut self.children).chain([
+            &mut self.presence,
+            &mut self.chunks,
+            &mut self.gaps,
+        ]) {
             rows.clear();
             rows.shrink_to(KEPT);
         }
         if outcome.is_err() {
             // Their stretches were rolled back, or may have been.
-            self.known.of_series.iter_mut().for_each(|series| series.presence = None);
+            for series in &mut self.known.of_series {
+                (series.presence, series.chunk) = (None, None);
+            }
         }
         outcome
     }
@@ -135,11 +148,14 @@ impl Writer {
         }
 
         let mut transaction = self.connection.start_transaction(TxOpts::default())?;
+        let mut chunks_hold = true;
         for (run, counter) in &mut counters {
             // Locks the run's row, so that processes which record the same run take turns.
             let found: Option<i64> =
                 transaction.exec_first("SELECT next_seq FROM run WHERE id = ? FOR UPDATE", (run.0,))?;
             let first = found.ok_or(Failure::NoSuchRun(*run))?;
+            let left = self.known.next_seq.insert(*run, first + *counter);
+            chunks_hold &= left.is_none_or(|left| left == first);
             transaction.exec_drop("UPDATE run SET next_seq = ? WHERE id = ?", (first + *counter, run.0))?;
             *counter = first;
         }
@@ -155,7 +171,22 @@ impl Writer {
         let key = ["run", "t_ns", "seq", "until_ns", "events"];
         insert(&mut transaction, "gap", &key, &mut self.gaps, &counters)?;
         let key = ["run", "kind", "a", "b", "stretch"];
-        insert(&mut transaction, "presence", &key, &mut self.presence, &Counters::new())?;
+        let noted = self.presence.clone();
+        let news = insert(&mut transaction, "presence", &key, &mut self.presence, &Counters::new())?;
+        if news < (noted.len() / key.len()) as u64 {
+            // Some have samples that are not known here, and chunks that will not hold those of this batch.
+            chunks_hold = false;
+            for stretch in noted.chunks(key.len()) {
+                let gone = "DELETE FROM chunk WHERE run = ? AND kind = ? AND a = ? AND b = ? AND stretch = ?";
+                transaction.exec_drop(gone, Params::Positional(stretch.to_vec()))?;
+            }
+        }
+        if chunks_hold {
+            let key = ["run", "kind", "a", "b", "stretch", "samples"];
+            insert(&mut transaction, "chunk", &key, &mut self.chunks, &Counters::new())?;
+        } else {
+            self.known.of_series.iter_mut().for_each(|series| series.chunk = None);
+        }
         transaction.exec_drop(
             "INSERT INTO spool (writer, batches) VALUES (?, ?) ON DUPLICATE KEY UPDATE batches = VALUES(batches)",
             (receipt.writer, receipt.batch),
@@ -179,6 +210,9 @@ impl Writer {
             };
             if let Some(series) = series {
                 self.note_presence(kind, *run, t, series);
+            }
+            if let Some(chunk) = series.and_then(|series| self.known.of_series[series].chunk.as_mut()) {
+                chunk.push(kind, t, &row.0);
             }
             self.rows[kind as usize].extend(key.iter().cloned());
             for value in &row.0 {
@@ -249,7 +283,7 @@ impl Writer {
         };
         let place = self.known.of_series.len();
         let conditions = [const { None }; Role::COUNT];
-        self.known.of_series.push(KnownSeries { ids, presence: None, conditions });
+        self.known.of_series.push(KnownSeries { ids, presence: None, chunk: None, conditions });
         self.known.series.insert(series, place);
         Ok(place)
     }
@@ -274,27 +308,38 @@ impl Writer {
         Ok(id)
     }
 
-    /// Notes that a series has a sample in a stretch, unless that is known.
+    /// Notes that a series has a sample in a stretch, unless that is known; packs the chunk of the one before.
     fn note_presence(&mut self, kind: Kind, run: RunId, t: i64, series: usize) {
         let known = &mut self.known.of_series[series];
         let stretch = t / STRETCH;
-        if known.presence.replace((run, stretch)) == Some((run, stretch)) {
+        let before = known.presence.replace((run, stretch));
+        if before == Some((run, stretch)) {
             return;
         }
         let [a, b] = known.ids;
+        if let Some((run, stretch)) = before
+            && let Some(chunk) = known.chunk.take().and_then(|chunk| chunk.finish(kind))
+        {
+            self.chunks.extend([run.0, kind as i64, a, b, stretch].map(Sql::Int));
+            self.chunks.push(Sql::Bytes(chunk));
+        }
+        // Whether all of its samples are known here is found out when the stretch is noted.
+        known.chunk = has_chunks(kind).then(Chunk::default);
         self.presence.extend([run.0, kind as i64, a, b, stretch].map(Sql::Int));
     }
 }
 
-/// Inserts rows, many at a time; the third value of each is its number, to which its run's counter is added.
+/// Inserts rows, many at a time, and says how many; the third value of each is its number, to which its run's counter
+/// is added.
 fn insert(
     transaction: &mut mysql::Transaction<'_>,
     table: &str,
     names: &[&str],
     rows: &mut Vec<Sql>,
     counters: &Counters,
-) -> Fallible<()> {
+) -> Fallible<u64> {
     let width = names.len();
+    let mut inserted = 0;
     if !counters.is_empty() {
         for row in rows.chunks_exact_mut(width) {
             if let [Sql::Int(run), _, Sql::Int(seq), ..] = row {
@@ -309,8 +354,9 @@ fn insert(
         let count = 1 << (left.len() / width).ilog2().min(most);
         let values: Vec<Sql> = left.by_ref().take(count * width).collect();
         transaction.exec_drop(inserting(table, names, count), Params::Positional(values))?;
+        inserted += transaction.affected_rows();
     }
-    Ok(())
+    Ok(inserted)
 }
 
 fn inserting(table: &str, names: &[&str], rows: usize) -> String {

@@ -9,14 +9,19 @@ use std::{
 
 use cotorra_graph::{Conditions, Stamped, Timestamp};
 use rusqlite::{
-    Connection, OpenFlags, OptionalExtension, Row, Rows, config::DbConfig,
-    fallible_streaming_iterator::FallibleStreamingIterator, params, types::FromSql,
+    CachedStatement, Connection, OpenFlags, OptionalExtension, Row, Rows,
+    config::DbConfig,
+    fallible_streaming_iterator::FallibleStreamingIterator,
+    params,
+    types::{FromSql, ValueRef},
 };
 
 use super::{BUSY, Fallible, engine_error};
 use crate::{
+    chunk,
     codec::{self, ReadError, Source},
     error::{Error, Result},
+    figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     schema::STRETCH,
@@ -304,22 +309,119 @@ impl Reader {
 
     /// The ids of a series as `presence` has them; `None` if a name was never recorded.
     fn ids(&self, series: &Series) -> std::result::Result<Option<[i64; 2]>, ReadError> {
-        let id = |name: &str| {
-            let ask = || {
-                self.connection
-                    .prepare_cached("SELECT id FROM name WHERE text = ?1")?
-                    .query_row([name], |row| row.get::<_, i64>(0))
-                    .optional()
-            };
-            self.engine(ask())
-        };
         let (a, b) = match series {
-            Series::Robot(node) | Series::Radio(node) => (id(node.as_str())?, Some(0)),
-            Series::Link(link, direction) => (id(link.as_str())?, Some(codec::direction_code(*direction))),
-            Series::Placement(vnf) => (id(vnf.as_str())?, Some(0)),
-            Series::VirtualLink(from, to) => (id(from.as_str())?, id(to.as_str())?),
+            Series::Robot(node) | Series::Radio(node) => (self.id(node.as_str())?, Some(0)),
+            Series::Link(link, direction) => {
+                (self.id(link.as_str())?, Some(codec::direction_code(*direction)))
+            }
+            Series::Placement(vnf) => (self.id(vnf.as_str())?, Some(0)),
+            Series::VirtualLink(from, to) => (self.id(from.as_str())?, self.id(to.as_str())?),
         };
         Ok(a.zip(b).map(|(a, b)| [a, b]))
+    }
+
+    /// Stretch by stretch for what makes series, from its chunk where there is one.
+    pub fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, f64),
+    ) -> Result<()> {
+        let kept = figure.kept();
+        let sql = kept.sql("CROSS JOIN");
+        let mut each = |t: i64, value: f64| {
+            if (span.from..=span.until).contains(&t) && !value.is_nan() {
+                each(t, value * kept.factor);
+            }
+        };
+        self.ask(run, || {
+            let mut named = Vec::new();
+            for name in kept.named.iter().chain(&kept.child).map(|(_, name)| *name) {
+                match self.id(name)? {
+                    Some(id) => named.push(id),
+                    None => return Ok(()),
+                }
+            }
+            let mut statement = self.engine(self.connection.prepare_cached(&sql))?;
+            let Some(series) = &kept.series else {
+                return self.rows_of(&mut statement, [run.0, span.from, span.until], &named, &mut each);
+            };
+            let Some(ids) = self.ids(series)? else { return Ok(()) };
+            let width = codec::table(kept.kind).series.len();
+            let named = [&ids[..width], &named].concat();
+            let place = kept.child.is_none().then(|| chunk::place(kept.kind, kept.column)).flatten();
+            let mut stretches = self.engine(self.connection.prepare_cached(
+                "SELECT p.stretch, c.samples FROM presence p LEFT JOIN chunk c
+                 ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
+                 WHERE p.run = ?1 AND p.kind = ?2 AND p.a = ?3 AND p.b = ?4 AND p.stretch >= ?5 AND p.stretch <= ?6
+                 ORDER BY p.stretch",
+            ))?;
+            let bounds = [span.from / STRETCH, span.until / STRETCH];
+            let asked = params![run.0, kept.kind as i64, ids[0], ids[1], bounds[0], bounds[1]];
+            let mut rows = self.engine(stretches.query(asked))?;
+            while let Some(row) = self.engine(rows.next())? {
+                let stretch: i64 = self.engine(row.get(0))?;
+                let samples = self.engine(row.get_ref(1))?;
+                match (place, samples) {
+                    (Some(place), ValueRef::Blob(samples)) => chunk::read(samples, place, &mut each)?,
+                    _ => {
+                        let from = span.from.max(stretch * STRETCH);
+                        let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
+                        self.rows_of(&mut statement, [run.0, from, until], &named, &mut each)?;
+                    }
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Times and figures that a statement finds.
+    fn rows_of(
+        &self,
+        statement: &mut CachedStatement<'_>,
+        of: [i64; 3],
+        named: &[i64],
+        each: &mut dyn FnMut(i64, f64),
+    ) -> std::result::Result<(), ReadError> {
+        let mut ask = || -> Fallible<()> {
+            let mut rows = statement.query(rusqlite::params_from_iter(of.iter().chain(named)))?;
+            while let Some(row) = rows.next()? {
+                let value = match row.get_ref(1)? {
+                    ValueRef::Integer(n) => n as f64,
+                    _ => row.get(1)?,
+                };
+                each(row.get(0)?, value);
+            }
+            Ok(())
+        };
+        self.engine(ask())
+    }
+
+    pub fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
+        self.ask(run, || {
+            let one = |order: &str| {
+                let sql = format!(
+                    "SELECT t_ns FROM {} WHERE run = ?1 AND t_ns >= ?2 AND t_ns <= ?3 ORDER BY t_ns {order} LIMIT 1",
+                    kind.as_str(),
+                );
+                let ask = |mut statement: CachedStatement<'_>| {
+                    statement.query_row(params![run.0, span.from, span.until], |row| row.get(0)).optional()
+                };
+                self.engine(self.connection.prepare_cached(&sql).and_then(ask))
+            };
+            Ok(one("ASC")?.zip(one("DESC")?))
+        })
+    }
+
+    fn id(&self, name: &str) -> std::result::Result<Option<i64>, ReadError> {
+        let ask = || {
+            self.connection
+                .prepare_cached("SELECT id FROM name WHERE text = ?1")?
+                .query_row([name], |row| row.get::<_, i64>(0))
+                .optional()
+        };
+        self.engine(ask())
     }
 
     fn stamped(

@@ -13,6 +13,7 @@ use rusqlite::{
 
 use super::Fallible;
 use crate::{
+    chunk::{Chunk, has_chunks},
     codec::{self, Fields, Role, Value},
     kind::{Kind, Series},
     schema::STRETCH,
@@ -35,6 +36,9 @@ struct Known {
     /// Places in `of_series`.
     series: HashMap<Series, usize>,
     of_series: Vec<KnownSeries>,
+    /// The next place in the order of recording that this process left, by run. If it is another one, another process
+    /// records the same run.
+    next_seq: BTreeMap<RunId, i64>,
 }
 
 /// What is known of a series.
@@ -44,6 +48,8 @@ struct KnownSeries {
     ids: [i64; 2],
     /// The last stretch that was noted.
     presence: Option<(RunId, i64)>,
+    /// All samples in it, if all of them are known.
+    chunk: Option<Chunk>,
     /// The last conditions and their id, by role.
     conditions: [Option<(Conditions, i64)>; Role::COUNT],
 }
@@ -119,6 +125,9 @@ impl<'t> Batch<'t> {
                     let [run, t, seq] = key;
                     let key_and_ids = [run, t, seq, ids[0], ids[1]];
                     self.row(kind, &key_and_ids[..3 + width], Some(series), &row.0[width..])?;
+                    if let Some(chunk) = &mut self.known.of_series[series].chunk {
+                        chunk.push(kind, t, &row.0);
+                    }
                 }
             }
             self.child_rows(kind, key, &children)?;
@@ -136,6 +145,7 @@ impl<'t> Batch<'t> {
     }
 
     fn finish(self) -> Fallible<()> {
+        self.known.next_seq.extend(&self.next_seq);
         for (run, next) in self.next_seq {
             self.transaction
                 .prepare_cached("UPDATE run SET next_seq = ?2 WHERE id = ?1")?
@@ -151,6 +161,11 @@ impl<'t> Batch<'t> {
                 let mut statement =
                     self.transaction.prepare_cached("SELECT next_seq FROM run WHERE id = ?1")?;
                 let next = statement.query_row([run.0], |row| row.get(0))?;
+                if self.known.next_seq.get(&run).is_some_and(|left| *left != next) {
+                    for series in &mut self.known.of_series {
+                        series.chunk = None;
+                    }
+                }
                 self.next_seq.entry(run).or_insert(next)
             }
         };
@@ -249,6 +264,7 @@ impl<'t> Batch<'t> {
         self.known.of_series.push(KnownSeries {
             ids,
             presence: None,
+            chunk: None,
             conditions: [const { None }; Role::COUNT],
         });
         self.known.series.insert(series, place);
@@ -271,19 +287,40 @@ impl<'t> Batch<'t> {
         Ok(id)
     }
 
-    /// Notes that a series has a sample in a stretch, unless that is known.
+    /// Notes that a series has a sample in a stretch, unless that is known; writes the chunk of the one before.
     fn presence(&mut self, kind: Kind, run: RunId, t: i64, series: usize) -> Fallible<()> {
         let known = &mut self.known.of_series[series];
         let stretch = t / STRETCH;
-        if known.presence.replace((run, stretch)) == Some((run, stretch)) {
+        let before = known.presence.replace((run, stretch));
+        if before == Some((run, stretch)) {
             return Ok(());
         }
         let [a, b] = known.ids;
-        self.transaction
+        if let Some((run, stretch)) = before
+            && let Some(chunk) = known.chunk.take().and_then(|chunk| chunk.finish(kind))
+        {
+            self.transaction
+                .prepare_cached(
+                    "INSERT INTO chunk (run, kind, a, b, stretch, samples) VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                )?
+                .execute(params![run.0, kind as i64, a, b, stretch, chunk])?;
+        }
+        let noted = self
+            .transaction
             .prepare_cached(
                 "INSERT INTO presence (run, kind, a, b, stretch) VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING",
             )?
             .execute(params![run.0, kind as i64, a, b, stretch])?;
+        if noted == 1 {
+            known.chunk = has_chunks(kind).then(Chunk::default);
+        } else if has_chunks(kind) {
+            // It has samples that are not known here, and the chunk that it may have will not hold this one.
+            self.transaction
+                .prepare_cached(
+                    "DELETE FROM chunk WHERE run = ?1 AND kind = ?2 AND a = ?3 AND b = ?4 AND stretch = ?5",
+                )?
+                .execute(params![run.0, kind as i64, a, b, stretch])?;
+        }
         Ok(())
     }
 }

@@ -1,17 +1,19 @@
 //! One promise for every engine: what an ordered list would answer.
 
+use cotorra_graph::Event;
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
 use std::sync::Arc;
 
 use crate::{
+    Figure, LinkQuantity, RobotQuantity,
     error::Error,
     location::Location,
     memory::Memory,
     server::Remote,
     sqlite::Sqlite,
-    testing::{mariadb::MariaDb, run_info, stamped, time},
+    testing::{figure, mariadb::MariaDb, run_info, stamped, time},
 };
 
 /// All engines, for the many cases of one test.
@@ -183,6 +185,75 @@ fn tells_gaps() {
         prop_assert_eq!(pages(*limit, |page| store.gaps(run, ALL, page).unwrap()), wanted);
         Ok(())
     });
+}
+
+/// Figures are those of the events, whether they come from rows or from chunks.
+#[test]
+fn tells_figures() {
+    let figures = vec(figure(), 1..6);
+    check((vec(stamped(), 0..80), figures, time(), time(), 1..40_usize), |store, run, other, value| {
+        let (events, figures, from, until, batch) = value;
+        append(store, run, other, events, *batch);
+        let own = events.iter().filter_map(|stamped| match &stamped.event {
+            Event::Link(link) => {
+                Some(Figure::Link(link.link.clone(), link.direction, LinkQuantity::Throughput))
+            }
+            Event::Robot(robot) => Some(Figure::Robot(robot.robot.clone(), RobotQuantity::Obstacle)),
+            _ => None,
+        });
+        for figure in figures.iter().cloned().chain(own) {
+            let mut wanted = Vec::new();
+            for stamped in sorted(events).iter().filter(|s| *from <= s.at && s.at <= *until) {
+                figure.of(&stamped.event, |value| wanted.push((stamped.at.as_nanos() as i64, value)));
+            }
+            let mut found = Vec::new();
+            store.values(run, &figure, span(*from, *until), &mut |t, value| found.push((t, value))).unwrap();
+            prop_assert_eq!(found, wanted, "{}", figure);
+        }
+        for kind in Kind::ALL {
+            let mut wanted = sorted(events);
+            wanted.retain(|s| *from <= s.at && s.at <= *until && Kind::of(&s.event) == kind);
+            let times = wanted.first().zip(wanted.last());
+            let times = times.map(|(first, last)| (first.at.as_nanos() as i64, last.at.as_nanos() as i64));
+            prop_assert_eq!(store.extent(run, kind, span(*from, *until)).unwrap(), times);
+        }
+        Ok(())
+    });
+}
+
+/// Processes that record the same series of the same run: none packs what it does not know all of.
+#[test]
+fn two_that_record_one_run_lose_nothing() {
+    let engines = Engines::new();
+    for (store, run, _) in engines.fresh().into_iter().skip(1) {
+        let path = engines.folder.path().join("history.sqlite");
+        let other: Box<dyn Store> = match &engines.remote {
+            Some((remote, _)) if Arc::ptr_eq(&store, &(remote.clone() as Arc<dyn Store>)) => {
+                Box::new(Remote::open(remote.place()).unwrap())
+            }
+            _ => Box::new(Sqlite::open(&path).unwrap()),
+        };
+        let load = |n: u64| Stamped {
+            at: Timestamp::from_nanos(n * 700_000_000),
+            event: Event::Radio(cotorra_graph::RadioContext {
+                radio_unit: cotorra_graph::NodeId::new("ap1").unwrap(),
+                channel: 1,
+                load: n as f64,
+                stations: Vec::new(),
+            }),
+        };
+        for n in 0..100_u64 {
+            // Long turns and short ones.
+            let store = if (n / 20).is_multiple_of(2) || n.is_multiple_of(3) { &*store } else { &*other };
+            store.append(&[Entry { run, stamped: load(n) }], &[]).unwrap();
+        }
+        let figure = Figure::Load(cotorra_graph::NodeId::new("ap1").unwrap());
+        for store in [&*store, &*other] {
+            let mut found = Vec::new();
+            store.values(run, &figure, ALL, &mut |_, value| found.push(value)).unwrap();
+            assert_eq!(found, (0..100).map(f64::from).collect::<Vec<_>>());
+        }
+    }
 }
 
 #[test]

@@ -1,0 +1,299 @@
+//! Curves: a figure over time in a bounded number of points, whatever the number of samples. A point says what its
+//! samples were, not one of them, and whether some were lost.
+
+use cotorra_graph::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::{Figure, store::Gap};
+
+/// How a curve is to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurveRequest {
+    /// How many points at most; counted as 1 … [`Self::MAX_POINTS`].
+    pub points: usize,
+    /// Which quantiles each point is to have, as shares from 0 to 1; what lies outside counts as the nearer end. No
+    /// more than [`Self::MAX_QUANTILES`] are given.
+    pub quantiles: Vec<f64>,
+}
+
+impl CurveRequest {
+    /// No curve has more points.
+    pub const MAX_POINTS: usize = 10_000;
+    /// No point has more quantiles.
+    pub const MAX_QUANTILES: usize = 16;
+}
+
+impl Default for CurveRequest {
+    /// 1000 points with their medians.
+    fn default() -> Self {
+        Self { points: 1000, quantiles: vec![0.5] }
+    }
+}
+
+/// A figure over time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Curve {
+    /// Of what.
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
+    pub figure: Figure,
+    /// Its unit; empty for a bare number.
+    pub unit: String,
+    /// The quantiles that points have, as shares from 0 to 1.
+    pub quantiles: Vec<f64>,
+    /// In the order of time. Where nothing was recorded and nothing lost, there is none.
+    pub points: Vec<Point>,
+}
+
+/// The samples of a stretch of time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Point {
+    /// From here on, nanoseconds since the run began.
+    pub from: Timestamp,
+    /// Up to here, this excluded.
+    pub until: Timestamp,
+    /// Whether events were lost in this time, or around it.
+    pub gap: bool,
+    /// What its samples were; `None` if it has none, and only a gap.
+    #[serde(flatten)]
+    pub values: Option<Values>,
+}
+
+/// What samples were.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Values {
+    /// How many.
+    pub count: u64,
+    /// The least.
+    pub min: f64,
+    /// The greatest.
+    pub max: f64,
+    /// Their arithmetic mean.
+    pub mean: f64,
+    /// The latest.
+    pub last: f64,
+    /// As asked for: the least sample that no less than this share of them does not exceed (type 1 of Hyndman and Fan,
+    /// 1996). Of more than 65,536 samples, those of an evenly spaced part of them.
+    pub quantiles: Vec<f64>,
+}
+
+/// What is remembered of samples for quantiles, at most twice this.
+const REMEMBERED: usize = 65_536;
+
+/// Samples that are being gathered.
+#[derive(Debug, Clone)]
+pub(crate) struct Gathered {
+    count: u64,
+    min: f64,
+    max: f64,
+    sum: f64,
+    last: f64,
+    /// Every `stride`th sample.
+    some: Vec<f64>,
+    stride: u64,
+}
+
+impl Default for Gathered {
+    fn default() -> Self {
+        let (min, max) = (f64::INFINITY, f64::NEG_INFINITY);
+        Self { count: 0, min, max, sum: 0.0, last: f64::NAN, some: Vec::new(), stride: 1 }
+    }
+}
+
+impl Gathered {
+    pub fn add(&mut self, value: f64) {
+        if self.count.is_multiple_of(self.stride) {
+            self.some.push(value);
+            if self.some.len() == 2 * REMEMBERED {
+                let mut place = 0;
+                self.some.retain(|_| {
+                    place += 1;
+                    place % 2 == 1
+                });
+                self.stride *= 2;
+            }
+        }
+        self.count += 1;
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+        self.sum += value;
+        self.last = value;
+    }
+
+    /// `None` without samples. Leaves nothing behind but memory.
+    pub fn finish(&mut self, quantiles: &[f64]) -> Option<Values> {
+        let mut some = std::mem::take(&mut self.some);
+        let Self { count, min, max, sum, last, .. } = std::mem::take(self);
+        some.sort_unstable_by(f64::total_cmp);
+        let quantile = |share: &f64| {
+            let rank = (share * some.len() as f64).ceil() as usize;
+            some[rank.clamp(1, some.len()) - 1]
+        };
+        let values = (count > 0).then(|| Values {
+            count,
+            min,
+            max,
+            mean: sum / count as f64,
+            last,
+            quantiles: quantiles.iter().map(quantile).collect(),
+        });
+        some.clear();
+        self.some = some;
+        values
+    }
+}
+
+/// Draws a curve over times of which all samples lie within.
+pub(crate) struct Drawing {
+    from: i64,
+    width: i64,
+    quantiles: Vec<f64>,
+    gaps: Vec<Gap>,
+    points: Vec<Point>,
+    /// The point that is being gathered, as its number.
+    current: i64,
+    gathered: Gathered,
+}
+
+impl Drawing {
+    /// Of samples from `from` to `until`, both within; `gaps` are all that overlap with that.
+    pub fn new(from: i64, until: i64, request: &CurveRequest, gaps: Vec<Gap>) -> Self {
+        let points = request.points.clamp(1, CurveRequest::MAX_POINTS) as i64;
+        let shares = request.quantiles.iter().take(CurveRequest::MAX_QUANTILES);
+        Self {
+            from,
+            // So many nanoseconds that no more points than these are needed.
+            width: (until - from) / points + 1,
+            quantiles: shares.map(|share| share.clamp(0.0, 1.0)).collect(),
+            gaps,
+            points: Vec::new(),
+            current: 0,
+            gathered: Gathered::default(),
+        }
+    }
+
+    /// Adds a sample that is no earlier than those before.
+    pub fn add(&mut self, t: i64, value: f64) {
+        let place = (t - self.from) / self.width;
+        if place != self.current {
+            self.close();
+            self.current = place;
+        }
+        self.gathered.add(value);
+    }
+
+    fn close(&mut self) {
+        let values = self.gathered.finish(&self.quantiles);
+        if values.is_some() {
+            let point = self.point(self.current, values);
+            self.points.push(point);
+        }
+    }
+
+    fn point(&self, place: i64, values: Option<Values>) -> Point {
+        let from = self.from + place * self.width;
+        let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
+        Point { from: time(from), until: time(from.saturating_add(self.width)), gap: false, values }
+    }
+
+    /// The curve, with the gaps in it.
+    pub fn finish(mut self, figure: Figure, until: i64) -> Curve {
+        self.close();
+        let mut points = std::mem::take(&mut self.points);
+        for gap in &self.gaps {
+            let clamp =
+                |t: Timestamp| i64::try_from(t.as_nanos()).unwrap_or(i64::MAX).clamp(self.from, until);
+            let place = |t: Timestamp| (clamp(t) - self.from) / self.width;
+            for place in place(gap.from)..=place(gap.until) {
+                let point = self.point(place, None);
+                match points.binary_search_by_key(&point.from, |point| point.from) {
+                    Ok(found) => points[found].gap = true,
+                    Err(free) => points.insert(free, Point { gap: true, ..point }),
+                }
+            }
+        }
+        let unit = figure.unit().to_owned();
+        Curve { figure, unit, quantiles: self.quantiles, points }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::{collection::vec, prelude::*};
+
+    use super::*;
+    use crate::LatenessQuantity;
+
+    const FIGURE: Figure = Figure::Lateness(LatenessQuantity::P99);
+
+    fn draw(samples: &[(i64, f64)], gaps: Vec<Gap>, points: usize) -> Curve {
+        let (from, until) = (samples[0].0, samples[samples.len() - 1].0);
+        let request = CurveRequest { points, quantiles: vec![0.0, 0.5, 1.0] };
+        let mut drawing = Drawing::new(from, until, &request, gaps);
+        samples.iter().for_each(|(t, value)| drawing.add(*t, *value));
+        drawing.finish(FIGURE, until)
+    }
+
+    proptest! {
+        /// Every sample is in one point, and no point says what no sample was.
+        #[test]
+        fn points_are_their_samples(
+            mut samples in vec((0..i64::MAX, -1e6..1e6), 1..200),
+            points in 0..50_usize,
+            gap in (any::<u64>(), any::<u64>()),
+        ) {
+            samples.sort_by_key(|(t, _)| *t);
+            let time = Timestamp::from_nanos;
+            let gap = Gap { from: time(gap.0.min(gap.1)), until: time(gap.0.max(gap.1)), events: 1 };
+            let curve = draw(&samples, vec![gap], points);
+            prop_assert!(curve.points.len() <= points.max(1));
+            prop_assert!(curve.points.is_sorted_by(|a, b| a.until <= b.from));
+            let mut rest = &samples[..];
+            for point in &curve.points {
+                let inside = |t: i64| point.from <= time(t as u64) && time(t as u64) < point.until;
+                let Some(values) = &point.values else {
+                    prop_assert!(point.gap && !rest.first().is_some_and(|(t, _)| inside(*t)));
+                    continue;
+                };
+                let (mine, others) = rest.split_at(values.count as usize);
+                prop_assert!(mine.iter().all(|(t, _)| inside(*t)));
+                rest = others;
+                let mut sorted: Vec<f64> = mine.iter().map(|(_, value)| *value).collect();
+                sorted.sort_by(f64::total_cmp);
+                let (min, max) = (sorted[0], sorted[sorted.len() - 1]);
+                prop_assert_eq!((values.min, values.max, values.last), (min, max, mine[mine.len() - 1].1));
+                prop_assert_eq!(&values.quantiles, &[min, sorted[(sorted.len() - 1) / 2], max]);
+                prop_assert!(min - 1e-6 <= values.mean && values.mean <= max + 1e-6);
+            }
+            prop_assert!(rest.is_empty());
+        }
+    }
+
+    #[test]
+    fn a_point_knows_of_its_gaps() {
+        let samples: Vec<(i64, f64)> = [0, 1, 2, 30, 31, 99].map(|t| (t, t as f64)).to_vec();
+        let time = Timestamp::from_nanos;
+        let gaps = vec![Gap { from: time(35), until: time(52), events: 3 }];
+        let curve = draw(&samples, gaps, 10);
+        let told: Vec<_> = curve
+            .points
+            .iter()
+            .map(|point| (point.from.as_nanos(), point.gap, point.values.as_ref().map_or(0, |v| v.count)))
+            .collect();
+        assert_eq!(told, [(0, false, 3), (30, true, 2), (40, true, 0), (50, true, 0), (90, false, 1)]);
+    }
+
+    #[test]
+    fn many_samples_keep_their_quantiles() {
+        let mut gathered = Gathered::default();
+        (0..1_000_000_u64).for_each(|n| gathered.add(((n * 7919) % 1_000_000) as f64));
+        assert!(gathered.some.len() < 2 * REMEMBERED);
+        let values = gathered.finish(&[0.01, 0.5, 0.99]).unwrap();
+        for (found, wanted) in values.quantiles.iter().zip([10_000.0, 500_000.0, 990_000.0]) {
+            assert!((found - wanted).abs() < 2_000.0, "{found} is not {wanted}");
+        }
+        assert_eq!((values.count, values.min, values.max), (1_000_000, 0.0, 999_999.0));
+    }
+}

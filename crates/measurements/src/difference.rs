@@ -1,0 +1,341 @@
+//! Two runs side by side: what a researcher compares after a change, of plug-in, testbed or seed. Everything that the
+//! runs have in common is told in the same words for both, so that any two figures can be set against each other.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{
+    Direction, Event, Instruction, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState,
+};
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    Figure, Kind, LinkQuantity, Page, PageRequest, Run, RunId, Values,
+    curve::Gathered,
+    error::Result,
+    kind::Series,
+    store::{Selection, Span, Store},
+};
+
+/// Two runs side by side. Each entry is in both runs, or in one of them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Difference {
+    /// The runs.
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<Object>))]
+    pub runs: [Run; 2],
+    /// Service times, by service and robot.
+    pub services: Vec<Entry<ServiceOf, Services>>,
+    /// Service times, by region: where the robot was attached and which server answered.
+    pub regions: Vec<Entry<RegionOf, Services>>,
+    /// Links, by link and direction.
+    pub links: Vec<Entry<LinkOf, Links>>,
+    /// Handovers, by robot, from and to.
+    pub handovers: Vec<Entry<HandoverOf, Handovers>>,
+    /// Where VNFs were, by VNF and node.
+    pub placements: Vec<Entry<PlacementOf, Placements>>,
+    /// Decisions, by plug-in and instruction.
+    pub decisions: Vec<Entry<DecisionOf, Decisions>>,
+    /// How VNFs fared.
+    pub vnfs: Vec<Entry<VnfOf, Vnfs>>,
+    /// What makes the figures above doubtful.
+    pub doubts: [Doubts; 2],
+}
+
+/// Something in two runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Entry<K, V> {
+    /// What.
+    pub of: K,
+    /// As it was in the first and in the second run; `None` where it was not.
+    pub runs: [Option<V>; 2],
+}
+
+macro_rules! keys {
+    ($($(#[$doc:meta])* $name:ident { $($field:ident: $type:ty,)* })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+        #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+        #[allow(missing_docs, reason = "the fields name what they are")]
+        pub struct $name { $(pub $field: $type,)* }
+    )*};
+}
+
+keys! {
+    /// A robot's service.
+    ServiceOf { service: ServiceId, robot: NodeId, }
+    /// A region of a robot's walk.
+    RegionOf { service: ServiceId, robot: NodeId, attachment: Option<NodeId>, server: NodeId, }
+    /// A direction of a link.
+    LinkOf { link: LinkId, direction: Direction, }
+    /// A change of attachment.
+    HandoverOf { robot: NodeId, from: Option<NodeId>, to: NodeId, }
+    /// A VNF on a node.
+    PlacementOf { vnf: VnfId, node: NodeId, }
+    /// What a plug-in asks for.
+    DecisionOf { plugin: PluginId, instruction: String, }
+    /// A VNF.
+    VnfOf { vnf: VnfId, }
+}
+
+/// Service times.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Services {
+    /// Position packets that were not answered in time.
+    pub unanswered: u64,
+    /// Service times of those that were, ms, with quantiles 0.5, 0.95 and 0.99.
+    pub took_ms: Option<Values>,
+}
+
+/// A direction of a link.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Links {
+    /// d, ms, with quantiles 0.5, 0.95 and 0.99.
+    pub delay_ms: Option<Values>,
+    /// λ, bit/s, likewise.
+    pub throughput_bps: Option<Values>,
+    /// Packets that entered, by the last sample.
+    pub packets: u64,
+    /// Packets that were lost on the way or found a full queue.
+    pub lost: u64,
+}
+
+/// Handovers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Handovers {
+    /// How many.
+    pub count: u64,
+    /// How many were fast.
+    pub fast: u64,
+    /// How long they cut the robot off, ms, with quantiles 0.5, 0.95 and 0.99.
+    pub gap_ms: Option<Values>,
+}
+
+/// A VNF on a node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Placements {
+    /// How often it came there.
+    pub count: u64,
+    /// When it did first.
+    pub first: Timestamp,
+    /// How long it was there in all, s, to the run's end or its last event.
+    pub seconds: f64,
+}
+
+/// Decisions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Decisions {
+    /// How many.
+    pub count: u64,
+    /// How many of them were refused.
+    pub refused: u64,
+    /// When the first was.
+    pub first: Timestamp,
+}
+
+/// How a VNF fared.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Vnfs {
+    /// How often it was started.
+    pub started: u64,
+    /// How often it ended by itself.
+    pub died: u64,
+    /// How often it could not be started.
+    pub failed: u64,
+}
+
+/// What makes a run's figures doubtful.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Doubts {
+    /// Events that were lost.
+    pub lost_events: u64,
+    /// The emulator's lateness, 99th percentile over the run, µs; `None` in virtual time.
+    pub lateness_p99_us: Option<f64>,
+    /// Times that a plug-in was cut off.
+    pub plugin_faults: u64,
+}
+
+const QUANTILES: [f64; 3] = [0.5, 0.95, 0.99];
+const EVER: Span = Span { from: 0, until: i64::MAX };
+
+/// What is gathered of one run.
+#[derive(Default)]
+struct Side {
+    services: BTreeMap<ServiceOf, (u64, Gathered)>,
+    regions: BTreeMap<RegionOf, (u64, Gathered)>,
+    links: BTreeMap<LinkOf, Links>,
+    handovers: BTreeMap<HandoverOf, (u64, u64, Gathered)>,
+    placements: BTreeMap<PlacementOf, Placements>,
+    /// Where each VNF is.
+    placed: BTreeMap<VnfId, (NodeId, Timestamp)>,
+    decisions: BTreeMap<DecisionOf, Decisions>,
+    vnfs: BTreeMap<VnfOf, Vnfs>,
+    doubts: Doubts,
+    last: Timestamp,
+}
+
+/// Compares two runs. Goes through their events once, in pages: what it remembers is bounded by the number of things
+/// in the graph.
+pub(crate) fn difference(store: &dyn Store, runs: [RunId; 2]) -> Result<Difference> {
+    let [a, b] = [store.run(runs[0])?, store.run(runs[1])?];
+    let [x, y] = [Side::of(store, &a)?, Side::of(store, &b)?];
+    let services =
+        |(unanswered, mut took): (u64, Gathered)| Services { unanswered, took_ms: took.finish(&QUANTILES) };
+    let handovers = |(count, fast, mut gap): (u64, u64, Gathered)| Handovers {
+        count,
+        fast,
+        gap_ms: gap.finish(&QUANTILES),
+    };
+    Ok(Difference {
+        runs: [a, b],
+        services: join(x.services, y.services, services),
+        regions: join(x.regions, y.regions, services),
+        links: join(x.links, y.links, |links| links),
+        handovers: join(x.handovers, y.handovers, handovers),
+        placements: join(x.placements, y.placements, |placements| placements),
+        decisions: join(x.decisions, y.decisions, |decisions| decisions),
+        vnfs: join(x.vnfs, y.vnfs, |vnfs| vnfs),
+        doubts: [x.doubts, y.doubts],
+    })
+}
+
+fn join<K: Ord, G, V>(a: BTreeMap<K, G>, b: BTreeMap<K, G>, told: impl Fn(G) -> V) -> Vec<Entry<K, V>> {
+    let mut joined: BTreeMap<K, [Option<V>; 2]> = BTreeMap::new();
+    for (side, its) in [a, b].into_iter().enumerate() {
+        for (key, gathered) in its {
+            joined.entry(key).or_insert([None, None])[side] = Some(told(gathered));
+        }
+    }
+    joined.into_iter().map(|(of, runs)| Entry { of, runs }).collect()
+}
+
+impl Side {
+    fn of(store: &dyn Store, run: &Run) -> Result<Self> {
+        let mut side = Self::default();
+        const TOLD: [Kind; 7] = [
+            Kind::Placement,
+            Kind::ServiceTime,
+            Kind::Handover,
+            Kind::Vnf,
+            Kind::Decision,
+            Kind::PluginFault,
+            Kind::Lateness,
+        ];
+        pages(
+            |page| store.events(run.id, &Selection::Kinds(&TOLD), EVER, page),
+            |stamped| {
+                side.last = stamped.at;
+                side.add(stamped.at, stamped.event);
+            },
+        )?;
+        pages(|page| store.gaps(run.id, EVER, page), |gap| side.doubts.lost_events += gap.events)?;
+        for stamped in store.latest(run.id, i64::MAX)? {
+            side.last = side.last.max(stamped.at);
+            if let (Some(Series::Link(link, direction)), Event::Link(context)) =
+                (Series::of(&stamped.event), &stamped.event)
+            {
+                let mut told = [LinkQuantity::Delay, LinkQuantity::Throughput].into_iter().map(|quantity| {
+                    let (figure, mut gathered) =
+                        (Figure::Link(link.clone(), direction, quantity), Gathered::default());
+                    store.values(run.id, &figure, EVER, &mut |_, value| gathered.add(value))?;
+                    Ok(gathered.finish(&QUANTILES))
+                });
+                let (delay_ms, throughput_bps) =
+                    (told.next().transpose()?.flatten(), told.next().transpose()?.flatten());
+                let counters = &context.counters;
+                let (packets, lost) = (counters.packets, counters.lost + counters.overflowed);
+                side.links
+                    .insert(LinkOf { link, direction }, Links { delay_ms, throughput_bps, packets, lost });
+            }
+        }
+        let end = run.ended.unwrap_or(side.last);
+        for (vnf, (node, since)) in std::mem::take(&mut side.placed) {
+            side.stayed(vnf, node, since, end);
+        }
+        Ok(side)
+    }
+
+    fn stayed(&mut self, vnf: VnfId, node: NodeId, since: Timestamp, until: Timestamp) {
+        if let Some(placements) = self.placements.get_mut(&PlacementOf { vnf, node }) {
+            placements.seconds += until.since(since).as_secs_f64();
+        }
+    }
+
+    fn add(&mut self, at: Timestamp, event: Event) {
+        let ms = |took: Duration| took.as_secs_f64() * 1e3;
+        match event {
+            Event::Placement(placement) => {
+                let (vnf, node) = (placement.vnf, placement.node);
+                if let Some((before, since)) = self.placed.insert(vnf.clone(), (node.clone(), at)) {
+                    self.stayed(vnf.clone(), before, since, at);
+                }
+                let new = Placements { count: 0, first: at, seconds: 0.0 };
+                self.placements.entry(PlacementOf { vnf, node }).or_insert(new).count += 1;
+            }
+            Event::ServiceTime(time) => {
+                let service = ServiceOf { service: time.service.clone(), robot: time.robot.clone() };
+                let (attachment, server) = (time.attachment, time.server);
+                let region = RegionOf { service: time.service, robot: time.robot, attachment, server };
+                let both =
+                    [self.services.entry(service).or_default(), self.regions.entry(region).or_default()];
+                for (unanswered, gathered) in both {
+                    match time.took {
+                        Some(took) => gathered.add(ms(took)),
+                        None => *unanswered += 1,
+                    }
+                }
+            }
+            Event::Handover(handover) => {
+                let of = HandoverOf { robot: handover.robot, from: handover.from, to: handover.to };
+                let (count, fast, gathered) = self.handovers.entry(of).or_default();
+                *count += 1;
+                *fast += u64::from(handover.fast);
+                gathered.add(ms(handover.gap));
+            }
+            Event::Vnf(vnf) => {
+                let vnfs = self.vnfs.entry(VnfOf { vnf: vnf.vnf }).or_default();
+                match vnf.state {
+                    VnfState::Started => vnfs.started += 1,
+                    VnfState::Died => vnfs.died += 1,
+                    VnfState::Failed => vnfs.failed += 1,
+                    VnfState::Stopped => {}
+                }
+            }
+            Event::Decision(decision) => {
+                let instruction = match decision.instruction {
+                    Instruction::Move { .. } => "move",
+                    Instruction::Scan { .. } => "scan",
+                    Instruction::Attach { .. } => "attach",
+                    Instruction::Place { .. } => "place",
+                    Instruction::Condition { .. } => "condition",
+                };
+                let of = DecisionOf { plugin: decision.plugin, instruction: instruction.to_owned() };
+                let new = Decisions { count: 0, refused: 0, first: at };
+                let decisions = self.decisions.entry(of).or_insert(new);
+                decisions.count += 1;
+                decisions.refused += u64::from(decision.refused.is_some());
+            }
+            Event::PluginFault { .. } => self.doubts.plugin_faults += 1,
+            Event::Lateness(lateness) => self.doubts.lateness_p99_us = Some(lateness.p99_us),
+            _ => {}
+        }
+    }
+}
+
+/// Goes through all pages of an answer.
+fn pages<T>(ask: impl Fn(PageRequest) -> Result<Page<T>>, mut each: impl FnMut(T)) -> Result<()> {
+    let mut request = PageRequest::first(PageRequest::MAX);
+    loop {
+        let page = ask(request)?;
+        page.items.into_iter().for_each(&mut each);
+        let Some(next) = page.next else { return Ok(()) };
+        request = PageRequest::after(next, PageRequest::MAX);
+    }
+}

@@ -1,0 +1,401 @@
+//! Figures: what of an embedding is a number, and so can be drawn over time and compared.
+
+use std::{fmt, str::FromStr, time::Duration};
+
+use cotorra_graph::{Direction, Event, LinkId, NodeId, ServiceId};
+use serde::{Deserialize, Serialize};
+
+use crate::kind::{Kind, Series};
+
+macro_rules! quantities {
+    ($(#[$doc:meta])* $of:ident { $($(#[$its:meta])* $quantity:ident = $name:literal, $unit:literal, $column:literal;)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub enum $of { $($(#[$its])* $quantity,)* }
+
+        impl $of {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$quantity),*];
+
+            /// Its name in a figure's text.
+            pub const fn as_str(self) -> &'static str {
+                match self { $(Self::$quantity => $name),* }
+            }
+
+            const fn unit(self) -> &'static str {
+                match self { $(Self::$quantity => $unit),* }
+            }
+
+            const fn column(self) -> &'static str {
+                match self { $(Self::$quantity => $column),* }
+            }
+
+            fn named(name: &str) -> Option<Self> {
+                Self::ALL.iter().copied().find(|quantity| quantity.as_str() == name)
+            }
+        }
+    };
+}
+
+quantities! {
+    /// Figures of one direction of a link.
+    LinkQuantity {
+        /// d, ms.
+        Delay = "delay", "ms", "delay_ns";
+        /// λ, bit/s.
+        Throughput = "throughput", "bit/s", "throughput_bps";
+        /// ψ.
+        DelayScale = "delay_scale", "", "delay_scale";
+        /// δ.
+        DropScale = "drop_scale", "", "drop_scale";
+    }
+}
+
+quantities! {
+    /// Figures of a robot.
+    RobotQuantity {
+        /// Its position, m.
+        X = "x", "m", "x_m";
+        /// Its position, m.
+        Y = "y", "m", "y_m";
+        /// Its heading, rad.
+        Heading = "heading", "rad", "heading_rad";
+        /// Its speed ahead, m/s.
+        Speed = "speed", "m/s", "linear_mps";
+        /// Its turning rate, rad/s.
+        Turn = "turn", "rad/s", "angular_radps";
+        /// How far the nearest obstacle is, m.
+        Obstacle = "obstacle", "m", "nearest_obstacle_m";
+    }
+}
+
+quantities! {
+    /// Figures of the emulator's lateness since the run began.
+    LatenessQuantity {
+        /// Its median, µs.
+        P50 = "lateness_p50", "µs", "p50_us";
+        /// Its 99th percentile, µs.
+        P99 = "lateness_p99", "µs", "p99_us";
+        /// Its maximum, µs.
+        Max = "lateness_max", "µs", "max_us";
+    }
+}
+
+/// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
+/// `delay_scale:…`, `drop_scale:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`,
+/// `turn:…`, `obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
+/// services if they are not said); `handover_gap:ROBOT` (likewise); `lateness_p50`, `lateness_p99`, `lateness_max`.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Figure {
+    /// Of one direction of a link.
+    Link(LinkId, Direction, LinkQuantity),
+    /// Of a robot.
+    Robot(NodeId, RobotQuantity),
+    /// The signal at which a robot hears a radio unit, dBm.
+    Signal {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
+    /// The load of a radio unit's channel, a share of time.
+    Load(NodeId),
+    /// Service times that were answered, ms, at the time when they were recorded.
+    ServiceTime {
+        /// Of one service only.
+        service: Option<ServiceId>,
+        /// Of one robot only.
+        robot: Option<NodeId>,
+    },
+    /// How long handovers cut robots off, ms.
+    HandoverGap {
+        /// Of one robot only.
+        robot: Option<NodeId>,
+    },
+    /// The emulator's lateness.
+    Lateness(LatenessQuantity),
+}
+
+/// Where a figure is kept.
+pub(crate) struct Kept<'a> {
+    pub kind: Kind,
+    /// For kinds that make series.
+    pub series: Option<Series>,
+    /// Columns of a row that must have these names.
+    pub named: Vec<(&'static str, &'a str)>,
+    /// If it is in the child rows: the column of these that must have this name.
+    pub child: Option<(&'static str, &'a str)>,
+    pub column: &'static str,
+    /// What makes the column the figure.
+    pub factor: f64,
+}
+
+/// Columns have nanoseconds.
+const MS: f64 = 1e-6;
+
+impl Figure {
+    /// Its unit; empty for a bare number.
+    pub const fn unit(&self) -> &'static str {
+        match self {
+            Self::Link(_, _, quantity) => quantity.unit(),
+            Self::Robot(_, quantity) => quantity.unit(),
+            Self::Signal { .. } => "dBm",
+            Self::Load(_) => "",
+            Self::ServiceTime { .. } | Self::HandoverGap { .. } => "ms",
+            Self::Lateness(quantity) => quantity.unit(),
+        }
+    }
+
+    pub(crate) fn kept(&self) -> Kept<'_> {
+        let plain = |kind, column, factor| Kept {
+            kind,
+            series: None,
+            named: Vec::new(),
+            child: None,
+            column,
+            factor,
+        };
+        match self {
+            Self::Link(link, direction, quantity) => {
+                let factor = if *quantity == LinkQuantity::Delay { MS } else { 1.0 };
+                let series = Some(Series::Link(link.clone(), *direction));
+                Kept { series, ..plain(Kind::Link, quantity.column(), factor) }
+            }
+            Self::Robot(robot, quantity) => Kept {
+                series: Some(Series::Robot(robot.clone())),
+                ..plain(Kind::Robot, quantity.column(), 1.0)
+            },
+            Self::Signal { robot, radio_unit } => Kept {
+                series: Some(Series::Robot(robot.clone())),
+                child: Some(("radio_unit", radio_unit.as_str())),
+                ..plain(Kind::Robot, "signal_dbm", 1.0)
+            },
+            Self::Load(unit) => {
+                Kept { series: Some(Series::Radio(unit.clone())), ..plain(Kind::Radio, "load", 1.0) }
+            }
+            Self::ServiceTime { service, robot } => {
+                let service = service.iter().map(|service| ("service", service.as_str()));
+                let robot = robot.iter().map(|robot| ("robot", robot.as_str()));
+                Kept { named: service.chain(robot).collect(), ..plain(Kind::ServiceTime, "took_ns", MS) }
+            }
+            Self::HandoverGap { robot } => {
+                let named = robot.iter().map(|robot| ("robot", robot.as_str())).collect();
+                Kept { named, ..plain(Kind::Handover, "gap_ns", MS) }
+            }
+            Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column(), 1.0),
+        }
+    }
+
+    /// Calls `each` with the figure's values in an event, be they numbers or not.
+    pub(crate) fn of(&self, event: &Event, mut each: impl FnMut(f64)) {
+        let ms = |d: Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX) as f64 * MS;
+        match (self, event) {
+            (Self::Link(link, direction, quantity), Event::Link(context))
+                if context.link == *link && context.direction == *direction =>
+            {
+                match quantity {
+                    LinkQuantity::Delay => context.delay.map(ms).into_iter().for_each(each),
+                    LinkQuantity::Throughput => each(context.throughput_bps),
+                    LinkQuantity::DelayScale => each(context.scale.delay_scale),
+                    LinkQuantity::DropScale => each(context.scale.drop_scale),
+                }
+            }
+            (Self::Robot(robot, quantity), Event::Robot(context)) if context.robot == *robot => {
+                let sensors = &context.sensors;
+                match quantity {
+                    RobotQuantity::X => each(sensors.pose.x),
+                    RobotQuantity::Y => each(sensors.pose.y),
+                    RobotQuantity::Heading => each(sensors.pose.heading),
+                    RobotQuantity::Speed => each(sensors.velocity.linear),
+                    RobotQuantity::Turn => each(sensors.velocity.angular),
+                    RobotQuantity::Obstacle => sensors.nearest_obstacle_m.into_iter().for_each(each),
+                }
+            }
+            (Self::Signal { robot, radio_unit }, Event::Robot(context)) if context.robot == *robot => {
+                let heard = context.attachments.iter().filter(|heard| heard.radio_unit == *radio_unit);
+                heard.filter_map(|heard| heard.signal).for_each(|signal| each(signal.0));
+            }
+            (Self::Load(unit), Event::Radio(context)) if context.radio_unit == *unit => each(context.load),
+            (Self::ServiceTime { service, robot }, Event::ServiceTime(time))
+                if service.as_ref().is_none_or(|service| time.service == *service)
+                    && robot.as_ref().is_none_or(|robot| time.robot == *robot) =>
+            {
+                time.took.map(ms).into_iter().for_each(each);
+            }
+            (Self::HandoverGap { robot }, Event::Handover(handover))
+                if robot.as_ref().is_none_or(|robot| handover.robot == *robot) =>
+            {
+                each(ms(handover.gap));
+            }
+            (Self::Lateness(quantity), Event::Lateness(lateness)) => each(match quantity {
+                LatenessQuantity::P50 => lateness.p50_us,
+                LatenessQuantity::P99 => lateness.p99_us,
+                LatenessQuantity::Max => lateness.max_us,
+            }),
+            _ => {}
+        }
+    }
+}
+
+impl Kept<'_> {
+    /// Its rows in a span, as times and figures, for any engine. Parameters: run, from, until, the ids of the series'
+    /// columns, those of the names, that of the child's name. `join` keeps the order of two tables.
+    pub fn sql(&self, join: &str) -> String {
+        use std::fmt::Write as _;
+        let table = crate::codec::table(self.kind);
+        let child = self.child.and(table.children);
+        let of = if child.is_some() { "c" } else { "e" };
+        let mut sql = format!("SELECT e.t_ns, {of}.\"{}\" FROM \"{}\" e", self.column, self.kind.as_str());
+        let mut add =
+            |text: fmt::Arguments<'_>| sql.write_fmt(text).expect("writing to a string never fails");
+        if let Some((child, _)) = child {
+            add(format_args!(" {join} \"{child}\" c ON c.run = e.run AND c.t_ns = e.t_ns AND c.seq = e.seq"));
+        }
+        add(format_args!(" WHERE e.run = ? AND e.t_ns >= ? AND e.t_ns <= ?"));
+        let series = if self.series.is_some() { table.series } else { &[] };
+        for column in series.iter().copied().chain(self.named.iter().map(|(column, _)| *column)) {
+            add(format_args!(" AND e.{column} = ?"));
+        }
+        if let (Some(_), Some((column, _))) = (child, self.child) {
+            add(format_args!(" AND c.{column} = ?"));
+        }
+        add(format_args!(" AND {of}.\"{}\" IS NOT NULL ORDER BY e.t_ns, e.seq", self.column));
+        if child.is_some() {
+            add(format_args!(", c.place"));
+        }
+        sql
+    }
+}
+
+impl fmt::Display for Figure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Link(link, direction, quantity) => {
+                let direction = match direction {
+                    Direction::Forward => "forward",
+                    Direction::Backward => "backward",
+                };
+                write!(f, "{}:{link}:{direction}", quantity.as_str())
+            }
+            Self::Robot(robot, quantity) => write!(f, "{}:{robot}", quantity.as_str()),
+            Self::Signal { robot, radio_unit } => write!(f, "signal:{robot}:{radio_unit}"),
+            Self::Load(unit) => write!(f, "load:{unit}"),
+            Self::ServiceTime { service, robot } => {
+                f.write_str("service_time")?;
+                match (service, robot) {
+                    (None, None) => Ok(()),
+                    (Some(service), None) => write!(f, ":{service}"),
+                    (service, Some(robot)) => {
+                        write!(f, ":{}:{robot}", service.as_ref().map_or("", ServiceId::as_str))
+                    }
+                }
+            }
+            Self::HandoverGap { robot: None } => f.write_str("handover_gap"),
+            Self::HandoverGap { robot: Some(robot) } => write!(f, "handover_gap:{robot}"),
+            Self::Lateness(quantity) => f.write_str(quantity.as_str()),
+        }
+    }
+}
+
+/// Why a text is no figure.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` is not a figure: say delay, throughput, delay_scale or drop_scale with :LINK or :LINK:DIRECTION; x, y, \
+     heading, speed, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
+     or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; lateness_p50, lateness_p99 or lateness_max"
+)]
+pub struct InvalidFigure(String);
+
+impl FromStr for Figure {
+    type Err = InvalidFigure;
+    fn from_str(text: &str) -> Result<Self, InvalidFigure> {
+        parse(text).ok_or_else(|| InvalidFigure(text.chars().take(80).collect()))
+    }
+}
+
+fn parse(text: &str) -> Option<Figure> {
+    let mut parts = text.split(':');
+    let name = parts.next()?;
+    let of: Vec<&str> = parts.collect();
+    let node = |text: &str| NodeId::new(text).ok();
+    if let Some(quantity) = LinkQuantity::named(name) {
+        let direction = match of.get(1) {
+            None | Some(&"forward") => Direction::Forward,
+            Some(&"backward") => Direction::Backward,
+            Some(_) => return None,
+        };
+        let link = of.first().filter(|_| of.len() <= 2)?;
+        return Some(Figure::Link(LinkId::new(link).ok()?, direction, quantity));
+    }
+    if let (Some(quantity), [robot]) = (RobotQuantity::named(name), &of[..]) {
+        return Some(Figure::Robot(node(robot)?, quantity));
+    }
+    if let (Some(quantity), []) = (LatenessQuantity::named(name), &of[..]) {
+        return Some(Figure::Lateness(quantity));
+    }
+    let service = |text: &str| match text {
+        "" => Some(None),
+        text => ServiceId::new(text).ok().map(Some),
+    };
+    Some(match (name, &of[..]) {
+        ("signal", [robot, unit]) => Figure::Signal { robot: node(robot)?, radio_unit: node(unit)? },
+        ("load", [unit]) => Figure::Load(node(unit)?),
+        ("service_time", []) => Figure::ServiceTime { service: None, robot: None },
+        ("service_time", [of]) => Figure::ServiceTime { service: service(of)?, robot: None },
+        ("service_time", [of, robot]) => {
+            Figure::ServiceTime { service: service(of)?, robot: Some(node(robot)?) }
+        }
+        ("handover_gap", []) => Figure::HandoverGap { robot: None },
+        ("handover_gap", [robot]) => Figure::HandoverGap { robot: Some(node(robot)?) },
+        _ => return None,
+    })
+}
+
+impl TryFrom<String> for Figure {
+    type Error = InvalidFigure;
+    fn try_from(text: String) -> Result<Self, InvalidFigure> {
+        text.parse()
+    }
+}
+
+impl From<Figure> for String {
+    fn from(figure: Figure) -> Self {
+        figure.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::testing::figure;
+
+    proptest! {
+        #[test]
+        fn is_read_as_it_is_written(figure in figure()) {
+            prop_assert_eq!(figure.to_string().parse(), Ok(figure));
+        }
+    }
+
+    #[test]
+    fn reads_the_short_forms_and_refuses_others() {
+        let link = LinkId::new("r1~ap1").unwrap();
+        assert_eq!("delay:r1~ap1".parse(), Ok(Figure::Link(link, Direction::Forward, LinkQuantity::Delay)));
+        assert_eq!("service_time".parse(), Ok(Figure::ServiceTime { service: None, robot: None }));
+        for text in [
+            "",
+            "weather:r1",
+            "delay",
+            "delay:a:up",
+            "delay:a:forward:b",
+            "x:r1:r2",
+            "lateness_p99:r1",
+            "load:a b",
+        ] {
+            let error = text.parse::<Figure>().unwrap_err();
+            assert!(error.to_string().starts_with(&format!("`{text}` is not a figure")), "{error}");
+        }
+    }
+}
