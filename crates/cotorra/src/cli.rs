@@ -10,7 +10,10 @@ use std::{
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 use cotorra_graph::{NodeId, testbed_file::Setting};
+use cotorra_measurements::{Cursor, Kind, RunId};
 use cotorra_testbed::sweep::Axis;
+
+use crate::history::{HISTORY_VARIABLE, Place};
 
 /// Where a run serves its API unless that is taken.
 pub const DEFAULT_API: &str = "127.0.0.1:7700";
@@ -34,6 +37,7 @@ Examples:
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra experiment okpi                          repeat the published comparison
+  cotorra history series latest service            what did the last run measure?
   cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
 
 Exit status:
@@ -50,6 +54,15 @@ pub enum Command {
     Experiment {
         #[command(subcommand)]
         experiment: Experiment,
+    },
+    /// Ask what runs recorded
+    ///
+    /// RUN is the folder of a run, `latest` for the newest under runs/, or the number of a run in the history that
+    /// --history or COTORRA_HISTORY names. Answers are bounded, and say how to see more.
+    #[command(after_long_help = HISTORY_EXAMPLES)]
+    History {
+        #[command(subcommand)]
+        question: History,
     },
     Check(CheckArgs),
     /// Print the JSON Schema of a testbed file
@@ -141,6 +154,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --simulate
   cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
+  COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra run testbeds/corridor.yaml
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
@@ -162,6 +176,12 @@ pub struct RunArgs {
     /// Folder in which the run gets a folder of its own
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub out: PathBuf,
+    /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
+    ///
+    /// Several runs can share one. A server is named as mysql://USER:PASSWORD@HOST:PORT/DATABASE; in the environment
+    /// variable COTORRA_HISTORY its password is seen by nobody else.
+    #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
+    pub history: Option<Place>,
     /// Write plain lines in place of the live view
     ///
     /// So it is by itself where standard error is no terminal.
@@ -280,6 +300,12 @@ pub struct OkpiArgs {
     /// Folder in which the experiment gets a folder of its own
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub out: PathBuf,
+    /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
+    ///
+    /// Several runs can share one. A server is named as mysql://USER:PASSWORD@HOST:PORT/DATABASE; in the environment
+    /// variable COTORRA_HISTORY its password is seen by nobody else.
+    #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
+    pub history: Option<Place>,
     /// Write plain lines in place of the live view
     #[arg(long)]
     pub headless: bool,
@@ -295,6 +321,166 @@ pub struct OkpiArgs {
     /// Say more on standard error; twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+const HISTORY_EXAMPLES: &str = "\
+Examples:
+  cotorra history runs
+  cotorra history state latest --at 12.5s
+  cotorra history series latest service
+  cotorra history series latest R1~lan --figure delay --from 1min --to 2min
+  cotorra history series latest robot --figure x --csv > x.csv
+  cotorra history events latest --kinds handover,decision
+  cotorra history diff runs/corridor-20260101-120000 latest
+  COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra history events 7";
+
+/// What a history can be asked.
+#[derive(Debug, Subcommand)]
+pub enum History {
+    /// List runs: those that left folders, or those of a history that several share
+    Runs(HistoryRunsArgs),
+    /// Show the whole graph at a time: of everything the last that was known
+    State(StateArgs),
+    Series(SeriesArgs),
+    /// List what happened
+    Events(EventsArgs),
+    /// Set two runs side by side: service times, links, handovers, placements, decisions
+    Diff(DiffArgs),
+    /// List where events were lost
+    Gaps(GapsArgs),
+}
+
+/// Where runs are looked for.
+#[derive(Debug, Args)]
+pub struct HistoryPlace {
+    /// The history that runs are numbered in: a SQLite file, or mysql://USER:PASSWORD@HOST:PORT/DATABASE
+    ///
+    /// In the environment variable COTORRA_HISTORY its password is seen by nobody else.
+    #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
+    pub history: Option<Place>,
+    /// Folder with the folders of runs
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
+}
+
+/// A part of a run.
+#[derive(Debug, Args)]
+pub struct Span {
+    /// From this time of the run on, such as 90s or 1.5min
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    pub from: Option<Duration>,
+    /// Up to this time of the run, this excluded
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    pub to: Option<Duration>,
+}
+
+/// A part of an answer.
+#[derive(Debug, Args)]
+pub struct PageArgs {
+    /// No more than so many; at most 10000
+    #[arg(long, value_name = "N", default_value = "100")]
+    pub limit: NonZero<usize>,
+    /// Go on where the answer before ended, as it said
+    #[arg(long, value_name = "CURSOR")]
+    pub after: Option<Cursor>,
+}
+
+#[derive(Debug, Args)]
+pub struct HistoryRunsArgs {
+    #[command(flatten)]
+    pub place: HistoryPlace,
+    /// No more than so many; at most 9999
+    #[arg(long, value_name = "N", default_value = "50")]
+    pub limit: NonZero<usize>,
+    /// In a history that several share: those after this one
+    #[arg(long, value_name = "NUMBER")]
+    pub after: Option<RunId>,
+}
+
+#[derive(Debug, Args)]
+pub struct StateArgs {
+    /// The run
+    pub run: String,
+    /// When, such as 12.5s; the end of the run if it is left out
+    #[arg(long, value_name = "TIME", value_parser = parse_time)]
+    pub at: Option<Duration>,
+    /// Write JSON
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+/// Show a figure over time
+///
+/// Each point says what the samples of its stretch of time were; the picture shows their range. `!` marks where events
+/// were lost.
+///
+/// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y (m), heading (rad), speed
+/// (m/s), turn (rad/s) and obstacle (m) of a robot; load of a radio unit; service_time and handover_gap (ms),
+/// lateness_p50, lateness_p99 and lateness_max (µs) of `service`, and signal of ROBOT:RADIO_UNIT (dBm).
+#[derive(Debug, Args)]
+pub struct SeriesArgs {
+    /// The run
+    pub run: String,
+    /// A link, LINK:backward, a robot, ROBOT:RADIO_UNIT, a radio unit, or `service`
+    #[arg(value_name = "OF")]
+    pub of: String,
+    /// Which figure; if it is left out, a link's delay, a robot's speed, a radio unit's load, or service_time
+    #[arg(long, value_name = "FIGURE")]
+    pub figure: Option<String>,
+    #[command(flatten)]
+    pub span: Span,
+    /// In so many points at most; 1000 with --csv, else as many as the terminal is wide
+    #[arg(long, value_name = "N")]
+    pub points: Option<NonZero<usize>>,
+    /// Write a table, values separated by commas
+    #[arg(long)]
+    pub csv: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+#[derive(Debug, Args)]
+pub struct EventsArgs {
+    /// The run
+    pub run: String,
+    /// Kinds of events, with commas between; all if it is left out
+    #[arg(long, value_name = "KINDS", value_delimiter = ',')]
+    pub kinds: Vec<Kind>,
+    #[command(flatten)]
+    pub span: Span,
+    #[command(flatten)]
+    pub page: PageArgs,
+    /// Write JSON, a line an event
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+#[derive(Debug, Args)]
+pub struct DiffArgs {
+    /// The two runs
+    #[arg(value_name = "RUN", num_args = 2, required = true)]
+    pub pair: Vec<String>,
+    /// Write JSON
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+#[derive(Debug, Args)]
+pub struct GapsArgs {
+    /// The run
+    pub run: String,
+    #[command(flatten)]
+    pub span: Span,
+    #[command(flatten)]
+    pub page: PageArgs,
+    #[command(flatten)]
+    pub place: HistoryPlace,
 }
 
 /// Check testbed files
@@ -366,6 +552,12 @@ pub struct BenchArgs {
 
 /// Reads `60s`, `1.5min`, `500 ms`. A bare number is an error, because seconds and milliseconds look alike.
 fn parse_duration(text: &str) -> Result<Duration, String> {
+    let duration = parse_time(text)?;
+    if duration.is_zero() { Err("it must be above zero".to_owned()) } else { Ok(duration) }
+}
+
+/// The same; zero is a time, too.
+fn parse_time(text: &str) -> Result<Duration, String> {
     const UNITS: [(&str, f64); 4] = [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)];
     let text = text.trim();
     let (figure, unit) = text.split_at(text.find(|c: char| c.is_alphabetic()).unwrap_or(text.len()));
@@ -378,8 +570,8 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
             _ => "the units are ms, s, min and h".to_owned(),
         });
     };
-    if number <= 0.0 {
-        return Err("it must be above zero".to_owned());
+    if number < 0.0 {
+        return Err("it must not be below zero".to_owned());
     }
     Duration::try_from_secs_f64(number * seconds).map_err(|_| "it is too long".to_owned())
 }
@@ -403,5 +595,6 @@ mod tests {
         for wrong in ["", "s", "-1s", "0s", "1 day", "5m", "1e400s", "1e300h", "nans", "infs"] {
             assert!(parse_duration(wrong).is_err(), "{wrong}");
         }
+        assert_eq!(parse_time("0s"), Ok(Duration::ZERO));
     }
 }

@@ -3,6 +3,7 @@
 use std::{path::Path, process::ExitCode};
 
 use cotorra_graph::testbed_file::Setting;
+use cotorra_measurements::Location;
 use cotorra_testbed::{
     Finished, FolderError, Options, Place,
     experiment::okpi::{CONTENDERS, Comparison, FILES},
@@ -10,7 +11,7 @@ use cotorra_testbed::{
 
 use crate::{
     cli::OkpiArgs,
-    output,
+    history, output,
     run::{self, Stage},
     testbed_file::{self, Loaded, count},
 };
@@ -34,6 +35,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         let loaded = testbed_file::load(&args.testbed, &settings)?;
         variants.push((contender, settings, loaded));
     }
+    let history = history::location(args.history.as_ref())?;
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
     if args.dry_run {
         output::print(&plan(args, how, &variants[0].2))?;
@@ -50,6 +52,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             token: run::token()?,
             save_power: args.save_power,
             settings: settings.clone(),
+            history: history.clone(),
             ..Options::default()
         };
         let finished = if args.emulate {
@@ -69,7 +72,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let how = format!("{how}, seed {}", soa.summary.seed);
     let comparison = Comparison::of(testbed, &soa.report, &okpi.report);
     comparison.write(&folder, &how, testbed, &soa.report, &okpi.report).map_err(Error::from)?;
-    output::print(&describe(&comparison, &how, &walks, &folder))?;
+    output::print(&describe(&comparison, &how, &walks, &folder, history.as_ref()))?;
     let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
 }
@@ -83,7 +86,13 @@ fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
 }
 
-fn describe(comparison: &Comparison, how: &str, walks: &[Finished], folder: &Path) -> String {
+fn describe(
+    comparison: &Comparison,
+    how: &str,
+    walks: &[Finished],
+    folder: &Path,
+    elsewhere: Option<&Location>,
+) -> String {
     let mut text = comparison.to_markdown(how) + "\n";
     for (contender, walk) in CONTENDERS.iter().zip(walks) {
         let Finished { summary, .. } = walk;
@@ -91,6 +100,11 @@ fn describe(comparison: &Comparison, how: &str, walks: &[Finished], folder: &Pat
         let samples = count(summary.samples, "sample");
         text += &format!("{}: {samples}, {verdict}: {}\n", contender.name, summary.fidelity.reason);
     }
+    let [soa, okpi] = walks else { unreachable!("there are two contenders") };
     let walks: Vec<_> = CONTENDERS.iter().map(|contender| format!("{}/", contender.plugin)).collect();
-    text + &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), walks.join("  "))
+    text += &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), walks.join("  "));
+    if let Some(history) = elsewhere {
+        text += &format!("Their histories are runs {} and {} in {history}\n", soa.run, okpi.run);
+    }
+    text
 }

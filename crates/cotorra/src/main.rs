@@ -9,6 +9,7 @@ mod cli;
 mod doctor;
 mod exec;
 mod experiment;
+mod history;
 mod logs;
 mod output;
 mod run;
@@ -46,6 +47,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Run(args) => return run::run(args),
         Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
         Command::Sweep(args) => return sweep::sweep(&args),
+        Command::History { question } => return history::history(&question),
         Command::Check(args) => return check::check(&args),
         Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
         Command::OpenApi => output::print(&cotorra_testbed::openapi())?,

@@ -10,6 +10,7 @@ pub mod experiment;
 mod live;
 mod navigation;
 mod plugins;
+mod recorded;
 mod report;
 mod run;
 mod simulate;
@@ -19,6 +20,7 @@ pub use api::{ApiError, Token, openapi};
 pub use live::{Live, Snapshot};
 pub use navigation::{NavigationError, navigation};
 pub use plugins::PluginError;
+pub use recorded::{Recorded, RecordedError};
 pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, Place, PlacementRecord,
     Quantiles, RegionSummary, Report, Summary, draw,

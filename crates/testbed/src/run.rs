@@ -17,7 +17,7 @@ use std::{
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
-use cotorra_measurements::{History, Recorder, RunId, RunInfo};
+use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use tokio::sync::broadcast;
 
@@ -28,6 +28,7 @@ use crate::{
     live::Live,
     navigation,
     plugins::{Now, PluginError, PluginHost, Said},
+    recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
 };
 
@@ -55,6 +56,8 @@ pub struct Options {
     pub save_power: bool,
     /// With which the testbed file was read.
     pub settings: Vec<Setting>,
+    /// Where the history is kept, in place of `history.sqlite` in the run's folder.
+    pub history: Option<Location>,
 }
 
 /// What a run came to.
@@ -66,6 +69,8 @@ pub struct Finished {
     pub report: Report,
     /// The run's folder; absolute.
     pub folder: PathBuf,
+    /// The run's number in its history.
+    pub run: RunId,
 }
 
 impl Finished {
@@ -157,8 +162,9 @@ impl Run {
         let moved = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-        let history = Arc::new(History::open(folder.history())?);
-        let run = history.begin_run(&run_info(&testbed, seed, text))?;
+        let (history, run) =
+            Recorded::begin(&folder, options.history.as_ref(), &run_info(&testbed, seed, text))?;
+        let history = Arc::new(history);
         let recorder = history.recorder(run)?;
 
         let fabric = Fabric::new(&testbed.graph, seed)?;
@@ -292,7 +298,7 @@ impl Run {
         let summary = report.summary(end, why.as_str(), losses);
         self.folder.write_report(&report, &summary)?;
         self.history.end_run(self.run, end)?;
-        Ok(Finished { summary, report, folder: self.folder.path().to_owned() })
+        Ok(Finished { summary, report, folder: self.folder.path().to_owned(), run: self.run })
     }
 }
 

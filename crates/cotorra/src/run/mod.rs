@@ -18,10 +18,12 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
     cli::RunArgs,
+    history,
     logs::{self, LogFile},
     output, signals,
     testbed_file::{self, Loaded},
 };
+pub use view::clock;
 use view::{Places, View};
 
 /// How often the view looks; no service time is missed while robots ask for navigation no more often.
@@ -61,6 +63,7 @@ impl From<RunError> for Error {
 /// Runs a testbed.
 pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let loaded = testbed_file::load(&args.file, &args.settings)?;
+    let history = history::location(args.history.as_ref())?;
     let options = Options {
         seed: args.seed,
         until: args.until,
@@ -69,9 +72,10 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         token: token()?,
         save_power: args.save_power,
         settings: args.settings.clone(),
+        history: history.clone(),
     };
     if args.dry_run {
-        output::print(&plan::describe(&loaded.testbed, &args))?;
+        output::print(&plan::describe(&loaded.testbed, &args, history.as_ref()))?;
         return Ok(ExitCode::SUCCESS);
     }
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
@@ -80,7 +84,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     } else {
         stage.emulate(&loaded, &args.file, options)?
     };
-    tell(&finished)
+    output::print(&summary::describe(&finished, history.as_ref()))?;
+    Ok(verdict(&finished.summary))
 }
 
 /// What runs in a process share: the terminal, the log, and Ctrl-C.
@@ -141,12 +146,6 @@ impl Stage {
         let path = folder.join("logs/cotorra.log");
         self.log.open(&path).map_err(|source| Error::Log { path, source })
     }
-}
-
-/// Says what came of a run.
-fn tell(finished: &Finished) -> miette::Result<ExitCode> {
-    output::print(&summary::describe(&finished.summary, &finished.folder))?;
-    Ok(verdict(&finished.summary))
 }
 
 /// The API's token, if one is set.

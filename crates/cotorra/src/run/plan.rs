@@ -1,6 +1,7 @@
 //! What `run --dry-run` says: everything that a run would bring up.
 
 use cotorra_graph::{NodeKind, Program, Tier, Vnf};
+use cotorra_measurements::Location;
 
 use crate::{
     cli::{DEFAULT_API, RunArgs},
@@ -10,7 +11,7 @@ use crate::{
 use cotorra_graph::{PluginProgram, Testbed};
 
 /// What a run with these arguments would bring up.
-pub fn describe(testbed: &Testbed, args: &RunArgs) -> String {
+pub fn describe(testbed: &Testbed, args: &RunArgs, history: Option<&Location>) -> String {
     let mut text =
         format!("{}: {}\n\nHosts, each with a network namespace:\n", args.file.display(), overview(testbed));
     let mut hosts = Table::new("<<<<<");
@@ -55,6 +56,9 @@ pub fn describe(testbed: &Testbed, args: &RunArgs) -> String {
     let api = args.api.map_or(format!("http://{DEFAULT_API}"), |api| format!("http://{api}"));
     rest.row(["API".to_owned(), api]);
     rest.row(["folder".to_owned(), args.out.join(format!("{}-<time>", testbed.name)).display().to_string()]);
+    if let Some(history) = history {
+        rest.row(["history".to_owned(), history.to_string()]);
+    }
     text + "\n" + &rest.render("")
 }
 

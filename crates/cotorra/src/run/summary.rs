@@ -1,9 +1,8 @@
 //! What a run says at its end: the summary that is also in its folder, for people.
 
-use std::path::Path;
-
 use console::style;
-use cotorra_testbed::{Quantiles, Summary};
+use cotorra_measurements::Location;
+use cotorra_testbed::{Finished, Quantiles, Summary};
 
 use super::view::{clock, millis};
 use crate::{table::Table, testbed_file::count};
@@ -12,7 +11,8 @@ use crate::{table::Table, testbed_file::count};
 const NOT_WORTH_A_ROW: usize = 2;
 
 /// The summary of a run, and where to find the rest.
-pub fn describe(summary: &Summary, folder: &Path) -> String {
+pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
+    let Finished { summary, folder, .. } = finished;
     let unanswered = match summary.unanswered {
         0 => String::new(),
         n => format!(" ({n} without an answer)"),
@@ -36,10 +36,15 @@ pub fn describe(summary: &Summary, folder: &Path) -> String {
     if summary.history_dropped > 0 {
         text += &format!("  {} the history lacks {} events\n", style("!").red(), summary.history_dropped);
     }
-    text + &format!(
-        "\n{}/\n  summary.json  service_time.csv  service_time.svg  history.sqlite  testbed.yaml  logs/\n",
+    let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
+    text += &format!(
+        "\n{}/\n  summary.json  service_time.csv  service_time.svg  {own}  testbed.yaml  logs/\n",
         folder.display()
-    )
+    );
+    if let Some(history) = elsewhere {
+        text += &format!("Its history is run {} in {history}\n", finished.run);
+    }
+    text
 }
 
 fn regions(summary: &Summary) -> String {

@@ -5,7 +5,11 @@ mod command_line;
 mod documents;
 mod experiment;
 mod harness;
+mod history;
 mod interruption;
+#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+#[path = "../../../measurements/src/testing/mariadb.rs"]
+mod mariadb;
 mod plugin;
 mod run;
 mod sweep;

@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Stamped, Testbed, Timestamp};
-use cotorra_measurements::{History, PacedRecorder, RunInfo};
+use cotorra_measurements::{PacedRecorder, RunInfo};
 
 use super::{
     Simulation,
@@ -11,6 +11,7 @@ use super::{
 };
 use crate::{
     core_loop::End,
+    recorded::Recorded,
     report::{Losses, Report, RunFolder},
     run::{Finished, Options, RunError},
 };
@@ -54,10 +55,10 @@ pub(super) fn simulate_with(
     }
     let mut simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-    let history = Arc::new(History::open(folder.history())?);
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
-    let run = history.begin_run(&info)?;
+    let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
+    let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
     let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0 };
     let asked =
@@ -98,7 +99,7 @@ pub(super) fn simulate_with(
     let summary = report.summary(now, end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, now)?;
-    Ok(Finished { summary, report, folder: folder.path().to_owned() })
+    Ok(Finished { summary, report, folder: folder.path().to_owned(), run })
 }
 
 /// Where what happens is kept.

@@ -1,0 +1,112 @@
+//! `cotorra history events`: what happened, a line an event.
+
+use std::fmt::Write as _;
+
+use cotorra_graph::{Event, Instruction, Stamped};
+use cotorra_measurements::{Kind, PageRequest};
+
+use super::{Error, Source, more, seconds};
+use crate::{cli::EventsArgs, output};
+
+/// Shows events.
+pub fn events(args: &EventsArgs) -> miette::Result<()> {
+    let source = Source::find(&args.run, &args.place)?;
+    let request = PageRequest { limit: args.page.limit.get(), after: args.page.after };
+    let page =
+        source.history.events(source.run.id, &args.kinds, args.span.range(), request).map_err(Error::from)?;
+    let mut text = String::new();
+    for event in &page.items {
+        let line = if args.json {
+            serde_json::to_string(event).expect("an event holds only what JSON can")
+        } else {
+            let at = seconds(event.at);
+            format!("{at:>10} s  {:<14} {}", Kind::of(&event.event).as_str(), describe(event))
+        };
+        writeln!(text, "{line}").expect("writing into a string cannot fail");
+    }
+    output::print(&text)?;
+    // Beside the events, so that a program that reads them reads nothing else.
+    if page.items.is_empty() {
+        eprintln!("nothing in that time");
+    }
+    eprint!("{}", more(&page));
+    Ok(())
+}
+
+fn describe(Stamped { event, .. }: &Stamped) -> String {
+    let or_none = |node: &Option<cotorra_graph::NodeId>| {
+        node.as_ref().map_or("none".to_owned(), |node| node.to_string())
+    };
+    match event {
+        Event::Robot(context) => {
+            let pose = &context.sensors.pose;
+            let attached = or_none(&context.attached_to().cloned());
+            format!("{} at ({:.2}, {:.2}), attached to {attached}", context.robot, pose.x, pose.y)
+        }
+        Event::Radio(context) => format!(
+            "{} on channel {}: {:.1} % busy",
+            context.radio_unit,
+            context.channel,
+            context.load * 100.0
+        ),
+        Event::Link(context) => {
+            let delay =
+                context.delay.map_or("no packet".to_owned(), |d| format!("{:.3} ms", d.as_secs_f64() * 1e3));
+            let direction = format!("{:?}", context.direction).to_lowercase();
+            format!("{} {direction}: {delay}, {:.3} Mbit/s", context.link, context.throughput_bps / 1e6)
+        }
+        Event::Placement(placement) => format!("{} on {}", placement.vnf, placement.node),
+        Event::VirtualLink(mapping) => {
+            let over: Vec<_> = mapping.links.iter().map(|link| link.as_str()).collect();
+            format!("{} to {} over {}", mapping.from, mapping.to, over.join(", "))
+        }
+        Event::ServiceTime(sample) => {
+            let took =
+                sample.took.map_or("no answer".to_owned(), |t| format!("{:.3} ms", t.as_secs_f64() * 1e3));
+            let attached = or_none(&sample.attachment);
+            format!("{} #{}: {took} by {attached}, {}", sample.robot, sample.sequence, sample.server)
+        }
+        Event::Handover(handover) => format!(
+            "{} from {} to {}: {:.1} ms{}",
+            handover.robot,
+            or_none(&handover.from),
+            handover.to,
+            handover.gap.as_secs_f64() * 1e3,
+            if handover.fast { ", fast" } else { "" }
+        ),
+        Event::Detached { robot, from } => format!("{robot} lost {from}"),
+        Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
+        Event::Vnf(event) => {
+            let state = format!("{:?}", event.state).to_lowercase();
+            let detail = event.detail.as_ref().map(|detail| format!(": {detail}")).unwrap_or_default();
+            format!("{} on {} {state}{detail}", event.vnf, event.node)
+        }
+        Event::Decision(decision) => {
+            let reason = decision.reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
+            let refused =
+                decision.refused.as_ref().map(|why| format!("; refused: {why}")).unwrap_or_default();
+            format!("{}: {}{reason}{refused}", decision.plugin, instruction(&decision.instruction))
+        }
+        Event::PluginFault { plugin, reason } => format!("{plugin}: {reason}"),
+        Event::Lateness(lateness) => format!(
+            "median {:.1} µs, p99 {:.1} µs, max {:.1} µs of {} frames",
+            lateness.p50_us, lateness.p99_us, lateness.max_us, lateness.frames
+        ),
+        Event::Notice { message } => message.clone(),
+    }
+}
+
+fn instruction(instruction: &Instruction) -> String {
+    match instruction {
+        Instruction::Move { robot, velocity, .. } => {
+            format!("move {robot} at {:.2} m/s, {:.2} rad/s", velocity.linear, velocity.angular)
+        }
+        Instruction::Scan { robot } => format!("scan with {robot}"),
+        Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
+        Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),
+        Instruction::Condition { link, direction, .. } => {
+            let direction = direction.map(|d| format!(" {d:?}").to_lowercase()).unwrap_or_default();
+            format!("change {link}{direction}")
+        }
+    }
+}

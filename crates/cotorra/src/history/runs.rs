@@ -1,0 +1,75 @@
+//! `cotorra history runs`: the runs of a history, or those that left folders.
+
+use std::path::Path;
+
+use cotorra_measurements::Run;
+
+use super::{
+    place::location,
+    source::{self, Error, Source},
+};
+use crate::{cli::HistoryRunsArgs, output, run::clock, table::Table};
+
+/// Lists runs.
+pub fn runs(args: &HistoryRunsArgs) -> miette::Result<()> {
+    let named = location(args.place.history.as_ref())?;
+    match named {
+        Some(location) => {
+            let history = source::open(&location)?;
+            let limit = args.limit.get();
+            let mut runs = history.runs(args.after, limit.saturating_add(1)).map_err(Error::from)?;
+            let more = runs.len() > limit;
+            runs.truncate(limit);
+            let Some(last) = runs.last().map(|run| run.id) else {
+                return output::print("no runs\n");
+            };
+            let mut table = heads("run");
+            for run in &runs {
+                row(&mut table, run.id.to_string(), run);
+            }
+            let rest = if more { format!("... more with --after {last}\n") } else { String::new() };
+            output::print(&(table.render("") + &rest))
+        }
+        None => in_folders(&args.place.runs, args.limit.get()),
+    }
+}
+
+/// The newest runs of a folder, the newest last, as a terminal shows it best.
+fn in_folders(place: &Path, limit: usize) -> miette::Result<()> {
+    let folders = source::folders(place);
+    if folders.is_empty() {
+        return Err(Error::NoRuns(place.to_owned()).into());
+    }
+    let older = folders.len().saturating_sub(limit);
+    let mut table = heads("folder");
+    for folder in &folders[older..] {
+        let name = folder.display().to_string();
+        match Source::of_folder(folder, None) {
+            Ok(source) => row(&mut table, name, &source.run),
+            // Others are told nevertheless.
+            Err(error) => table.row([name, error.to_string()]),
+        }
+    }
+    let mut text = table.render("");
+    if older > 0 {
+        text += &format!("... and {older} older: --limit {}\n", folders.len());
+    }
+    output::print(&text)
+}
+
+fn heads(first: &str) -> Table {
+    let mut table = Table::new("<<><>");
+    table.row([first, "testbed", "seed", "began", "lasted"]);
+    table
+}
+
+fn row(table: &mut Table, name: String, run: &Run) {
+    let began = match run.info.started_at_unix_ns {
+        0 => "in virtual time".to_owned(),
+        ns => jiff::Timestamp::from_nanosecond(ns.into())
+            .map(|t| t.to_zoned(jiff::tz::TimeZone::system()).strftime("%Y-%m-%d %H:%M:%S").to_string())
+            .unwrap_or_else(|_| "?".to_owned()),
+    };
+    let lasted = run.ended.map_or("no end".to_owned(), |ended| clock(ended.as_secs_f64()));
+    table.row([name, run.info.name.clone(), run.info.seed.to_string(), began, lasted]);
+}

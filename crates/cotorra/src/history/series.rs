@@ -1,0 +1,132 @@
+//! `cotorra history series`: a figure over time, as a picture or as a table.
+
+use std::fmt::Write as _;
+
+use cotorra_graph::Timestamp;
+use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
+
+use super::{Error, Source, plot};
+use crate::{cli::SeriesArgs, output, table::Table};
+
+/// Of a run as a whole.
+const SERVICE: &str = "service";
+/// Points of a table unless it is said how many.
+const TABLE_POINTS: usize = 1000;
+const QUANTILES: [f64; 3] = [0.5, 0.95, 0.99];
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum SeriesError {
+    #[error(transparent)]
+    #[diagnostic(help("`cotorra history series --help` says what each is"))]
+    Figure(InvalidFigure),
+    #[error("run {run} has no samples of {figure} in that time")]
+    #[diagnostic(help("{help}"))]
+    Nothing { run: String, figure: Figure, help: String },
+    #[error("run {run} has no link, robot or radio unit `{of}`")]
+    #[diagnostic(help("{help}; or `service`"))]
+    Unknown { run: String, of: String, help: String },
+}
+
+/// Shows a figure.
+pub fn series(args: &SeriesArgs) -> miette::Result<()> {
+    let source = Source::find(&args.run, &args.place)?;
+    let figure = figure(&args.of, args.figure.as_deref(), &source)?;
+    let columns = console::Term::stdout().size_checked().map_or(80, |(_, columns)| columns.into());
+    let default = if args.csv { TABLE_POINTS } else { plot::points(columns) };
+    let points = args.points.map_or(default, |points| points.get());
+    let request = CurveRequest { points, quantiles: QUANTILES.to_vec() };
+    let curve =
+        source.history.curve(source.run.id, &figure, args.span.range(), &request).map_err(Error::from)?;
+    if curve.points.is_empty() {
+        let run = source.run.info.name.clone();
+        return Err(SeriesError::Nothing { run, figure, help: names(&source) }.into());
+    }
+    if args.csv {
+        return output::print(&csv(&curve));
+    }
+    // A picture has no more points than there are dots for.
+    let drawn = CurveRequest { points: points.min(plot::points(columns)), ..request.clone() };
+    let whole = CurveRequest { points: 1, ..request };
+    let ask = |request| source.history.curve(source.run.id, &figure, args.span.range(), request);
+    let drawn = if drawn.points == points { curve } else { ask(&drawn).map_err(Error::from)? };
+    let whole = ask(&whole).map_err(Error::from)?;
+    output::print(&describe(&drawn, &whole))
+}
+
+/// `delay:R1~lan` may be typed as it is, or as R1~lan with its figure, or alone where a figure goes without saying.
+fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, SeriesError> {
+    let node = of.split(':').next().unwrap_or(of);
+    let parse = |text: &str| text.parse().map_err(SeriesError::Figure);
+    match name {
+        Some(name) if of == SERVICE => parse(name),
+        Some(name) => parse(&format!("{name}:{of}")),
+        None if of == SERVICE => parse("service_time"),
+        None => {
+            let of_what = |state: &cotorra_measurements::GraphState| {
+                let is = |id: &str| id == node;
+                let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some("speed");
+                let unit =
+                    state.radio_units.iter().any(|s| is(s.value.radio_unit.as_str())).then_some("load");
+                let link = state.links.iter().any(|s| is(s.value.link.as_str())).then_some("delay");
+                robot.or(unit).or(link)
+            };
+            let state = source.history.state_at(source.run.id, Timestamp::MAX).ok();
+            match state.as_ref().and_then(of_what) {
+                Some(name) => parse(&format!("{name}:{of}")),
+                // As other parts of cotorra write figures.
+                None => of.parse().map_err(|_| SeriesError::Unknown {
+                    run: source.run.info.name.clone(),
+                    of: of.to_owned(),
+                    help: names(source),
+                }),
+            }
+        }
+    }
+}
+
+/// What the run has that could be asked for.
+fn names(source: &Source) -> String {
+    let state = source.history.state_at(source.run.id, Timestamp::MAX).unwrap_or_default();
+    let list = |mut names: Vec<&str>| {
+        names.dedup();
+        let shown = names.iter().take(20).copied().collect::<Vec<_>>().join(", ");
+        if names.len() > 20 { shown + ", ..." } else { shown }
+    };
+    format!(
+        "links: {}; robots: {}; radio units: {}",
+        list(state.links.iter().map(|s| s.value.link.as_str()).collect()),
+        list(state.robots.iter().map(|s| s.value.robot.as_str()).collect()),
+        list(state.radio_units.iter().map(|s| s.value.radio_unit.as_str()).collect()),
+    )
+}
+
+fn csv(curve: &Curve) -> String {
+    let mut text = String::from("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap\n");
+    for point in &curve.points {
+        let (from, until) = (point.from.as_secs_f64(), point.until.as_secs_f64());
+        let values = match &point.values {
+            Some(Values { count, min, max, mean, last, quantiles }) => {
+                let quantiles = quantiles.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+                format!("{count},{min},{mean},{quantiles},{max},{last}")
+            }
+            None => "0,,,,,,,".to_owned(),
+        };
+        writeln!(text, "{from:.9},{until:.9},{values},{}", u8::from(point.gap))
+            .expect("writing into a string cannot fail");
+    }
+    text
+}
+
+fn describe(curve: &Curve, whole: &Curve) -> String {
+    let unit = if curve.unit.is_empty() { String::new() } else { format!(", {}", curve.unit) };
+    let mut text = format!("{}{unit}\n{}", curve.figure, plot::draw(curve));
+    if let Some(values) = whole.points.first().and_then(|point| point.values.as_ref()) {
+        let mut table = Table::new(">>>>>>>>");
+        table.row(["samples", "min", "mean", "median", "p95", "p99", "max", "last"]);
+        let figures = [values.min, values.mean].into_iter().chain(values.quantiles.iter().copied());
+        let figures = figures.chain([values.max, values.last]).map(plot::figure);
+        table.row(std::iter::once(values.count.to_string()).chain(figures));
+        text += &format!("\n{}", table.render("  "));
+    }
+    text
+}

@@ -1,0 +1,118 @@
+//! Which run is meant: what was typed for RUN leads to a history and to a run in it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use cotorra_measurements::{History, Location, Run, RunId};
+use cotorra_testbed::{Recorded, RecordedError};
+
+use super::place::{HISTORY_VARIABLE, WrongPlace, location};
+use crate::cli::HistoryPlace;
+
+/// What stands for the newest run.
+const LATEST: &str = "latest";
+
+/// Why a run is not found, or does not answer.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum Error {
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Place(#[from] WrongPlace),
+    #[error(transparent)]
+    #[diagnostic(help("`cotorra history runs` lists what there is"))]
+    Folder(#[from] RecordedError),
+    #[error("there is no folder {0}")]
+    #[diagnostic(help("`cotorra history runs` lists what there is; `latest` is the newest of them"))]
+    NoFolder(String),
+    #[error("run {0} of which history?")]
+    #[diagnostic(help("name the history with --history or in {HISTORY_VARIABLE}, or the run by its folder"))]
+    NoHistory(RunId),
+    #[error("there is no run in {}", .0.display())]
+    #[diagnostic(help("`cotorra run` leaves one; --runs names another folder"))]
+    NoRuns(PathBuf),
+    #[error("there is no history {}", .0.display())]
+    #[diagnostic(help("it is made by `cotorra run --history {}`", .0.display()))]
+    NoFile(PathBuf),
+    #[error("{folder} was recorded in {history}")]
+    #[diagnostic(help("name that history, with user and password, with --history or in {HISTORY_VARIABLE}"))]
+    Elsewhere { folder: String, history: String },
+    #[error("{0} has no run")]
+    Empty(String),
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+}
+
+/// A run and the history that it is in.
+pub struct Source {
+    pub history: History,
+    pub run: Run,
+}
+
+impl Source {
+    /// Finds the run that was typed: a folder, a number, or `latest`.
+    pub fn find(run: &str, place: &HistoryPlace) -> Result<Self, Error> {
+        let named = location(place.history.as_ref())?;
+        if let (Some(location), Ok(number)) = (&named, run.parse()) {
+            return Self::of(open(location)?, number);
+        }
+        let folder = if run == LATEST { latest(&place.runs)? } else { PathBuf::from(run) };
+        if !folder.is_dir() {
+            return Err(match run.parse() {
+                Ok(number) => Error::NoHistory(number),
+                Err(_) => Error::NoFolder(run.to_owned()),
+            });
+        }
+        Self::of_folder(&folder, named.as_ref())
+    }
+
+    /// The run that left a folder.
+    pub fn of_folder(folder: &Path, named: Option<&Location>) -> Result<Self, Error> {
+        let Recorded { history, run } = Recorded::of_folder(folder)?;
+        let same = |named: &&Location| named.to_string() == history;
+        let location = match history.parse() {
+            Ok(Location::File(path)) => Location::File(path),
+            // What the folder says of a server lacks how to get in.
+            _ => named.filter(same).cloned().ok_or_else(|| Error::Elsewhere {
+                folder: folder.display().to_string(),
+                history: history.clone(),
+            })?,
+        };
+        let opened = open(&location)?;
+        match run {
+            Some(run) => Self::of(opened, run),
+            None => {
+                let first = opened.runs(None, 1)?.into_iter().next().ok_or(Error::Empty(history))?;
+                Ok(Self { history: opened, run: first })
+            }
+        }
+    }
+
+    fn of(history: History, run: RunId) -> Result<Self, Error> {
+        Ok(Self { run: history.run(run)?, history })
+    }
+}
+
+/// Opens a history that is there already.
+pub fn open(location: &Location) -> Result<History, Error> {
+    match location {
+        Location::File(path) if !path.exists() => Err(Error::NoFile(path.clone())),
+        location => Ok(History::connect(location)?),
+    }
+}
+
+/// Folders of runs in a folder, the oldest first.
+pub fn folders(runs: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(runs).into_iter().flatten().flatten().map(|entry| entry.path());
+    // Written first, and never again.
+    let began =
+        |folder: &Path| fs::metadata(folder.join("testbed.yaml")).and_then(|file| file.modified()).ok();
+    let mut found: Vec<_> = entries.filter_map(|folder| Some((began(&folder)?, folder))).collect();
+    found.sort();
+    found.into_iter().map(|(_, folder)| folder).filter(|folder| Recorded::of_folder(folder).is_ok()).collect()
+}
+
+fn latest(runs: &Path) -> Result<PathBuf, Error> {
+    folders(runs).pop().ok_or_else(|| Error::NoRuns(runs.to_owned()))
+}

@@ -1,0 +1,95 @@
+//! `cotorra history state`: the whole graph at a time.
+
+use cotorra_graph::{LinkContext, RobotContext, Timestamp};
+use cotorra_measurements::{GraphState, Sample};
+
+use super::{Error, Source, first_of, seconds};
+use crate::{cli::StateArgs, output, table::Table};
+
+/// No more rows of each table are shown.
+const ROWS: usize = 40;
+
+/// Shows the state.
+pub fn state(args: &StateArgs) -> miette::Result<()> {
+    let source = Source::find(&args.run, &args.place)?;
+    let at = args.at.map_or(Timestamp::MAX, |at| Timestamp::ZERO + at);
+    let state = source.history.state_at(source.run.id, at).map_err(Error::from)?;
+    if args.json {
+        let json = serde_json::to_string_pretty(&state).expect("a state holds only what JSON can");
+        return output::print(&(json + "\n"));
+    }
+    output::print(&describe(&state))
+}
+
+fn describe(state: &GraphState) -> String {
+    let mut text = String::new();
+    let mut section = |title: &str, table: Table, rows: usize| {
+        if rows > 0 {
+            text += &format!("{}{title}\n{}", if text.is_empty() { "" } else { "\n" }, table.render("  "));
+            first_of(&mut text, ROWS, rows, "--json shows all");
+        }
+    };
+    let mut robots = Table::new("<>>>>><>");
+    robots.row(["robot", "at, s", "x, m", "y, m", "heading, rad", "m/s", "attached to", "signal"]);
+    state.robots.iter().take(ROWS).for_each(|sample| robots.row(robot(sample)));
+    section("Robots", robots, state.robots.len());
+
+    let mut units = Table::new("<>>>>");
+    units.row(["radio unit", "at, s", "channel", "load", "stations"]);
+    for Sample { at, value } in state.radio_units.iter().take(ROWS) {
+        let stations = value.stations.len().to_string();
+        let load = format!("{:.1} %", value.load * 100.0);
+        units.row([value.radio_unit.to_string(), seconds(*at), value.channel.to_string(), load, stations]);
+    }
+    section("Radio units", units, state.radio_units.len());
+
+    let mut links = Table::new("<<>>>>>>");
+    links.row(["link", "direction", "at, s", "delay, ms", "Mbit/s", "ψ", "δ", "lost"]);
+    state.links.iter().take(ROWS).for_each(|sample| links.row(link(sample)));
+    section("Links", links, state.links.len());
+
+    let mut placements = Table::new("<<>");
+    placements.row(["VNF", "on", "since, s"]);
+    for Sample { at, value } in state.placements.iter().take(ROWS) {
+        placements.row([value.vnf.to_string(), value.node.to_string(), seconds(*at)]);
+    }
+    section("Placements", placements, state.placements.len());
+
+    let mut virtual_links = Table::new("<<<>");
+    virtual_links.row(["from", "to", "over", "since, s"]);
+    for Sample { at, value } in state.virtual_links.iter().take(ROWS) {
+        let over = value.links.iter().map(|link| link.as_str()).collect::<Vec<_>>().join(", ");
+        virtual_links.row([value.from.to_string(), value.to.to_string(), over, seconds(*at)]);
+    }
+    section("Virtual links", virtual_links, state.virtual_links.len());
+    if text.is_empty() { "nothing was known yet\n".to_owned() } else { text }
+}
+
+fn robot(Sample { at, value }: &Sample<RobotContext>) -> [String; 8] {
+    let sensors = &value.sensors;
+    let attached = value.attachments.iter().find(|a| a.attached);
+    [
+        value.robot.to_string(),
+        seconds(*at),
+        format!("{:.2}", sensors.pose.x),
+        format!("{:.2}", sensors.pose.y),
+        format!("{:.2}", sensors.pose.heading),
+        format!("{:.2}", sensors.velocity.linear),
+        attached.map_or("none".to_owned(), |a| a.radio_unit.to_string()),
+        attached.and_then(|a| a.signal).map_or(String::new(), |signal| format!("{:.1} dBm", signal.0)),
+    ]
+}
+
+fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 8] {
+    let direction = format!("{:?}", value.direction).to_lowercase();
+    [
+        value.link.to_string(),
+        direction,
+        seconds(*at),
+        value.delay.map_or("-".to_owned(), |delay| format!("{:.3}", delay.as_secs_f64() * 1e3)),
+        format!("{:.3}", value.throughput_bps / 1e6),
+        value.scale.delay_scale.to_string(),
+        value.scale.drop_scale.to_string(),
+        (value.counters.lost + value.counters.overflowed).to_string(),
+    ]
+}

@@ -1,0 +1,218 @@
+//! What runs recorded, asked in the terminal: each question, in a folder's own history and in one that runs share.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    ffi::OsStr,
+    fs,
+    path::{Path, PathBuf},
+    process::Output,
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::{
+    harness::{corridor, cotorra, output, stderr, stdout},
+    mariadb::MariaDb,
+};
+
+/// Two runs in virtual time, with folders of their own, and in one history that they share as well.
+struct Runs {
+    place: TempDir,
+    probing: PathBuf,
+    okpi: PathBuf,
+}
+
+impl Runs {
+    fn new() -> Self {
+        let place = TempDir::new().unwrap();
+        let shared = place.path().join("shared.sqlite");
+        let simulate = |plugin: &str, seed: &str, arguments: &[&OsStr]| {
+            let plugin = format!("plugin={plugin}");
+            let out = place.path().join("runs");
+            let mut command =
+                cotorra(["run", "--simulate", "--headless", "--until", "20s", "--set", &plugin]);
+            command.args(["--seed", seed]).arg("--out").arg(&out).arg(corridor()).args(arguments);
+            let done = command.output().unwrap();
+            assert!(done.status.success(), "{}", stderr(&done));
+            let told = stdout(&done);
+            let folder = told.lines().find_map(|line| line.strip_suffix('/')).expect("it names its folder");
+            (PathBuf::from(folder), told)
+        };
+        let (probing, told) = simulate("probing", "1", &[]);
+        assert!(told.contains("history.sqlite") && !told.contains("Its history"), "{told}");
+        let (okpi, _) = simulate("okpi", "2", &[]);
+        for (plugin, seed, run) in [("probing", "1", "run 1 in"), ("okpi", "2", "run 2 in")] {
+            let (folder, told) = simulate(plugin, seed, &["--history".as_ref(), shared.as_ref()]);
+            assert!(told.contains(run) && !folder.join("history.sqlite").exists(), "{told}");
+        }
+        Self { place, probing, okpi }
+    }
+
+    /// Asks from the folder that they are in.
+    fn ask(&self, arguments: &[&str]) -> Output {
+        cotorra(["history"]).args(arguments).current_dir(self.place.path()).output().unwrap()
+    }
+
+    fn answer(&self, arguments: &[&str]) -> String {
+        let answer = self.ask(arguments);
+        assert!(answer.status.success(), "{arguments:?}: {}", stderr(&answer));
+        stdout(&answer)
+    }
+
+    fn refusal(&self, arguments: &[&str]) -> String {
+        let answer = self.ask(arguments);
+        assert!(!answer.status.success(), "{arguments:?}: {}", stdout(&answer));
+        // As words: lines break where the terminal ends.
+        stderr(&answer).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+    }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn runs_are_listed_by_folder_and_by_number_and_lead_to_the_same_answers() {
+    let runs = &Runs::new();
+    let listed = runs.answer(&["runs"]);
+    assert_eq!(listed.lines().count(), 5, "{listed}");
+    assert!(
+        listed.lines().skip(1).all(|line| line.contains("corridor") && line.ends_with("0:20")),
+        "{listed}"
+    );
+    let newest = runs.answer(&["runs", "--limit", "1"]);
+    assert!(newest.lines().nth(1).unwrap() == listed.lines().last().unwrap(), "{newest}");
+    assert!(newest.contains("3 older"), "{newest}");
+    let numbered = runs.answer(&["runs", "--history", "shared.sqlite", "--limit", "1"]);
+    assert!(numbered.contains("... more with --after 1"), "{numbered}");
+    assert!(runs.answer(&["runs", "--history", "shared.sqlite", "--after", "1"]).contains("\n2 "));
+
+    let of = |run: &[&str]| runs.answer(&[&["state"], run, &["--at", "12.5s", "--json"]].concat());
+    let own = of(&[text(&runs.okpi)]);
+    assert!(own == of(&["2", "--history", "shared.sqlite"]), "a shared history answers as an own one");
+    assert!(own == of(&["latest"]), "a folder leads to the history that its run shares");
+    assert!(own != of(&[text(&runs.probing)]));
+}
+
+#[test]
+fn a_state_a_series_and_events_are_told() {
+    let runs = &Runs::new();
+    let okpi = text(&runs.okpi);
+    let state = runs.answer(&["state", okpi, "--at", "12.5s"]);
+    for part in ["Robots", "R1-cloud   backward   12.000", "navigation    cloud"] {
+        assert!(state.contains(part), "{part} is not in {state}");
+    }
+    let json: Value = serde_json::from_str(&runs.answer(&["state", okpi, "--json"])).unwrap();
+    assert_eq!(json["links"].as_array().unwrap().len(), 46);
+
+    let drawn = runs.answer(&["series", okpi, "service"]);
+    assert!(drawn.starts_with("service_time, ms\n") && drawn.contains("median"), "{drawn}");
+    let table =
+        runs.answer(&["series", okpi, "R1-cloud", "--from", "2s", "--to", "12s", "--points", "5", "--csv"]);
+    assert_eq!(table.lines().count(), 6, "{table}");
+    assert!(
+        table.starts_with("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap\n2.000000000,4."),
+        "{table}"
+    );
+    let named = ["series", okpi, "robot:R1", "--figure", "signal", "--points", "1", "--csv"];
+    assert!(runs.answer(&named).contains(",-4"));
+
+    let told = runs.ask(&["events", okpi, "--kinds", "handover,decision"]);
+    assert!(stdout(&told).contains("handover       robot from R1 to R3: "), "{}", stdout(&told));
+    let page = runs.ask(&["events", okpi, "--limit", "3", "--json"]);
+    let lines: Vec<Value> = stdout(&page).lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(lines.len(), 3);
+    let said = stderr(&page);
+    let cursor = said.trim().strip_prefix("... more with --after ").unwrap();
+    let next = runs.answer(&["events", okpi, "--limit", "1", "--json", "--after", cursor]);
+    let first_four = runs.answer(&["events", okpi, "--limit", "4", "--json"]);
+    assert!(first_four.ends_with(&next), "pages join without a seam");
+    assert_eq!(runs.answer(&["gaps", okpi]), "nothing was lost in that time\n");
+}
+
+#[test]
+fn two_runs_are_set_side_by_side_wherever_they_are() {
+    let runs = &Runs::new();
+    let (probing, okpi) = (text(&runs.probing), text(&runs.okpi));
+    let told = runs.answer(&["diff", probing, okpi]);
+    for part in ["okpi: attach", "robot from R1 to R3", "navigation on cloud", "median differs"] {
+        assert!(told.contains(part), "{part} is not in {told}");
+    }
+    let json = |arguments: &[&str]| -> Value {
+        let mut json: Value = serde_json::from_str(&runs.answer(arguments)).unwrap();
+        json.as_object_mut().unwrap().remove("runs");
+        json
+    };
+    let apart = json(&["diff", probing, okpi, "--json"]);
+    assert_eq!(apart, json(&["diff", "1", "2", "--history", "shared.sqlite", "--json"]));
+    assert_ne!(apart, json(&["diff", okpi, okpi, "--json"]));
+}
+
+#[test]
+fn what_is_not_there_is_told_with_what_is() {
+    let runs = &Runs::new();
+    let okpi = text(&runs.okpi);
+    for (arguments, parts) in [
+        (&["state", "nowhere"][..], ["there is no folder nowhere", "cotorra history runs"]),
+        (&["state", "7"], ["run 7 of which history?", "COTORRA_HISTORY"]),
+        (&["state", "7", "--history", "shared.sqlite"], ["there is no run 7 in this history", "×"]),
+        (&["state", "7", "--history", "none.sqlite"], ["there is no history none.sqlite", "cotorra run"]),
+        (&["state", "."], ["it is not the folder of a run", "cotorra history runs"]),
+        (&["state", "latest", "--runs", "nowhere"], ["there is no run in nowhere", "--runs"]),
+        (&["series", okpi, "R9"], ["no link, robot or radio unit `R9`", "robots: robot"]),
+        (&["series", okpi, "R9", "--figure", "load"], ["no samples of load:R9", "radio units: R1, R2"]),
+        (&["series", okpi, "robot", "--figure", "mood"], ["`mood:robot` is not a figure", "--help"]),
+        (&["events", okpi, "--kinds", "weather"], ["`weather` is not a kind of event", "handover"]),
+        (&["events", okpi, "--from", "12"], ["it has no unit", "12s"]),
+        (&["events", okpi, "--after", "12"], ["`12` is not a cursor", "--after"]),
+    ] {
+        let said = runs.refusal(arguments);
+        assert!(parts.iter().all(|part| said.contains(part)), "{arguments:?}: {said}");
+    }
+    assert!(!runs.place.path().join("none.sqlite").exists(), "a question makes no history");
+}
+
+#[test]
+fn a_server_keeps_histories_and_its_password_is_told_nowhere() {
+    let Some(server) = MariaDb::start() else { return };
+    let place = TempDir::new().unwrap();
+    let url = server.fresh();
+    let with_server = |arguments: &[&str]| {
+        let mut command = cotorra(arguments);
+        command.env("COTORRA_HISTORY", &url).current_dir(place.path()).output().unwrap()
+    };
+    let file = corridor();
+    let run = ["run", "--simulate", "--headless", "--until", "5s", "-vv", text(&file)];
+    let (first, second) = (with_server(&run), with_server(&run));
+    assert!(first.status.success(), "{}", stderr(&first));
+    assert!(stdout(&second).contains("run 2 in mysql://127.0.0.1:"), "{}", stdout(&second));
+    let events = with_server(&["history", "events", "2", "--limit", "5"]);
+    let of_folder = with_server(&["history", "events", "latest", "--limit", "5"]);
+    assert!(events.status.success() && stdout(&events) == stdout(&of_folder), "{}", stderr(&of_folder));
+    let dry = with_server(&[&run[..], &["--dry-run"]].concat());
+    assert!(stdout(&dry).contains("mysql://127.0.0.1:"), "{}", stdout(&dry));
+    let without = cotorra(["history", "state", "latest"]).current_dir(place.path()).output().unwrap();
+    assert!(stderr(&without).contains("was recorded in mysql://127.0.0.1:"), "{}", stderr(&without));
+    let wrong = format!("{}/more", url.split('?').next().unwrap());
+    let wrong = output(["run", "--history", &wrong, "--simulate", text(&file)]);
+    assert!(stderr(&wrong).contains("a server's URL ends with"), "{}", stderr(&wrong));
+
+    let (_, password) = url.split_once("cotorra:").unwrap();
+    let (password, _) = password.split_once('@').unwrap();
+    for told in [&first, &second, &events, &of_folder, &dry, &without, &wrong] {
+        assert!(!(stdout(told) + &stderr(told)).contains(password));
+    }
+    let mut folders = vec![place.path().to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+            if entry.is_dir() {
+                folders.push(entry);
+            } else {
+                let bytes = fs::read(&entry).unwrap();
+                let found = bytes.windows(password.len()).any(|part| part == password.as_bytes());
+                assert!(!found, "{} has the password", entry.display());
+            }
+        }
+    }
+}
