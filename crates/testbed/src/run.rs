@@ -222,6 +222,7 @@ impl Run {
             core: tell.clone(),
             namespaces: Arc::new(namespaces.collect()),
             lockstep: None,
+            replay: false,
         };
         let server = Server::start(listener, context, options.token)?;
         plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;

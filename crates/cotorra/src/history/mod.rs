@@ -9,7 +9,7 @@ mod series;
 mod source;
 mod state;
 
-use std::{fmt::Write as _, process::ExitCode};
+use std::{fmt::Write as _, ops::Bound, process::ExitCode};
 
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Cursor, Gap, Page, PageRequest};
@@ -39,9 +39,10 @@ pub fn history(question: &History) -> miette::Result<ExitCode> {
 }
 
 impl Span {
-    fn range(&self) -> std::ops::Range<Timestamp> {
+    fn range(&self) -> (Bound<Timestamp>, Bound<Timestamp>) {
         let at = |after_start| Timestamp::ZERO + after_start;
-        self.from.map_or(Timestamp::ZERO, at)..self.to.map_or(Timestamp::MAX, at)
+        let end = self.to.map_or(Bound::Unbounded, |to| Bound::Excluded(at(to)));
+        (self.from.map_or(Bound::Unbounded, |from| Bound::Included(at(from))), end)
     }
 }
 

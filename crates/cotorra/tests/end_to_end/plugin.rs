@@ -107,3 +107,73 @@ fn ctrl_c_ends_virtual_time_that_waits_for_a_program() {
         serde_json::from_str(&fs::read_to_string(run.join("summary.json")).unwrap()).unwrap();
     assert_eq!(summary["ended"], "it was stopped");
 }
+
+/// Asks what it can, by the client of `clients/python`, while virtual time waits; a failed assertion ends it early.
+const QUESTIONS: &str = r#"
+import sys
+from cotorra import Client, CotorraError, Refused
+
+testbed = Client()
+assert testbed.testbed()["name"] == "corridor"
+asked = heard = 0
+for event in testbed.stream("robot", "service_time", wake_every_s=0.35):
+    heard += event["event"] == "service_time"
+    if event["event"] != "wake" or event["at"] < 5e9 or asked:
+        continue
+    asked, now_s = 1, event["at"] / 1e9
+    assert {r["robot"] for r in testbed.robots()} == {"robot"}
+    assert testbed.node("cloud")["address"] and len(testbed.links()) > 30
+    assert len(testbed.radio_units()) == 6 and len(testbed.placements()) == 2
+    assert [run["this"] for run in testbed.runs()] == [True]
+    assert testbed.state(at_s=2.0)["at"] == 2e9 and testbed.state()["at"] > 4e9
+    told = list(testbed.events("service_time", to_s=now_s + 1))
+    assert len(told) == heard == len(list(testbed.service_times())), (len(told), heard)
+    points = testbed.series("service_time", points=10, quantiles=[0.5, 0.99])["points"]
+    assert sum(point["count"] for point in points) == heard and len(points[0]["quantiles"]) == 2
+    assert list(testbed.gaps()) == []
+    assert testbed.difference(1)["doubts"][0]["lost_events"] == 0
+    testbed.instruct("to hear the others", instruction="scan", robot="robot")
+    for failing, call in [
+        (Refused, lambda: testbed.instruct(instruction="attach", robot="robot", radio_unit="R9")),
+        (CotorraError, lambda: testbed.series("mood:robot")),
+    ]:
+        try:
+            call()
+            sys.exit(f"{failing} was not raised")
+        except failing as error:
+            print(type(error).__name__, error, flush=True)
+assert asked and testbed.missed == 0
+print("all asked", flush=True)
+"#;
+
+#[test]
+fn the_python_client_asks_follows_and_instructs() {
+    let out = TempDir::new().unwrap();
+    let script = out.path().join("questions.py");
+    fs::write(&script, QUESTIONS).unwrap();
+    let testbed = corridor_with("examples/strongest_signal.py", out.path());
+    let text = fs::read_to_string(&testbed).unwrap();
+    let (before, _) = text.split_once("command:").unwrap();
+    fs::write(&testbed, format!("{before}command: [python3, {}]\n", script.display())).unwrap();
+    let folder = out.path().join("runs");
+    let mut command = cotorra(["run", "--simulate", "--headless", "--until", "10s", "--out"].map(Path::new));
+    command.env("PYTHONPATH", project_file("clients/python")).env("PYTHONDONTWRITEBYTECODE", "1");
+    let done = command.arg(&folder).arg(&testbed).output().unwrap();
+    let run = fs::read_dir(&folder).unwrap().next().unwrap().unwrap().path();
+    let said = fs::read_to_string(run.join("logs/plugin-mine.log")).unwrap();
+    assert!(done.status.success(), "{}", stderr(&done));
+    assert!(said.contains("Refused") && said.contains("`mood:robot` is not a figure"), "{said}");
+    let summary: Value =
+        serde_json::from_str(&fs::read_to_string(run.join("summary.json")).unwrap()).unwrap();
+    assert_eq!(summary["plugin_faults"], serde_json::json!([]), "{said}");
+    let decisions = output([
+        "history".as_ref(),
+        "events".as_ref(),
+        run.as_os_str(),
+        "--kinds".as_ref(),
+        "decision".as_ref(),
+    ]);
+    let decisions = String::from_utf8(decisions.stdout).unwrap();
+    assert!(decisions.contains("mine: scan with robot: to hear the others"), "{decisions}");
+    assert!(decisions.contains("; refused: "), "{decisions}");
+}

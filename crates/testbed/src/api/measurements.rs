@@ -1,18 +1,20 @@
-//! What was: the history of the run.
+//! What was: the history of the run, and of others that share it.
 
-use std::ops::Range;
+use std::ops::Bound;
 
 use axum::{Json, extract::State};
 use cotorra_graph::{
     Direction, Handover, LinkContext, LinkId, NodeId, RobotContext, ServiceTime, Stamped, Timestamp,
 };
-use cotorra_measurements::{Cursor, GraphState, History, Page, PageRequest, RunId, Sample};
+use cotorra_measurements::{
+    Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, RunId, Sample,
+};
 use serde::Deserialize;
 
 use super::{
     Answer, Context,
     stream::parse_kinds,
-    types::{Failure, FailureBody, Path, Query},
+    types::{Failure, FailureBody, GapBody, Path, Query, RunBody},
 };
 
 /// Which part of the history.
@@ -34,33 +36,51 @@ pub(super) struct Part {
     direction: Option<Direction>,
     /// Kinds of events, with commas between, all if it is left out; for events only.
     kinds: Option<String>,
+    /// The number of another run of the same history, in place of this one.
+    #[param(value_type = Option<i64>)]
+    run: Option<RunId>,
 }
 
 impl Part {
-    fn range(&self) -> Range<Timestamp> {
-        let end = self.to_s.map_or(Timestamp::MAX, Timestamp::from_secs_f64);
-        Timestamp::from_secs_f64(self.from_s)..end
-    }
-
     fn page(&self) -> PageRequest {
         PageRequest { limit: self.limit.unwrap_or(PageRequest::default().limit), after: self.after }
     }
+
+    /// The range of time, up to the present of a run.
+    fn until(&self, present: Timestamp) -> Span {
+        span(self.from_s, self.to_s, present)
+    }
 }
 
-/// Asks the history where that may take its time.
+type Span = (Bound<Timestamp>, Bound<Timestamp>);
+
+fn span(from_s: f64, to_s: Option<f64>, present: Timestamp) -> Span {
+    let to = to_s.map(Timestamp::from_secs_f64).filter(|to| *to <= present);
+    let end = to.map_or(Bound::Included(present), Bound::Excluded);
+    (Bound::Included(Timestamp::from_secs_f64(from_s)), end)
+}
+
+/// Asks the history where that may take its time: about this run or another, with the time up to which it is known.
 async fn ask<T: Send + 'static>(
     context: Context,
-    question: impl FnOnce(&History, RunId) -> cotorra_measurements::Result<T> + Send + 'static,
+    other: Option<RunId>,
+    question: impl FnOnce(&History, RunId, Timestamp) -> cotorra_measurements::Result<T> + Send + 'static,
 ) -> Answer<T> {
     let ask = move || {
-        if let Some(lockstep) = &context.lockstep {
-            lockstep.recorder.flush()?;
+        if let Some(recorder) = context.lockstep.as_ref().and_then(|lockstep| lockstep.recorder.as_ref()) {
+            recorder.flush()?;
         }
-        question(&context.history, context.run)
+        let run = other.unwrap_or(context.run);
+        let is_played = context.replay && run == context.run;
+        let present = if is_played { context.live.read(|now| now.at) } else { Timestamp::MAX };
+        question(&context.history, run, present)
     };
-    let asked = tokio::task::spawn_blocking(ask).await;
-    match asked {
-        Ok(answer) => answer.map(Json).map_err(|error| Failure::unavailable(error.to_string())),
+    match tokio::task::spawn_blocking(ask).await {
+        Ok(Ok(answer)) => Ok(Json(answer)),
+        Ok(Err(error @ cotorra_measurements::Error::NoSuchRun(_))) => {
+            Err(Failure::not_found(error.to_string()))
+        }
+        Ok(Err(error)) => Err(Failure::unavailable(error.to_string())),
         Err(broken) => Err(Failure::unavailable(format!("the question broke off: {broken}"))),
     }
 }
@@ -74,10 +94,13 @@ pub(super) async fn robot_history(
     Path(id): Path<NodeId>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<RobotContext>>> {
-    if !context.testbed.graph.robots().any(|(node, _)| node.id == id) {
+    if part.run.is_none() && !context.testbed.graph.robots().any(|(node, _)| node.id == id) {
         return Err(Failure::not_found(format!("there is no robot `{id}`")));
     }
-    ask(context, move |history, run| history.robot_series(run, &id, part.range(), part.page())).await
+    ask(context, part.run, move |history, run, present| {
+        history.robot_series(run, &id, part.until(present), part.page())
+    })
+    .await
 }
 
 /// d, λ and conditions of one direction of a link over time.
@@ -89,14 +112,17 @@ pub(super) async fn link_history(
     Path(id): Path<LinkId>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<LinkContext>>> {
-    let known = context.testbed.graph.link(&id).is_some()
+    let known = part.run.is_some()
+        || context.testbed.graph.link(&id).is_some()
         || context.live.read(|now| now.links.keys().any(|(l, _)| *l == id));
     if !known {
         return Err(Failure::not_found(format!("there is no link `{id}`")));
     }
     let direction = part.direction.unwrap_or(Direction::Forward);
-    ask(context, move |history, run| history.link_series(run, &id, direction, part.range(), part.page()))
-        .await
+    ask(context, part.run, move |history, run, present| {
+        history.link_series(run, &id, direction, part.until(present), part.page())
+    })
+    .await
 }
 
 /// Service times.
@@ -106,7 +132,10 @@ pub(super) async fn service_times(
     State(context): State<Context>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<ServiceTime>>> {
-    ask(context, move |history, run| history.service_times(run, part.range(), part.page())).await
+    ask(context, part.run, move |history, run, present| {
+        history.service_times(run, part.until(present), part.page())
+    })
+    .await
 }
 
 /// Handovers.
@@ -116,7 +145,10 @@ pub(super) async fn handovers(
     State(context): State<Context>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<Handover>>> {
-    ask(context, move |history, run| history.handovers(run, part.range(), part.page())).await
+    ask(context, part.run, move |history, run, present| {
+        history.handovers(run, part.until(present), part.page())
+    })
+    .await
 }
 
 /// Events of any kind, as they were told.
@@ -127,7 +159,117 @@ pub(super) async fn events(
     Query(part): Query<Part>,
 ) -> Answer<Page<Stamped>> {
     let kinds = part.kinds.as_deref().map(parse_kinds).transpose()?.unwrap_or_default();
-    ask(context, move |history, run| history.events(run, &kinds, part.range(), part.page())).await
+    ask(context, part.run, move |history, run, present| {
+        history.events(run, &kinds, part.until(present), part.page())
+    })
+    .await
+}
+
+/// Where events were lost.
+#[utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements", params(Part),
+    responses((status = 200, body = Page<GapBody>)))]
+pub(super) async fn gaps(State(context): State<Context>, Query(part): Query<Part>) -> Answer<Page<GapBody>> {
+    ask(context, part.run, move |history, run, present| {
+        let Page { items, next } = history.gaps(run, part.until(present), part.page())?;
+        Ok(Page { items: items.into_iter().map(GapBody::from).collect(), next })
+    })
+    .await
+}
+
+/// Which figure, and how.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Which {
+    /// The figure and what it is of: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward if
+    /// no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`, `turn:…` or `obstacle:…`;
+    /// `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all if they
+    /// are left out); `lateness_p50`, `lateness_p99` or `lateness_max`.
+    #[param(value_type = String)]
+    figure: Figure,
+    /// From here on, seconds since the run began.
+    #[serde(default)]
+    from_s: f64,
+    /// Up to here, this excluded, seconds since the run began; to the end if it is left out.
+    to_s: Option<f64>,
+    /// In how many points at the most; 1000 if it is left out, never more than 10000.
+    points: Option<usize>,
+    /// Quantiles that each point is to have, as shares from 0 to 1 with commas between; 0.5 if it is left out.
+    quantiles: Option<String>,
+    /// The number of another run of the same history, in place of this one.
+    #[param(value_type = Option<i64>)]
+    run: Option<RunId>,
+}
+
+/// A figure over time in a bounded number of points: of each the count, least, greatest, mean, last and quantiles of its
+/// samples, and whether events were lost.
+#[utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements", params(Which),
+    responses((status = 200, body = Curve), (status = 400, body = FailureBody)))]
+pub(super) async fn series(State(context): State<Context>, Query(which): Query<Which>) -> Answer<Curve> {
+    let mut request = CurveRequest::default();
+    request.points = which.points.unwrap_or(request.points);
+    if let Some(shares) = &which.quantiles {
+        let parse = |share: &str| share.trim().parse().ok().filter(|share| (0.0..=1.0).contains(share));
+        let shares: Option<Vec<f64>> = shares.split(',').map(parse).collect();
+        request.quantiles = shares.ok_or_else(|| {
+            Failure::bad_request("quantiles are shares from 0 to 1 with commas between, as in 0.5,0.99")
+        })?;
+    }
+    ask(context, which.run, move |history, run, present| {
+        history.curve(run, &which.figure, span(which.from_s, which.to_s, present), &request)
+    })
+    .await
+}
+
+/// Which runs.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Runs {
+    /// Those after this one.
+    #[param(value_type = Option<i64>)]
+    after: Option<RunId>,
+    /// How many at the most; 1000 if it is left out, never more than 10000.
+    limit: Option<usize>,
+}
+
+/// The runs that share this run's history, the oldest first.
+#[utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements", params(Runs),
+    responses((status = 200, body = Vec<RunBody>)))]
+pub(super) async fn runs(State(context): State<Context>, Query(which): Query<Runs>) -> Answer<Vec<RunBody>> {
+    let limit = which.limit.unwrap_or(PageRequest::default().limit);
+    ask(context, None, move |history, this, _| {
+        let runs = history.runs(which.after, limit)?;
+        Ok(runs.into_iter().map(|run| RunBody::new(run, this)).collect())
+    })
+    .await
+}
+
+/// Which runs are compared.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Pair {
+    /// The number of the one run.
+    #[param(value_type = i64)]
+    a: RunId,
+    /// The number of the other; this one if it is left out.
+    #[param(value_type = Option<i64>)]
+    b: Option<RunId>,
+}
+
+/// Two runs of this run's history side by side.
+#[utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements", params(Pair),
+    responses((status = 200, body = Difference), (status = 404, body = FailureBody), (status = 409, body = FailureBody)))]
+pub(super) async fn difference(
+    State(context): State<Context>,
+    Query(Pair { a, b }): Query<Pair>,
+) -> Answer<Difference> {
+    let b = b.unwrap_or(context.run);
+    if context.replay && [a, b].contains(&context.run) {
+        return Err(Failure::refused("this is a replay: how its run ends is not told before it does"));
+    }
+    ask(context, Some(b), move |history, b, _| history.difference(a, b)).await
 }
 
 /// At which time.
@@ -135,14 +277,18 @@ pub(super) async fn events(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct At {
-    /// Seconds since the run began; now if it is left out.
+    /// Seconds since the run began; if it is left out, now, and of another run its end.
     at_s: Option<f64>,
+    /// The number of another run of the same history, in place of this one.
+    #[param(value_type = Option<i64>)]
+    run: Option<RunId>,
 }
 
 /// The whole graph at a time: of everything the last that was known.
 #[utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements", params(At),
     responses((status = 200, body = GraphState)))]
 pub(super) async fn state(State(context): State<Context>, Query(at): Query<At>) -> Answer<GraphState> {
-    let at = at.at_s.map(Timestamp::from_secs_f64).unwrap_or_else(|| context.live.read(|now| now.at));
-    ask(context, move |history, run| history.state_at(run, at)).await
+    let now = if at.run.is_some() { Timestamp::MAX } else { context.live.read(|now| now.at) };
+    let when = at.at_s.map_or(now, Timestamp::from_secs_f64);
+    ask(context, at.run, move |history, run, present| history.state_at(run, when.min(present))).await
 }

@@ -26,6 +26,9 @@ use crate::{core_loop::Message, live::Live};
 pub use auth::Token;
 pub(crate) use stream::{Follower, Told};
 
+#[cfg(test)]
+mod tests;
+
 /// What the API's handlers need.
 #[derive(Clone)]
 pub(crate) struct Context {
@@ -38,15 +41,18 @@ pub(crate) struct Context {
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
     /// In virtual time only.
     pub(crate) lockstep: Option<Lockstep>,
+    /// What is told was recorded before: the history knows more than the present of the run.
+    pub(crate) replay: bool,
 }
 
 /// What is different in virtual time, which stands still while a plug-in answers.
 #[derive(Clone)]
 pub(crate) struct Lockstep {
-    /// For whom it does.
-    pub(crate) plugins: Arc<BTreeSet<PluginId>>,
-    /// Made durable before the history is asked, so that an answer does not depend on the writer's speed.
-    pub(crate) recorder: PacedRecorder,
+    /// For whom it does; `None` for whoever follows under a name.
+    pub(crate) plugins: Option<Arc<BTreeSet<PluginId>>>,
+    /// Made durable before the history is asked, so that an answer does not depend on the writer's speed; `None` where
+    /// nothing is recorded.
+    pub(crate) recorder: Option<PacedRecorder>,
 }
 
 /// Why the API cannot be served.
@@ -99,6 +105,10 @@ fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
         .routes(routes!(measurements::handovers))
         .routes(routes!(measurements::events))
         .routes(routes!(measurements::state))
+        .routes(routes!(measurements::series))
+        .routes(routes!(measurements::gaps))
+        .routes(routes!(measurements::runs))
+        .routes(routes!(measurements::difference))
         .routes(routes!(stream::events))
         .routes(routes!(stream::done))
         .split_for_parts()

@@ -71,8 +71,8 @@ pub(super) struct Which {
     kinds: Option<String>,
 }
 
-/// Events as they happen. A reader that is too slow loses the oldest, is told how many by an event named `missed`, and
-/// slows nobody.
+/// Events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody: an event named
+/// `missed` tells it how many it lost there, of all kinds, as its data.
 ///
 /// In virtual time a plug-in that the testbed started (`X-Cotorra-Plugin` names it) loses none: at once, and then after
 /// the events of each moment, its stream has an event named `mark`, with a number as its `id` and the time, in
@@ -88,7 +88,8 @@ pub(super) async fn events(
 ) -> Result<Sse<impl Stream<Item = Result<SseEvent, Infallible>>>, Failure> {
     let kinds = which.kinds.as_deref().map(parse_kinds).transpose()?;
     let is_waited_for = |plugin: &PluginId| {
-        context.lockstep.as_ref().is_some_and(|lockstep| lockstep.plugins.contains(plugin))
+        let plugins = context.lockstep.as_ref().map(|lockstep| &lockstep.plugins);
+        plugins.is_some_and(|these| these.as_ref().is_none_or(|these| these.contains(plugin)))
     };
     let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&headers)?.filter(is_waited_for) {
         Some(plugin) => {

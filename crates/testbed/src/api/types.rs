@@ -8,7 +8,10 @@ use axum::{
     http::StatusCode,
     response::{IntoResponse, Response},
 };
-use cotorra_graph::{HardwareGraph, HostAddress, Instruction, Node, PluginSpec, Service, Testbed, Walk};
+use cotorra_graph::{
+    HardwareGraph, HostAddress, Instruction, Node, PluginSpec, Service, Testbed, Timestamp, Walk,
+};
+use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -49,6 +52,46 @@ pub(super) struct NodeBody {
     /// Its network namespace, for `nsenter --net=`; none for a switch.
     #[schema(value_type = Option<String>)]
     pub(super) namespace: Option<PathBuf>,
+}
+
+/// A run in a history.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct RunBody {
+    #[schema(value_type = i64)]
+    run: RunId,
+    /// The testbed's.
+    name: String,
+    seed: u64,
+    /// When it began, nanoseconds since 1970-01-01 UTC; 0 in virtual time.
+    started_at_unix_ns: i64,
+    /// When it ended, nanoseconds since it began; null while it goes on, and for good when it was killed.
+    ended: Option<Timestamp>,
+    /// Whether it is the one that this API is of.
+    this: bool,
+}
+
+impl RunBody {
+    pub(super) fn new(run: Run, this: RunId) -> Self {
+        let Run { id, info: RunInfo { name, seed, started_at_unix_ns, testbed: _ }, ended } = run;
+        Self { run: id, name, seed, started_at_unix_ns, ended, this: id == this }
+    }
+}
+
+/// Events that were lost: [`cotorra_measurements::Gap`] as it is shown.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct GapBody {
+    /// Time of the earliest that is missing, nanoseconds since the run began.
+    from: Timestamp,
+    /// Time of the latest that is missing.
+    until: Timestamp,
+    /// How many are.
+    events: u64,
+}
+
+impl From<Gap> for GapBody {
+    fn from(Gap { from, until, events }: Gap) -> Self {
+        Self { from, until, events }
+    }
 }
 
 /// An instruction and why it is given.

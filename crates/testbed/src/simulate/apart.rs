@@ -130,7 +130,11 @@ impl Apart {
             events: stream.clone(),
             core,
             namespaces: Arc::new(BTreeMap::new()),
-            lockstep: Some(Lockstep { plugins: Arc::new(waited_for), recorder: asked.recorder.clone() }),
+            lockstep: Some(Lockstep {
+                plugins: Some(Arc::new(waited_for)),
+                recorder: Some(asked.recorder.clone()),
+            }),
+            replay: false,
         };
         let server = Server::start(listener, context, options.token.clone())?;
         let mut host = PluginHost::new();

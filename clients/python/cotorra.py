@@ -1,0 +1,212 @@
+"""A client of a cotorra testbed's HTTP API: what is known, what was, what happens, and instructions.
+
+One file, nothing but the standard library (Python 3.9 or newer): copy it, or put its folder into PYTHONPATH.
+
+    from cotorra import Client
+
+    testbed = Client()                      # COTORRA_API, or else http://127.0.0.1:7700
+    for event in testbed.stream("robot"):   # What happens, as it happens, until the run ends.
+        if event["at"] / 1e9 > 10:
+            testbed.instruct("a look around", instruction="scan", robot=event["robot"])
+            break
+    worst = max(p["max"] for p in testbed.series("service_time", points=100)["points"] if "max" in p)
+
+The same program runs beside a run, as a plug-in that a testbed file names, in virtual time, and against
+`cotorra replay`: in virtual time the run waits until the body of a `for` over `stream()` is done with each moment.
+
+Times are seconds since the run began in arguments, and nanoseconds in answers, as the API has them
+(docs/openapi.json says what each answer holds).
+"""
+from __future__ import annotations
+
+import json
+import os
+from http.client import HTTPException
+from typing import Any, Iterator, Optional, Sequence
+from urllib import error, parse, request
+
+__all__ = ["Client", "CotorraError", "Ended", "Refused"]
+
+JSON = dict[str, Any]
+_SILENCE_S = 60.0  # Nobody is silent for so long: a stream is kept alive every 15 s.
+
+
+class CotorraError(Exception):
+    """The API does not answer a request, and says why."""
+
+
+class Refused(CotorraError):
+    """The testbed does not do what an instruction asks for."""
+
+
+class Ended(CotorraError):
+    """The run has ended, or there is none."""
+
+
+class Client:
+    """A testbed's API. What is not said is taken from the environment, as a testbed sets it for its plug-ins:
+    COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN."""
+
+    def __init__(
+        self, api: Optional[str] = None, plugin: Optional[str] = None, token: Optional[str] = None
+    ) -> None:
+        api = api or os.environ.get("COTORRA_API") or "http://127.0.0.1:7700"
+        self._api = (api if "://" in api else f"http://{api}").rstrip("/") + "/api/v1"
+        self._headers = {"Content-Type": "application/json"}
+        if plugin := plugin or os.environ.get("COTORRA_PLUGIN"):
+            self._headers["X-Cotorra-Plugin"] = plugin
+        if token := token or os.environ.get("COTORRA_TOKEN"):
+            self._headers["Authorization"] = f"Bearer {token}"
+        # Past any proxy in the environment: a testbed is near.
+        self._http = request.build_opener(request.ProxyHandler({}))
+        self.missed = 0
+        """How many events streams lost because they were read too slowly."""
+
+    # What is known.
+
+    def testbed(self) -> JSON:
+        """The testbed: its graph, services, walks and plug-ins."""
+        return self._ask("testbed")
+
+    def node(self, node: str) -> JSON:
+        """A node, its addresses and its network namespace."""
+        return self._ask(f"network/nodes/{parse.quote(node)}")
+
+    def robots(self) -> list[JSON]:
+        """κ of every robot."""
+        return self._ask("robots")
+
+    def links(self) -> list[JSON]:
+        """d, λ and conditions of every link, in both directions."""
+        return self._ask("network/links")
+
+    def radio_units(self) -> list[JSON]:
+        """ι of every radio unit."""
+        return self._ask("network/radio-units")
+
+    def placements(self) -> list[JSON]:
+        """a(n): where every VNF runs."""
+        return self._ask("network/placements")
+
+    # What was; of this run, or of another (`run`, a number) that shares its history.
+
+    def runs(self) -> Iterator[JSON]:
+        """The runs that share this run's history, the oldest first."""
+        after = None
+        while page := self._ask("measurements/runs", after=after):
+            yield from page
+            after = page[-1]["run"]
+
+    def state(self, at_s: Optional[float] = None, run: Optional[int] = None) -> JSON:
+        """The whole graph at a time; if that is left out, now."""
+        return self._ask("measurements/state", at_s=at_s, run=run)
+
+    def series(
+        self,
+        figure: str,
+        from_s: float = 0.0,
+        to_s: Optional[float] = None,
+        points: int = 1000,
+        quantiles: Sequence[float] = (0.5,),
+        run: Optional[int] = None,
+    ) -> JSON:
+        """A figure over time, such as `service_time`, `delay:LINK:backward` or `x:ROBOT`, in at most so many points.
+        Each has `from`, `until` and `gap`, and where there are samples `count`, `min`, `max`, `mean`, `last`, `quantiles`."""
+        shares = ",".join(map(str, quantiles))
+        part = {"from_s": from_s, "to_s": to_s, "points": points, "quantiles": shares, "run": run}
+        return self._ask("measurements/series", figure=figure, **part)
+
+    def events(
+        self, *kinds: str, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None
+    ) -> Iterator[JSON]:
+        """What happened, of these kinds or of all; one page after the other is asked for as it is needed."""
+        part = {"kinds": ",".join(kinds) or None, "from_s": from_s, "to_s": to_s, "run": run}
+        return self._pages("measurements/events", part)
+
+    def service_times(
+        self, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None
+    ) -> Iterator[JSON]:
+        """Every measured service time."""
+        return self._pages("measurements/service-times", {"from_s": from_s, "to_s": to_s, "run": run})
+
+    def gaps(self, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None) -> Iterator[JSON]:
+        """Where events were lost."""
+        return self._pages("measurements/gaps", {"from_s": from_s, "to_s": to_s, "run": run})
+
+    def difference(self, a: int, b: Optional[int] = None) -> JSON:
+        """Two runs of this history side by side; this one, if the second is left out."""
+        return self._ask("measurements/difference", a=a, b=b)
+
+    # What happens, and what is to be done.
+
+    def stream(self, *kinds: str, wake_every_s: Optional[float] = None) -> Iterator[JSON]:
+        """What happens, as it happens, of these kinds or of all, until the run ends.
+
+        Who reads too slowly loses the oldest events; `missed` counts them. In virtual time nothing is lost: time stands
+        still until the body of the loop is done. There, and only there, `wake_every_s` has the run stop at least so
+        often, for an event `{"event": "wake", "at": …}` of the client's own."""
+        which = parse.urlencode({"kinds": ",".join(kinds)} if kinds else {})
+        name = mark = ""
+        stream = self._open(f"events?{which}")
+        try:
+            with stream:
+                for line in stream:
+                    field, _, value = line.decode().rstrip("\r\n").partition(": ")
+                    if field == "event":
+                        name = value
+                    elif field == "id":
+                        mark = value
+                    elif field == "data" and name == "missed":
+                        self.missed += int(value)
+                    elif field == "data" and name == "mark":
+                        wake: JSON = {}
+                        if wake_every_s is not None:
+                            yield {"event": "wake", "at": int(value)}
+                            wake["wake_at_ns"] = int(value) + round(wake_every_s * 1e9)
+                        self._ask(f"marks/{mark}", {}, **wake)
+                    elif field == "data":
+                        yield json.loads(value)
+                    elif not field:
+                        name = mark = ""
+        except (Ended, HTTPException, OSError):
+            return  # Broken off: so a run ends.
+
+    def instruct(self, reason: Optional[str] = None, **instruction: Any) -> None:
+        """Gives an instruction, as in `instruct("it is closer", instruction="attach", robot="r1", radio_unit="R3")`;
+        the reason is kept with the decision. Raises `Refused` if the testbed does not do it."""
+        self._ask("instructions", {"instruction": instruction, "reason": reason})
+
+    # How.
+
+    def _pages(self, path: str, part: JSON) -> Iterator[JSON]:
+        after = None
+        while True:
+            page = self._ask(path, after=after, **part)
+            yield from page["items"]
+            after = page["next"]
+            if after is None:
+                return
+
+    def _ask(self, path: str, body: Any = None, **query: Any) -> Any:
+        said = parse.urlencode({name: value for name, value in query.items() if value is not None})
+        data = None if body is None else json.dumps(body).encode()
+        with self._open(f"{path}?{said}" if said else path, data) as answer:
+            return json.load(answer)
+
+    def _open(self, path: str, data: Optional[bytes] = None) -> Any:
+        try:
+            wanted = request.Request(f"{self._api}/{path}", data, self._headers)
+            return self._http.open(wanted, timeout=_SILENCE_S)
+        except error.HTTPError as failure:
+            with failure:
+                text = failure.read().decode(errors="replace")
+            try:
+                said = json.loads(text)
+            except ValueError:
+                said = {}
+            if "refused" in said:
+                raise Refused(said["refused"]) from None
+            kind = Ended if failure.code == 503 else CotorraError
+            raise kind(f"{path}: {failure.code}: {said.get('error', text)}") from None
+        except error.URLError as failure:
+            raise Ended(f"no API at {self._api}: {failure.reason}") from None

@@ -1,0 +1,208 @@
+//! The API as a caller has it, over a socket: what it answers is what the history answers, and who reads too slowly
+//! harms nobody.
+
+use std::{
+    io::{BufRead, BufReader, Read, Write},
+    net::TcpStream,
+    path::Path,
+};
+
+use cotorra_graph::{Event, Timestamp};
+use cotorra_measurements::{CurveRequest, RunInfo};
+use serde_json::{Value, json};
+
+use super::*;
+
+/// A served history without a testbed that runs.
+struct Served {
+    server: Server,
+    history: Arc<History>,
+    events: broadcast::Sender<Arc<Stamped>>,
+    runs: [RunId; 2],
+    live: Live,
+}
+
+fn notice(at: u64) -> Stamped {
+    Stamped { at: Timestamp::from_nanos(at), event: Event::Notice { message: format!("{at:>250}") } }
+}
+
+/// A service time of as many milliseconds as the second it was in.
+fn sample(second: u64) -> Stamped {
+    let at = second * 1_000_000_000;
+    let event = json!({
+        "at": at, "event": "service_time", "service": "walk", "robot": "robot", "sequence": second,
+        "emitted": at, "took_ms": second as f64, "attachment": "R1", "server": "left",
+    });
+    serde_json::from_value(event).unwrap()
+}
+
+fn serve(replay: bool) -> Served {
+    let text = "name: served\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n";
+    let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
+    let history = Arc::new(History::in_memory().unwrap());
+    let begin = |seed| {
+        let info =
+            RunInfo { name: "served".to_owned(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
+        history.begin_run(&info).unwrap()
+    };
+    let runs = [begin(1), begin(2)];
+    for (run, seconds) in runs.into_iter().zip([10, 20]) {
+        let recorder = history.paced_recorder(run).unwrap();
+        (0..seconds).for_each(|second| recorder.record(sample(second)));
+        // What no history can hold leaves a gap.
+        recorder.record(Stamped { at: Timestamp::from_nanos(u64::MAX), ..notice(0) });
+        recorder.flush().unwrap();
+    }
+    let (events, _) = broadcast::channel(4096);
+    let live = Live::default();
+    let context = Context {
+        testbed: Arc::new(testbed),
+        live: live.clone(),
+        history: Arc::clone(&history),
+        run: runs[1],
+        events: events.clone(),
+        core: mpsc::channel().0,
+        namespaces: Arc::default(),
+        lockstep: None,
+        replay,
+    };
+    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, None).unwrap();
+    Served { server: Server::start(listener, context, None).unwrap(), history, events, runs, live }
+}
+
+impl Served {
+    /// Asks, and reads the answer's head.
+    fn open(&self, path: &str) -> (u16, BufReader<TcpStream>) {
+        let mut stream = TcpStream::connect(self.server.address()).unwrap();
+        write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            .unwrap();
+        let mut stream = BufReader::new(stream);
+        let mut line = String::new();
+        stream.read_line(&mut line).unwrap();
+        let status = line.split(' ').nth(1).unwrap().parse().unwrap();
+        while line != "\r\n" {
+            line.clear();
+            stream.read_line(&mut line).unwrap();
+        }
+        (status, stream)
+    }
+
+    fn get(&self, path: &str) -> (u16, Value) {
+        let (status, mut body) = self.open(path);
+        let mut text = String::new();
+        body.read_to_string(&mut text).unwrap();
+        (status, serde_json::from_str(&text).unwrap_or_else(|e| panic!("{path}: {e}: {text}")))
+    }
+
+    fn answer(&self, path: &str) -> Value {
+        let (status, body) = self.get(path);
+        assert_eq!(status, 200, "{path}: {body}");
+        body
+    }
+}
+
+#[test]
+fn curves_gaps_runs_and_differences_are_what_the_history_answers() {
+    let served = serve(false);
+    let [first, this] = served.runs;
+    let curve =
+        served.answer("measurements/series?figure=service_time:walk&points=4&quantiles=0.5,1&from_s=4");
+    let request = CurveRequest { points: 4, quantiles: vec![0.5, 1.0] };
+    let figure = "service_time:walk".parse().unwrap();
+    let range = Timestamp::from_secs_f64(4.0)..;
+    let expected = served.history.curve(this, &figure, range, &request).unwrap();
+    assert_eq!(curve, serde_json::to_value(&expected).unwrap());
+    assert_eq!((curve["unit"].as_str(), curve["points"].as_array().unwrap().len()), (Some("ms"), 4));
+
+    let gaps = served.answer("measurements/gaps");
+    let expected = served.history.gaps(this, .., cotorra_measurements::PageRequest::default()).unwrap();
+    assert_eq!(gaps["items"], serde_json::to_value(&expected.items).unwrap());
+    let runs = served.answer("measurements/runs");
+    assert_eq!(
+        (&runs[0]["seed"], &runs[0]["this"], &runs[1]["this"]),
+        (&json!(1), &json!(false), &json!(true))
+    );
+    assert_eq!(served.answer(&format!("measurements/runs?after={first}")).as_array().unwrap().len(), 1);
+
+    let difference = served.answer(&format!("measurements/difference?a={first}"));
+    assert_eq!(difference, serde_json::to_value(served.history.difference(first, this).unwrap()).unwrap());
+    let others = served.answer(&format!("measurements/service-times?run={first}"));
+    assert_eq!(others["items"].as_array().unwrap().len(), 10);
+}
+
+#[test]
+fn what_cannot_be_answered_says_why() {
+    let served = serve(false);
+    for (path, expected, part) in [
+        ("measurements/series", 400, "figure"),
+        ("measurements/series?figure=mood:robot", 400, "`mood:robot` is not a figure"),
+        ("measurements/series?figure=service_time&quantiles=0.5,2", 400, "from 0 to 1"),
+        ("measurements/state?run=99", 404, "there is no run 99"),
+        ("measurements/difference?a=99", 404, "there is no run 99"),
+        ("measurements/gaps?form_s=3", 400, "form_s"),
+    ] {
+        let (status, body) = served.get(path);
+        assert_eq!(status, expected, "{path}: {body}");
+        assert!(body["error"].as_str().unwrap().contains(part), "{path}: {body}");
+    }
+}
+
+#[test]
+fn a_replay_tells_nothing_of_what_is_to_come() {
+    let served = serve(true);
+    let [first, this] = served.runs;
+    served.live.absorb(&sample(5));
+    let count = |path: &str| served.answer(path)["items"].as_array().unwrap().len();
+    assert_eq!(count("measurements/service-times"), 6, "seconds 0 to 5");
+    assert_eq!(count("measurements/events?to_s=3"), 3);
+    assert_eq!(count("measurements/gaps"), 0);
+    let curve = served.answer("measurements/series?figure=service_time&points=1");
+    assert_eq!(curve["points"][0]["count"], 6);
+    assert_eq!(served.answer("measurements/state?at_s=100")["at"], 5_000_000_000_u64);
+    assert_eq!(served.get(&format!("measurements/difference?a={this}&b={first}")).0, 409);
+    // What other runs were is past.
+    assert_eq!(count(&format!("measurements/service-times?run={first}")), 10);
+}
+
+#[test]
+fn a_reader_that_does_not_read_loses_the_oldest_is_told_how_many_and_slows_nobody() {
+    // More bytes than the kernel keeps for a socket.
+    const EVENTS: u64 = 100_000;
+    let served = serve(false);
+    let (_, mut stalled) = served.open("events");
+    let (_, mut picky) = served.open("events?kinds=handover,notice");
+    let mut all = served.events.subscribe();
+    for at in 0..EVENTS {
+        // Sends whether or not anybody reads: if it waited for the stalled reader, this would never end.
+        served.events.send(Arc::new(notice(at))).unwrap();
+        if at % 1000 == 999 {
+            // Meanwhile others are told everything, and answered.
+            (0..1000).for_each(|_| drop(all.try_recv().expect("one who reads misses nothing")));
+        }
+    }
+    assert_eq!(served.answer("measurements/runs").as_array().unwrap().len(), 2);
+    for reader in [&mut stalled, &mut picky] {
+        let (mut told, mut missed, mut last, mut losses) = (0_u64, 0_u64, None, 0);
+        let (mut line, mut is_loss) = (String::new(), false);
+        while told + missed < EVENTS {
+            line.clear();
+            assert!(reader.read_line(&mut line).unwrap() > 0, "{told} told, {missed} missed");
+            match line.trim_end().split_once(": ") {
+                Some(("event", name)) => is_loss = name == "missed",
+                Some(("data", number)) if is_loss => {
+                    missed += number.parse::<u64>().unwrap();
+                    (is_loss, losses) = (false, losses + 1);
+                }
+                Some(("data", event)) => {
+                    let event: Stamped = serde_json::from_str(event).unwrap();
+                    assert!(last < Some(event.at), "in order: {last:?}, {event:?}");
+                    (last, told) = (Some(event.at), told + 1);
+                }
+                _ => {}
+            }
+        }
+        assert_eq!(told + missed, EVENTS, "each is told or counted as missed");
+        assert_eq!(last, Some(Timestamp::from_nanos(EVENTS - 1)), "the newest is not what is lost");
+        assert!(missed > 0 && losses > 0);
+    }
+}
