@@ -37,7 +37,7 @@ use crate::{
 /// Every question fails if there is no such run, and if the engine cannot answer it (see [`crate::Error`]).
 #[derive(Clone)]
 pub struct History {
-    store: Arc<dyn Store>,
+    pub(crate) store: Arc<dyn Store>,
     queue: Arc<Queue>,
 }
 

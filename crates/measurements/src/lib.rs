@@ -10,6 +10,7 @@ mod codec;
 mod curve;
 pub mod difference;
 mod error;
+pub mod export;
 mod figure;
 mod history;
 mod kind;

@@ -1,0 +1,274 @@
+//! Out of a history and into another: a run as a folder of tables that other programs read, and back. Both go through
+//! the run once, in the order of time, in memory that does not grow with it.
+
+#[cfg(feature = "arrow")]
+mod arrow;
+mod csv;
+mod read;
+mod table;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::{
+    fmt, fs, io,
+    path::{Path, PathBuf},
+    str::FromStr,
+};
+
+use cotorra_graph::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::{History, PageRequest, RunId, RunInfo, codec::ReadError};
+use table::TableWriter;
+
+/// Says what the folder is; written last, so that half an export is none.
+const NOTE: &str = "run.json";
+const VERSION: u32 = 1;
+
+/// What the tables of an export are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Format {
+    /// Comma-separated values (RFC 4180); without a value between two commas, there is none.
+    Csv,
+    /// Apache Parquet. Needs the feature `arrow`.
+    Parquet,
+    /// Apache Arrow's IPC file format, also known as Feather 2. Needs the feature `arrow`.
+    Arrow,
+}
+
+impl Format {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Csv, Self::Parquet, Self::Arrow];
+
+    /// Its name, which is also how its files end.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Parquet => "parquet",
+            Self::Arrow => "arrow",
+        }
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Format {
+    type Err = String;
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|format| format.as_str() == name);
+        found.ok_or_else(|| "formats are csv, parquet and arrow".to_owned())
+    }
+}
+
+/// Why a run is not written to tables, or not read from them.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    /// The history.
+    #[error(transparent)]
+    History(#[from] crate::Error),
+    /// A file.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// There is something already.
+    #[error("{} is there already; name a folder that is not, or is empty", .0.display())]
+    Taken(PathBuf),
+    /// No export.
+    #[error("{} is not the folder of an export: it has no {NOTE}", .0.display())]
+    NotAnExport(PathBuf),
+    /// A newer cotorra wrote it.
+    #[error("{}: was written by a newer cotorra (version {found} of the format); use that", path.display())]
+    Newer {
+        /// Where it says so.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+    /// A table does not have what it must have.
+    #[error("{}: {problem}", path.display())]
+    Malformed {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// This program cannot.
+    #[error("this cotorra was built without {0}: build it with `--features arrow`, or use csv")]
+    NotBuilt(Format),
+    /// Whoever asked did not want it any more.
+    #[error("stopped after {0} events")]
+    Stopped(u64),
+}
+
+impl ExportError {
+    fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::File { path, source }
+    }
+
+    fn malformed(path: &Path, problem: impl fmt::Display) -> Self {
+        Self::Malformed { path: path.to_owned(), problem: problem.to_string() }
+    }
+
+    fn unreadable(path: &Path, error: ReadError) -> Self {
+        match error {
+            ReadError::Unreadable(problem) => Self::malformed(path, problem),
+            ReadError::Engine(error) => Self::History(error),
+        }
+    }
+}
+
+type Result<T, E = ExportError> = std::result::Result<T, E>;
+
+/// What the note says.
+#[derive(Debug, Serialize, Deserialize)]
+struct Note {
+    version: u32,
+    format: Format,
+    #[serde(flatten)]
+    info: RunInfo,
+    ended: Option<Timestamp>,
+    events: u64,
+}
+
+/// Events between two questions to the history.
+const STEP: usize = 5_000;
+
+impl History {
+    /// Writes a run into a new folder, as tables: one for each kind of events, named and with columns as in the schema
+    /// (`schema/1.sql`), with `n`, the event's place in the run, in place of run and `seq`, and names in place of their
+    /// numbers. `go_on` is asked now and then, with the number of events so far, whether to.
+    ///
+    /// Gives how many events there were.
+    ///
+    /// # Errors
+    /// [`ExportError`]. What was written is then left, without what would make it an export.
+    pub fn export(
+        &self,
+        run: RunId,
+        format: Format,
+        folder: &Path,
+        mut go_on: impl FnMut(u64) -> bool,
+    ) -> Result<u64> {
+        let run = self.run(run)?;
+        let is_free = match fs::read_dir(folder) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(_) => !folder.exists(),
+        };
+        if !is_free {
+            return Err(ExportError::Taken(folder.to_owned()));
+        }
+        fs::create_dir_all(folder).map_err(ExportError::file(folder))?;
+        let mut tables = write::Tables::new(folder, format)?;
+        let mut request = PageRequest::first(STEP);
+        loop {
+            let page = self.events(run.id, &[], .., request)?;
+            page.items.iter().try_for_each(|event| tables.event(event))?;
+            let Some(next) = page.next else { break };
+            if !go_on(tables.events()) {
+                return Err(ExportError::Stopped(tables.events()));
+            }
+            request = PageRequest::after(next, STEP);
+        }
+        let mut request = PageRequest::first(STEP);
+        loop {
+            let page = self.gaps(run.id, .., request)?;
+            page.items.iter().try_for_each(|gap| tables.gap(gap))?;
+            let Some(next) = page.next else { break };
+            request = PageRequest::after(next, STEP);
+        }
+        let events = tables.finish()?;
+        let note = Note { version: VERSION, format, info: run.info, ended: run.ended, events };
+        let text = serde_json::to_string_pretty(&note).expect("a note holds only what JSON can") + "\n";
+        let path = folder.join(NOTE);
+        fs::write(&path, text).map_err(ExportError::file(&path))?;
+        Ok(events)
+    }
+
+    /// Reads a run that was exported, from its folder, and keeps it as a new run of this history. Gives its number, and
+    /// how many events it has.
+    ///
+    /// # Errors
+    /// [`ExportError`]. A part of the run is then in this history, as of a run that was killed.
+    pub fn import(&self, folder: &Path, mut go_on: impl FnMut(u64) -> bool) -> Result<(RunId, u64)> {
+        let path = folder.join(NOTE);
+        let text = fs::read_to_string(&path).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+                ExportError::NotAnExport(folder.to_owned())
+            }
+            _ => ExportError::File { path: path.clone(), source },
+        })?;
+        let note: Note = serde_json::from_str(&text).map_err(|e| ExportError::malformed(&path, e))?;
+        if note.version > VERSION {
+            return Err(ExportError::Newer { path, found: note.version });
+        }
+        let mut tables = read::Tables::open(folder, note.format)?;
+        // Nothing is begun for what cannot even be opened.
+        let run = self.begin_run(&note.info)?;
+        let mut batch = Vec::new();
+        while let Some(stamped) = tables.event()? {
+            batch.push(crate::store::Entry { run, stamped });
+            if batch.len() == STEP {
+                self.store.append(&batch, &[])?;
+                batch.clear();
+                if !go_on(tables.events()) {
+                    return Err(ExportError::Stopped(tables.events()));
+                }
+            }
+        }
+        if tables.events() != note.events {
+            let problem = format!("says {} events, but the tables have {}", note.events, tables.events());
+            return Err(ExportError::malformed(&path, problem));
+        }
+        self.store.append(&batch, &[])?;
+        while let Some(gap) = tables.gap()? {
+            self.store.append(&[], &[(run, gap)])?;
+        }
+        if let Some(ended) = note.ended {
+            self.store.end_run(run, ended)?;
+        }
+        Ok((run, tables.events()))
+    }
+}
+
+/// Makes a table.
+fn create(format: Format, folder: &Path, table: &table::Shape) -> Result<Box<dyn TableWriter>> {
+    let path = folder.join(format!("{}.{format}", table.name));
+    match format {
+        Format::Csv => Ok(Box::new(csv::Writer::create(&path, table)?)),
+        #[cfg(feature = "arrow")]
+        Format::Parquet => Ok(Box::new(arrow::Writer::parquet(&path, table)?)),
+        #[cfg(feature = "arrow")]
+        Format::Arrow => Ok(Box::new(arrow::Writer::ipc(&path, table)?)),
+        #[cfg(not(feature = "arrow"))]
+        other => Err(ExportError::NotBuilt(other)),
+    }
+}
+
+/// Opens a table; without one there are no rows.
+fn open(format: Format, folder: &Path, table: &table::Shape) -> Result<table::Rows> {
+    let path = folder.join(format!("{}.{format}", table.name));
+    if !path.exists() {
+        return Ok(table::Rows::none(path));
+    }
+    let rows: Box<dyn Iterator<Item = Result<Vec<table::Cell>>>> = match format {
+        Format::Csv => Box::new(csv::Reader::open(&path, table)?),
+        #[cfg(feature = "arrow")]
+        Format::Parquet => Box::new(arrow::parquet(&path, table)?),
+        #[cfg(feature = "arrow")]
+        Format::Arrow => Box::new(arrow::ipc(&path, table)?),
+        #[cfg(not(feature = "arrow"))]
+        other => return Err(ExportError::NotBuilt(other)),
+    };
+    Ok(table::Rows::new(path, rows))
+}

@@ -1,0 +1,158 @@
+//! A run on its way out of tables: of all kinds the event whose turn it is.
+
+use std::{collections::HashMap, path::Path, sync::Arc, vec};
+
+use cotorra_graph::{Conditions, Stamped, Timestamp};
+
+use super::{
+    ExportError, Format, Result, open,
+    table::{Cell, Rows, Shape},
+};
+use crate::{
+    Gap, Kind,
+    codec::{self, ReadError, Source},
+};
+
+/// Tables of an export.
+pub struct Tables {
+    kinds: Vec<(Kind, Rows, Option<Rows>)>,
+    gaps: Rows,
+    conditions: HashMap<i64, Conditions>,
+    events: u64,
+}
+
+impl Tables {
+    pub fn open(folder: &Path, format: Format) -> Result<Self> {
+        let mut kinds = Vec::new();
+        for kind in Kind::ALL {
+            let children = Shape::children(kind).map(|shape| open(format, folder, &shape)).transpose()?;
+            kinds.push((kind, open(format, folder, &Shape::of(kind))?, children));
+        }
+        let mut rows = open(format, folder, &Shape::conditions())?;
+        let mut conditions = HashMap::new();
+        while let Some(id) = rows.key()? {
+            let cells = rows.take()?.into_iter().flatten().skip(1).collect::<Vec<_>>();
+            let decoded = codec::decode_conditions(&mut Row {
+                cells: cells.into_iter(),
+                children: Vec::new(),
+                conditions: &HashMap::new(),
+            });
+            conditions.insert(id, decoded.map_err(|e| ExportError::unreadable(rows.path(), e))?);
+        }
+        Ok(Self { kinds, gaps: open(format, folder, &Shape::gaps())?, conditions, events: 0 })
+    }
+
+    pub fn events(&self) -> u64 {
+        self.events
+    }
+
+    /// The next event of the run.
+    pub fn event(&mut self) -> Result<Option<Stamped>> {
+        let mut first: Option<(i64, usize)> = None;
+        for (place, (_, rows, _)) in self.kinds.iter_mut().enumerate() {
+            if let Some(n) = rows.key()?
+                && first.is_none_or(|(least, _)| n < least)
+            {
+                first = Some((n, place));
+            }
+        }
+        let Some((n, place)) = first else { return Ok(None) };
+        let (kind, rows, belonging) = &mut self.kinds[place];
+        let mut children = Vec::new();
+        if let Some(belonging) = belonging {
+            while let Some(of) = belonging.key()?
+                && of <= n
+            {
+                let child = belonging.take()?.into_iter().flatten().skip(2).collect::<Vec<_>>();
+                if of < n {
+                    let problem = format!("a row belongs to event {of}, which is not there");
+                    return Err(ExportError::malformed(belonging.path(), problem));
+                }
+                children.push(child);
+            }
+        }
+        let mut cells = rows.take()?.unwrap_or_default().into_iter().skip(1);
+        let Some(Cell::Integer(at @ 0..)) = cells.next() else {
+            return Err(ExportError::malformed(rows.path(), format!("event {n} has no time")));
+        };
+        let mut row =
+            Row { cells: cells.collect::<Vec<_>>().into_iter(), children, conditions: &self.conditions };
+        let event = codec::decode(*kind, &mut row).map_err(|e| ExportError::unreadable(rows.path(), e))?;
+        let stamped = Stamped { at: Timestamp::from_nanos(at.cast_unsigned()), event };
+        if !codec::storable(&stamped) {
+            let problem = format!("event {n} has figures that no history can hold");
+            return Err(ExportError::malformed(rows.path(), problem));
+        }
+        self.events += 1;
+        Ok(Some(stamped))
+    }
+
+    /// The next gap of the run.
+    pub fn gap(&mut self) -> Result<Option<Gap>> {
+        let Some(cells) = self.gaps.take()? else { return Ok(None) };
+        let [Cell::Integer(from), Cell::Integer(until), Cell::Integer(events)] = cells[..] else {
+            return Err(ExportError::malformed(self.gaps.path(), "a row lacks a figure"));
+        };
+        let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
+        Ok(Some(Gap { from: time(from), until: time(until), events: events.cast_unsigned() }))
+    }
+}
+
+/// A row as the codec reads it.
+struct Row<'a> {
+    cells: vec::IntoIter<Cell>,
+    children: Vec<Vec<Cell>>,
+    conditions: &'a HashMap<i64, Conditions>,
+}
+
+type Column<T> = std::result::Result<Option<T>, ReadError>;
+
+fn other<T>(cell: &Cell) -> Column<T> {
+    Err(ReadError::Unreadable(format!("{cell:?} is in a column of another type")))
+}
+
+impl Source for Row<'_> {
+    fn integer(&mut self) -> Column<i64> {
+        match self.cells.next() {
+            None | Some(Cell::Null) => Ok(None),
+            Some(Cell::Integer(n)) => Ok(Some(n)),
+            Some(cell) => other(&cell),
+        }
+    }
+
+    fn real(&mut self) -> Column<f64> {
+        match self.cells.next() {
+            None | Some(Cell::Null) => Ok(None),
+            Some(Cell::Real(x)) => Ok(Some(x)),
+            Some(cell) => other(&cell),
+        }
+    }
+
+    fn text(&mut self) -> Column<String> {
+        match self.cells.next() {
+            None | Some(Cell::Null) => Ok(None),
+            Some(Cell::Text(text)) => Ok(Some(text)),
+            Some(cell) => other(&cell),
+        }
+    }
+
+    fn name(&mut self) -> Column<Arc<str>> {
+        Ok(self.text()?.map(Into::into))
+    }
+
+    fn conditions(&mut self) -> std::result::Result<Conditions, ReadError> {
+        let known = self.integer()?.and_then(|id| self.conditions.get(&id));
+        known
+            .cloned()
+            .ok_or_else(|| ReadError::Unreadable("a link has conditions that are not there".to_owned()))
+    }
+
+    fn children(
+        &mut self,
+        read: &mut dyn FnMut(&mut dyn Source) -> std::result::Result<(), ReadError>,
+    ) -> std::result::Result<(), ReadError> {
+        std::mem::take(&mut self.children).into_iter().try_for_each(|cells| {
+            read(&mut Row { cells: cells.into_iter(), children: Vec::new(), conditions: self.conditions })
+        })
+    }
+}

@@ -1,0 +1,144 @@
+//! Tables of an export: their columns, and rows of cells on their way in or out.
+
+use std::path::{Path, PathBuf};
+
+use super::Result;
+use crate::{
+    Kind,
+    codec::{self, CONDITIONS},
+};
+
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Type {
+    Integer,
+    Real,
+    Text,
+}
+
+/// One figure of a row.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Cell {
+    Null,
+    Integer(i64),
+    Real(f64),
+    Text(String),
+}
+
+/// A table.
+#[derive(Debug, Clone)]
+pub struct Shape {
+    pub name: &'static str,
+    pub columns: Vec<(&'static str, Type)>,
+}
+
+impl Shape {
+    fn new(name: &'static str, keys: &[&'static str], columns: &[&'static str]) -> Self {
+        let columns = keys.iter().chain(columns).map(|column| (*column, type_of(column))).collect();
+        Self { name, columns }
+    }
+
+    /// Of events of a kind: their place, time, and columns.
+    pub fn of(kind: Kind) -> Self {
+        Self::new(kind.as_str(), &["n", "t_ns"], codec::table(kind).columns)
+    }
+
+    /// Of what belongs to events of a kind, if that is a table of its own.
+    pub fn children(kind: Kind) -> Option<Self> {
+        let (name, columns) = codec::table(kind).children?;
+        Some(Self::new(name, &["n", "place"], columns))
+    }
+
+    /// Of conditions that links had.
+    pub fn conditions() -> Self {
+        Self::new("conditions", &["id"], CONDITIONS)
+    }
+
+    /// Of events that were lost.
+    pub fn gaps() -> Self {
+        Self::new("gap", &["t_ns", "until_ns", "events"], &[])
+    }
+}
+
+#[rustfmt::skip]
+const TEXTS: &[&str] = &[
+    "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
+    "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
+    "reason", "refused", "message", "jitter_distribution", "loss", "trace_ms",
+];
+#[rustfmt::skip]
+const REALS: &[&str] = &[
+    "load", "throughput_bps", "delay_scale", "drop_scale", "loss_rate", "loss_mean_burst", "duplication",
+    "corruption", "reordering",
+];
+const UNITS_OF_REALS: &[&str] = &["_m", "_rad", "_mps", "_radps", "_dbm", "_mbps", "_us"];
+
+/// What a column holds, as the schema says.
+fn type_of(column: &str) -> Type {
+    if TEXTS.contains(&column) {
+        Type::Text
+    } else if REALS.contains(&column)
+        || UNITS_OF_REALS.iter().any(|unit| column.ends_with(unit))
+        || column.starts_with("cov_")
+        || column.starts_with("odom_cov_")
+    {
+        Type::Real
+    } else {
+        Type::Integer
+    }
+}
+
+/// A table that is being written.
+pub trait TableWriter {
+    /// Adds a row, its cells in the order of the columns.
+    fn row(&mut self, cells: &[Cell]) -> Result<()>;
+    /// Completes the file.
+    fn finish(&mut self) -> Result<()>;
+}
+
+/// A table that is being read, with a look at the row that comes next.
+pub struct Rows {
+    path: PathBuf,
+    rows: Box<dyn Iterator<Item = Result<Vec<Cell>>>>,
+    next: Option<Vec<Cell>>,
+    begun: bool,
+}
+
+impl Rows {
+    pub fn new(path: PathBuf, rows: Box<dyn Iterator<Item = Result<Vec<Cell>>>>) -> Self {
+        Self { path, rows, next: None, begun: false }
+    }
+
+    pub fn none(path: PathBuf) -> Self {
+        Self::new(path, Box::new(std::iter::empty()))
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The first figure of the next row, which is its key.
+    pub fn key(&mut self) -> Result<Option<i64>> {
+        if !self.begun {
+            self.begun = true;
+            self.next = self.rows.next().transpose()?;
+        }
+        match &self.next {
+            None => Ok(None),
+            Some(cells) => match cells.first() {
+                Some(Cell::Integer(key)) => Ok(Some(*key)),
+                _ => Err(super::ExportError::malformed(&self.path, "a row does not begin with a number")),
+            },
+        }
+    }
+
+    /// Takes the next row.
+    pub fn take(&mut self) -> Result<Option<Vec<Cell>>> {
+        self.key()?;
+        let row = self.next.take();
+        if row.is_some() {
+            self.next = self.rows.next().transpose()?;
+        }
+        Ok(row)
+    }
+}

@@ -1,0 +1,134 @@
+use proptest::{collection::vec, prelude::*};
+
+use super::*;
+use crate::{
+    Gap, Kind,
+    codec::{self, Fields, Value},
+    store::Entry,
+    testing::{notice, run_info, stamped},
+};
+use table::{Shape, Type};
+
+fn formats() -> impl Iterator<Item = Format> {
+    Format::ALL.into_iter().filter(|format| cfg!(feature = "arrow") || *format == Format::Csv)
+}
+
+fn all<T>(mut page: impl FnMut(PageRequest) -> crate::Result<crate::Page<T>>) -> Vec<T> {
+    let page = page(PageRequest::first(PageRequest::MAX)).unwrap();
+    assert_eq!(page.next, None);
+    page.items
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn what_is_exported_and_imported_gives_the_same_answers(
+        events in vec(stamped(), 0..60),
+        gaps in vec((0..1000_u64, 0..1000_u64, 1..9_u64), 0..3),
+        ended: bool,
+    ) {
+        let events: Vec<_> = events.into_iter().filter(codec::storable).collect();
+        let history = History::in_memory().unwrap();
+        let run = history.begin_run(&run_info("out")).unwrap();
+        let entries: Vec<_> = events.into_iter().map(|stamped| Entry { run, stamped }).collect();
+        let t = Timestamp::from_nanos;
+        let gaps: Vec<_> = gaps
+            .into_iter()
+            .map(|(from, long, events)| (run, Gap { from: t(from), until: t(from + long), events }))
+            .collect();
+        history.store.append(&entries, &gaps).unwrap();
+        if ended {
+            history.end_run(run, t(5)).unwrap();
+        }
+        for format in formats() {
+            let folder = tempfile::tempdir().unwrap();
+            let out = folder.path().join("exported");
+            prop_assert_eq!(history.export(run, format, &out, |_| true).unwrap(), entries.len() as u64);
+            let other = History::in_memory().unwrap();
+            let (read, count) = other.import(&out, |_| true).unwrap();
+            prop_assert_eq!(count, entries.len() as u64);
+            let (before, after) = (history.run(run).unwrap(), other.run(read).unwrap());
+            prop_assert_eq!((before.info, before.ended), (after.info, after.ended));
+            prop_assert_eq!(
+                all(|page| history.events(run, &[], .., page)),
+                all(|page| other.events(read, &[], .., page)),
+                "{}", format
+            );
+            prop_assert_eq!(all(|page| history.gaps(run, .., page)), all(|page| other.gaps(read, .., page)));
+        }
+    }
+
+    #[test]
+    fn every_figure_is_of_its_columns_type(event in stamped()) {
+        let kind = Kind::of(&event.event);
+        let (mut row, mut children) = (Fields::default(), Fields::default());
+        codec::encode(&event.event, &mut row, &mut children);
+        let check = |values: &[Value<'_>], columns: &[(&'static str, Type)]| {
+            assert_eq!(values.len(), columns.len());
+            for (value, (name, of)) in values.iter().zip(columns) {
+                let fits = match value {
+                    Value::Null => true,
+                    Value::Integer(_) | Value::Conditions(..) => *of == Type::Integer,
+                    Value::Real(_) => *of == Type::Real,
+                    Value::Text(_) | Value::Name(_) => *of == Type::Text,
+                };
+                assert!(fits, "{name} of {kind:?} is {of:?}, not {value:?}");
+            }
+        };
+        check(&row.0, &Shape::of(kind).columns[2..]);
+        if let Some(shape) = Shape::children(kind) {
+            children.0.chunks(shape.columns.len() - 2).for_each(|child| check(child, &shape.columns[2..]));
+        }
+    }
+}
+
+fn exported(format: Format) -> (tempfile::TempDir, PathBuf) {
+    let history = History::in_memory().unwrap();
+    let run = history.begin_run(&run_info("out")).unwrap();
+    let entry = |t| Entry { run, stamped: notice(t, "with, \"quotes\"\nand lines") };
+    history.store.append(&[entry(1), entry(2)], &[]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("exported");
+    history.export(run, format, &out, |_| true).unwrap();
+    (folder, out)
+}
+
+#[test]
+fn a_table_is_what_other_programs_read() {
+    let (_folder, out) = exported(Format::Csv);
+    let text = fs::read_to_string(out.join("notice.csv")).unwrap();
+    assert_eq!(
+        text,
+        "n,t_ns,message\n0,1,\"with, \"\"quotes\"\"\nand lines\"\n1,2,\"with, \"\"quotes\"\"\nand lines\"\n"
+    );
+}
+
+#[test]
+fn what_is_no_export_or_a_broken_one_is_refused_in_its_place() {
+    let history = History::in_memory().unwrap();
+    let refusal = |out: &Path| history.import(out, |_| true).unwrap_err().to_string();
+    let (_folder, out) = exported(Format::Csv);
+    let run = history.import(&out, |_| true).unwrap().0;
+    assert!(matches!(history.export(run, Format::Csv, &out, |_| true), Err(ExportError::Taken(_))));
+    let table = out.join("notice.csv");
+    for (text, problem) in [
+        ("n,t_ns\n", "line 1: its columns are not n,t_ns,message"),
+        ("n,t_ns,message\n0,1\n", "line 2: 2 fields, not 3"),
+        ("n,t_ns,message\n0,x,y\n", "line 2: a figure is none"),
+        ("n,t_ns,message\n0,1,\"y\n", "line 2: a quote is not closed"),
+        ("n,t_ns,message\n0,1,\"y\"z\n", "line 2: quotes are out of place"),
+        ("n,t_ns,message\n0,-1,y\n", "event 0 has no time"),
+        ("n,t_ns,message\n0,1,\n", "a column is NULL that never is"),
+        ("n,t_ns,message\n0,1,y\n", "says 2 events, but the tables have 1"),
+    ] {
+        fs::write(&table, text).unwrap();
+        let said = refusal(&out);
+        assert!(said.contains(problem), "{text:?}: {said}");
+    }
+    let note = fs::read_to_string(out.join(NOTE)).unwrap();
+    fs::write(out.join(NOTE), note.replace("\"version\": 1", "\"version\": 9")).unwrap();
+    assert!(refusal(&out).contains("by a newer cotorra"));
+    fs::remove_file(out.join(NOTE)).unwrap();
+    assert!(refusal(&out).contains("has no run.json"));
+}

@@ -1,0 +1,113 @@
+//! A run on its way into tables.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::{Path, PathBuf},
+};
+
+use cotorra_graph::{Conditions, Stamped};
+
+use super::{
+    Format, Result, create,
+    table::{Cell, Shape, TableWriter},
+};
+use crate::{
+    Gap, Kind,
+    codec::{self, Fields, Value},
+};
+
+/// Tables, made when they get their first row.
+pub struct Tables {
+    folder: PathBuf,
+    format: Format,
+    open: BTreeMap<&'static str, Box<dyn TableWriter>>,
+    /// Conditions that were written, by their JSON.
+    conditions: HashMap<String, i64>,
+    events: u64,
+}
+
+impl Tables {
+    pub fn new(folder: &Path, format: Format) -> Result<Self> {
+        let open = BTreeMap::new();
+        let mut tables =
+            Self { folder: folder.to_owned(), format, open, conditions: HashMap::new(), events: 0 };
+        // There is always one, so that a format that cannot be is noticed at once.
+        tables.table(&Shape::gaps())?;
+        Ok(tables)
+    }
+
+    pub fn events(&self) -> u64 {
+        self.events
+    }
+
+    fn table(&mut self, shape: &Shape) -> Result<&mut dyn TableWriter> {
+        if !self.open.contains_key(shape.name) {
+            self.open.insert(shape.name, create(self.format, &self.folder, shape)?);
+        }
+        Ok(&mut **self.open.get_mut(shape.name).expect("it was just made"))
+    }
+
+    pub fn event(&mut self, Stamped { at, event }: &Stamped) -> Result<()> {
+        let kind = Kind::of(event);
+        let (mut row, mut children) = (Fields::default(), Fields::default());
+        codec::encode(event, &mut row, &mut children);
+        let n = Cell::Integer(self.events.cast_signed());
+        let mut cells = vec![n.clone(), Cell::Integer(at.as_nanos().cast_signed())];
+        for value in row.0 {
+            cells.push(self.cell(value)?);
+        }
+        self.table(&Shape::of(kind))?.row(&cells)?;
+        if let Some(shape) = Shape::children(kind) {
+            let width = shape.columns.len() - 2;
+            for (place, child) in children.0.chunks(width).enumerate() {
+                let mut cells = vec![n.clone(), Cell::Integer(place as i64)];
+                for value in child {
+                    cells.push(self.cell(value.clone())?);
+                }
+                self.table(&shape)?.row(&cells)?;
+            }
+        }
+        self.events += 1;
+        Ok(())
+    }
+
+    pub fn gap(&mut self, gap: &Gap) -> Result<()> {
+        let figures = [gap.from.as_nanos(), gap.until.as_nanos(), gap.events];
+        self.table(&Shape::gaps())?.row(&figures.map(|n| Cell::Integer(n.cast_signed())))
+    }
+
+    fn cell(&mut self, value: Value<'_>) -> Result<Cell> {
+        Ok(match value {
+            Value::Null => Cell::Null,
+            Value::Integer(n) => Cell::Integer(n),
+            Value::Real(x) if x.is_nan() => Cell::Null,
+            Value::Real(x) => Cell::Real(x),
+            Value::Text(text) => Cell::Text(text.into_owned()),
+            Value::Name(name) => Cell::Text(name.to_owned()),
+            Value::Conditions(_, conditions) => Cell::Integer(self.id(conditions)?),
+        })
+    }
+
+    fn id(&mut self, conditions: &Conditions) -> Result<i64> {
+        let json = serde_json::to_string(conditions).expect("conditions hold only what JSON can");
+        if let Some(id) = self.conditions.get(&json) {
+            return Ok(*id);
+        }
+        let id = self.conditions.len() as i64;
+        let mut fields = Fields::default();
+        codec::encode_conditions(conditions, &mut fields);
+        let mut cells = vec![Cell::Integer(id)];
+        for value in fields.0 {
+            cells.push(self.cell(value)?);
+        }
+        self.table(&Shape::conditions())?.row(&cells)?;
+        self.conditions.insert(json, id);
+        Ok(id)
+    }
+
+    /// Completes the files; gives how many events there were.
+    pub fn finish(mut self) -> Result<u64> {
+        self.open.values_mut().try_for_each(|table| table.finish())?;
+        Ok(self.events)
+    }
+}
