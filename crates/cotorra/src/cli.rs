@@ -10,7 +10,7 @@ use std::{
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 use cotorra_graph::{NodeId, testbed_file::Setting};
-use cotorra_measurements::{Cursor, Kind, RunId};
+use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 use cotorra_testbed::sweep::Axis;
 
 use crate::history::{HISTORY_VARIABLE, Place};
@@ -332,6 +332,7 @@ Examples:
   cotorra history series latest robot --figure x --csv > x.csv
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest
+  cotorra history export latest --format parquet --out exported
   COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra history events 7";
 
 /// What a history can be asked.
@@ -348,6 +349,46 @@ pub enum History {
     Diff(DiffArgs),
     /// List where events were lost
     Gaps(GapsArgs),
+    Export(ExportArgs),
+    Import(ImportArgs),
+}
+
+/// Write a run as tables that other programs read
+///
+/// One for each kind of events, in a new folder: csv, parquet, or arrow (Arrow IPC, also known as Feather). Columns are
+/// named with their units, as in the history; `n` is an event's place in the run.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra history export latest --out exported
+  cotorra history export latest --format parquet --out exported
+  cotorra history export 7 --history runs/all.sqlite --format arrow --out exported")]
+pub struct ExportArgs {
+    /// The run
+    pub run: String,
+    /// csv, parquet or arrow
+    #[arg(long, default_value_t = Format::Csv)]
+    pub format: Format,
+    /// The new folder
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+/// Keep a run that was exported as a new run of a history
+///
+/// The history is the one that --history or COTORRA_HISTORY names; a file is made if it is not there.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra history import exported --history runs/all.sqlite")]
+pub struct ImportArgs {
+    /// The folder of the export
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    #[command(flatten)]
+    pub place: HistoryPlace,
 }
 
 /// Where runs are looked for.

@@ -8,6 +8,7 @@ mod runs;
 mod series;
 mod source;
 mod state;
+mod transfer;
 
 use std::{fmt::Write as _, ops::Bound, process::ExitCode};
 
@@ -34,6 +35,8 @@ pub fn history(question: &History) -> miette::Result<ExitCode> {
         History::Events(args) => events::events(args)?,
         History::Diff(args) => diff::diff(args)?,
         History::Gaps(args) => gaps(args)?,
+        History::Export(args) => transfer::export(args)?,
+        History::Import(args) => transfer::import(args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -216,3 +216,34 @@ fn a_server_keeps_histories_and_its_password_is_told_nowhere() {
         }
     }
 }
+
+#[test]
+fn an_exported_run_is_imported_with_the_same_answers() {
+    let runs = &Runs::new();
+    let okpi = text(&runs.okpi);
+    let events = |run: &[&str]| {
+        let told = runs.ask(&[&["events"], run, &["--json", "--limit", "10000"]].concat());
+        assert!(told.status.success() && stderr(&told).is_empty(), "{}", stderr(&told));
+        stdout(&told)
+    };
+    for (format, number) in [("csv", "1"), ("parquet", "2"), ("arrow", "3")] {
+        let told = runs.answer(&["export", okpi, "--format", format, "--out", format]);
+        assert!(told.contains(" events in "), "{told}");
+        let robots = runs.place.path().join(format!("{format}/robot.{format}"));
+        assert!(fs::metadata(robots).unwrap().len() > 1000);
+        let told = runs.answer(&["import", format, "--history", "imported.sqlite"]);
+        assert!(told.contains(&format!("are run {number} in imported.sqlite")), "{told}");
+        let imported = [number, "--history", "imported.sqlite"];
+        assert!(events(&[okpi]) == events(&imported), "{format}");
+        assert!(runs.refusal(&["export", okpi, "--out", format]).contains("is there already"));
+    }
+    let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
+    assert!(csv.starts_with("n,t_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ns\n"), "{csv}");
+    let listed = runs.answer(&["runs", "--history", "imported.sqlite"]);
+    assert!(
+        listed.lines().skip(1).all(|line| line.contains("corridor") && line.ends_with("0:20")),
+        "{listed}"
+    );
+    assert!(runs.refusal(&["import", "csv"]).contains("--history"));
+    assert!(runs.refusal(&["import", ".", "--history", "imported.sqlite"]).contains("it has no run.json"));
+}
