@@ -1,0 +1,129 @@
+//! Names of the ROS graph: how a node's own names become global ones, and how they are remapped.
+//!
+//! Source: ROS wiki, "Names" and "Remapping Arguments".
+
+use std::collections::BTreeMap;
+
+/// Why a name is none of the ROS graph.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` is no name: names begin with a letter, `/` or `~`, and have letters, digits, `_` and `/` after that"
+)]
+pub struct NameError(pub String);
+
+/// Who a node is, and what its names become.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Names {
+    /// The node's global name.
+    node: String,
+    /// Ends with `/`.
+    namespace: String,
+    /// From global name to global name.
+    remapped: BTreeMap<String, String>,
+}
+
+impl Names {
+    /// Of the node of that name (without namespace) in that namespace, with remappings of its names.
+    ///
+    /// # Errors
+    /// [`NameError`] if one of them is no name.
+    pub fn new<'a>(
+        node: &str,
+        namespace: &str,
+        remappings: impl IntoIterator<Item = (&'a str, &'a str)>,
+    ) -> Result<Self, NameError> {
+        if node.contains(['/', '~']) {
+            return Err(NameError(node.to_owned()));
+        }
+        let namespace = joined("/", checked(namespace)?) + "/";
+        let namespace = if namespace == "//" { "/".to_owned() } else { namespace };
+        let mut names =
+            Self { node: joined(&namespace, checked(node)?), namespace, remapped: BTreeMap::new() };
+        for (from, to) in remappings {
+            let (from, to) = (names.global(from)?, names.global(to)?);
+            names.remapped.insert(from, to);
+        }
+        Ok(names)
+    }
+
+    /// The node's global name.
+    pub fn node(&self) -> &str {
+        &self.node
+    }
+
+    /// The global name that is meant: `/a` is global, `a` in the node's namespace, `~a` private to the node; after
+    /// that, remapping.
+    ///
+    /// # Errors
+    /// [`NameError`] if it is no name.
+    pub fn resolve(&self, name: &str) -> Result<String, NameError> {
+        let global = self.global(name)?;
+        Ok(self.remapped.get(&global).cloned().unwrap_or(global))
+    }
+
+    fn global(&self, name: &str) -> Result<String, NameError> {
+        let name = checked(name)?;
+        Ok(match name.strip_prefix('~') {
+            Some(private) => joined(&self.node, private.trim_start_matches('/')),
+            None if name.starts_with('/') => joined("/", name),
+            None => joined(&self.namespace, name),
+        })
+    }
+}
+
+/// Without doubled slashes, or one at the end.
+fn joined(base: &str, name: &str) -> String {
+    let parts = base.split('/').chain(name.split('/')).filter(|part| !part.is_empty());
+    let joined: String = parts.flat_map(|part| ["/", part]).collect();
+    if joined.is_empty() { "/".to_owned() } else { joined }
+}
+
+fn checked(name: &str) -> Result<&str, NameError> {
+    let mut rest = name.chars();
+    let begins = rest.next().is_none_or(|c| c.is_ascii_alphabetic() || c == '/' || c == '~');
+    let goes_on = rest.all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '/');
+    if begins && goes_on { Ok(name) } else { Err(NameError(name.to_owned())) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_resolve_as_the_specification_says() {
+        // The table of the wiki's "Names", 1.2.
+        for (node, namespace, name, expected) in [
+            ("node1", "/", "bar", "/bar"),
+            ("node1", "/", "/bar", "/bar"),
+            ("node1", "/", "~bar", "/node1/bar"),
+            ("node2", "/wg", "bar", "/wg/bar"),
+            ("node2", "/wg", "/bar", "/bar"),
+            ("node2", "/wg", "~bar", "/wg/node2/bar"),
+            ("node3", "wg/", "foo/bar", "/wg/foo/bar"),
+            ("node3", "wg", "/foo/bar", "/foo/bar"),
+            ("node3", "/wg", "~foo/bar", "/wg/node3/foo/bar"),
+        ] {
+            assert_eq!(Names::new(node, namespace, []).unwrap().resolve(name).unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn remapping_holds_for_what_a_name_means() {
+        let names =
+            Names::new("n", "/robot", [("scan", "/lidar"), ("~rate", "hz"), ("/map", "map")]).unwrap();
+        assert_eq!(names.node(), "/robot/n");
+        assert_eq!(names.resolve("scan").unwrap(), "/lidar");
+        assert_eq!(names.resolve("/robot/scan").unwrap(), "/lidar");
+        assert_eq!(names.resolve("/scan").unwrap(), "/scan");
+        assert_eq!(names.resolve("~rate").unwrap(), "/robot/hz");
+        assert_eq!(names.resolve("/map").unwrap(), "/robot/map");
+    }
+
+    #[test]
+    fn what_is_no_name_is_refused() {
+        for name in ["1a", "a b", "a:=b", "ä", "a~b", "_a"] {
+            assert_eq!(Names::new("n", "/", []).unwrap().resolve(name), Err(NameError(name.to_owned())));
+        }
+        assert!(Names::new("a/b", "/", []).is_err());
+    }
+}

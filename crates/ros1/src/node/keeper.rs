@@ -1,0 +1,151 @@
+//! What a node tells its master in the background: what is no longer offered, all of it again when the master came
+//! back without knowing, and the end.
+
+use std::{
+    sync::{Arc, atomic::Ordering, mpsc},
+    time::Duration,
+};
+
+use super::{Shared, engine::Command, params::Watch};
+use crate::{master::RpcError, queue::lock};
+
+/// How often the master is asked whether it still knows the node.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// What is to be told.
+#[derive(Debug)]
+pub(super) enum Errand {
+    /// A topic is no longer published.
+    Unpublished(String),
+    /// A topic has a subscriber less.
+    Unsubscribed(String),
+    /// A service is no longer served.
+    Unserved(String),
+    /// A parameter has a watch less.
+    Unwatched(String),
+    /// All of it, and then the end.
+    Stop,
+}
+
+/// Runs errands until the node ends.
+pub(super) fn run(shared: &Arc<Shared>, errands: &mpsc::Receiver<Errand>) {
+    loop {
+        match errands.recv_timeout(HEARTBEAT) {
+            Ok(Errand::Stop) | Err(mpsc::RecvTimeoutError::Disconnected) => break,
+            Ok(errand) => note(&unregister(shared, &errand)),
+            Err(mpsc::RecvTimeoutError::Timeout) => note(&heartbeat(shared)),
+        }
+    }
+    {
+        // After this, nothing new is registered.
+        let _state = lock(&shared.state);
+        shared.stopped.store(true, Ordering::Release);
+    }
+    let _order = lock(&shared.registrar);
+    note(&unregister_all(shared));
+    shared.command(Command::Stop);
+}
+
+/// A master that is away is heard of once it is back.
+fn note(result: &Result<(), RpcError>) {
+    if let Err(error) = result {
+        tracing::debug!("master: {error}");
+    }
+}
+
+/// Tells that something ended, unless it began anew in the meantime.
+fn unregister(shared: &Shared, errand: &Errand) -> Result<(), RpcError> {
+    let _order = lock(&shared.registrar);
+    let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
+    let gone = |known: bool| !known;
+    match errand {
+        Errand::Unpublished(topic) if gone(lock(&shared.state).publications.contains_key(topic)) => {
+            master.unregister_publisher(topic, api)
+        }
+        Errand::Unsubscribed(topic) if gone(lock(&shared.state).subscribes(topic)) => {
+            master.unregister_subscriber(topic, api)
+        }
+        Errand::Unserved(name) if gone(lock(&shared.state).services.contains_key(name)) => {
+            master.unregister_service(name, &service)
+        }
+        Errand::Unwatched(name) if gone(lock(&shared.state).watches(name)) => {
+            master.unsubscribe_param(name, api)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What is registered, by name.
+struct Registered {
+    publications: Vec<(String, &'static str)>,
+    subscriptions: Vec<(u64, String, &'static str)>,
+    services: Vec<String>,
+    watches: Vec<Arc<Watch>>,
+}
+
+impl Registered {
+    fn of(shared: &Shared) -> Self {
+        let state = lock(&shared.state);
+        let publications = state.publications.iter().map(|(topic, p)| (topic.clone(), p.kind.name));
+        let subscriptions = state.subscriptions.values().map(|s| (s.id, s.topic.clone(), s.kind.name));
+        Self {
+            publications: publications.collect(),
+            subscriptions: subscriptions.collect(),
+            services: state.services.keys().cloned().collect(),
+            watches: state.watches.values().cloned().collect(),
+        }
+    }
+}
+
+/// Stops at the first call that gets no answer: then the others get none either.
+fn unregister_all(shared: &Shared) -> Result<(), RpcError> {
+    let registered = Registered::of(shared);
+    let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
+    for (topic, _) in &registered.publications {
+        master.unregister_publisher(topic, api)?;
+    }
+    for (_, topic, _) in &registered.subscriptions {
+        master.unregister_subscriber(topic, api)?;
+    }
+    for name in &registered.services {
+        master.unregister_service(name, &service)?;
+    }
+    for watch in &registered.watches {
+        master.unsubscribe_param(&watch.name, api)?;
+    }
+    Ok(())
+}
+
+/// Registers all anew if the master does not know the node any more.
+fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
+    if lock(&shared.state).is_empty() {
+        return Ok(());
+    }
+    let _order = lock(&shared.registrar);
+    match shared.master.lookup_node(shared.names.node()) {
+        Err(RpcError::Refused { .. }) => {}
+        // If another node took the name, the master tells this one to shut down.
+        known => return known.map(drop),
+    }
+    tracing::info!(
+        "the master at {} does not know {}: registering anew",
+        shared.master.endpoint(),
+        shared.names.node()
+    );
+    let registered = Registered::of(shared);
+    let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
+    for (topic, kind) in &registered.publications {
+        master.register_publisher(topic, kind, api)?;
+    }
+    for (subscription, topic, kind) in &registered.subscriptions {
+        let publishers = master.register_subscriber(topic, kind, api)?;
+        shared.command(Command::Publishers { subscription: *subscription, publishers });
+    }
+    for name in &registered.services {
+        master.register_service(name, &service, api)?;
+    }
+    for watch in &registered.watches {
+        watch.update(&watch.name, &master.subscribe_param(&watch.name, api)?);
+    }
+    Ok(())
+}

@@ -1,0 +1,185 @@
+//! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes, all gone when the test is over.
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
+#![allow(clippy::unwrap_used, reason = "helps tests")]
+
+use std::{
+    env, fs,
+    io::{self, Read},
+    net::TcpListener,
+    os::unix::process::CommandExt,
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::{Arc, Mutex},
+    thread,
+    time::{Duration, Instant},
+};
+
+use cotorra_ros1::{Endpoint, Node, NodeConfig};
+use tempfile::TempDir;
+
+/// How long anything may take; far more than it does, even on a busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Waits until the condition holds.
+pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !condition() {
+        assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Asserts that a text has all parts.
+pub fn contains(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "no `{part}` in:\n{text}");
+    }
+}
+
+/// A master with its own port and directory.
+pub struct Ros {
+    port: u16,
+    directory: TempDir,
+    core: Option<Process>,
+}
+
+/// A process with its children, and what it printed. Killed when dropped.
+pub struct Process {
+    child: Child,
+    output: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Process {
+    fn spawn(command: &mut Command) -> io::Result<Self> {
+        let (mut reader, writer) = io::pipe()?;
+        command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).process_group(0);
+        let child = command.spawn()?;
+        // The command holds the writing ends.
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        let output = Arc::new(Mutex::new(Vec::new()));
+        let collected = Arc::clone(&output);
+        thread::spawn(move || {
+            let mut piece = [0; 4096];
+            while let Ok(read @ 1..) = reader.read(&mut piece) {
+                collected.lock().unwrap().extend_from_slice(&piece[..read]);
+            }
+        });
+        Ok(Self { child, output })
+    }
+
+    /// What it printed until now.
+    pub fn output(&self) -> String {
+        String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
+    }
+
+    /// Ctrl-C, and waits for its end.
+    pub fn interrupt(mut self) {
+        signal("INT", self.child.id());
+        until("a process ends by Ctrl-C", || self.child.try_wait().unwrap().is_some());
+    }
+}
+
+/// Signals a process and all that it started.
+fn signal(name: &str, group: u32) {
+    let _ =
+        Command::new("kill").args(["-s", name, "--", &format!("-{group}")]).stderr(Stdio::null()).status();
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        signal("KILL", self.child.id());
+        let _ = self.child.wait();
+    }
+}
+
+impl Ros {
+    /// A master; `None`, and a message, where ROS is not installed. In CI, that is a failure.
+    pub fn start() -> Option<Self> {
+        if !Path::new("/usr/bin/roscore").exists() {
+            assert!(env::var_os("CI").is_none(), "ROS 1 is not installed: scripts/test says which packages");
+            eprintln!("skipped: ROS 1 is not installed (scripts/test says which packages)");
+            return None;
+        }
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let mut ros = Self { port, directory: tempfile::tempdir().unwrap(), core: None };
+        ros.restart();
+        Some(ros)
+    }
+
+    /// Ends the master, and starts another that knows nothing.
+    pub fn restart(&mut self) {
+        self.core = None;
+        self.core = Some(self.spawn("roscore", &["-p", &self.port.to_string()]));
+        // Its own node is the last that it starts.
+        let node = self.node("waiting", "/");
+        until("the master is there", || node.master().lookup_node("/rosout").is_ok());
+    }
+
+    pub fn directory(&self) -> &Path {
+        self.directory.path()
+    }
+
+    fn command(&self, program: &str, args: &[&str]) -> Command {
+        let path = format!("/usr/bin:{}", env::var("PATH").unwrap_or_default());
+        // Its first line would find another Python.
+        let mut command = if program.contains('/') {
+            Command::new(program)
+        } else {
+            let mut command = Command::new("/usr/bin/python3");
+            command.arg("-u").arg(format!("/usr/bin/{program}"));
+            command
+        };
+        command
+            .args(args)
+            .current_dir(self.directory())
+            .env("PATH", path)
+            .env("ROS_MASTER_URI", format!("http://127.0.0.1:{}", self.port))
+            .env("ROS_IP", "127.0.0.1")
+            .env("ROS_HOME", self.directory())
+            .env_remove("ROS_HOSTNAME")
+            .env_remove("ROS_NAMESPACE")
+            .env_remove("PYTHONPATH");
+        command
+    }
+
+    /// Starts a tool of ROS, or a program by its path.
+    pub fn spawn(&self, program: &str, args: &[&str]) -> Process {
+        Process::spawn(&mut self.command(program, args)).unwrap()
+    }
+
+    /// Starts a node written in Python.
+    pub fn python(&self, name: &str, source: &str) -> Process {
+        let file = self.directory().join(name);
+        fs::write(&file, source).unwrap();
+        self.spawn("/usr/bin/python3", &["-u", file.to_str().unwrap()])
+    }
+
+    /// What a tool of ROS prints; what it complains about if it fails.
+    pub fn try_run(&self, tool: &str, args: &[&str]) -> Result<String, String> {
+        let output = self.command(tool, args).stdin(Stdio::null()).output().unwrap();
+        let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+        let complained = String::from_utf8_lossy(&output.stderr);
+        if output.status.success() { Ok(printed) } else { Err(printed + &complained) }
+    }
+
+    /// What a tool of ROS prints.
+    pub fn run(&self, tool: &str, args: &[&str]) -> String {
+        self.try_run(tool, args).unwrap_or_else(|complaint| panic!("{tool} {args:?}: {complaint}"))
+    }
+
+    /// A node of this crate.
+    pub fn node(&self, name: &str, namespace: &str) -> Node {
+        self.node_with(name, namespace, &[])
+    }
+
+    /// A node of this crate, with arguments.
+    pub fn node_with(&self, name: &str, namespace: &str, args: &[&str]) -> Node {
+        let config = NodeConfig {
+            namespace: namespace.to_owned(),
+            master: Endpoint { host: "127.0.0.1".to_owned(), port: self.port },
+            host: Some("127.0.0.1".to_owned()),
+            ..NodeConfig::new(name)
+        };
+        Node::new(config.with_args(args).unwrap()).unwrap()
+    }
+}
