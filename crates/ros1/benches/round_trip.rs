@@ -5,7 +5,7 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
-#[path = "../tests/ros/mod.rs"]
+#[path = "../tests/interop/ros.rs"]
 #[allow(dead_code, reason = "what tests use of it")]
 mod ros;
 
@@ -45,7 +45,7 @@ fn measure(peer: &str, mut round_trip: impl FnMut(u32)) {
         let began = Instant::now();
         round_trip(number);
         if number >= WARM_UP {
-            took.saturating_record(u64::try_from(began.elapsed().as_nanos()).unwrap());
+            took.record(u64::try_from(began.elapsed().as_nanos()).unwrap()).unwrap();
         }
     }
     let at = |percentile| took.value_at_quantile(percentile) as f64 / 1e6;

@@ -4,36 +4,30 @@
 
 #![allow(clippy::disallowed_types, reason = "a shell that owns a clock")]
 
+mod answers;
+mod connection;
+
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
-    io::{self, ErrorKind, Read, Write},
+    io::{self, ErrorKind, Write},
     net::{self, TcpStream as StdStream},
     sync::{Arc, atomic::Ordering, mpsc},
     thread,
     time::{Duration, Instant},
 };
 
+use super::{Shared, topics::Subscription};
+use crate::{
+    master::{self, RpcError},
+    queue::{SendQueue, lock},
+    tcpros::{FrameReader, Header, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
+    uri::Endpoint,
+    xmlrpc::Value,
+};
+use connection::{Connection, Flow, Next, Phase, READS_A_TURN, ask_service, introduce, is_over, prepare};
 use mio::{
     Events, Interest, Poll, Token, Waker,
     net::{TcpListener, TcpStream},
-};
-use socket2::{SockRef, TcpKeepalive};
-
-use super::{
-    Shared,
-    keeper::Errand,
-    service::{self, Offer},
-    topics::{Outgoing, Publication, Subscription},
-};
-use crate::{
-    http,
-    master::{self, RpcError},
-    messages::EmptyResponse,
-    queue::{SendQueue, lock},
-    slave::{self, Request},
-    tcpros::{FrameReader, Header, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
-    uri::Endpoint,
-    xmlrpc::{self, Call, Value},
 };
 
 const WAKER: Token = Token(0);
@@ -41,8 +35,6 @@ const SLAVE: Token = Token(1);
 const TCPROS: Token = Token(2);
 const FIRST: usize = 3;
 
-/// A call of the slave API is no longer.
-const MAX_CALL: usize = 1 << 20;
 /// More connections are refused: each is a file descriptor and memory.
 const MAX_CONNECTIONS: usize = 1024;
 /// A connection says what it is for within this time.
@@ -52,12 +44,6 @@ const IDLE: Duration = Duration::from_secs(60);
 /// A publisher that could not be connected to is tried again after this time, doubled each time up to the longest.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 const LAST_RETRY: Duration = Duration::from_secs(2);
-/// One connection gives way to others after so many reads.
-const READS_A_TURN: usize = 16;
-/// What the kernel holds back of a connection that does not take it: what comes after it waits in a queue that drops
-/// the oldest, so that a peer gets news, not history, after its network was away.
-const UNSENT: u32 = 16 << 10;
-
 /// What the node's other threads have for this one.
 #[derive(Debug)]
 pub(super) enum Command {
@@ -73,58 +59,6 @@ pub(super) enum Command {
     Unserved(String),
     /// The node ends.
     Stop,
-}
-
-/// A connection, by what it is for.
-enum Connection {
-    /// Someone asks the node.
-    Caller { stream: TcpStream, input: Vec<u8>, output: SendQueue, last: bool, heard: bool },
-    /// Someone connected to TCPROS, and has not said why.
-    New { stream: TcpStream, frames: FrameReader },
-    /// To a subscriber.
-    Subscriber { outgoing: Arc<Outgoing>, publication: Arc<Publication> },
-    /// To a publisher.
-    Publisher {
-        stream: TcpStream,
-        frames: FrameReader,
-        subscription: Arc<Subscription>,
-        publisher: String,
-        flow: Flow,
-    },
-    /// To a client of a service.
-    Client { stream: TcpStream, frames: FrameReader, output: SendQueue, offer: Arc<Offer>, phase: Phase },
-    /// One that ends once it has been told why, or what it asked for.
-    Ending { stream: TcpStream, output: SendQueue },
-}
-
-/// What came from a publisher.
-#[derive(Debug, Clone, Copy, Default)]
-struct Flow {
-    /// Whether its connection header came.
-    begun: bool,
-    messages: u64,
-    bytes: u64,
-}
-
-/// What a client of a service waits for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Phase {
-    /// Nothing: its next request is to come.
-    Idle { persistent: bool },
-    /// For the service.
-    Asked { persistent: bool },
-    /// For the last bytes of its only response.
-    Answered,
-}
-
-/// What becomes of a connection.
-enum Next {
-    /// It waits for events.
-    Wait(Connection),
-    /// It has more to do at once.
-    Again(Connection),
-    /// It ends.
-    End(Connection),
 }
 
 /// The way to one publisher of one subscription.
@@ -556,210 +490,6 @@ impl Engine {
             Some(true) => Next::End(connection),
         }
     }
-
-    /// Answers calls of the slave API.
-    fn answer(
-        &mut self,
-        shared: &Arc<Shared>,
-        stream: TcpStream,
-        mut input: Vec<u8>,
-        mut output: SendQueue,
-        mut last: bool,
-        mut heard: bool,
-    ) -> Next {
-        let over = loop {
-            if output.flush(&mut &stream).is_err() {
-                break true;
-            }
-            if !output.is_empty() {
-                break false;
-            }
-            if last {
-                return Next::Again(Connection::Ending { stream, output });
-            }
-            match http::parse_request(&input, MAX_CALL) {
-                Ok(Some(request)) => {
-                    let answer = Call::from_xml(request.body).map_err(|error| xmlrpc::Fault::from(&error));
-                    let answer = answer.and_then(Request::read).map(|request| self.fulfil(shared, request));
-                    let response = http::response(&xmlrpc::answer_to_xml(&answer), request.keep_alive);
-                    (last, heard) = (!request.keep_alive, true);
-                    let len = request.len;
-                    input.drain(..len);
-                    output.push(Arc::new(response));
-                }
-                Ok(None) => {
-                    let mut piece = [0; 4096];
-                    match (&stream).read(&mut piece) {
-                        Ok(0) => break true,
-                        Ok(read) => input.extend_from_slice(&piece[..read]),
-                        Err(error) if error.kind() == ErrorKind::WouldBlock => break false,
-                        Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                        Err(_) => break true,
-                    }
-                }
-                Err(error) => {
-                    tracing::debug!("{} was asked in no HTTP: {error}", shared.names.node());
-                    output.push(Arc::new(http::refusal()));
-                    last = true;
-                }
-            }
-        };
-        let connection = Connection::Caller { stream, input, output, last, heard };
-        if over { Next::End(connection) } else { Next::Wait(connection) }
-    }
-
-    /// Does what the node is asked for.
-    fn fulfil(&mut self, shared: &Arc<Shared>, request: Request) -> Value {
-        let state = lock(&shared.state);
-        match request {
-            Request::BusStats => {
-                drop(state);
-                slave::done(self.bus_stats(shared))
-            }
-            Request::BusInfo => slave::done(self.bus_info()),
-            Request::MasterUri => slave::done(shared.master.endpoint().http()),
-            Request::Shutdown { reason } => {
-                tracing::info!("{} is told to shut down: {reason}", shared.names.node());
-                shared.errand(Errand::Stop);
-                slave::done(0)
-            }
-            Request::Pid => slave::done(i32::try_from(std::process::id()).unwrap_or_default()),
-            Request::Subscriptions => {
-                let topics: BTreeMap<_, _> =
-                    state.subscriptions.values().map(|s| (s.topic.as_str(), s.kind.name)).collect();
-                slave::done(topics.into_iter().map(|(topic, kind)| [topic, kind]).collect::<Vec<_>>())
-            }
-            Request::Publications => {
-                let topics = state.publications.values().map(|p| [p.topic.as_str(), p.kind.name]);
-                slave::done(topics.collect::<Vec<_>>())
-            }
-            Request::ParamUpdate { name, value } => {
-                state.watches.values().for_each(|watch| watch.update(&name, &value));
-                slave::done(0)
-            }
-            Request::PublisherUpdate { topic, publishers } => {
-                let of_it = state.subscriptions.values().filter(|subscription| subscription.topic == topic);
-                let told = |subscription: &Arc<Subscription>| {
-                    subscription.told.store(true, Ordering::Release);
-                    subscription.id
-                };
-                let subscriptions: Vec<_> = of_it.map(told).collect();
-                drop(state);
-                for subscription in subscriptions {
-                    self.set_publishers(shared, subscription, &publishers);
-                }
-                slave::done(0)
-            }
-            Request::Topic { topic, protocols } => {
-                let Endpoint { host, port } = &shared.tcpros;
-                if !state.publications.contains_key(&topic) {
-                    slave::refused(&format!("{topic} is not published here"))
-                } else if !protocols.iter().any(|protocol| protocol == "TCPROS") {
-                    slave::refused("only TCPROS is spoken here")
-                } else {
-                    slave::done([Value::from("TCPROS"), host.as_str().into(), i32::from(*port).into()])
-                }
-            }
-        }
-    }
-
-    /// `[id, peer, direction, transport, topic, connected]` of each connection.
-    fn bus_info(&self) -> Vec<Value> {
-        let entry = |token: &Token, peer: &str, direction: &str, topic: &str| {
-            let id = i32::try_from(token.0).unwrap_or(i32::MAX);
-            let rest = [peer, direction, "TCPROS", topic].map(Value::from);
-            Value::Array([Value::Int(id)].into_iter().chain(rest).chain([Value::Bool(true)]).collect())
-        };
-        let connection = |(token, connection): (&Token, &Connection)| match connection {
-            Connection::Subscriber { outgoing, publication } => {
-                Some(entry(token, &outgoing.subscriber, "o", &publication.topic))
-            }
-            Connection::Publisher { publisher, subscription, flow, .. } if flow.begun => {
-                Some(entry(token, publisher, "i", &subscription.topic))
-            }
-            _ => None,
-        };
-        self.connections.iter().filter_map(connection).collect()
-    }
-
-    /// What went over the connections of each topic; numbers of 32 bits, as XML-RPC has them.
-    fn bus_stats(&self, shared: &Shared) -> Value {
-        let number = |count: u64| Value::Int(i32::try_from(count).unwrap_or(i32::MAX));
-        let mut sent: BTreeMap<String, (u64, Vec<Value>)> = BTreeMap::new();
-        let mut received: BTreeMap<String, Vec<Value>> = BTreeMap::new();
-        {
-            let state = lock(&shared.state);
-            sent.extend(state.publications.keys().map(|topic| (topic.clone(), Default::default())));
-            received.extend(state.subscriptions.values().map(|s| (s.topic.clone(), Vec::new())));
-        }
-        for (token, connection) in &self.connections {
-            let id = number(token.0 as u64);
-            match connection {
-                Connection::Subscriber { outgoing, publication } => {
-                    let (bytes, frames) = outgoing.sent();
-                    let (total, entries) = sent.entry(publication.topic.clone()).or_default();
-                    *total += bytes;
-                    entries.push(Value::Array(vec![id, number(bytes), number(frames), true.into()]));
-                }
-                Connection::Publisher { subscription, flow, .. } if flow.begun => {
-                    let dropped = number(subscription.inbox.dropped());
-                    let entry = vec![id, number(flow.bytes), number(flow.messages), dropped, true.into()];
-                    received.entry(subscription.topic.clone()).or_default().push(Value::Array(entry));
-                }
-                _ => {}
-            }
-        }
-        let sent = sent.into_iter().map(|(topic, (total, entries))| {
-            Value::Array(vec![topic.into(), number(total), Value::Array(entries)])
-        });
-        let received = received
-            .into_iter()
-            .map(|(topic, entries)| Value::Array(vec![topic.into(), Value::Array(entries)]));
-        Value::Array(vec![
-            Value::Array(sent.collect()),
-            Value::Array(received.collect()),
-            Value::Array(vec![0.into(), 0.into(), 0.into()]),
-        ])
-    }
-}
-
-impl Connection {
-    /// Whether it has not said what it is for, or nothing for long, or has been told to end.
-    fn is_undecided(&self) -> bool {
-        match self {
-            Self::Caller { heard, .. } => !heard,
-            Self::New { .. } | Self::Ending { .. } => true,
-            Self::Publisher { flow, .. } => !flow.begun,
-            Self::Subscriber { .. } | Self::Client { .. } => false,
-        }
-    }
-}
-
-/// What every connection needs: no waiting for more to send (Nagle's algorithm makes 10 ms of network 20 ms), and a
-/// question now and then whether a silent peer is still there.
-fn prepare(stream: &TcpStream) -> io::Result<()> {
-    stream.set_nodelay(true)?;
-    let socket = SockRef::from(stream);
-    let keepalive =
-        TcpKeepalive::new().with_time(Duration::from_secs(15)).with_interval(Duration::from_secs(5));
-    socket.set_tcp_keepalive(&keepalive.with_retries(3))?;
-    socket.set_tcp_notsent_lowat(UNSENT)
-}
-
-/// Whether the peer ended a connection on which it has nothing to say. What it says is dropped.
-fn is_over(mut stream: &TcpStream) -> bool {
-    let mut piece = [0; 1024];
-    for _ in 0..READS_A_TURN {
-        match stream.read(&mut piece) {
-            Ok(0) => return true,
-            Ok(_) => {}
-            Err(error) if error.kind() == ErrorKind::WouldBlock => return false,
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(_) => return true,
-        }
-    }
-    // One that talks without end, where nothing is to be said.
-    true
 }
 
 /// A connection to the publisher at that address, with the connection header sent.
@@ -797,148 +527,4 @@ fn check_publisher(subscription: &Subscription, header: &[u8]) -> Result<(), Str
         return Err(error.to_owned());
     }
     subscription.kind.check(header.get("md5sum"), header.get("type"))
-}
-
-/// Learns from a connection header what a connection is for.
-fn introduce(shared: &Arc<Shared>, stream: TcpStream, mut frames: FrameReader) -> Next {
-    loop {
-        match frames.next_frame() {
-            Ok(Some(header)) => {
-                let header = Header::from_bytes(header).map_err(|error| error.to_string());
-                return match header.and_then(|header| Purpose::of(shared, &header)) {
-                    Ok(purpose) => purpose.connection(shared, stream, frames),
-                    Err(reason) => {
-                        tracing::debug!("{} refuses a connection: {reason}", shared.names.node());
-                        let refusal = Header::new([("error", reason.as_str())]).to_frame();
-                        Next::Again(Connection::Ending { stream, output: SendQueue::new(1, Some(refusal)) })
-                    }
-                };
-            }
-            Ok(None) => {}
-            Err(_) => return Next::End(Connection::New { stream, frames }),
-        }
-        match frames.read_from(&mut &stream) {
-            Ok(0) => return Next::End(Connection::New { stream, frames }),
-            Ok(_) => {}
-            Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                return Next::Wait(Connection::New { stream, frames });
-            }
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(_) => return Next::End(Connection::New { stream, frames }),
-        }
-    }
-}
-
-/// What a connection to TCPROS is for.
-enum Purpose {
-    Subscribe {
-        publication: Arc<Publication>,
-        subscriber: String,
-    },
-    Call {
-        offer: Arc<Offer>,
-        persistent: bool,
-    },
-    /// Only to see what a service is.
-    Probe {
-        offer: Arc<Offer>,
-    },
-}
-
-impl Purpose {
-    fn of(shared: &Shared, header: &Header) -> Result<Self, String> {
-        let state = lock(&shared.state);
-        let subscriber = header.get("callerid").unwrap_or_default().to_owned();
-        if let Some(name) = header.get("service") {
-            let offer = state.services.get(name).ok_or_else(|| format!("{name} is not served here"))?;
-            let offer = Arc::clone(offer);
-            match header.get("md5sum") {
-                _ if header.flag("probe") => Ok(Self::Probe { offer }),
-                Some(md5sum) if md5sum == "*" || md5sum == offer.md5sum => {
-                    Ok(Self::Call { offer, persistent: header.flag("persistent") })
-                }
-                Some(md5sum) => {
-                    Err(format!("{name} is a {} with md5sum {}, not {md5sum}", offer.kind, offer.md5sum))
-                }
-                None => Err("the connection header has no md5sum".to_owned()),
-            }
-        } else if let Some(topic) = header.get("topic") {
-            let publication = state.publications.get(topic);
-            let publication = publication.ok_or_else(|| format!("{topic} is not published here"))?;
-            publication.kind.check(header.get("md5sum"), header.get("type"))?;
-            Ok(Self::Subscribe { publication: Arc::clone(publication), subscriber })
-        } else {
-            Err("the connection header has neither a topic nor a service".to_owned())
-        }
-    }
-
-    fn connection(self, shared: &Shared, stream: TcpStream, mut frames: FrameReader) -> Next {
-        let node = shared.names.node();
-        match self {
-            Self::Subscribe { publication, subscriber } => {
-                let outgoing = publication.connect(stream, &subscriber, node);
-                Next::Again(Connection::Subscriber { outgoing, publication })
-            }
-            Self::Call { offer, persistent } => {
-                frames.set_limit(MAX_MESSAGE_LEN);
-                let output = SendQueue::new(1, Some(offer.header(node).to_frame()));
-                Next::Again(Connection::Client {
-                    stream,
-                    frames,
-                    output,
-                    offer,
-                    phase: Phase::Idle { persistent },
-                })
-            }
-            Self::Probe { offer } => {
-                let output = SendQueue::new(1, Some(offer.header(node).to_frame()));
-                Next::Again(Connection::Ending { stream, output })
-            }
-        }
-    }
-}
-
-/// Takes requests to a service, one at a time.
-fn ask_service(
-    token: Token,
-    stream: TcpStream,
-    mut frames: FrameReader,
-    mut output: SendQueue,
-    offer: Arc<Offer>,
-    mut phase: Phase,
-) -> Next {
-    let over = loop {
-        if output.flush(&mut &stream).is_err() {
-            break true;
-        }
-        let Phase::Idle { persistent } = phase else {
-            break phase == Phase::Answered && output.is_empty();
-        };
-        match frames.next_frame() {
-            Ok(Some(request)) => {
-                phase = Phase::Asked { persistent };
-                if offer.requests.send((token, request.to_vec())).is_err() {
-                    output.push(Arc::new(service::response::<EmptyResponse>(Err(
-                        "the service ended".to_owned()
-                    ))));
-                    phase = Phase::Answered;
-                }
-                continue;
-            }
-            Ok(None) => {}
-            Err(error) => {
-                tracing::debug!("a client of {} does not speak TCPROS: {error}", offer.name);
-                break true;
-            }
-        }
-        match frames.read_from(&mut &stream) {
-            Ok(0) => break true,
-            Ok(_) => {}
-            Err(error) if error.kind() == ErrorKind::WouldBlock => break false,
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(_) => break true,
-        }
-    };
-    let connection = Connection::Client { stream, frames, output, offer, phase };
-    if over { Next::End(connection) } else { Next::Wait(connection) }
 }

@@ -1,9 +1,8 @@
-//! The node against Debian's own ROS 1: its master, its tools, and its nodes.
-
-mod ros;
+//! The node and ROS's tools and nodes.
 
 use std::{env, fs, time::Duration};
 
+use crate::ros::{PATIENCE, Ros, contains, until};
 use cotorra_ros1::{
     CallError, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time, Value,
     messages::{
@@ -11,7 +10,6 @@ use cotorra_ros1::{
         SetBool, SetBoolRequest, SetBoolResponse, Text, Twist,
     },
 };
-use ros::{PATIENCE, Ros, contains, until};
 
 fn scan(seq: u32) -> LaserScan {
     LaserScan {
@@ -130,16 +128,15 @@ fn bags_are_recorded_and_played() {
     let odometry = node.publish::<Odometry>("odom", PublishOptions::default()).unwrap();
     let bag = ros.directory().join("run.bag");
     let bag = bag.to_str().unwrap();
-    let record = ros.spawn("rosbag", &["record", "-O", bag, "/scan", "/odom"]);
+    // Small chunks, so that the file grows as it records.
+    let record = ros.spawn("rosbag", &["record", "--chunksize", "1", "-O", bag, "/scan", "/odom"]);
     until("the recorder subscribes", || scans.subscribers() == 1 && odometry.subscribers() == 1);
-    for seq in 0..20 {
-        scans.publish(&scan(seq));
+    let publish = || {
+        scans.publish(&scan(1));
         odometry.publish(&Odometry::default());
-    }
-    // It writes its head before anything that it records.
-    until("the recorder has something", || {
-        fs::metadata(format!("{bag}.active")).is_ok_and(|bag| bag.len() > 4096)
-    });
+    };
+    let recorded = || fs::metadata(format!("{bag}.active")).is_ok_and(|bag| bag.len() > 30_000);
+    publishing_until(publish, "the recording grows", recorded);
     record.interrupt();
     contains(
         &ros.run("rosbag", &["info", bag]),
@@ -290,7 +287,7 @@ fn listener() {
 fn ctrl_c_ends_a_program_that_asks_for_it() {
     let Some(ros) = Ros::start() else { return };
     let this = env::current_exe().unwrap();
-    let echo = ros.spawn(this.to_str().unwrap(), &["--exact", "listener", "--ignored", "--nocapture"]);
+    let echo = ros.spawn(this.to_str().unwrap(), &["--exact", "tools::listener", "--ignored", "--nocapture"]);
     let node = ros.node("robot", "/");
     let words = node.publish::<Text>("words", PublishOptions::default()).unwrap();
     until("the program subscribes", || words.subscribers() == 1);

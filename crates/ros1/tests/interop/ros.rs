@@ -1,6 +1,5 @@
 //! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes, all gone when the test is over.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
-#![allow(clippy::unwrap_used, reason = "helps tests")]
 
 use std::{
     env, fs,
@@ -72,17 +71,19 @@ impl Process {
         String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
     }
 
-    /// Ctrl-C, and waits for its end.
+    /// Ctrl-C, and waits for its end and that of all that it started.
     pub fn interrupt(mut self) {
-        signal("INT", self.child.id());
-        until("a process ends by Ctrl-C", || self.child.try_wait().unwrap().is_some());
+        let group = self.child.id();
+        signal("INT", group);
+        until("a process ends by Ctrl-C", || self.child.try_wait().unwrap().is_some() && !signal("0", group));
     }
 }
 
-/// Signals a process and all that it started.
-fn signal(name: &str, group: u32) {
-    let _ =
-        Command::new("kill").args(["-s", name, "--", &format!("-{group}")]).stderr(Stdio::null()).status();
+/// Signals a process and all that it started. Returns whether there is any.
+fn signal(name: &str, group: u32) -> bool {
+    let group = format!("-{group}");
+    let status = Command::new("kill").args(["-s", name, "--", &group]).stderr(Stdio::null()).status();
+    status.unwrap().success()
 }
 
 impl Drop for Process {
@@ -95,7 +96,7 @@ impl Drop for Process {
 impl Ros {
     /// A master; `None`, and a message, where ROS is not installed. In CI, that is a failure.
     pub fn start() -> Option<Self> {
-        if !Path::new("/usr/bin/roscore").exists() {
+        if !Path::new("/usr/bin/rosmaster").exists() {
             assert!(env::var_os("CI").is_none(), "ROS 1 is not installed: scripts/test says which packages");
             eprintln!("skipped: ROS 1 is not installed (scripts/test says which packages)");
             return None;
@@ -106,13 +107,13 @@ impl Ros {
         Some(ros)
     }
 
-    /// Ends the master, and starts another that knows nothing.
+    /// Ends the master, and starts another that knows nothing. It is what roscore starts, without the processes
+    /// around it, which would outlive a test that fails.
     pub fn restart(&mut self) {
         self.core = None;
-        self.core = Some(self.spawn("roscore", &["-p", &self.port.to_string()]));
-        // Its own node is the last that it starts.
+        self.core = Some(self.spawn("rosmaster", &["--core", "-p", &self.port.to_string()]));
         let node = self.node("waiting", "/");
-        until("the master is there", || node.master().lookup_node("/rosout").is_ok());
+        until("the master is there", || node.master().system_state().is_ok());
     }
 
     pub fn directory(&self) -> &Path {
