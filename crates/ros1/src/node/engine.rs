@@ -47,7 +47,7 @@ const LAST_RETRY: Duration = Duration::from_secs(2);
 /// What the node's other threads have for this one.
 #[derive(Debug)]
 pub(super) enum Command {
-    /// These are a subscription's publishers, says the master.
+    /// These are a subscription's publishers, says the master; unless it said otherwise since.
     Publishers { subscription: u64, publishers: Vec<String> },
     /// A connection to a publisher was made, with the header sent; or not.
     Connected { subscription: u64, publisher: String, stream: Result<StdStream, String> },
@@ -203,7 +203,10 @@ impl Engine {
     fn obey(&mut self, shared: &Arc<Shared>, command: Command) {
         match command {
             Command::Publishers { subscription, publishers } => {
-                self.set_publishers(shared, subscription, &publishers);
+                let subscribed = lock(&shared.state).subscriptions.get(&subscription).cloned();
+                if subscribed.is_some_and(|subscribed| !subscribed.told.load(Ordering::Acquire)) {
+                    self.set_publishers(shared, subscription, &publishers);
+                }
             }
             Command::Connected { subscription, publisher, stream } => {
                 self.connected(shared, subscription, publisher, stream);

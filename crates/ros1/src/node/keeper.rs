@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Shared, engine::Command, params::Watch};
+use super::{Shared, engine::Command, params::Watch, topics::Subscription};
 use crate::{master::RpcError, queue::lock};
 
 /// How often the master is asked whether it still knows the node.
@@ -78,7 +78,7 @@ fn unregister(shared: &Shared, errand: &Errand) -> Result<(), RpcError> {
 /// What is registered, by name.
 struct Registered {
     publications: Vec<(String, &'static str)>,
-    subscriptions: Vec<(u64, String, &'static str)>,
+    subscriptions: Vec<Arc<Subscription>>,
     services: Vec<String>,
     watches: Vec<Arc<Watch>>,
 }
@@ -87,10 +87,9 @@ impl Registered {
     fn of(shared: &Shared) -> Self {
         let state = lock(&shared.state);
         let publications = state.publications.iter().map(|(topic, p)| (topic.clone(), p.kind.name));
-        let subscriptions = state.subscriptions.values().map(|s| (s.id, s.topic.clone(), s.kind.name));
         Self {
             publications: publications.collect(),
-            subscriptions: subscriptions.collect(),
+            subscriptions: state.subscriptions.values().cloned().collect(),
             services: state.services.keys().cloned().collect(),
             watches: state.watches.values().cloned().collect(),
         }
@@ -104,8 +103,8 @@ fn unregister_all(shared: &Shared) -> Result<(), RpcError> {
     for (topic, _) in &registered.publications {
         master.unregister_publisher(topic, api)?;
     }
-    for (_, topic, _) in &registered.subscriptions {
-        master.unregister_subscriber(topic, api)?;
+    for subscription in &registered.subscriptions {
+        master.unregister_subscriber(&subscription.topic, api)?;
     }
     for name in &registered.services {
         master.unregister_service(name, &service)?;
@@ -137,9 +136,10 @@ fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
     for (topic, kind) in &registered.publications {
         master.register_publisher(topic, kind, api)?;
     }
-    for (subscription, topic, kind) in &registered.subscriptions {
-        let publishers = master.register_subscriber(topic, kind, api)?;
-        shared.command(Command::Publishers { subscription: *subscription, publishers });
+    for subscription in &registered.subscriptions {
+        subscription.told.store(false, Ordering::Release);
+        let publishers = master.register_subscriber(&subscription.topic, subscription.kind.name, api)?;
+        shared.command(Command::Publishers { subscription: subscription.id, publishers });
     }
     for name in &registered.services {
         master.register_service(name, &service, api)?;

@@ -216,7 +216,7 @@ pub(super) struct Subscription {
     pub inbox: Inbox,
     /// How many publishers are connected.
     pub connected: AtomicUsize,
-    /// Whether the master told of its publishers since it was registered: that is newer than the registration's answer.
+    /// Whether the master told of its publishers since it was asked to: that is newer than its answer.
     pub told: AtomicBool,
 }
 
@@ -365,9 +365,7 @@ impl Node {
             |master| master.register_subscriber(topic, M::TYPE_NAME, &shared.api),
             |state| drop(state.subscriptions.remove(&id)),
         )?;
-        if !subscription.told.load(Ordering::Acquire) {
-            shared.command(Command::Publishers { subscription: id, publishers });
-        }
+        shared.command(Command::Publishers { subscription: id, publishers });
         Ok(Subscriber {
             shared: Arc::clone(shared),
             subscription,
