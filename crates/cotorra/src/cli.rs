@@ -64,6 +64,7 @@ pub enum Command {
         #[command(subcommand)]
         question: History,
     },
+    Replay(ReplayArgs),
     Check(CheckArgs),
     /// Print the JSON Schema of a testbed file
     ///
@@ -321,6 +322,58 @@ pub struct OkpiArgs {
     /// Say more on standard error; twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+/// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
+///
+/// What is known, what was up to then and what happens are as in the run; nothing of what is to come is told.
+/// Instructions are refused, because nothing can change what was, and printed: a line of JSON each, as the decisions that
+/// the plug-in would have made.
+///
+/// With --speed max the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin), and
+/// waits for it as virtual time does: it sees the same events each time, and none too many or too few.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra replay latest
+  cotorra replay latest --speed 10x --from 1min --to 2min
+  cotorra replay latest --speed max > decisions.jsonl &
+  COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
+pub struct ReplayArgs {
+    /// The folder of a run, `latest`, or the number of a run in the history that --history names
+    pub run: String,
+    /// So many seconds of the run in one, as in 1x or 2.5x; or max
+    #[arg(long, value_name = "SPEED", default_value = "1x", value_parser = parse_speed)]
+    pub speed: Speed,
+    /// With --speed max: begin when so many follow the stream of events, each under a name
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub plugins: NonZero<usize>,
+    #[command(flatten)]
+    pub span: Span,
+    /// Address of the HTTP API, as of `cotorra run`
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub api: Option<SocketAddr>,
+    /// Folder from which the testbed file's own paths lead, such as its map's
+    #[arg(long, value_name = "DIR", default_value = "testbeds")]
+    pub base: PathBuf,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+/// How fast a run is played.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Speed {
+    Times(f64),
+    Max,
+}
+
+fn parse_speed(text: &str) -> Result<Speed, String> {
+    if text == "max" {
+        return Ok(Speed::Max);
+    }
+    let times = text.strip_suffix('x').and_then(|times| times.parse::<f64>().ok());
+    let times = times.filter(|times| (1e-3..=1e6).contains(times));
+    times.map(Speed::Times).ok_or_else(|| "write it like 1x, 2.5x or max".to_owned())
 }
 
 const HISTORY_EXAMPLES: &str = "\
@@ -637,5 +690,9 @@ mod tests {
             assert!(parse_duration(wrong).is_err(), "{wrong}");
         }
         assert_eq!(parse_time("0s"), Ok(Duration::ZERO));
+        assert_eq!(parse_speed("2.5x"), Ok(Speed::Times(2.5)));
+        for wrong in ["2", "0x", "-1x", "nanx", "infx", "fast"] {
+            assert!(parse_speed(wrong).is_err(), "{wrong}");
+        }
     }
 }

@@ -12,6 +12,7 @@ mod experiment;
 mod history;
 mod logs;
 mod output;
+mod replay;
 mod run;
 mod signals;
 mod sweep;
@@ -48,6 +49,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::History { question } => return history::history(&question),
+        Command::Replay(args) => return replay::replay(&args),
         Command::Check(args) => return check::check(&args),
         Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
         Command::OpenApi => output::print(&cotorra_testbed::openapi())?,

@@ -11,6 +11,7 @@ mod live;
 mod navigation;
 mod plugins;
 mod recorded;
+pub mod replay;
 mod report;
 mod run;
 mod simulate;

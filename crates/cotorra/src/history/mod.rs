@@ -15,10 +15,9 @@ use std::{fmt::Write as _, ops::Bound, process::ExitCode};
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Cursor, Gap, Page, PageRequest};
 
-use self::source::Source;
 pub use self::{
     place::{HISTORY_VARIABLE, Place, location},
-    source::Error,
+    source::{Error, Source},
 };
 use crate::{
     cli::{GapsArgs, History, Span},

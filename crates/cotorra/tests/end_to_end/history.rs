@@ -4,15 +4,16 @@
 use std::{
     ffi::OsStr,
     fs,
+    io::{BufRead, BufReader},
     path::{Path, PathBuf},
-    process::Output,
+    process::{Command, Output, Stdio},
 };
 
 use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::{
-    harness::{corridor, cotorra, output, stderr, stdout},
+    harness::{corridor, cotorra, output, project_file, stderr, stdout},
     mariadb::MariaDb,
 };
 
@@ -226,16 +227,22 @@ fn an_exported_run_is_imported_with_the_same_answers() {
         assert!(told.status.success() && stderr(&told).is_empty(), "{}", stderr(&told));
         stdout(&told)
     };
-    for (format, number) in [("csv", "1"), ("parquet", "2"), ("arrow", "3")] {
+    let formats = [("csv", "1"), ("parquet", "2"), ("arrow", "3")];
+    let (built, others) = formats.split_at(if cfg!(feature = "arrow") { 3 } else { 1 });
+    for (format, number) in built {
         let told = runs.answer(&["export", okpi, "--format", format, "--out", format]);
         assert!(told.contains(" events in "), "{told}");
         let robots = runs.place.path().join(format!("{format}/robot.{format}"));
         assert!(fs::metadata(robots).unwrap().len() > 1000);
         let told = runs.answer(&["import", format, "--history", "imported.sqlite"]);
         assert!(told.contains(&format!("are run {number} in imported.sqlite")), "{told}");
-        let imported = [number, "--history", "imported.sqlite"];
+        let imported = [*number, "--history", "imported.sqlite"];
         assert!(events(&[okpi]) == events(&imported), "{format}");
         assert!(runs.refusal(&["export", okpi, "--out", format]).contains("is there already"));
+    }
+    for (format, _) in others {
+        let said = runs.refusal(&["export", okpi, "--format", format, "--out", format]);
+        assert!(said.contains("--features arrow"), "{said}");
     }
     let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
     assert!(csv.starts_with("n,t_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ns\n"), "{csv}");
@@ -246,4 +253,78 @@ fn an_exported_run_is_imported_with_the_same_answers() {
     );
     assert!(runs.refusal(&["import", "csv"]).contains("--history"));
     assert!(runs.refusal(&["import", ".", "--history", "imported.sqlite"]).contains("it has no run.json"));
+}
+
+/// Follows the stream, tells what it hears, and asks for a scan and what is known, now and then.
+const LISTENER: &str = r#"
+import json, sys
+from cotorra import Client, Refused
+
+testbed = Client(api=sys.argv[1], plugin="listener")
+scans = 0
+for event in testbed.stream("robot", "handover", "decision", wake_every_s=2.5):
+    print(json.dumps(event, ensure_ascii=False, separators=(",", ":")))
+    if event["event"] == "handover":
+        past = testbed.series("service_time", points=1)["points"][0]
+        assert past["until"] <= event["at"] + 1 and testbed.state(at_s=1000)["at"] <= event["at"]
+        try:
+            testbed.instruct("it moved", instruction="scan", robot=event["robot"])
+        except Refused as refused:
+            scans += "this is a replay" in str(refused)
+assert scans == 1, scans
+"#;
+
+#[test]
+fn a_replay_tells_a_plugin_the_same_each_time_and_changes_nothing() {
+    let runs = &Runs::new();
+    let (okpi, script) = (text(&runs.okpi), runs.place.path().join("listener.py"));
+    fs::write(&script, LISTENER).unwrap();
+    let events = || runs.answer(&["events", okpi, "--json", "--limit", "10000"]);
+    let recorded = events();
+    let base = corridor();
+    let base = text(base.parent().unwrap());
+    let replay = |arguments: &[&str]| {
+        let mut command = cotorra(["replay", okpi, "--base", base, "--api", "127.0.0.1:0"]);
+        let mut child =
+            command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut said = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        said.read_line(&mut line).unwrap();
+        let api = line
+            .strip_prefix("API on ")
+            .and_then(|l| l.split_once(", replay of "))
+            .expect(&line)
+            .0
+            .to_owned();
+        // Kept open for what it says at its end.
+        (child, api, said)
+    };
+    let play = || {
+        let (child, api, _said) = replay(&["--speed", "max"]);
+        let mut python = Command::new("python3");
+        python.arg(&script).arg(&api).env("PYTHONPATH", project_file("clients/python"));
+        let listened = python.env("PYTHONDONTWRITEBYTECODE", "1").output().unwrap();
+        assert!(listened.status.success(), "{}", stderr(&listened));
+        let played = child.wait_with_output().unwrap();
+        assert!(played.status.success(), "{played:?}");
+        (stdout(&listened), stdout(&played))
+    };
+    let (heard, asked) = play();
+    assert!((heard.clone(), asked.clone()) == play(), "each time is the same");
+    let read =
+        |lines: &str| -> Vec<Value> { lines.lines().map(|l| serde_json::from_str(l).unwrap()).collect() };
+    let (wakes, told): (Vec<_>, Vec<_>) =
+        read(&heard).into_iter().partition(|event| event["event"] == "wake");
+    let wanted =
+        |event: &Value| ["robot", "handover", "decision"].contains(&event["event"].as_str().unwrap());
+    let was: Vec<_> = read(&recorded).into_iter().filter(wanted).collect();
+    assert!(told == was, "what is heard is what was: {} and {}", told.len(), was.len());
+    assert!(wakes.len() > 8);
+    let decisions = read(&asked);
+    assert_eq!(decisions.len(), 1, "{asked}");
+    assert_eq!((&decisions[0]["plugin"], &decisions[0]["reason"]), (&"listener".into(), &"it moved".into()));
+    assert!(recorded == events(), "the history is as it was");
+
+    let (child, _, _said) = replay(&["--speed", "1000x", "--from", "5s", "--to", "15s"]);
+    assert!(child.wait_with_output().unwrap().status.success());
 }
