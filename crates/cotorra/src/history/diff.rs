@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use cotorra_measurements::{
     Difference, Values,
-    difference::{Entry, Services},
+    difference::{Entry, Links, Services},
 };
 
 use super::{Error, Source, first_of, plot::figure};
@@ -96,12 +96,14 @@ fn describe(difference: &Difference) -> String {
     });
     section("Service time by region, ms", figures("region", regions.take(ROWS)), difference.regions.len());
 
-    let links = difference.links.iter().map(|entry| {
+    // What nothing crossed says nothing.
+    let used: Vec<_> =
+        difference.links.iter().filter(|entry| delays(&entry.runs).iter().any(Option::is_some)).collect();
+    let links = used.iter().map(|entry| {
         let direction = format!("{:?}", entry.of.direction).to_lowercase();
-        let delays = entry.runs.each_ref().map(|links| links.as_ref().and_then(|l| l.delay_ms.as_ref()));
-        (format!("{} {direction}", entry.of.link), delays)
+        (format!("{} {direction}", entry.of.link), delays(&entry.runs))
     });
-    section("Delay of links, ms", figures("link", links.take(ROWS)), difference.links.len());
+    section("Delay of links, ms", figures("link", links.take(ROWS)), used.len());
 
     let handovers = difference.handovers.iter().map(|entry| {
         let from = entry.of.from.as_ref().map_or("none", |id| id.as_str());
@@ -131,6 +133,10 @@ fn describe(difference: &Difference) -> String {
     }
     section("Decisions", decisions, difference.decisions.len());
     text
+}
+
+fn delays(runs: &[Option<Links>; 2]) -> [Option<&Values>; 2] {
+    runs.each_ref().map(|links| links.as_ref().and_then(|links| links.delay_ms.as_ref()))
 }
 
 fn samples(runs: &[Option<Services>; 2]) -> [Option<&Values>; 2] {

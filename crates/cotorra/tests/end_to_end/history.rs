@@ -140,6 +140,10 @@ fn two_runs_are_set_side_by_side_wherever_they_are() {
     for part in ["okpi: attach", "robot from R1 to R3", "navigation on cloud", "median differs"] {
         assert!(told.contains(part), "{part} is not in {told}");
     }
+    assert!(
+        told.contains("R1-cloud forward") && !told.contains("R1-edge"),
+        "links that nothing crossed are left out"
+    );
     let json = |arguments: &[&str]| -> Value {
         let mut json: Value = serde_json::from_str(&runs.answer(arguments)).unwrap();
         json.as_object_mut().unwrap().remove("runs");
