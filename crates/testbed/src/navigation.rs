@@ -54,6 +54,8 @@ pub fn navigation() -> Result<Infallible, NavigationError> {
         .map_err(|problems| NavigationError::Testbed(problems.to_string()))?;
     let vnf = NavigationVnf::new(&testbed, &robot)?;
     let socket = UdpSocket::bind(("0.0.0.0", NAVIGATION_PORT))?;
+    // A server's CPUs are its own; those of this machine may be busy with something else. It works for microseconds.
+    cotorra_datapath::be_punctual();
     println!("{READY}");
     Ok(serve(vnf, &socket)?)
 }

@@ -68,6 +68,8 @@ const PUBLISHED_CHANGES: [PublishedChange; 6] = {
 
 /// A sample so soon before or after a handover was completed is one of the handover.
 const AROUND_HANDOVER_S: f64 = 1.0;
+/// What is decided within this time is one decision: locations come no faster.
+const ONE_DECISION_S: f64 = 0.2;
 /// OKpi-t is drawn each so often, seconds.
 const POINT_EVERY_S: f64 = 2.0;
 
@@ -415,8 +417,8 @@ impl Decided {
             }
             let (at, state) = (decision.at.as_secs_f64(), (unit.clone(), server.clone()));
             match states.last_mut() {
-                // A new radio unit and a new server in one decision.
-                Some(last) if last.0 == at => last.2 = state,
+                // A new radio unit and a new server in one decision, whose instructions are done one by one.
+                Some(last) if at - last.0 <= ONE_DECISION_S => last.2 = state,
                 Some(last) if last.2 == state => {}
                 _ => states.push((at, decision.position, state)),
             }
