@@ -12,6 +12,10 @@ use super::engine::InstanceId;
 const ROOT: &str = "/sys/fs/cgroup";
 const PREFIX: &str = "cotorra-";
 const CPU_PERIOD_US: f64 = 100_000.0;
+/// What real-time threads of a run's VNFs get in a second at most, µs.
+const REAL_TIME_US: u64 = 500_000;
+/// What those of one VNF get in each such period, µs: enough to answer packets, too little to stop anyone else.
+const VNF_REAL_TIME_US: (u64, u64) = (1000, 50_000);
 
 /// Why limits cannot be set.
 #[derive(Debug, thiserror::Error)]
@@ -83,6 +87,9 @@ impl Cgroups {
                 fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
             }
         }
+        if let Hierarchy::V1 { cpu, .. } = &groups.hierarchy {
+            allow_real_time(&cpu.join(&groups.name), REAL_TIME_US, None);
+        }
         Ok(groups)
     }
 
@@ -118,6 +125,8 @@ impl Cgroups {
                 let group = |tree: &Path| tree.join(&self.name).join(instance.0.to_string());
                 set(group(cpu).join("cpu.cfs_period_us"), format!("{CPU_PERIOD_US}"))?;
                 set(group(cpu).join("cpu.cfs_quota_us"), quota.to_string())?;
+                let (runtime, period) = VNF_REAL_TIME_US;
+                allow_real_time(&group(cpu), runtime, Some(period));
                 set(group(memory).join("memory.limit_in_bytes"), memory_bytes.to_string())?;
             }
         }
@@ -151,6 +160,19 @@ impl Cgroups {
             pid.is_some_and(|pid| !lives(pid))
         };
         groups.filter(is_left).map(|group| group.path()).collect()
+    }
+}
+
+/// Lets threads of a group be real-time, which version 1 forbids by default where the kernel counts their time. Where
+/// it does not count, or refuses, a VNF that asks for it is scheduled like any other.
+fn allow_real_time(group: &Path, runtime_us: u64, period_us: Option<u64>) {
+    let runtime = group.join("cpu.rt_runtime_us");
+    if !runtime.exists() {
+        return;
+    }
+    let period = period_us.map_or(Ok(()), |us| fs::write(group.join("cpu.rt_period_us"), us.to_string()));
+    if let Err(error) = period.and_then(|()| fs::write(&runtime, runtime_us.to_string())) {
+        tracing::debug!("no real-time threads in {}: {error}", group.display());
     }
 }
 
