@@ -12,10 +12,11 @@ use super::engine::InstanceId;
 const ROOT: &str = "/sys/fs/cgroup";
 const PREFIX: &str = "cotorra-";
 const CPU_PERIOD_US: f64 = 100_000.0;
-/// What real-time threads of a run's VNFs get in a second at most, µs.
-const REAL_TIME_US: u64 = 500_000;
+/// What real-time threads of a run's VNFs get in a second at most, µs: the kernel has 950,000 for all groups together,
+/// and other runs may want their part.
+const REAL_TIME_US: u64 = 100_000;
 /// What those of one VNF get in each such period, µs: enough to answer packets, too little to stop anyone else.
-const VNF_REAL_TIME_US: (u64, u64) = (1000, 50_000);
+const VNF_REAL_TIME_US: (u64, u64) = (500, 50_000);
 
 /// Why limits cannot be set.
 #[derive(Debug, thiserror::Error)]
