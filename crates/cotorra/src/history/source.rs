@@ -102,13 +102,19 @@ pub fn open(location: &Location) -> Result<History, Error> {
     }
 }
 
-/// Folders of runs in a folder, the oldest first.
+/// Folders of runs in a folder, and of those that an experiment has in its own, the oldest first.
 pub fn folders(runs: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(runs).into_iter().flatten().flatten().map(|entry| entry.path());
+    let entries = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
     // Written first, and never again.
     let began =
         |folder: &Path| fs::metadata(folder.join("testbed.yaml")).and_then(|file| file.modified()).ok();
-    let mut found: Vec<_> = entries.filter_map(|folder| Some((began(&folder)?, folder))).collect();
+    let mut found = Vec::new();
+    for folder in entries(runs) {
+        match began(&folder) {
+            Some(began) => found.push((began, folder)),
+            None => found.extend(entries(&folder).filter_map(|walk| Some((began(&walk)?, walk)))),
+        }
+    }
     found.sort();
     found.into_iter().map(|(_, folder)| folder).filter(|folder| Recorded::of_folder(folder).is_ok()).collect()
 }

@@ -87,6 +87,9 @@ fn runs_are_listed_by_folder_and_by_number_and_lead_to_the_same_answers() {
     assert!(newest.contains("3 older"), "{newest}");
     let numbered = runs.answer(&["runs", "--history", "shared.sqlite", "--limit", "1"]);
     assert!(numbered.contains("... more with --after 1"), "{numbered}");
+    // Those of an experiment are in its folder.
+    let listed = runs.answer(&["runs", "--runs", "."]);
+    assert_eq!(listed.lines().count(), 5, "{listed}");
     assert!(runs.answer(&["runs", "--history", "shared.sqlite", "--after", "1"]).contains("\n2 "));
 
     let of = |run: &[&str]| runs.answer(&[&["state"], run, &["--at", "12.5s", "--json"]].concat());
