@@ -15,8 +15,9 @@ const CPU_PERIOD_US: f64 = 100_000.0;
 /// What real-time threads of a run's VNFs get in a second at most, µs: the kernel has 950,000 for all groups together,
 /// and other runs may want their part.
 const REAL_TIME_US: u64 = 100_000;
-/// What those of one VNF get in each such period, µs: enough to answer packets, too little to stop anyone else.
-const VNF_REAL_TIME_US: (u64, u64) = (500, 50_000);
+/// What those of one VNF get in a second, µs: too little to stop anyone else, and many times what answering takes - a
+/// group that used it up stands still for the rest of its second.
+const VNF_REAL_TIME_US: u64 = 20_000;
 
 /// Why limits cannot be set.
 #[derive(Debug, thiserror::Error)]
@@ -89,7 +90,7 @@ impl Cgroups {
             }
         }
         if let Hierarchy::V1 { cpu, .. } = &groups.hierarchy {
-            allow_real_time(&cpu.join(&groups.name), REAL_TIME_US, None);
+            allow_real_time(&cpu.join(&groups.name), REAL_TIME_US);
         }
         Ok(groups)
     }
@@ -126,8 +127,7 @@ impl Cgroups {
                 let group = |tree: &Path| tree.join(&self.name).join(instance.0.to_string());
                 set(group(cpu).join("cpu.cfs_period_us"), format!("{CPU_PERIOD_US}"))?;
                 set(group(cpu).join("cpu.cfs_quota_us"), quota.to_string())?;
-                let (runtime, period) = VNF_REAL_TIME_US;
-                allow_real_time(&group(cpu), runtime, Some(period));
+                allow_real_time(&group(cpu), VNF_REAL_TIME_US);
                 set(group(memory).join("memory.limit_in_bytes"), memory_bytes.to_string())?;
             }
         }
@@ -166,13 +166,12 @@ impl Cgroups {
 
 /// Lets threads of a group be real-time, which version 1 forbids by default where the kernel counts their time. Where
 /// it does not count, or refuses, a VNF that asks for it is scheduled like any other.
-fn allow_real_time(group: &Path, runtime_us: u64, period_us: Option<u64>) {
+fn allow_real_time(group: &Path, runtime_us: u64) {
     let runtime = group.join("cpu.rt_runtime_us");
     if !runtime.exists() {
         return;
     }
-    let period = period_us.map_or(Ok(()), |us| fs::write(group.join("cpu.rt_period_us"), us.to_string()));
-    if let Err(error) = period.and_then(|()| fs::write(&runtime, runtime_us.to_string())) {
+    if let Err(error) = fs::write(&runtime, runtime_us.to_string()) {
         tracing::debug!("no real-time threads in {}: {error}", group.display());
     }
 }
