@@ -130,7 +130,7 @@ pub fn parse_response(bytes: &[u8], ended: bool, limit: usize) -> Result<Option<
 /// A request that posts XML to a host, `name:port`.
 pub fn request(host: &str, xml: &str) -> Vec<u8> {
     format!(
-        "POST /RPC2 HTTP/1.1\r\nHost: {host}\r\nUser-Agent: cotorra\r\nConnection: close\r\n\
+        "POST / HTTP/1.1\r\nHost: {host}\r\nUser-Agent: cotorra\r\nConnection: close\r\n\
          Content-Type: text/xml\r\nContent-Length: {}\r\n\r\n{xml}",
         xml.len()
     )

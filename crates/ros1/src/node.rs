@@ -195,8 +195,9 @@ impl Node {
             io::Result::Ok(())
         };
         let keeper = Arc::clone(&shared);
-        spawn("ros1", Box::new(move || engine.run(&shared)))?;
+        // First the one that ends the other.
         spawn("ros1-keeper", Box::new(move || keeper::run(&keeper, &to_keep)))?;
+        spawn("ros1", Box::new(move || engine.run(&shared)))?;
         for (name, value) in config.params {
             node.set_param(&name, value)?;
         }

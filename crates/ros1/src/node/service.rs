@@ -119,7 +119,8 @@ fn read_frame(stream: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
 
 impl Node {
     /// Offers a service. `answer` gives the response to each request, or the reason why not; requests are answered
-    /// one at a time, on a thread of the service's own.
+    /// one at a time, on a thread of the service's own. If it holds a clone of the node, that lives as long as the
+    /// service does.
     ///
     /// # Errors
     /// [`NodeError`] if `name` is none, the node offers it already, or the master fails.
