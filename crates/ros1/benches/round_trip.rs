@@ -17,7 +17,7 @@ use std::{
 };
 
 use cotorra_ros1::{
-    Field, PublishOptions, SubscribeOptions,
+    Field, MasterServer, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Header, LaserScan},
 };
 use hdrhistogram::Histogram;
@@ -64,8 +64,12 @@ fn measure_socket(peer: &str, mut stream: TcpStream) {
     });
 }
 
-fn measure_node(peer: &str, ros: &Ros) {
-    let node = ros.node("pitcher", "/");
+fn node(master: &MasterServer, name: &str) -> Node {
+    Node::new(NodeConfig { master: master.endpoint().clone(), ..NodeConfig::new(name) }).unwrap()
+}
+
+fn measure_node(peer: &str, master: &MasterServer) {
+    let node = node(master, "pitcher");
     let there = node.publish::<LaserScan>("there", PublishOptions::default()).unwrap();
     let back = node.subscribe::<LaserScan>("back", SubscribeOptions::default()).unwrap();
     until("the peer is connected", || there.subscribers() == 1 && back.publishers() == 1);
@@ -97,7 +101,7 @@ while data := peer.recv(65536):
 "#;
 
 fn main() {
-    let Some(ros) = Ros::start() else { return };
+    let master = MasterServer::start("127.0.0.1", 0).unwrap();
     println!("| peer | p50 | p99 | max |\n|---|---|---|---|");
 
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -113,13 +117,7 @@ fn main() {
     measure_socket("a bare socket in Rust", TcpStream::connect(address).unwrap());
     echo.join().unwrap();
 
-    let python = ros.python("socket_echo.py", SOCKET);
-    until("the socket listens", || python.output().ends_with('\n'));
-    let port: u16 = python.output().trim().parse().unwrap();
-    measure_socket("a bare socket in Python", TcpStream::connect(("127.0.0.1", port)).unwrap());
-    drop(python);
-
-    let echo = ros.node("echo", "/");
+    let echo = node(&master, "echo");
     let back = echo.publish::<LaserScan>("back", PublishOptions::default()).unwrap();
     let there = echo.subscribe::<LaserScan>("there", SubscribeOptions::default()).unwrap();
     let catcher = thread::spawn(move || {
@@ -127,11 +125,18 @@ fn main() {
             back.publish(&scan);
         }
     });
-    measure_node("a node of this crate", &ros);
+    measure_node("a node of this crate", &master);
     echo.shut_down();
     catcher.join().unwrap();
 
+    let Some(ros) = Ros::with_master(master.endpoint().port) else { return };
+    let python = ros.python("socket_echo.py", SOCKET);
+    until("the socket listens", || python.output().ends_with('\n'));
+    let port: u16 = python.output().trim().parse().unwrap();
+    measure_socket("a bare socket in Python", TcpStream::connect(("127.0.0.1", port)).unwrap());
+    drop(python);
+
     let rospy = ros.python("echo.py", ECHO);
-    measure_node("a node of rospy", &ros);
+    measure_node("a node of rospy", &master);
     drop(rospy);
 }

@@ -29,10 +29,12 @@ mod config;
 mod definition;
 mod http;
 mod master;
+mod master_server;
 pub mod messages;
 mod names;
 mod node;
 mod queue;
+mod registry;
 mod slave;
 mod tcpros;
 mod uri;
@@ -43,6 +45,7 @@ pub use config::{ConfigError, NodeConfig};
 pub use definition::{Constant, Definition, Message, Service};
 pub use http::HttpError;
 pub use master::{Master, RpcError, SystemState};
+pub use master_server::MasterServer;
 pub use names::NameError;
 pub use node::{
     CallError, Node, NodeError, ParamWatch, PublishOptions, Publisher, RecvError, ServiceServer,
@@ -57,6 +60,8 @@ pub use xmlrpc::{Fault, Value, XmlRpcError};
 #[doc(hidden)]
 pub fn parse_anything(bytes: &[u8]) {
     let _ = (xmlrpc::Call::from_xml(bytes).map(slave::Request::read), xmlrpc::answer_from_xml(bytes));
+    let mut registry = registry::Registry::new(String::new());
+    let _ = xmlrpc::Call::from_xml(bytes).map(|call| registry.answer(&call, &mut Vec::new()));
     let _ = (http::parse_request(bytes, 1 << 20), http::parse_response(bytes, true, 1 << 20));
     let _ = tcpros::Header::from_bytes(bytes);
     let _ = (messages::LaserScan::from_bytes(bytes), messages::TFMessage::from_bytes(bytes));

@@ -167,7 +167,7 @@ impl Node {
         let remappings = config.remappings.iter().map(|(from, to)| (from.as_str(), to.as_str()));
         let names = Names::new(&config.name, &config.namespace, remappings)?;
         let host = config.reachable_host();
-        let (slave, tcpros) = (listen(&host)?, listen(&host)?);
+        let (slave, tcpros) = (listen(&host, 0)?, listen(&host, 0)?);
         let at = |listener: &TcpListener| -> io::Result<Endpoint> {
             Ok(Endpoint { host: host.clone(), port: listener.local_addr()?.port() })
         };
@@ -275,12 +275,12 @@ impl Drop for Running {
 }
 
 /// Listens where a host of that name is reached: on loopback only if it is that.
-fn listen(host: &str) -> io::Result<TcpListener> {
+pub(crate) fn listen(host: &str, port: u16) -> io::Result<TcpListener> {
     let any: SocketAddr = match host.parse::<IpAddr>() {
-        Ok(ip) if ip.is_loopback() => (ip, 0).into(),
-        Ok(IpAddr::V6(_)) => ([0u16; 8], 0).into(),
-        _ if host == "localhost" => ([127, 0, 0, 1], 0).into(),
-        _ => ([0; 4], 0).into(),
+        Ok(ip) if ip.is_loopback() => (ip, port).into(),
+        Ok(IpAddr::V6(_)) => ([0u16; 8], port).into(),
+        _ if host == "localhost" => ([127, 0, 0, 1], port).into(),
+        _ => ([0; 4], port).into(),
     };
     TcpListener::bind(any)
 }

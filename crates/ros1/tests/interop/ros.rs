@@ -94,17 +94,30 @@ impl Drop for Process {
 }
 
 impl Ros {
-    /// A master; `None`, and a message, where ROS is not installed. In CI, that is a failure.
+    /// A master; `None`, and a message, where ROS is not installed.
     pub fn start() -> Option<Self> {
-        if !Path::new("/usr/bin/rosmaster").exists() {
-            assert!(env::var_os("CI").is_none(), "ROS 1 is not installed: scripts/test says which packages");
-            eprintln!("skipped: ROS 1 is not installed (scripts/test says which packages)");
+        if !Self::is_installed() {
             return None;
         }
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let mut ros = Self { port, directory: tempfile::tempdir().unwrap(), core: None };
         ros.restart();
         Some(ros)
+    }
+
+    /// ROS's tools and nodes, with another master that is there already.
+    pub fn with_master(port: u16) -> Option<Self> {
+        Self::is_installed().then(|| Self { port, directory: tempfile::tempdir().unwrap(), core: None })
+    }
+
+    /// Whether ROS is installed. Says so if not; in CI, that is a failure.
+    fn is_installed() -> bool {
+        let installed = Path::new("/usr/bin/rosmaster").exists();
+        if !installed {
+            assert!(env::var_os("CI").is_none(), "ROS 1 is not installed: scripts/test says which packages");
+            eprintln!("skipped: ROS 1 is not installed (scripts/test says which packages)");
+        }
+        installed
     }
 
     /// Ends the master, and starts another that knows nothing. It is what roscore starts, without the processes

@@ -4,7 +4,8 @@ use std::{env, fs, time::Duration};
 
 use crate::ros::{PATIENCE, Ros, contains, until};
 use cotorra_ros1::{
-    CallError, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time, Value,
+    CallError, MasterServer, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time,
+    Value,
     messages::{
         Bool, Clock, EmptyRequest, EmptyResponse, EmptyService, Header, LaserScan, OccupancyGrid, Odometry,
         SetBool, SetBoolRequest, SetBoolResponse, Text, Twist,
@@ -350,6 +351,28 @@ fn another_type_is_refused_and_said_so() {
         || heard.try_recv().is_some(),
     );
     assert_eq!((flags.publishers(), flags.try_recv()), (0, None));
+}
+
+#[test]
+fn the_tools_take_our_master_for_theirs() {
+    let master = MasterServer::start("127.0.0.1", 0).unwrap();
+    let Some(ros) = Ros::with_master(master.endpoint().port) else { return };
+    let node = ros.node("robot", "/r1");
+    let scans = node.publish::<LaserScan>("scan", PublishOptions::default()).unwrap();
+    let words = node.subscribe::<Text>("words", SubscribeOptions::default()).unwrap();
+    contains(
+        &ros.run("rostopic", &["list", "-v"]),
+        &["* /r1/scan [sensor_msgs/LaserScan] 1 publisher", "* /r1/words [std_msgs/String] 1 subscriber"],
+    );
+    let echo = ros.spawn("rostopic", &["echo", "-n", "1", "/r1/scan"]);
+    publishing_until(|| scans.publish(&scan(3)), "a scan is printed", || echo.output().contains("---"));
+    let _publisher =
+        ros.spawn("rostopic", &["pub", "-r", "50", "/r1/words", "std_msgs/String", "data: hello"]);
+    assert_eq!(words.recv_timeout(PATIENCE).unwrap().data, "hello");
+    ros.run("rosparam", &["set", "/r1/speed", "0.5"]);
+    assert_eq!(ros.run("rosparam", &["get", "/r1/speed"]).trim(), "0.5");
+    contains(&ros.run("rosparam", &["list"]), &["/r1/speed"]);
+    contains(&ros.run("rosnode", &["info", "/r1/robot"]), &["* /r1/scan [sensor_msgs/LaserScan]"]);
 }
 
 #[test]
