@@ -59,6 +59,7 @@ impl MariaDb {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let server = Self { folder, port, child: Mutex::new(None), databases: Mutex::new(0) };
         fs::create_dir(server.data()).unwrap();
+        fs::create_dir(server.temporary()).unwrap();
         server.bootstrap(&program);
         server.resume();
         Some(server)
@@ -66,6 +67,11 @@ impl MariaDb {
 
     fn data(&self) -> PathBuf {
         self.folder.path().join("data")
+    }
+
+    /// Its own: a server that starts removes the temporary tables of others that share the folder.
+    fn temporary(&self) -> PathBuf {
+        self.folder.path().join("tmp")
     }
 
     /// The tables of rights, and one user. `mariadb-install-db` takes as long as all of a test.
@@ -102,6 +108,7 @@ impl MariaDb {
             None => Command::new(program),
         };
         command.arg("--no-defaults").arg(format!("--datadir={}", self.data().display()));
+        command.arg(format!("--tmpdir={}", self.temporary().display()));
         if is_root() {
             command.arg("--user=root");
         }
