@@ -1,25 +1,39 @@
-//! What recording costs those who record, how fast it is written beside the engine's own limit, and how fast
-//! questions are answered. `cargo bench -p cotorra-measurements`.
+//! What recording costs those who record, how fast it is written beside the engines' own limits, how fast questions
+//! are answered in a long history, and how big it is. `cargo bench -p cotorra-measurements`; behind `--`, words that
+//! name the parts that are wanted: record, sqlite, mariadb, long. `COTORRA_BENCH_MILLIONS` is how many million samples
+//! the long history has, 10 if it is not set; `COTORRA_BENCH_FOLDER` is where it is made.
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot run says so by failing")]
 #![allow(clippy::disallowed_types, reason = "a benchmark reads the clock")]
 
-use std::{hint::black_box, path::Path, sync::LazyLock, time::Instant};
+#[path = "../src/testing/mariadb.rs"]
+mod mariadb;
+
+use std::{
+    path::Path,
+    sync::LazyLock,
+    time::{Duration, Instant},
+};
 
 use cotorra_graph::{
     Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
     PoseSource, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
 };
-use cotorra_measurements::{History, PageRequest, RunId, RunInfo};
-use divan::{Bencher, counter::ItemsCount};
+use cotorra_measurements::{
+    CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo,
+};
+use mariadb::MariaDb;
+use mysql::prelude::Queryable;
 use rusqlite::{Connection, params};
-use tempfile::TempDir;
 
 fn main() {
-    // Without a filter: cargo's own argument only.
-    if std::env::args().len() <= 2 {
-        recording();
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let parts: [(&str, fn()); 4] =
+        [("record", recording), ("sqlite", sqlite), ("mariadb", mariadb), ("long", long)];
+    for (name, part) in parts {
+        if words.is_empty() || words.iter().any(|word| name.contains(word.as_str())) {
+            part();
+        }
     }
-    divan::main();
 }
 
 const LINKS: u64 = 100;
@@ -86,53 +100,96 @@ fn robot(n: u64) -> Stamped {
 fn recording() {
     const RATE: u64 = 100_000;
     const SAMPLES: u64 = 500_000;
-    let folder = tempfile::tempdir().unwrap();
-    let history = History::open(folder.path().join("history.sqlite")).unwrap();
-    let recorder = history.recorder(history.begin_run(&info()).unwrap()).unwrap();
-    let began = Instant::now();
-    let mut took = Vec::with_capacity(SAMPLES as usize);
-    for n in 0..SAMPLES {
-        let stamped = link(n);
-        while began.elapsed().as_nanos() < u128::from(n * 1_000_000_000 / RATE) {
-            std::hint::spin_loop();
+    println!("record() at {RATE} samples/s, {SAMPLES} samples a round, SQLite behind it");
+    for round in 1..=5 {
+        let folder = tempfile::tempdir().unwrap();
+        let history = History::open(folder.path().join("history.sqlite")).unwrap();
+        let recorder = history.recorder(history.begin_run(&info()).unwrap()).unwrap();
+        let began = Instant::now();
+        let mut took = Vec::with_capacity(SAMPLES as usize);
+        for n in 0..SAMPLES {
+            let stamped = link(n);
+            while began.elapsed().as_nanos() < u128::from(n * 1_000_000_000 / RATE) {
+                std::hint::spin_loop();
+            }
+            let before = Instant::now();
+            recorder.record(stamped);
+            took.push(before.elapsed().as_nanos());
         }
-        let before = Instant::now();
-        recorder.record(stamped);
-        took.push(before.elapsed().as_nanos());
+        recorder.flush().unwrap();
+        took.sort_unstable();
+        let at = |share: f64| took[((SAMPLES - 1) as f64 * share) as usize];
+        println!(
+            "  round {round}: p50 {} ns, p99 {} ns, p99.9 {} ns, max {} µs; dropped {}",
+            at(0.5),
+            at(0.99),
+            at(0.999),
+            at(1.0) / 1000,
+            recorder.stats().dropped
+        );
     }
-    recorder.flush().unwrap();
-    took.sort_unstable();
-    let at = |share: f64| took[((SAMPLES - 1) as f64 * share) as usize];
-    println!("record() at {RATE} samples/s, {SAMPLES} samples, SQLite behind it:");
-    println!(
-        "  p50 {} ns, p99 {} ns, p99.9 {} ns, max {} ns; dropped {}\n",
-        at(0.5),
-        at(0.99),
-        at(0.999),
-        at(1.0),
-        recorder.stats().dropped
-    );
 }
 
 /// Samples a transaction holds, here and there.
 const BATCH: u64 = 20_000;
 const BATCHES: u64 = 10;
+const ROUNDS: usize = 7;
 
-/// What the engine can do: the same columns of the same table, bound by hand, in as big transactions.
-#[divan::bench(sample_count = 5, sample_size = 1)]
-fn write_links_bare_loop(bencher: Bencher) {
-    bencher.counter(ItemsCount::new(BATCH * BATCHES)).with_inputs(prepared).bench_values(|folder| {
-        let mut connection = Connection::open(folder.path().join("history.sqlite")).unwrap();
+/// Runs both by turns, so that whatever else the machine does is shared, and tells their rates.
+fn side_by_side(what: &str, bare: impl Fn() -> Duration, ours: impl Fn() -> Duration) {
+    let (mut bares, mut its) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        bares.push(bare());
+        its.push(ours());
+    }
+    let rate = |took: Duration| (BATCH * BATCHES) as f64 / took.as_secs_f64() / 1e6;
+    let [bare, its] = [bares, its].map(|mut took: Vec<Duration>| {
+        took.sort();
+        (rate(took[ROUNDS / 2]), rate(took[ROUNDS - 1]))
+    });
+    println!("{what}, {ROUNDS} rounds of {} samples by turns, million samples/s", BATCH * BATCHES);
+    println!("  bare inserts  median {:.3}, slowest {:.3}", bare.0, bare.1);
+    println!(
+        "  recorder      median {:.3}, slowest {:.3}: {:.0} % of bare",
+        its.0,
+        its.1,
+        its.0 / bare.0 * 100.0
+    );
+}
+
+/// Times a history that takes the same samples through a recorder, from its queue to the disk.
+fn through_a_recorder(history: &History, sample: impl Fn(u64) -> Stamped) -> Duration {
+    let recorder = history.recorder(history.begin_run(&info()).unwrap()).unwrap();
+    let samples: Vec<Stamped> = (0..BATCH * BATCHES).map(sample).collect();
+    let began = Instant::now();
+    for (n, stamped) in samples.into_iter().enumerate() {
+        recorder.record(stamped);
+        if (n + 1) % BATCH as usize == 0 {
+            recorder.flush().unwrap();
+        }
+    }
+    let took = began.elapsed();
+    assert_eq!(recorder.stats().dropped, 0);
+    took
+}
+
+const COLUMNS: &str = "run, t_ns, seq, link, direction, delay_ns, throughput_bps, delay_scale, drop_scale, asked, \
+     effective, packets, bytes, lost, overflowed, duplicated, corrupted";
+
+fn sqlite() {
+    // What the engine can do: the same columns of the same table, bound by hand, in as big transactions.
+    let bare = || {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("history.sqlite");
+        History::open(&path).unwrap().begin_run(&info()).unwrap();
+        let mut connection = Connection::open(path).unwrap();
         connection.pragma_update(None, "synchronous", "FULL").unwrap();
+        let began = Instant::now();
         for batch in 0..BATCHES {
             let transaction = connection.transaction().unwrap();
-            let mut insert = transaction
-                .prepare(
-                    "INSERT INTO link (run, t_ns, seq, link, direction, delay_ns, throughput_bps, delay_scale,
-                     drop_scale, asked, effective, packets, bytes, lost, overflowed, duplicated, corrupted)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)",
-                )
-                .unwrap();
+            let places = vec!["?"; 17].join(", ");
+            let mut insert =
+                transaction.prepare(&format!("INSERT INTO link ({COLUMNS}) VALUES ({places})")).unwrap();
             for n in (batch * BATCH..(batch + 1) * BATCH).map(u64::cast_signed) {
                 let (tick, place) = (n / (2 * LINKS as i64), n % (2 * LINKS as i64));
                 insert
@@ -160,107 +217,190 @@ fn write_links_bare_loop(bencher: Bencher) {
             drop(insert);
             transaction.commit().unwrap();
         }
-        folder
-    });
-}
-
-/// The same through a recorder, from its queue to the disk.
-#[divan::bench(sample_count = 5, sample_size = 1)]
-fn write_links_recorder(bencher: Bencher) {
-    write(bencher, link);
-}
-
-/// κ with four attachments: five rows a sample.
-#[divan::bench(sample_count = 5, sample_size = 1)]
-fn write_robots_recorder(bencher: Bencher) {
-    write(bencher, robot);
-}
-
-fn write(bencher: Bencher, sample: impl Fn(u64) -> Stamped + Sync) {
-    let input = || {
-        let folder = prepared();
-        let history = History::open(folder.path().join("history.sqlite")).unwrap();
-        let recorder = history.recorder(history.runs(None, 1).unwrap()[0].id).unwrap();
-        (folder, history, recorder, (0..BATCH * BATCHES).map(&sample).collect::<Vec<_>>())
+        began.elapsed()
     };
-    bencher.counter(ItemsCount::new(BATCH * BATCHES)).with_inputs(input).bench_values(
-        |(folder, history, recorder, samples)| {
-            for (n, stamped) in samples.into_iter().enumerate() {
-                recorder.record(stamped);
-                if (n + 1) % BATCH as usize == 0 {
-                    recorder.flush().unwrap();
-                }
-            }
-            assert_eq!(recorder.stats().dropped, 0);
-            (folder, history, recorder)
-        },
+    let ours = || {
+        let folder = tempfile::tempdir().unwrap();
+        through_a_recorder(&History::open(folder.path().join("history.sqlite")).unwrap(), link)
+    };
+    side_by_side("SQLite: links", bare, ours);
+    let mut took: Vec<Duration> = (0..ROUNDS)
+        .map(|_| {
+            let folder = tempfile::tempdir().unwrap();
+            through_a_recorder(&History::open(folder.path().join("history.sqlite")).unwrap(), robot)
+        })
+        .collect();
+    took.sort();
+    let rate = |took: Duration| (BATCH * BATCHES) as f64 / took.as_secs_f64() / 1e6;
+    println!(
+        "  recorder, robots with four attachments (five rows each)  median {:.3}, slowest {:.3}",
+        rate(took[ROUNDS / 2]),
+        rate(took[ROUNDS - 1])
     );
 }
 
-/// An empty history with one run.
-fn prepared() -> TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    History::open(folder.path().join("history.sqlite")).unwrap().begin_run(&info()).unwrap();
-    folder
+fn mariadb() {
+    let Some(server) = MariaDb::start() else { return };
+    let bare = || {
+        let url = server.fresh();
+        let history = History::connect(&url.parse().unwrap()).unwrap();
+        history.begin_run(&info()).unwrap();
+        let options = mysql::Opts::from_url(url.split('?').next().unwrap()).unwrap();
+        let mut connection = mysql::Conn::new(options).unwrap();
+        // Of the sizes tried, none was faster.
+        const ROWS: u64 = 500;
+        let row = format!("({})", vec!["?"; 17].join(", "));
+        let sql = format!("INSERT INTO link ({COLUMNS}) VALUES {}", vec![row; ROWS as usize].join(", "));
+        let statement = connection.prep(sql).unwrap();
+        let began = Instant::now();
+        for batch in 0..BATCHES {
+            let mut transaction = connection.start_transaction(mysql::TxOpts::default()).unwrap();
+            for first in (batch * BATCH..(batch + 1) * BATCH).step_by(ROWS as usize) {
+                let mut values = Vec::with_capacity(17 * ROWS as usize);
+                for n in (first..first + ROWS).map(u64::cast_signed) {
+                    let (tick, place) = (n / (2 * LINKS as i64), n % (2 * LINKS as i64));
+                    use mysql::Value::{Double, Int};
+                    values.extend([
+                        Int(1),
+                        Int(tick * TICK as i64),
+                        Int(n),
+                        Int(place / 2),
+                        Int(place % 2),
+                        Int(1_000_000 + n % 1000),
+                        Double(n as f64 * 1.1),
+                        Double(1.0),
+                        Double(1.0),
+                        Int(1),
+                        Int(2),
+                        Int(n),
+                        Int(n * 100),
+                        Int(0),
+                        Int(0),
+                        Int(0),
+                        Int(0),
+                    ]);
+                }
+                transaction.exec_drop(&statement, mysql::Params::Positional(values)).unwrap();
+            }
+            transaction.commit().unwrap();
+        }
+        began.elapsed()
+    };
+    let ours = || through_a_recorder(&History::connect(&server.fresh().parse().unwrap()).unwrap(), link);
+    side_by_side("MariaDB: links", bare, ours);
 }
 
-/// A run of two million samples of links and a hundred thousand of robots: 1000 s.
-struct Long {
-    _folder: TempDir,
-    history: History,
-    run: RunId,
-}
-
-static LONG: LazyLock<Long> = LazyLock::new(|| {
-    let folder = tempfile::tempdir().unwrap();
+/// Questions to a long run of 200 link directions and 10 robots, ten samples of each a second, and its size.
+fn long() {
+    let millions = std::env::var("COTORRA_BENCH_MILLIONS").map_or(10, |text| text.parse().unwrap());
+    let folder = match std::env::var_os("COTORRA_BENCH_FOLDER") {
+        Some(folder) => tempfile::tempdir_in(folder).unwrap(),
+        None => tempfile::tempdir().unwrap(),
+    };
     let path = folder.path().join("history.sqlite");
     let history = History::open(&path).unwrap();
     let run = history.begin_run(&info()).unwrap();
     let recorder = history.recorder(run).unwrap();
-    for tick in 0..10_000 {
+    let ticks = millions * 1_000_000 / (2 * LINKS + ROBOTS);
+    let began = Instant::now();
+    for tick in 0..ticks {
         (tick * 2 * LINKS..(tick + 1) * 2 * LINKS).for_each(|n| recorder.record(link(n)));
         (tick * ROBOTS..(tick + 1) * ROBOTS).for_each(|n| recorder.record(robot(n)));
         if tick % 100 == 99 {
             recorder.flush().unwrap();
         }
     }
+    recorder.flush().unwrap();
     assert_eq!(recorder.stats().dropped, 0);
-    let bytes = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-    println!("\nlong run: {} MB for {} samples", bytes(&path) / 1_000_000, recorder.stats().written);
-    Long { _folder: folder, history, run }
-});
+    let written = recorder.stats().written;
+    let end = (ticks * TICK) as f64 / 1e9;
+    println!(
+        "a run of {end:.0} s with {written} samples, written in {:.0} s; million samples/s: {:.3}",
+        began.elapsed().as_secs_f64(),
+        written as f64 / began.elapsed().as_secs_f64() / 1e6
+    );
+    drop(recorder);
+    // Closed, so that the log is in the file.
+    history.end_run(run, Timestamp::from_secs_f64(end)).unwrap();
+    drop(history);
+    sizes(&path, written);
 
-/// The state of 200 link directions and 10 robots, early and late in a long run.
-#[divan::bench(args = [1.0, 500.0, 999.0])]
-fn state_at(bencher: Bencher, second: f64) {
-    let Long { history, run, .. } = &*LONG;
-    bencher.bench(|| {
-        let state = history.state_at(*run, Timestamp::from_secs_f64(black_box(second))).unwrap();
+    let history = History::open(&path).unwrap();
+    let time = |what: &str, ask: &dyn Fn(f64)| {
+        let mut took: Vec<Duration> = (0..21)
+            .map(|n| {
+                let began = Instant::now();
+                ask(f64::from(n) / 20.0);
+                began.elapsed()
+            })
+            .collect();
+        took.sort();
+        let ms = |took: Duration| took.as_secs_f64() * 1e3;
+        println!("  {what:<58} median {:.2} ms, slowest {:.2} ms", ms(took[10]), ms(took[20]));
+    };
+    time("state_at, early to late", &|share| {
+        let state = history.state_at(run, Timestamp::from_secs_f64(share * end)).unwrap();
         assert_eq!((state.links.len(), state.robots.len()), (2 * LINKS as usize, ROBOTS as usize));
-        state
     });
-}
-
-/// A thousand samples of one link among two hundred.
-#[divan::bench]
-fn link_series_of_1000(bencher: Bencher) {
-    let Long { history, run, .. } = &*LONG;
-    bencher.counter(ItemsCount::new(1000_u64)).bench(|| {
-        let from = Timestamp::from_secs_f64(700.0);
-        let page = history
-            .link_series(*run, &LINK_IDS[7], Direction::Forward, from.., PageRequest::first(1000))
-            .unwrap();
+    let hour = |figure: Figure| {
+        let history = &history;
+        move |share: f64| {
+            let from = Timestamp::from_secs_f64(share * (end - 3600.0).max(0.0));
+            let until = from + Duration::from_secs(3600);
+            let curve = history.curve(run, &figure, from..until, &CurveRequest::default()).unwrap();
+            assert!(curve.points.len() > 900 || end < 3600.0);
+        }
+    };
+    let delay = Figure::Link(LINK_IDS[7].clone(), Direction::Backward, LinkQuantity::Delay);
+    time("an hour's delay of one link, 1000 points", &hour(delay));
+    let x = Figure::Robot(NODE_IDS[3].clone(), RobotQuantity::X);
+    time("an hour's position of one robot, 1000 points", &hour(x));
+    let signal = Figure::Signal { robot: NODE_IDS[3].clone(), radio_unit: NODE_IDS[1].clone() };
+    time("an hour's signal of one robot, 1000 points", &hour(signal));
+    time("1000 samples of one link, as recorded", &|share| {
+        let from = Timestamp::from_secs_f64(share * (end - 100.0));
+        let page = PageRequest::first(1000);
+        let page = history.link_series(run, &LINK_IDS[7], Direction::Forward, from.., page).unwrap();
         assert_eq!(page.items.len(), 1000);
-        page
+    });
+    time("1000 events of all kinds", &|share| {
+        let from = Timestamp::from_secs_f64(share * (end - 100.0));
+        history.events(run, &[], from.., PageRequest::first(1000)).unwrap();
     });
 }
 
-/// A thousand events of all kinds.
-#[divan::bench]
-fn events_1000(bencher: Bencher) {
-    let Long { history, run, .. } = &*LONG;
-    bencher.counter(ItemsCount::new(1000_u64)).bench(|| {
-        let from = Timestamp::from_secs_f64(700.0);
-        history.events(*run, &[], from.., PageRequest::first(1000)).unwrap()
-    });
+/// Bytes a sample, beside the same columns as text with commas between, and that packed.
+fn sizes(path: &Path, written: u64) {
+    let bytes = std::fs::metadata(path).unwrap().len();
+    let connection = Connection::open(path).unwrap();
+    let of = |table: &str| -> u64 {
+        let sql = "SELECT sum(pgsize) FROM dbstat WHERE name = ?1";
+        connection.query_row(sql, [table], |row| row.get::<_, i64>(0)).unwrap_or(0) as u64
+    };
+    println!("  file: {} MB, {:.1} bytes a sample", bytes / 1_000_000, bytes as f64 / written as f64);
+    let links: i64 = connection.query_row("SELECT count(*) FROM link", [], |row| row.get(0)).unwrap();
+    let mut statement = connection.prepare(&format!("SELECT {COLUMNS} FROM link LIMIT 1000000")).unwrap();
+    let mut rows = statement.query([]).unwrap();
+    let (mut csv, mut counted) = (0, 0);
+    while let Some(row) = rows.next().unwrap() {
+        counted += 1;
+        for column in 0..17 {
+            use rusqlite::types::ValueRef;
+            // With the comma or the end of the line. A text has names instead of numbers.
+            csv += 1 + match row.get_ref(column).unwrap() {
+                ValueRef::Null => 0,
+                ValueRef::Integer(n) if column == 3 => LINK_IDS[(n - 1) as usize % 100].as_str().len(),
+                ValueRef::Integer(n) => n.to_string().len(),
+                ValueRef::Real(x) => x.to_string().len(),
+                _ => unreachable!("a link has numbers only"),
+            };
+        }
+    }
+    let each = |bytes: u64| bytes as f64 / links as f64;
+    println!(
+        "  bytes a link's sample: table {:.1} and chunks {:.1} of the file; CSV {:.1}",
+        each(of("link")),
+        each(of("chunk")),
+        csv as f64 / f64::from(counted)
+    );
 }

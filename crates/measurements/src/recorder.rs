@@ -264,9 +264,7 @@ impl Writer {
                 thread::park_timeout(PERIOD);
             }
         }
-        if !self.batch.is_empty() {
-            tracing::error!(events = self.batch.len(), "the history ends without the last events: see above");
-        }
+        self.give_up();
     }
 
     /// Writes what could not be written before, then what waits. Takes no more than fits in the queue, which is all
@@ -295,17 +293,28 @@ impl Writer {
         Ok(())
     }
 
+    /// At the end: what cannot be written is lost, and told as a gap where there is room for that.
+    fn give_up(&mut self) {
+        self.batch.extend(self.receiver.try_iter());
+        self.close_gaps();
+        if self.batch.is_empty() && self.gaps.is_empty() {
+            return;
+        }
+        let events = self.batch.len();
+        for Entry { run, stamped } in self.batch.drain(..) {
+            let gap = Gap { from: stamped.at, until: stamped.at, events: 1 };
+            self.gaps.entry(run).and_modify(|before| *before = before.with(gap)).or_insert(gap);
+        }
+        let told = self.write().is_ok();
+        tracing::error!(events, told, "the history ends without the last events: see above");
+    }
+
     /// Adds what was lost since the last round to the gaps that are to be written.
     fn close_gaps(&mut self) {
         for (run, tally) in lock(&self.shared.tallies).iter() {
             let before = self.gaps.get(run).copied();
             let Some(gap) = tally.gap.close(before) else { continue };
-            let merged = before.map_or(gap, |before| Gap {
-                from: before.from.min(gap.from),
-                until: before.until.max(gap.until),
-                events: before.events + gap.events,
-            });
-            self.gaps.insert(*run, merged);
+            self.gaps.insert(*run, before.map_or(gap, |before| before.with(gap)));
         }
     }
 

@@ -68,6 +68,17 @@ pub struct Gap {
     pub events: u64,
 }
 
+impl Gap {
+    /// Both as one.
+    pub(crate) fn with(self, other: Self) -> Self {
+        Self {
+            from: self.from.min(other.from),
+            until: self.until.max(other.until),
+            events: self.events + other.events,
+        }
+    }
+}
+
 /// Which events are asked for.
 #[derive(Debug, Clone)]
 pub(crate) enum Selection<'a> {

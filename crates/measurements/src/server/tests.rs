@@ -366,6 +366,31 @@ fn a_full_spool_makes_gaps_in_the_end() {
     assert_eq!(gaps.iter().map(|gap| gap.events).sum::<u64>(), stats.dropped);
 }
 
+/// Even at the end of a process: what found no room is told.
+#[test]
+fn a_full_spool_that_is_left_behind_tells_its_gap() {
+    let Some(server) = MariaDb::start() else { return };
+    let place = place(&server.fresh());
+    let history = History::of(Arc::new(Remote::with_spool_of(&place, 20_000).unwrap())).unwrap();
+    let run = history.begin_run(&run_info("left full")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    server.stop();
+    let mut recorded = 0;
+    while recorder.flush().is_ok() {
+        for _ in 0..50 {
+            recorder.record(numbered(recorded));
+            recorded += 1;
+        }
+    }
+    drop((history, recorder));
+    server.resume();
+    let history = History::of(Arc::new(Remote::open(&place).unwrap())).unwrap();
+    let found = everything(&history, run);
+    assert!(!found.is_empty() && found == all(recorded)[..found.len()]);
+    let gaps = history.gaps(run, .., PageRequest::default()).unwrap().items;
+    assert_eq!(found.len() as u64 + gaps.iter().map(|gap| gap.events).sum::<u64>(), recorded);
+}
+
 /// A number that a server has no word for stays what it is.
 #[test]
 fn odd_figures_come_back() {
