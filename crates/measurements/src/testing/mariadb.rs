@@ -56,7 +56,7 @@ impl MariaDb {
         };
         // In memory where that is possible: nobody turns the machine off in the middle of a test.
         let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let port = free_port();
         let server = Self { folder, port, child: Mutex::new(None), databases: Mutex::new(0) };
         fs::create_dir(server.data()).unwrap();
         fs::create_dir(server.temporary()).unwrap();
@@ -203,6 +203,13 @@ impl Drop for MariaDb {
 fn is_root() -> bool {
     let own = fs::metadata("/proc/self").map(|folder| std::os::unix::fs::MetadataExt::uid(&folder));
     own.is_ok_and(|user| user == 0)
+}
+
+/// Below the ports that the kernel hands out: one of those may be a connection's when a server comes back to it.
+fn free_port() -> u16 {
+    let first = 10_000 + std::process::id() % 20_000;
+    let mut ports = (first..).map(|port| u16::try_from(port).unwrap());
+    ports.find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).unwrap()
 }
 
 fn program(name: &str) -> Option<PathBuf> {

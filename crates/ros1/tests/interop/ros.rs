@@ -79,6 +79,11 @@ impl Process {
     }
 }
 
+/// Whether nobody has a port of loopback.
+fn is_free(port: u16) -> bool {
+    TcpListener::bind(("127.0.0.1", port)).is_ok()
+}
+
 /// Signals a process and all that it started. Returns whether there is any.
 fn signal(name: &str, group: u32) -> bool {
     let group = format!("-{group}");
@@ -99,10 +104,18 @@ impl Ros {
         if !Self::is_installed() {
             return None;
         }
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let mut ros = Self { port, directory: tempfile::tempdir().unwrap(), core: None };
-        ros.restart();
-        Some(ros)
+        // Below the ports that the kernel hands out, and another for each process of the tests.
+        let first = 10_000 + std::process::id() % 20_000;
+        let ports = (first..).map(|port| u16::try_from(port).unwrap()).filter(|port| is_free(*port));
+        let mut ros = Self { port: 0, directory: tempfile::tempdir().unwrap(), core: None };
+        for port in ports.take(10) {
+            ros.port = port;
+            match ros.try_restart() {
+                Ok(()) => return Some(ros),
+                Err(complaint) => eprintln!("no master on port {port}: {complaint}"),
+            }
+        }
+        panic!("no master on any of ten ports from {first}");
     }
 
     /// ROS's tools and nodes, with another master that is there already.
@@ -123,10 +136,21 @@ impl Ros {
     /// Ends the master, and starts another that knows nothing. It is what roscore starts, without the processes
     /// around it, which would outlive a test that fails.
     pub fn restart(&mut self) {
+        self.try_restart().unwrap();
+    }
+
+    /// Fails when the port is taken: the master says so, and then hangs instead of ending.
+    fn try_restart(&mut self) -> Result<(), String> {
         self.core = None;
-        self.core = Some(self.spawn("rosmaster", &["--core", "-p", &self.port.to_string()]));
+        let core = self.spawn("rosmaster", &["--core", "-p", &self.port.to_string()]);
         let node = self.node("waiting", "/");
-        until("the master is there", || node.master().system_state().is_ok());
+        let is_refused = || core.output().contains("already in use");
+        until("the master is there", || is_refused() || node.master().system_state().is_ok());
+        if is_refused() {
+            return Err(core.output());
+        }
+        self.core = Some(core);
+        Ok(())
     }
 
     pub fn directory(&self) -> &Path {
