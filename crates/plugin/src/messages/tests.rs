@@ -1,5 +1,6 @@
 use std::f64::consts::PI;
 
+use cotorra_graph::{self as graph, PoseSource, Timestamp, Velocity};
 use proptest::prelude::*;
 
 use super::*;
@@ -56,6 +57,27 @@ fn odometry() -> Odometry {
     }
 }
 
+fn transforms() -> TFMessage {
+    let transform = Transform {
+        translation: Vector3 { x: 1.5, y: -2.5, z: 0.0 },
+        rotation: Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 },
+    };
+    let child_frame_id = "base_footprint".to_owned();
+    let transform = TransformStamped { header: stamped("odom"), child_frame_id, transform };
+    TFMessage { transforms: vec![transform.clone(), transform] }
+}
+
+fn map() -> OccupancyGrid {
+    let info = MapMetaData {
+        map_load_time: stamped("").stamp,
+        resolution: 0.05,
+        width: 2,
+        height: 3,
+        origin: pose().pose,
+    };
+    OccupancyGrid { header: stamped("map"), info, data: vec![-1, 0, 100, -1, 50, 0] }
+}
+
 #[test]
 fn a_header_pads_to_the_next_number_and_ends_its_text_with_zero() {
     let expected = [
@@ -96,6 +118,41 @@ fn bytes_are_those_of_an_independent_encoder() {
     golden!(PoseWithCovarianceStamped { header: stamped("map"), pose: pose() }, PoseWithCovarianceStamped);
     golden!(odometry(), Odometry);
     golden!(scan(), LaserScan);
+    golden!(TwistStamped { header: stamped("base_link"), twist: twist() }, TwistStamped);
+    golden!(transforms(), TFMessage);
+    golden!(map(), OccupancyGrid);
+    golden!(Clock { clock: stamped("").stamp }, Clock);
+}
+
+#[test]
+fn type_hashes_are_those_of_an_independent_implementation() {
+    let hashes: Vec<_> = include_str!("golden/hashes").lines().collect();
+    macro_rules! ours {
+        ($($type:ident),*) => { [$(format!("{} {}", $type::TYPE_NAME, $type::description().hash())),*] };
+    }
+    let ours = ours![
+        Time,
+        Header,
+        Text,
+        Vector3,
+        Point,
+        Quaternion,
+        Pose,
+        PoseWithCovariance,
+        PoseWithCovarianceStamped,
+        Twist,
+        TwistStamped,
+        TwistWithCovariance,
+        Transform,
+        TransformStamped,
+        TFMessage,
+        Odometry,
+        LaserScan,
+        MapMetaData,
+        OccupancyGrid,
+        Clock
+    ];
+    assert_eq!(hashes, ours);
 }
 
 #[test]

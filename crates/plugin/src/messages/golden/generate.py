@@ -1,4 +1,5 @@
-"""Writes the golden messages beside this file with rosbags (pip install rosbags), an independent CDR encoder."""
+"""Writes the golden messages and type hashes beside this file with rosbags (pip install rosbags), an independent CDR
+encoder."""
 
 from pathlib import Path
 
@@ -31,6 +32,14 @@ bare_pose = make(
     orientation=make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.6, w=0.8),
 )
 pose = make("geometry_msgs/msg/PoseWithCovariance", pose=bare_pose, covariance=covariance)
+transform = make(
+    "geometry_msgs/msg/TransformStamped",
+    header=header("odom"),
+    child_frame_id="base_footprint",
+    transform=make(
+        "geometry_msgs/msg/Transform", translation=vector("Vector3", 1.5, -2.5, 0.0), rotation=bare_pose.orientation
+    ),
+)
 messages = [
     twist,
     bare_pose,
@@ -55,9 +64,44 @@ messages = [
         ranges=np.array([1.0, 2.5, np.inf], dtype=np.float32),
         intensities=np.array([], dtype=np.float32),
     ),
+    make("geometry_msgs/msg/TwistStamped", header=header("base_link"), twist=twist),
+    make("tf2_msgs/msg/TFMessage", transforms=[transform, transform]),
+    make(
+        "nav_msgs/msg/OccupancyGrid",
+        header=header("map"),
+        info=make(
+            "nav_msgs/msg/MapMetaData",
+            map_load_time=header("").stamp,
+            resolution=0.05,
+            width=2,
+            height=3,
+            origin=bare_pose,
+        ),
+        data=np.array([-1, 0, 100, -1, 50, 0], dtype=np.int8),
+    ),
+    make("rosgraph_msgs/msg/Clock", clock=header("").stamp),
 ]
 for message in messages:
     name = message.__msgtype__.split("/")[-1]
     for endianness in ("le", "be"):
         payload = store.serialize_cdr(message, message.__msgtype__, little_endian=endianness == "le")
         (Path(__file__).parent / f"{name}.{endianness}.cdr").write_bytes(bytes(payload))
+
+hashed = [
+    "builtin_interfaces/msg/Time",
+    *(f"std_msgs/msg/{name}" for name in ("Header", "String")),
+    *(
+        f"geometry_msgs/msg/{name}"
+        for name in (
+            "Vector3", "Point", "Quaternion", "Pose", "PoseWithCovariance", "PoseWithCovarianceStamped", "Twist",
+            "TwistStamped", "TwistWithCovariance", "Transform", "TransformStamped",
+        )
+    ),
+    "tf2_msgs/msg/TFMessage",
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/LaserScan",
+    *(f"nav_msgs/msg/{name}" for name in ("MapMetaData", "OccupancyGrid")),
+    "rosgraph_msgs/msg/Clock",
+]
+hashes = "".join(f"{name} {store.hash_rihs01(name)}\n" for name in hashed)
+(Path(__file__).parent / "hashes").write_text(hashes)
