@@ -13,7 +13,10 @@ use cotorra_graph::{NodeId, testbed_file::Setting};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 use cotorra_testbed::sweep::Axis;
 
-use crate::history::{HISTORY_VARIABLE, Place};
+use crate::{
+    history::{HISTORY_VARIABLE, Place},
+    stamp::Stamp,
+};
 
 /// Where a run serves its API unless that is taken.
 pub const DEFAULT_API: &str = "127.0.0.1:7700";
@@ -87,6 +90,11 @@ Examples:
     Doctor,
     Clean(CleanArgs),
     Exec(ExecArgs),
+    /// Measure a path of any network by STAMP (RFC 8762), or answer those who do
+    Stamp {
+        #[command(subcommand)]
+        stamp: Stamp,
+    },
     Bench(BenchArgs),
     /// Print a completion script for a shell
     #[command(after_long_help = "\
@@ -645,7 +653,7 @@ pub struct BenchArgs {
 }
 
 /// Reads `60s`, `1.5min`, `500 ms`. A bare number is an error, because seconds and milliseconds look alike.
-fn parse_duration(text: &str) -> Result<Duration, String> {
+pub fn parse_duration(text: &str) -> Result<Duration, String> {
     let duration = parse_time(text)?;
     if duration.is_zero() { Err("it must be above zero".to_owned()) } else { Ok(duration) }
 }

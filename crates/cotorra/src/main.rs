@@ -15,6 +15,7 @@ mod output;
 mod replay;
 mod run;
 mod signals;
+mod stamp;
 mod sweep;
 mod table;
 mod testbed_file;
@@ -56,6 +57,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},
+        Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
         Command::Completions { shell } => {
             let mut script = Vec::new();

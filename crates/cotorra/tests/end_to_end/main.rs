@@ -12,4 +12,5 @@ mod interruption;
 mod mariadb;
 mod plugin;
 mod run;
+mod stamp;
 mod sweep;

@@ -1,0 +1,275 @@
+//! `cotorra stamp`: measures a path of any network by STAMP (RFC 8762), and answers those who do. The protocol is
+//! `cotorra_stamp`'s; here are its clock and its sockets.
+
+use std::{
+    io::ErrorKind,
+    net::{SocketAddr, ToSocketAddrs, UdpSocket},
+    num::NonZero,
+    sync::mpsc,
+    time::Duration,
+};
+
+use clap::{Args, Subcommand};
+use cotorra_stamp::{Delays, ErrorEstimate, Measurement, PORT, Reflector, Session, SessionConfig, Utc};
+use indicatif::{ProgressBar, ProgressStyle};
+use miette::{IntoDiagnostic, WrapErr, miette};
+
+use crate::{cli::parse_duration, output, signals};
+
+/// Larger than any datagram.
+const LARGEST: usize = 65_536;
+
+/// How soon Ctrl-C is noticed.
+const NOTICE: Duration = Duration::from_millis(100);
+
+/// How far this process's clock is off within itself: it reads it some microseconds after the packet came.
+const CLOCK_ERROR: Duration = Duration::from_micros(100);
+
+/// The two sides of a measurement.
+#[derive(Debug, Subcommand)]
+pub enum Stamp {
+    Send(SendArgs),
+    Reflect(ReflectArgs),
+}
+
+/// Measure delay, jitter and loss to a reflector
+///
+/// Any that speaks STAMP or TWAMP Light will do. The time that the reflector takes does not count. Where both clocks
+/// are synchronised to UTC and both sides say so, the directions are told apart.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra stamp send 192.0.2.7
+  cotorra stamp send robot.lab:8620 --count 1000 --interval 10ms --length 256
+  cotorra stamp send 192.0.2.7 --synchronized --json
+
+Exit status: 0 measured, 1 no answer or another error, 2 wrong usage.")]
+pub struct SendArgs {
+    /// The reflector; its port is 862 if it is left out
+    #[arg(value_name = "HOST[:PORT]")]
+    reflector: String,
+    /// Packets to send
+    #[arg(short, long, value_name = "N", default_value = "100")]
+    count: NonZero<u32>,
+    /// Time from one packet to the next
+    #[arg(short, long, value_name = "DURATION", default_value = "100ms", value_parser = parse_duration)]
+    interval: Duration,
+    /// Octets of a packet, without headers
+    #[arg(short, long, value_name = "N", default_value_t = 44, value_parser = clap::value_parser!(u16).range(44..=65_507))]
+    length: u16,
+    /// How long a reply may take
+    #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = parse_duration)]
+    patience: Duration,
+    /// This machine's clock is synchronised to UTC
+    #[arg(long)]
+    synchronized: bool,
+    /// The reflector keeps no count of its own, so that the direction of a loss can't be told
+    #[arg(long)]
+    stateless: bool,
+    /// Print one object of JSON, times in milliseconds
+    #[arg(long)]
+    json: bool,
+}
+
+/// Answer those who measure, until Ctrl-C
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra stamp reflect
+  cotorra stamp reflect --listen 127.0.0.1:8620 --synchronized")]
+pub struct ReflectArgs {
+    /// Where to listen
+    #[arg(long, value_name = "ADDR:PORT", default_value = "0.0.0.0:862")]
+    listen: SocketAddr,
+    /// This machine's clock is synchronised to UTC
+    #[arg(long)]
+    synchronized: bool,
+}
+
+/// Does what is asked.
+pub fn stamp(stamp: &Stamp) -> miette::Result<()> {
+    match stamp {
+        Stamp::Send(args) => send(args),
+        Stamp::Reflect(args) => reflect(args),
+    }
+}
+
+fn send(args: &SendArgs) -> miette::Result<()> {
+    let config = SessionConfig {
+        identifier: std::process::id() as u16,
+        interval: args.interval,
+        length: args.length.into(),
+        patience: args.patience,
+        window: Duration::MAX,
+        error: ErrorEstimate::new(args.synchronized, CLOCK_ERROR),
+        reflector_counts: !args.stateless,
+    };
+    let address = resolve(&args.reflector)?;
+    let any: SocketAddr = if address.is_ipv4() { ([0; 4], 0).into() } else { ([0_u16; 8], 0).into() };
+    let socket = UdpSocket::bind(any).into_diagnostic().wrap_err("cannot open a UDP socket")?;
+    socket.connect(address).into_diagnostic().wrap_err_with(|| format!("cannot send to {address}"))?;
+    let stopped = signals::listen().into_diagnostic()?;
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} packets to {msg}")
+        .expect("the template is well-formed");
+    let progress =
+        ProgressBar::new(args.count.get().into()).with_style(style).with_message(address.to_string());
+    let measured = measure(&socket, config, args.count.get(), &stopped, &progress)?;
+    progress.finish_and_clear();
+    let measured = measured.filter(|measured| measured.round_trip.is_some()).ok_or_else(|| {
+        miette!(help = "is a reflector there? `cotorra stamp reflect` is one", "no answer from {address}")
+    })?;
+    output::print(&if args.json { json(&measured) } else { text(address, &measured) })
+}
+
+fn resolve(reflector: &str) -> miette::Result<SocketAddr> {
+    let found = reflector.to_socket_addrs().or_else(|_| (reflector, PORT).to_socket_addrs());
+    let mut found = found.into_diagnostic().wrap_err_with(|| format!("cannot find `{reflector}`"))?;
+    found.next().ok_or_else(|| miette!("`{reflector}` has no address"))
+}
+
+/// Runs a session of so many packets over a connected socket.
+fn measure(
+    socket: &UdpSocket,
+    config: SessionConfig,
+    count: u32,
+    stopped: &mpsc::Receiver<()>,
+    progress: &ProgressBar,
+) -> miette::Result<Option<Measurement>> {
+    let clock = Clock::start();
+    let mut session = Session::new(config, clock.now());
+    let mut buffer = vec![0; LARGEST];
+    loop {
+        if session.sent() == count || stopped.try_recv().is_ok() {
+            session.stop();
+        }
+        if let Some(probe) = session.poll(clock.now()) {
+            progress.inc(1);
+            match socket.send(&probe) {
+                // What an earlier packet met: nobody listens there. It counts as lost.
+                Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
+                sent => {
+                    sent.into_diagnostic().wrap_err("cannot send")?;
+                }
+            }
+        }
+        let Some(deadline) = session.deadline() else { break };
+        let wait = deadline.since(clock.now()).min(NOTICE);
+        if let Some((length, _)) = receive(socket, &mut buffer, wait)? {
+            // Whatever else comes to this port is nobody's reply.
+            let _ = session.receive(&buffer[..length], clock.now());
+        }
+    }
+    Ok(session.measurement(clock.now()))
+}
+
+fn reflect(args: &ReflectArgs) -> miette::Result<()> {
+    let socket = UdpSocket::bind(args.listen).map_err(|error| match error.kind() {
+        ErrorKind::PermissionDenied => miette!(
+            help = "a port below 1024 needs root; take another: --listen 0.0.0.0:8620",
+            "cannot listen on {}: {error}",
+            args.listen
+        ),
+        _ => miette!("cannot listen on {}: {error}", args.listen),
+    })?;
+    let stopped = signals::listen().into_diagnostic()?;
+    let address = socket.local_addr().into_diagnostic()?;
+    output::print(&format!("reflecting on {address}; Ctrl-C ends it\n"))?;
+    let clock = Clock::start();
+    let mut reflector = Reflector::new(ErrorEstimate::new(args.synchronized, CLOCK_ERROR));
+    let mut buffer = vec![0; LARGEST];
+    while stopped.try_recv().is_err() {
+        let Some((length, from)) = receive(&socket, &mut buffer, NOTICE)? else { continue };
+        let Ok(reflection) = reflector.reflect(from, &buffer[..length], clock.now(), None) else { continue };
+        // An answer that can't be sent is lost, as on any network.
+        let _ = socket.send_to(&reflection.sent_at(clock.now()), from);
+    }
+    Ok(())
+}
+
+/// A datagram, if one comes in time.
+fn receive(
+    socket: &UdpSocket,
+    buffer: &mut [u8],
+    wait: Duration,
+) -> miette::Result<Option<(usize, SocketAddr)>> {
+    // A socket can't wait for no time at all.
+    socket.set_read_timeout(Some(wait.max(Duration::from_micros(1)))).into_diagnostic()?;
+    match socket.recv_from(buffer) {
+        Ok(received) => Ok(Some(received)),
+        Err(error) => match error.kind() {
+            ErrorKind::WouldBlock
+            | ErrorKind::TimedOut
+            | ErrorKind::Interrupted
+            | ErrorKind::ConnectionRefused => Ok(None),
+            _ => Err(error).into_diagnostic().wrap_err("cannot receive"),
+        },
+    }
+}
+
+/// UTC that never steps: the system's as of the beginning, and the monotonic clock from there on.
+#[allow(clippy::disallowed_types, reason = "this shell owns its clock")]
+struct Clock {
+    began: std::time::Instant,
+    began_at: Utc,
+}
+
+#[allow(clippy::disallowed_types, reason = "this shell owns its clock")]
+impl Clock {
+    fn start() -> Self {
+        let since_1970 = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
+        Self { began: std::time::Instant::now(), began_at: Utc::UNIX_EPOCH + since_1970 }
+    }
+
+    fn now(&self) -> Utc {
+        self.began_at + self.began.elapsed()
+    }
+}
+
+fn text(address: SocketAddr, measured: &Measurement) -> String {
+    let ms = |duration: Duration| format!("{:.3}", duration.as_secs_f64() * 1e3);
+    let row = |name: &str, delays: Option<Delays>| {
+        let row = |delays: Delays| {
+            let [min, mean, p50, p99, max] =
+                [delays.min, delays.mean, delays.p50, delays.p99, delays.max].map(ms);
+            format!("  {name:10}  min {min}  mean {mean}  p50 {p50}  p99 {p99}  max {max} ms\n")
+        };
+        delays.map(row).unwrap_or_default()
+    };
+    let percent = |share: f64| format!("{:.2} %", share * 100.0);
+    let ways = measured.forward_loss.zip(measured.backward_loss);
+    let ways = ways.map(|(there, back)| format!("; there {}, back {}", percent(there), percent(back)));
+    format!(
+        "{address}: {} packets\n{}{}{}{}  loss        {} packets, {}{}\n",
+        measured.sent,
+        row("round trip", measured.round_trip),
+        row("there", measured.forward),
+        row("back", measured.backward),
+        measured.jitter.map(|jitter| format!("  jitter      {} ms\n", ms(jitter))).unwrap_or_default(),
+        measured.lost,
+        percent(measured.loss()),
+        ways.unwrap_or_default(),
+    )
+}
+
+fn json(measured: &Measurement) -> String {
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+    let delays = |delays: Option<Delays>| {
+        delays.map(|delays| {
+            serde_json::json!({
+                "min": ms(delays.min), "mean": ms(delays.mean), "p50": ms(delays.p50), "p99": ms(delays.p99),
+                "max": ms(delays.max),
+            })
+        })
+    };
+    let object = serde_json::json!({
+        "sent": measured.sent,
+        "lost": measured.lost,
+        "forward_loss": measured.forward_loss,
+        "backward_loss": measured.backward_loss,
+        "round_trip_ms": delays(measured.round_trip),
+        "forward_ms": delays(measured.forward),
+        "backward_ms": delays(measured.backward),
+        "jitter_ms": measured.jitter.map(ms),
+    });
+    format!("{object}\n")
+}

@@ -1,0 +1,102 @@
+//! `cotorra stamp` against Scapy, which knows STAMP's packets from another hand.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    env,
+    io::{BufRead, BufReader},
+    process::{Child, Command, Stdio},
+};
+
+use serde_json::Value;
+
+use crate::harness::{cotorra, output, project_file, stderr, stdout};
+
+/// Ends what a test started.
+struct Ended(Child);
+
+impl Ended {
+    /// The last word of the first line that it prints.
+    fn address(&mut self) -> String {
+        let mut line = String::new();
+        BufReader::new(self.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        line.split([' ', ';']).find(|word| word.contains("127.0.0.1:")).unwrap().trim().to_owned()
+    }
+}
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The peer; `None`, and a message, where it is not installed. In CI, that is a failure.
+fn scapy(arguments: &[&str]) -> Option<Command> {
+    let Some(python) = env::var_os("COTORRA_PEERS") else {
+        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
+        eprintln!("skipped: Scapy is not installed (scripts/test installs it)");
+        return None;
+    };
+    let mut command = Command::new(python);
+    command.arg("-u").arg(project_file("crates/cotorra/tests/end_to_end/stamp_peer.py")).args(arguments);
+    Some(command)
+}
+
+fn reflector() -> (Ended, String) {
+    let mut command = cotorra(["stamp", "reflect", "--listen", "127.0.0.1:0", "--synchronized"]);
+    let mut reflector = Ended(command.stdout(Stdio::piped()).spawn().unwrap());
+    let address = reflector.address();
+    (reflector, address)
+}
+
+#[test]
+fn both_sides_measure_each_other() {
+    let (_reflector, address) = reflector();
+    let arguments = ["stamp", "send", &address, "--count", "20", "--interval", "2ms", "--synchronized"];
+    let measured = output(arguments.into_iter().chain(["--json"]));
+    let measured: Value = serde_json::from_str(&stdout(&measured)).unwrap();
+    assert_eq!((&measured["sent"], &measured["lost"]), (&20.into(), &0.into()));
+    let least = |name: &str| measured[name]["min"].as_f64().unwrap();
+    assert!(least("forward_ms") + least("backward_ms") <= least("round_trip_ms") + 1e-6, "{measured}");
+    let text = stdout(&output(arguments));
+    for part in ["20 packets", "round trip", "there", "back", "jitter", "0 packets, 0.00 %; there 0.00 %"] {
+        assert!(text.contains(part), "no `{part}` in\n{text}");
+    }
+}
+
+#[test]
+fn another_reflector_is_measured() {
+    // It loses each fifth packet on its way there, and rests for 20 ms before it answers the others.
+    let Some(mut command) = scapy(&["reflect"]) else { return };
+    let mut peer = Ended(command.stdout(Stdio::piped()).spawn().unwrap());
+    let address = peer.address();
+    let arguments =
+        ["stamp", "send", &address, "--count", "21", "--interval", "30ms", "--length", "100", "--json"];
+    let measured = output(arguments);
+    let measured: Value =
+        serde_json::from_str(&stdout(&measured)).unwrap_or_else(|_| panic!("{}", stderr(&measured)));
+    assert_eq!((&measured["sent"], &measured["lost"]), (&21.into(), &4.into()), "{measured}");
+    assert_eq!((&measured["forward_loss"], &measured["backward_loss"]), (&0.2.into(), &0.0.into()));
+    assert!(measured["round_trip_ms"]["min"].as_f64().unwrap() < 20.0, "its rest counted: {measured}");
+    assert_eq!(measured["forward_ms"], Value::Null, "its clock is not synchronised");
+}
+
+#[test]
+fn another_sender_is_answered() {
+    let Some(mut command) = scapy(&["send"]) else { return };
+    let (_reflector, address) = reflector();
+    let said = command.arg(&address).output().unwrap();
+    assert!(said.status.success(), "{}", stderr(&said));
+    assert_eq!(stdout(&said), "answered as RFC 8762 and RFC 8972 say\n");
+}
+
+#[test]
+fn silence_is_an_error_that_says_what_to_do() {
+    // Bound, and silent.
+    let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = socket.local_addr().unwrap().to_string();
+    let said = output(["stamp", "send", &address, "--count", "2", "--interval", "1ms", "--patience", "10ms"]);
+    assert_eq!(said.status.code(), Some(1));
+    assert!(stderr(&said).contains(&format!("no answer from {address}")), "{}", stderr(&said));
+    assert_eq!(output(["stamp", "send", &address, "--length", "43"]).status.code(), Some(2));
+}

@@ -1,0 +1,127 @@
+//! What the packets of the last while tell: delay, jitter and loss.
+
+use std::time::Duration;
+
+use crate::utc::Utc;
+
+/// What became of a test packet, and when it was sent.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Outcome {
+    pub(crate) sent_at: Utc,
+    pub(crate) sample: Option<Sample>,
+}
+
+/// What one reply tells.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sample {
+    pub(crate) replied_at: Utc,
+    /// Without the time that the reflector took.
+    pub(crate) round_trip: Duration,
+    /// Nanoseconds there and back by two clocks, if both are synchronised.
+    pub(crate) one_way: Option<[i64; 2]>,
+    pub(crate) sequence: u32,
+    /// The reflector's count.
+    pub(crate) reflected: u32,
+}
+
+/// The delays of some packets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Delays {
+    /// The least.
+    pub min: Duration,
+    /// The mean.
+    pub mean: Duration,
+    /// The median.
+    pub p50: Duration,
+    /// What 99 % did not exceed.
+    pub p99: Duration,
+    /// The most.
+    pub max: Duration,
+}
+
+impl Delays {
+    fn of(delays: impl Iterator<Item = Duration>) -> Option<Self> {
+        let mut sorted: Vec<_> = delays.collect();
+        sorted.sort_unstable();
+        let rank = |share: usize| sorted[(sorted.len() * share).div_ceil(100).max(1) - 1];
+        let (min, max) = (*sorted.first()?, *sorted.last()?);
+        let mean = sorted.iter().sum::<Duration>() / sorted.len() as u32;
+        Some(Self { min, mean, p50: rank(50), p99: rank(99), max })
+    }
+}
+
+/// What was measured over a session's window. Only packets of which it is known what became of them count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Measurement {
+    /// Packets that were answered, or given up.
+    pub sent: u32,
+    /// Packets that were given up.
+    pub lost: u32,
+    /// Of the packets that got lost or not, how many the way there lost, from 0 to 1. `None` if the reflector has no
+    /// count of its own, or too few packets were answered to tell.
+    pub forward_loss: Option<f64>,
+    /// The same of the way back, of those that reached the reflector.
+    pub backward_loss: Option<f64>,
+    /// There and back, without the time that the reflector took; `None` if nothing was answered.
+    pub round_trip: Option<Delays>,
+    /// The way there, where both clocks are synchronised.
+    pub forward: Option<Delays>,
+    /// The way back, where both clocks are synchronised.
+    pub backward: Option<Delays>,
+    /// The mean difference of the round trips of two packets in a row, without its sign (packet delay variation by
+    /// RFC 3393, of consecutive packets as in RFC 5481, section 4.1). `None` with fewer than two.
+    pub jitter: Option<Duration>,
+    /// When the latest reply came.
+    pub last_reply: Option<Utc>,
+}
+
+impl Measurement {
+    /// Lost packets, of all, from 0 to 1.
+    pub fn loss(&self) -> f64 {
+        f64::from(self.lost) / f64::from(self.sent.max(1))
+    }
+
+    /// How old the latest reply is.
+    pub fn age(&self, now: Utc) -> Option<Duration> {
+        self.last_reply.map(|at| now.since(at))
+    }
+
+    /// What outcomes, in the order of sending, say; `None` if there are none.
+    pub(crate) fn of<'a>(outcomes: impl Iterator<Item = &'a Outcome> + Clone, counts: bool) -> Option<Self> {
+        let samples = outcomes.clone().filter_map(|outcome| outcome.sample);
+        let sent = outcomes.clone().count() as u32;
+        let lost = sent - samples.clone().count() as u32;
+        let loss = counts.then(|| directions(samples.clone())).flatten();
+        let way = |i: usize| {
+            let delays = samples.clone().filter_map(|sample| sample.one_way);
+            Delays::of(delays.map(|ways| Duration::from_nanos(ways[i].max(0).unsigned_abs())))
+        };
+        let pairs = outcomes.clone().zip(outcomes.skip(1)).filter_map(|(a, b)| a.sample.zip(b.sample));
+        let variations: Vec<_> = pairs.map(|(a, b)| a.round_trip.abs_diff(b.round_trip)).collect();
+        (sent > 0).then(|| Self {
+            sent,
+            lost,
+            forward_loss: loss.map(|[forward, _]| forward),
+            backward_loss: loss.map(|[_, backward]| backward),
+            round_trip: Delays::of(samples.clone().map(|sample| sample.round_trip)),
+            forward: way(0),
+            backward: way(1),
+            jitter: variations.iter().sum::<Duration>().checked_div(variations.len() as u32),
+            last_reply: samples.clone().map(|sample| sample.replied_at).max(),
+        })
+    }
+}
+
+/// Of the packets between the first and the last that were answered, which share each direction lost.
+fn directions(samples: impl Iterator<Item = Sample> + Clone) -> Option<[f64; 2]> {
+    let first = samples.clone().next()?;
+    let last = samples.clone().last()?;
+    let sent = last.sequence.wrapping_sub(first.sequence);
+    let reflected = last.reflected.wrapping_sub(first.reflected);
+    let answered = samples.count() as u32 - 1;
+    // A reflector that was started again, or that reordered packets, counts something else.
+    (sent > 0 && answered <= reflected && reflected <= sent).then(|| {
+        let share = |lost: u32, of: u32| if of == 0 { 0.0 } else { f64::from(lost) / f64::from(of) };
+        [share(sent - reflected, sent), share(reflected - answered, reflected)]
+    })
+}

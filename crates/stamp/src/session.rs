@@ -1,0 +1,319 @@
+//! The side that asks (RFC 8762, section 4.2): when the next packet is due, and what the replies mean.
+
+use std::{collections::VecDeque, time::Duration};
+
+use crate::{
+    extension,
+    measurement::{Measurement, Outcome, Sample},
+    packet::{BASE_LENGTH, Malformed, Reply, Test},
+    utc::{ErrorEstimate, Utc},
+};
+
+/// How a session measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SessionConfig {
+    /// Tells sessions of one sender apart (RFC 8972, section 3); zero for none.
+    pub identifier: u16,
+    /// From one test packet to the next.
+    pub interval: Duration,
+    /// Octets of a packet; at least 44.
+    pub length: usize,
+    /// A packet that has no reply after so long is lost.
+    pub patience: Duration,
+    /// How far back [`Session::measurement`] looks.
+    pub window: Duration,
+    /// How far the session's own clock is to be trusted.
+    pub error: ErrorEstimate,
+    /// Whether the reflector counts its replies by itself (RFC 8762, section 4.3: stateful): only then can the
+    /// directions that lose packets be told apart.
+    pub reflector_counts: bool,
+}
+
+/// Ten packets a second, over ten seconds.
+impl Default for SessionConfig {
+    fn default() -> Self {
+        Self {
+            identifier: 0,
+            interval: Duration::from_millis(100),
+            length: BASE_LENGTH,
+            patience: Duration::from_secs(1),
+            window: Duration::from_secs(10),
+            error: ErrorEstimate::default(),
+            reflector_counts: true,
+        }
+    }
+}
+
+impl SessionConfig {
+    /// The same, but no oftener than that test packets, each with `overhead` octets around it, take this share of a
+    /// rate of so many bit/s.
+    #[must_use]
+    pub fn within(self, share: f64, rate_bps: f64, overhead: usize) -> Self {
+        let bits = 8.0 * (self.length.max(BASE_LENGTH) + overhead) as f64;
+        let least = Duration::try_from_secs_f64(bits / (share * rate_bps)).unwrap_or(Duration::MAX);
+        Self { interval: self.interval.max(least), ..self }
+    }
+}
+
+/// A measurement that goes on.
+#[derive(Debug)]
+pub struct Session {
+    config: SessionConfig,
+    next: Option<Utc>,
+    sequence: u32,
+    /// Sent, and neither answered nor given up; in order.
+    open: VecDeque<(u32, Utc)>,
+    /// In the order of sending, but for late replies.
+    outcomes: VecDeque<Outcome>,
+}
+
+impl Session {
+    /// A session whose first packet is due at a time.
+    pub fn new(config: SessionConfig, begins: Utc) -> Self {
+        let outcomes = VecDeque::new();
+        Self { config, next: Some(begins), sequence: 0, open: VecDeque::new(), outcomes }
+    }
+
+    /// The packet that is due, if one is. Call it at [`Session::deadline`]; packets that were due long ago are left
+    /// out, not sent in a burst.
+    pub fn poll(&mut self, now: Utc) -> Option<Vec<u8>> {
+        self.give_up(now);
+        let due = self.next.filter(|due| *due <= now)?;
+        let following = due + self.config.interval;
+        self.next = Some(if following <= now { now + self.config.interval } else { following });
+        let test = Test {
+            sequence: self.sequence,
+            sent_at: now.to_wire(self.config.error.format),
+            error: self.config.error,
+            session: self.config.identifier,
+        };
+        self.open.push_back((self.sequence, now));
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut bytes = test.encode(self.config.length);
+        extension::pad(&mut bytes[BASE_LENGTH..]);
+        Some(bytes)
+    }
+
+    /// When [`Session::poll`] has something to do: a packet to send, or one to give up.
+    pub fn deadline(&self) -> Option<Utc> {
+        let given_up = self.open.front().map(|(_, sent_at)| *sent_at + self.config.patience);
+        [self.next, given_up].into_iter().flatten().min()
+    }
+
+    /// Sends no more packets; replies to those on their way still count.
+    pub fn stop(&mut self) {
+        self.next = None;
+    }
+
+    /// Takes a packet that came, and gives the round trip that it tells, without the time that the reflector took. A
+    /// reply that came twice, too late, or to another session is `None`.
+    ///
+    /// # Errors
+    /// [`Malformed`] if it is no reply.
+    pub fn receive(&mut self, bytes: &[u8], now: Utc) -> Result<Option<Duration>, Malformed> {
+        let reply = Reply::decode(bytes)?;
+        self.give_up(now);
+        let is_ours = reply.test.session == self.config.identifier || bytes.len() < BASE_LENGTH;
+        let open = self.open.iter().position(|(sequence, _)| *sequence == reply.test.sequence);
+        let Some((sequence, sent_at)) = open.filter(|_| is_ours).and_then(|at| self.open.remove(at)) else {
+            return Ok(None);
+        };
+        let received = Utc::from_wire(reply.received_at, reply.error.format, now);
+        let sent_back = Utc::from_wire(reply.sent_at, reply.error.format, now);
+        let rested = Duration::from_nanos(u64::try_from(sent_back.minus(received)).unwrap_or(0));
+        // A reflector that says it rested for longer than all took does not know.
+        let round_trip = now.since(sent_at).checked_sub(rested).unwrap_or(now.since(sent_at));
+        let synchronized = reply.error.synchronized && self.config.error.synchronized;
+        let sample = Sample {
+            replied_at: now,
+            round_trip,
+            one_way: synchronized.then(|| [received.minus(sent_at), now.minus(sent_back)]),
+            sequence,
+            reflected: reply.sequence,
+        };
+        self.record(Outcome { sent_at, sample: Some(sample) });
+        Ok(Some(round_trip))
+    }
+
+    /// What the window tells; `None` before the first packet was answered or given up.
+    pub fn measurement(&self, now: Utc) -> Option<Measurement> {
+        let from = now - self.config.window;
+        let recent = self.outcomes.iter().filter(move |outcome| outcome.sent_at >= from);
+        Measurement::of(recent, self.config.reflector_counts)
+    }
+
+    /// Packets that were sent since the session began.
+    pub fn sent(&self) -> u32 {
+        self.sequence
+    }
+
+    fn give_up(&mut self, now: Utc) {
+        while let Some((_, sent_at)) = self.open.front().copied()
+            && sent_at + self.config.patience <= now
+        {
+            self.open.pop_front();
+            self.record(Outcome { sent_at, sample: None });
+        }
+        let from = now - self.config.window;
+        while self.outcomes.front().is_some_and(|outcome| outcome.sent_at < from) {
+            self.outcomes.pop_front();
+        }
+    }
+
+    fn record(&mut self, outcome: Outcome) {
+        let at = self.outcomes.partition_point(|other| other.sent_at <= outcome.sent_at);
+        self.outcomes.insert(at, outcome);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::Reflector;
+
+    fn at(ms: u64) -> Utc {
+        Utc::UNIX_EPOCH + Duration::from_secs(1_700_000_000) + Duration::from_millis(ms)
+    }
+
+    fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    /// A hundred packets over a way that loses some and takes so long, there and back.
+    fn over(mut way: impl FnMut(u64) -> (Option<u64>, Option<u64>), config: SessionConfig) -> (Session, Utc) {
+        let mut session = Session::new(config, at(0));
+        let mut reflector = Reflector::new(config.error);
+        for i in 0..100 {
+            let sent = at(i * 100);
+            while session.deadline().unwrap() < sent {
+                assert_eq!(session.poll(session.deadline().unwrap()), None, "one is given up");
+            }
+            assert_eq!(session.deadline(), Some(sent));
+            let probe = session.poll(sent).unwrap();
+            assert_eq!(session.poll(sent), None);
+            let (there, back) = way(i);
+            let Some(there) = there else { continue };
+            let reply = reflector.reflect(0, &probe, sent + ms(there), None).unwrap();
+            let reply = reply.sent_at(sent + ms(there + 1));
+            let Some(back) = back else { continue };
+            assert_eq!(session.receive(&reply, sent + ms(there + 1 + back)), Ok(Some(ms(there + back))));
+            assert_eq!(session.receive(&reply, sent + ms(there + 1 + back)), Ok(None), "the same again");
+        }
+        session.stop();
+        while let Some(deadline) = session.deadline() {
+            assert_eq!(session.poll(deadline), None);
+        }
+        (session, at(9_999))
+    }
+
+    fn all() -> SessionConfig {
+        SessionConfig {
+            patience: ms(99),
+            window: Duration::from_secs(60),
+            error: ErrorEstimate::new(true, Duration::from_nanos(100)),
+            ..SessionConfig::default()
+        }
+    }
+
+    #[test]
+    fn delay_is_told_by_direction_and_without_the_reflectors_rest() {
+        let (session, now) = over(|i| (Some(3 + i % 2), Some(7)), all());
+        let measured = session.measurement(now).unwrap();
+        let round_trip = measured.round_trip.unwrap();
+        assert_eq!((round_trip.min, round_trip.p50, round_trip.max), (ms(10), ms(10), ms(11)));
+        assert_eq!(measured.forward.unwrap().max, ms(4));
+        assert_eq!(measured.backward.unwrap().mean, ms(7));
+        assert_eq!(measured.jitter, Some(ms(1)));
+        assert_eq!((measured.sent, measured.lost, measured.age(now)), (100, 0, Some(ms(9_999 - 9_912))));
+    }
+
+    #[test]
+    fn clocks_that_nothing_synchronises_tell_round_trips_only() {
+        let (session, now) =
+            over(|_| (Some(3), Some(7)), SessionConfig { error: ErrorEstimate::default(), ..all() });
+        let measured = session.measurement(now).unwrap();
+        assert_eq!((measured.forward, measured.backward), (None, None));
+        assert_eq!(measured.round_trip.unwrap().mean, ms(10));
+    }
+
+    #[test]
+    fn each_direction_answers_for_what_it_lost() {
+        // Ten get lost on the way there, and of the ninety others nine on the way back; not the first, not the last.
+        let way = |i: u64| (((i % 10 != 5).then_some(3)), (i % 10 != 3 || i == 3).then_some(7));
+        let (session, now) = over(way, all());
+        let measured = session.measurement(now).unwrap();
+        assert_eq!((measured.sent, measured.lost), (100, 19));
+        assert!((measured.loss() - 0.19).abs() < 1e-9);
+        assert!((measured.forward_loss.unwrap() - 10.0 / 99.0).abs() < 1e-9);
+        assert!((measured.backward_loss.unwrap() - 9.0 / 89.0).abs() < 1e-9);
+        let (session, now) = over(way, SessionConfig { reflector_counts: false, ..all() });
+        assert_eq!(session.measurement(now).unwrap().forward_loss, None);
+    }
+
+    #[test]
+    fn a_link_that_loses_all_says_so() {
+        let (session, now) = over(|_| (None, None), all());
+        let measured = session.measurement(now).unwrap();
+        assert_eq!(
+            (measured.sent, measured.lost, measured.round_trip, measured.jitter),
+            (100, 100, None, None)
+        );
+    }
+
+    #[test]
+    fn a_late_shell_sends_no_burst() {
+        let mut session = Session::new(all(), at(0));
+        assert!(session.poll(at(5_000)).is_some());
+        assert!(session.poll(at(5_000)).is_none());
+        assert!(session.poll(at(5_099)).is_none());
+        assert!(session.poll(at(5_100)).is_some());
+    }
+
+    #[test]
+    fn probes_keep_within_their_share_of_a_rate() {
+        let config = all().within(0.01, 100_000.0, 42);
+        // 86 octets at 1 kbit/s.
+        assert_eq!(config.interval, ms(688));
+        assert_eq!(all().within(0.01, 1e9, 42).interval, ms(100));
+        assert_eq!(all().within(0.01, 0.0, 42).interval, Duration::MAX);
+    }
+
+    proptest! {
+        #[test]
+        fn room_is_bounded_and_nothing_counts_twice(
+            steps in prop::collection::vec((0..400_u64, 0..4_u8, any::<u8>()), 1..200)
+        ) {
+            let config = SessionConfig { patience: ms(500), window: ms(2_000), ..all() };
+            let mut session = Session::new(config, at(0));
+            let mut reflector = Reflector::default();
+            let (mut now, mut replies) = (at(0), Vec::new());
+            for (pause, what, which) in steps {
+                now = now + ms(pause);
+                if let Some(probe) = session.poll(now)
+                    && what > 0
+                {
+                    replies.push(reflector.reflect(0, &probe, now, None).unwrap().sent_at(now));
+                }
+                if what > 1 && !replies.is_empty() {
+                    let reply = &replies[usize::from(which) % replies.len()];
+                    prop_assert!(session.receive(reply, now).is_ok());
+                }
+                prop_assert!(session.open.len() <= 6 && session.outcomes.len() <= 26);
+                if let Some(measured) = session.measurement(now) {
+                    prop_assert!(measured.lost <= measured.sent && measured.sent <= session.sent());
+                    prop_assert!((0.0..=1.0).contains(&measured.loss()));
+                }
+            }
+        }
+
+        #[test]
+        fn any_bytes_are_taken_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..120)) {
+            let mut session = Session::new(all(), at(0));
+            let _ = session.poll(at(0));
+            let _ = session.receive(&bytes, at(1));
+            let _ = session.measurement(at(1));
+        }
+    }
+}
