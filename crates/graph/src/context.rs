@@ -97,6 +97,60 @@ pub struct RobotContext {
     pub sensors: SensorData,
     /// The next waypoint of its walk, from 0; equals the walk's length at its end.
     pub waypoint: u32,
+    /// What is wrong with the robot, in the order of [`RobotFault`]; empty for one that is well. One that is not stands
+    /// still, and refuses to move.
+    #[serde(default)]
+    pub health: Vec<RobotFault>,
+}
+
+/// What can be wrong with a robot. Only robots that are reached over something, such as ROS, can have any of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RobotFault {
+    /// It was never heard.
+    Absent,
+    /// It was heard, and is not any more.
+    Silent,
+    /// It says NaN or infinity where only a number makes sense.
+    NotFinite,
+    /// Its stamps go back, or far ahead of time.
+    TimeJump,
+    /// It says far more than a robot has to say.
+    Flood,
+    /// It says what makes no sense.
+    Malformed,
+}
+
+impl RobotFault {
+    /// All of them, in order.
+    pub const ALL: [Self; 6] =
+        [Self::Absent, Self::Silent, Self::NotFinite, Self::TimeJump, Self::Flood, Self::Malformed];
+
+    /// Its name, as in JSON.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Absent => "absent",
+            Self::Silent => "silent",
+            Self::NotFinite => "not_finite",
+            Self::TimeJump => "time_jump",
+            Self::Flood => "flood",
+            Self::Malformed => "malformed",
+        }
+    }
+}
+
+impl std::fmt::Display for RobotFault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Absent => "it was never heard",
+            Self::Silent => "it is silent",
+            Self::NotFinite => "it says what is no finite number",
+            Self::TimeJump => "its time jumps",
+            Self::Flood => "it floods",
+            Self::Malformed => "it says what makes no sense",
+        })
+    }
 }
 
 impl RobotContext {

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     conditions::{Conditions, Scale},
+    driver::Driver,
     id::{DomainId, LinkId, NodeId},
     units::{BitRate, Dbm, Position, millis},
 };
@@ -143,6 +144,9 @@ pub struct Robot {
     pub heading: f64,
     /// Who decides when it changes its radio unit.
     pub roaming: Roaming,
+    /// What moves it.
+    #[serde(default)]
+    pub driver: Driver,
 }
 
 /// Bases that the simulated robot knows.

@@ -4,6 +4,7 @@
 
 pub mod conditions;
 pub mod context;
+pub mod driver;
 pub mod event;
 pub mod hardware;
 pub mod id;
@@ -23,8 +24,9 @@ pub use conditions::{
 };
 pub use context::{
     Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource, RadioContext,
-    RobotContext, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
+    RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
 };
+pub use driver::{Driver, Offer, Ros1, RosMaster, RosTopics};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use hardware::{
     Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,

@@ -4,6 +4,7 @@
 mod build;
 mod check;
 mod records;
+mod ros;
 mod setting;
 
 use std::path::Path;
@@ -90,7 +91,12 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{hardware::HostAddress, yaml::decode::Node};
+    use crate::{
+        driver::{Driver, Offer, Ros1, RosMaster, RosTopics},
+        hardware::HostAddress,
+        id::NodeId,
+        yaml::decode::Node,
+    };
 
     fn testbeds() -> PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
@@ -195,6 +201,37 @@ mod tests {
         assert_eq!(robot.capacity.memory_bytes, 8_000_000_000);
         assert_eq!(testbed.graph.domains, ["local"]);
         assert_eq!(testbed.seed, 1);
+    }
+
+    #[test]
+    fn a_robot_in_ros_is_described_by_a_word_or_at_length() {
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    a: { kind: robot, position: [0, 0], driver: ros1 }\n  \
+                    b: { kind: robot, position: [0, 0], driver: { kind: ros1, master: 'http://tb:11311/', \
+                    namespace: tb2, topics: { scan: /lidar } } }\n  \
+                    c: { kind: robot, position: [0, 0], offer: ros1 }\n  \
+                    d: { kind: robot, position: [0, 0], driver: simulated, offer: { kind: ros1, master: R } }\n  \
+                    e: { kind: robot, position: [0, 0], offer: { kind: ros1, network: machine } }\n";
+        let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let drivers: Vec<_> = testbed.graph.robots().map(|(_, robot)| robot.driver.clone()).collect();
+        let ros1 = |master: RosMaster, namespace: &str| Ros1 {
+            master,
+            namespace: namespace.to_owned(),
+            topics: RosTopics::default(),
+        };
+        let offer = |master| Driver::Simulated { offer: Some(Offer::Ros1(Box::new(ros1(master, "/")))) };
+        let node = |name| RosMaster::Node { node: NodeId::new(name).unwrap() };
+        let mut tb2 = ros1(RosMaster::Machine { uri: Some("http://tb:11311/".to_owned()) }, "/tb2");
+        tb2.topics.scan = "/lidar".to_owned();
+        assert_eq!(drivers[0], Driver::Ros1(Box::new(ros1(RosMaster::Machine { uri: None }, "/"))));
+        assert_eq!(drivers[1], Driver::Ros1(Box::new(tb2.clone())));
+        assert_eq!(
+            (tb2.resolved("scan"), tb2.resolved("/lidar")),
+            ("/tb2/scan".to_owned(), "/lidar".to_owned())
+        );
+        assert_eq!(drivers[2..4], [offer(node("c")), offer(node("R"))]);
+        assert_eq!(drivers[4], offer(RosMaster::Machine { uri: None }));
+        assert_eq!(violation(&json_of(text), &schema(), "x"), None);
     }
 
     #[test]

@@ -92,6 +92,7 @@ fn robot(n: u64) -> Stamped {
             nearest_obstacle_m: Some(1.25),
         },
         waypoint: 3,
+        health: Vec::new(),
     };
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Robot(context) }
 }

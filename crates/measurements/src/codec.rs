@@ -43,7 +43,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "odom_cov_xx", "odom_cov_xy", "odom_cov_xh", "odom_cov_yx", "odom_cov_yy", "odom_cov_yh",
                 "odom_cov_hx", "odom_cov_hy", "odom_cov_hh",
                 "odom_source",
-                "linear_mps", "angular_radps", "bumper", "nearest_obstacle_m",
+                "linear_mps", "angular_radps", "bumper", "nearest_obstacle_m", "health",
             ],
             series: &["robot"],
             children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),

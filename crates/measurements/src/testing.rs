@@ -7,16 +7,16 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
     Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement,
-    PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, Scale, SensorData,
-    ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping,
-    VnfEvent, VnfId, VnfState,
+    PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
+    SensorData, ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::vec,
     num::f64::{INFINITE, NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO},
     option::of,
     prelude::*,
-    sample::select,
+    sample::{select, subsequence},
 };
 
 use crate::RunInfo;
@@ -106,9 +106,10 @@ prop_compose! {
         bumper: bool,
         nearest_obstacle_m in of(real()),
         waypoint: u32,
+        health in subsequence(RobotFault::ALL.to_vec(), 0..=RobotFault::ALL.len()),
     ) -> RobotContext {
         let sensors = SensorData { pose, odometry, velocity, bumper, nearest_obstacle_m };
-        RobotContext { robot, attachments, sensors, waypoint }
+        RobotContext { robot, attachments, sensors, waypoint, health }
     }
 }
 

@@ -3,11 +3,11 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Capacity, Cell, Dbm, DomainId, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
+    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
     RobotModel, Timestamp, Velocity,
 };
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
-use cotorra_robot_middleware::{RobotDriver, Scan, SimulatedRobot, World};
+use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
 use divan::{Bencher, black_box};
 
 fn main() {
@@ -40,6 +40,7 @@ fn robot(world: Arc<World>) -> SimulatedRobot {
         tx_power: Dbm(15.0),
         heading: 0.0,
         roaming: Roaming::Instructed,
+        driver: Driver::default(),
     };
     let node = Node {
         id: NodeId::new("robot1").expect("a name"),
@@ -55,7 +56,7 @@ fn cast_360_rays(bencher: Bencher<'_, '_>, place: &str) {
     let world = World::new(&if place == "hall" { hall() } else { corridor() });
     let directions: Vec<(f64, f64)> = (0..360)
         .map(|ray| {
-            let (sin, cos) = (Scan::angle(ray) + 0.01).sin_cos();
+            let (sin, cos) = (f64::from(ray).to_radians() + 0.01).sin_cos();
             (cos, sin)
         })
         .collect();

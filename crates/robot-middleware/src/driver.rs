@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, RobotFault, SensorData, Timestamp, Velocity};
 
 use crate::lidar::Scan;
 
@@ -12,6 +12,9 @@ pub enum CommandRefused {
     /// A velocity is NaN or infinite.
     #[error("a velocity of {} m/s and {} rad/s is no finite number", .0.linear, .0.angular)]
     NotFinite(Velocity),
+    /// Something is wrong with the robot, so that it had better stand still.
+    #[error("it stands still until it is well again: {0}")]
+    Unwell(RobotFault),
 }
 
 /// A robot that can be driven.
@@ -44,4 +47,10 @@ pub trait RobotDriver: Send {
 
     /// The last complete turn of its lidar; `None` before the first, and without one.
     fn scan(&self) -> Option<&Scan>;
+
+    /// What is wrong with it as of the last advance or command, in order and each once. While there is anything, the
+    /// robot stands still and refuses commands.
+    fn health(&self) -> &[RobotFault] {
+        &[]
+    }
 }

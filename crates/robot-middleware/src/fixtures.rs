@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    Capacity, Cell, Dbm, DomainId, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
+    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
     RobotModel, Walk,
 };
 
@@ -32,6 +32,7 @@ pub fn robot(name: &str, position: Option<Position>) -> Node {
         tx_power: Dbm(15.0),
         heading: 0.0,
         roaming: Roaming::Instructed,
+        driver: Driver::default(),
     };
     Node { id: id(name), domain: DomainId::new("main").unwrap(), position, kind: NodeKind::Robot(robot) }
 }

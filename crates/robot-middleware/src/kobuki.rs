@@ -6,7 +6,7 @@ use std::{f64::consts::PI, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, PoseSource, Position, Timestamp, Velocity};
 
-use crate::{random::Stream, world::World};
+use crate::{planar::normalised, random::Stream, world::World};
 
 /// Between the wheels, metres.
 pub const WHEEL_BASE: f64 = 0.230;
@@ -24,6 +24,16 @@ pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
 pub const MAX_SPEED: f64 = 0.7;
 /// rad/s (180 °/s).
 pub const MAX_ANGULAR_SPEED: f64 = PI;
+
+/// The part of a velocity that a robot of that speed limit, m/s, may drive, on the same curve.
+pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
+    let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
+    if over > 1.0 {
+        Velocity { linear: wanted.linear / over, angular: wanted.angular / over }
+    } else {
+        wanted
+    }
+}
 
 /// Acceleration and deceleration, m/s².
 const LINEAR_RAMP: (f64, f64) = (0.5, 0.6);
@@ -127,12 +137,6 @@ fn ramp(now: f64, wanted: f64, (faster, slower): (f64, f64), seconds: f64) -> f6
     let speeds_up = wanted.abs() > now.abs() && wanted * now >= 0.0;
     let change = if speeds_up { faster } else { slower } * seconds;
     now + (wanted - now).clamp(-change, change)
-}
-
-/// The same heading in (-π, π].
-fn normalised(heading: f64) -> f64 {
-    let wrapped = heading.rem_euclid(2.0 * PI);
-    if wrapped > PI { wrapped - 2.0 * PI } else { wrapped }
 }
 
 /// Deviation between robots of what their wheels say of a metre: wear, load and floor.

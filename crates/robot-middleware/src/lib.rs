@@ -1,8 +1,9 @@
 //! The Robot Middleware block: drives robots, collects what they sense into κ, keeps the robot's end of the
 //! navigation service, and passes instructions on. It knows no sockets and no clock: plain calls with the time as an
-//! argument, and events to poll.
+//! argument, and events to poll. Only the links to robots that speak ROS have sockets, in threads of their own.
 //!
-//! [`RobotMiddleware`] is the way in. It drives any [`RobotDriver`]; [`SimulatedRobot`] is the one that needs nothing.
+//! [`RobotMiddleware`] is the way in. It drives any [`RobotDriver`]: a [`SimulatedRobot`], which needs nothing, or a
+//! [`RosDriver`], which has a [`RosRobot`] at the other end of a [`RosLink`].
 #![forbid(unsafe_code)]
 
 mod driver;
@@ -11,16 +12,27 @@ mod fixtures;
 mod kobuki;
 mod lidar;
 mod middleware;
+mod planar;
 mod random;
 pub mod ros;
+mod ros1;
+mod ros_driver;
+mod ros_offer;
+mod ros_robot;
 mod service;
 mod simulated;
+mod watch;
 mod world;
 
 pub use driver::{CommandRefused, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use lidar::Scan;
 pub use middleware::{MoveRefused, RobotMiddleware, Route};
+pub use ros_driver::{Clock, RosDriver, RosLink};
+pub use ros_offer::{OfferedRobot, RosOffer};
+pub use ros_robot::RosRobot;
+pub use ros1::{Ros1Link, Ros1Offer};
 pub use service::{Answer, ServiceEndpoint};
 pub use simulated::{SimulatedRobot, SimulationError};
+pub use watch::Topic;
 pub use world::World;

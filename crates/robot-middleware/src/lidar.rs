@@ -1,6 +1,6 @@
 //! An RPLIDAR A2 on the robot: 360 rays a turn, ten turns a second, each ray cast from where the robot then is.
 
-use std::f64::consts::PI;
+use std::{f64::consts::PI, time::Duration};
 
 use cotorra_graph::{NodeId, Position, Timestamp};
 
@@ -17,26 +17,55 @@ const RELATIVE_ERROR: f64 = 0.005;
 /// It is never below the resolution at short range, metres.
 const LEAST_ERROR: f64 = 0.0005;
 
-/// One turn of the lidar.
+/// One turn of a lidar, with as many rays as it has.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scan {
     /// When its first ray was cast.
     pub at: Timestamp,
-    /// Metres, from the robot's back counter-clockwise, a degree a ray: ray 180 looks forward. +∞ where nothing is
-    /// within range, -∞ where something is too near to be measured (REP 117).
+    /// Direction of the first ray, radians from the robot's heading, counter-clockwise.
+    pub first_angle: f64,
+    /// From each ray to the next, radians; negative if they go clockwise.
+    pub angle_step: f64,
+    /// From each ray to the next in time.
+    pub ray_interval: Duration,
+    /// From this turn to the next.
+    pub turn: Duration,
+    /// Nearer things are not measured, metres.
+    pub range_min: f64,
+    /// Farther things are not seen, metres.
+    pub range_max: f64,
+    /// Metres, a ray each. +∞ where nothing is within range, -∞ where something is too near to be measured, NaN where
+    /// the measurement failed (REP 117).
     pub ranges: Vec<f32>,
 }
 
 impl Scan {
-    /// Direction of a ray, radians from the robot's heading, in [-π, π).
-    pub fn angle(ray: usize) -> f64 {
-        ray as f64 * (2.0 * PI / RAYS as f64) - PI
+    /// Direction of a ray, radians from the robot's heading, counter-clockwise.
+    pub fn angle(&self, ray: usize) -> f64 {
+        self.first_angle + ray as f64 * self.angle_step
     }
 
     /// The nearest thing seen, metres; `None` if nothing is within range.
     pub fn nearest(&self) -> Option<f64> {
-        let nearest = self.ranges.iter().fold(f32::INFINITY, |nearest, range| range.min(nearest));
-        (nearest < f32::INFINITY).then(|| f64::from(nearest).max(RANGE_MIN))
+        // Failed measurements, which are NaN, count for nothing in a minimum.
+        let nearest = f64::from(self.ranges.iter().fold(f32::INFINITY, |nearest, range| range.min(nearest)));
+        (nearest <= self.range_max).then(|| nearest.max(self.range_min))
+    }
+
+    /// A turn of the simulated lidar that is still without rays: from the robot's back counter-clockwise, a degree a ray,
+    /// so that ray 180 looks forward.
+    fn blank(at: Timestamp) -> Self {
+        const TURN: Duration = Duration::from_millis(100);
+        Self {
+            at,
+            first_angle: -PI,
+            angle_step: 2.0 * PI / RAYS as f64,
+            ray_interval: Duration::from_nanos(TURN.as_nanos() as u64 / RAYS as u64),
+            turn: TURN,
+            range_min: RANGE_MIN,
+            range_max: RANGE_MAX,
+            ranges: Vec::with_capacity(RAYS),
+        }
     }
 }
 
@@ -52,14 +81,15 @@ pub(crate) struct Lidar {
 
 impl Lidar {
     pub fn new(seed: u64, robot: &NodeId) -> Self {
+        let turning = Scan::blank(Timestamp::ZERO);
         let ray = |i| {
-            let (sin, cos) = Scan::angle(i).sin_cos();
+            let (sin, cos) = turning.angle(i).sin_cos();
             (cos, sin)
         };
         Self {
             noise: Stream::new(seed, &format!("{robot}/lidar")),
             rays: (0..RAYS).map(ray).collect(),
-            turning: Scan { at: Timestamp::ZERO, ranges: Vec::with_capacity(RAYS) },
+            turning,
             complete: None,
         }
     }
@@ -86,8 +116,7 @@ impl Lidar {
         }
         if self.turning.ranges.len() == RAYS {
             // The buffers change places: no turn but the first allocates.
-            let blank = || Scan { at: now, ranges: Vec::with_capacity(RAYS) };
-            std::mem::swap(self.complete.get_or_insert_with(blank), &mut self.turning);
+            std::mem::swap(self.complete.get_or_insert_with(|| Scan::blank(now)), &mut self.turning);
             self.turning.ranges.clear();
         }
     }

@@ -8,8 +8,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Event, NodeId, Position, Program, RobotContext, SensorData, Stamped, Testbed, Timestamp,
-    Velocity,
+    Attachment, Event, Node, NodeId, Position, Program, RobotContext, RobotFault, SensorData, Stamped,
+    Testbed, Timestamp, Velocity,
 };
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
@@ -75,6 +75,8 @@ struct Managed {
     due: Option<Timestamp>,
     /// Whether the last command was outside what the robot can do; told once, not with every packet.
     flagged: bool,
+    /// What is wrong with it, as told last.
+    health: Vec<RobotFault>,
 }
 
 impl RobotMiddleware {
@@ -94,8 +96,7 @@ impl RobotMiddleware {
         }
     }
 
-    /// The middleware with all robots of a testbed, simulated. A robot has a navigation service if it has a walk and
-    /// a service of the testbed runs the robot's driver ([`Program::RobotDriver`]).
+    /// The middleware with all robots of a testbed, simulated.
     ///
     /// # Errors
     /// [`SimulationError`] if a robot has no place to start from.
@@ -107,18 +108,36 @@ impl RobotMiddleware {
         seed: u64,
         context_interval: Duration,
     ) -> Result<Self, SimulationError> {
+        Self::driven(testbed, seed, context_interval, |_, simulated| Ok(Box::new(simulated)))
+    }
+
+    /// The middleware with all robots of a testbed, moved by what `drive` makes for each node; it may use the simulated
+    /// robot that it is given, which stands where the robot starts. A robot has a navigation service if it has a walk
+    /// and a service of the testbed runs the robot's driver ([`Program::RobotDriver`]).
+    ///
+    /// # Errors
+    /// That of `drive`, or [`SimulationError`] if a robot has no place to start from.
+    ///
+    /// # Panics
+    /// If the interval is zero.
+    pub fn driven<E: From<SimulationError>>(
+        testbed: &Testbed,
+        seed: u64,
+        context_interval: Duration,
+        mut drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, E>,
+    ) -> Result<Self, E> {
         let mut middleware = Self::new(context_interval);
         let world = Arc::new(testbed.map.as_ref().map_or_else(World::open, World::new));
         for (node, _) in testbed.graph.robots() {
             let walk = testbed.walk(&node.id);
-            let driver = SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?;
+            let driver = drive(node, SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?)?;
             let service = testbed.services.iter().find(|service| {
                 service.robot == node.id && service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver)
             });
             let endpoint = walk.zip(service).map(|(walk, service)| {
                 ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
             });
-            middleware.add(Box::new(driver), endpoint);
+            middleware.add(driver, endpoint);
         }
         Ok(middleware)
     }
@@ -126,8 +145,8 @@ impl RobotMiddleware {
     /// Adds a robot, in place of one of that name.
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
-        let before =
-            self.robots.insert(robot.clone(), Managed { driver, service, due: None, flagged: false });
+        let managed = Managed { driver, service, due: None, flagged: false, health: Vec::new() };
+        let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
         }
@@ -204,11 +223,13 @@ impl RobotMiddleware {
             }
             if context_due {
                 managed.driver.advance(now);
+                managed.note_health(now, &mut self.events);
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: attachments(robot),
                     sensors: managed.driver.sensors(),
                     waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
+                    health: managed.health.clone(),
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
             }
@@ -230,13 +251,21 @@ impl RobotMiddleware {
             let service = self.robots.get(robot).and_then(|managed| managed.service.as_ref());
             service.is_some_and(|service| service.is_due(now))
         };
-        let robot = self.due_by(now).into_iter().find(is_due)?;
-        let managed = self.robots.get_mut(&robot)?;
-        managed.driver.advance(now);
-        let pose = managed.driver.sensors().pose;
-        let packet = managed.service.as_mut()?.emit(now, &pose, route(&robot));
-        self.note_due(&robot);
-        packet
+        for robot in self.due_by(now).into_iter().filter(is_due).collect::<Vec<_>>() {
+            let managed = self.robots.get_mut(&robot)?;
+            managed.driver.advance(now);
+            let pose = managed.driver.sensors().pose;
+            let service = managed.service.as_mut()?;
+            // Where a robot is that is not well, nobody knows; and it would not follow the answer.
+            if managed.driver.health().is_empty() {
+                let packet = service.emit(now, &pose, route(&robot));
+                self.note_due(&robot);
+                return packet;
+            }
+            service.skip(now);
+            self.note_due(&robot);
+        }
+        None
     }
 
     /// A navigation packet arrived at a robot. What it brings is told as events; the robot follows it unless it is
@@ -313,12 +342,32 @@ impl Managed {
             )),
             Err(refused) => Some(format!("refused a command: {refused}")),
         };
+        // What is wrong with it is told when it begins.
+        let flag = flag.filter(|_| !matches!(done, Err(CommandRefused::Unwell(_))));
         let was_flagged = std::mem::replace(&mut self.flagged, flag.is_some());
         if let Some(flag) = flag.filter(|_| !was_flagged) {
             let message = format!("robot {} {flag}", self.driver.robot());
             events.push_back(Stamped { at: now, event: Event::Notice { message } });
         }
         done.map(|_| ())
+    }
+
+    /// Tells once what goes wrong with the robot, and when it is well again.
+    fn note_health(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
+        let health = self.driver.health();
+        if health == self.health {
+            return;
+        }
+        let robot = self.driver.robot();
+        let message = match health {
+            [] => format!("robot {robot} is well"),
+            faults => {
+                let faults: Vec<_> = faults.iter().map(ToString::to_string).collect();
+                format!("robot {robot} stands still: {}", faults.join(", "))
+            }
+        };
+        self.health = health.to_vec();
+        events.push_back(Stamped { at: now, event: Event::Notice { message } });
     }
 
     /// The end of its walk: the robot stops, whatever the last command said.

@@ -1,11 +1,12 @@
 //! What a robot senses, as the ROS messages that a TurtleBot 2 publishes.
 
-use std::f64::consts::PI;
-
 use cotorra_graph::{SensorData, Timestamp};
-use cotorra_plugin::messages::{Covariance, Header, LaserScan, Odometry, TwistWithCovariance};
+use cotorra_plugin::messages::{
+    Covariance, Header, LaserScan, Odometry, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform,
+    TransformStamped, TwistWithCovariance, Vector3,
+};
 
-use crate::lidar::{RANGE_MAX, RANGE_MIN, RAYS, Scan};
+use crate::{lidar::Scan, planar::Planar};
 
 /// The frame of the map, in which poses are.
 pub const MAP_FRAME: &str = "map";
@@ -18,17 +19,15 @@ pub const LASER_FRAME: &str = "laser";
 
 /// `sensor_msgs/LaserScan` of a turn of the lidar.
 pub fn laser_scan(scan: &Scan) -> LaserScan {
-    const INCREMENT: f64 = 2.0 * PI / RAYS as f64;
-    const SCAN_TIME: f64 = 0.1;
     LaserScan {
         header: Header::new(scan.at, LASER_FRAME),
-        angle_min: Scan::angle(0) as f32,
-        angle_max: Scan::angle(RAYS - 1) as f32,
-        angle_increment: INCREMENT as f32,
-        time_increment: (SCAN_TIME / RAYS as f64) as f32,
-        scan_time: SCAN_TIME as f32,
-        range_min: RANGE_MIN as f32,
-        range_max: RANGE_MAX as f32,
+        angle_min: scan.angle(0) as f32,
+        angle_max: scan.angle(scan.ranges.len().saturating_sub(1)) as f32,
+        angle_increment: scan.angle_step as f32,
+        time_increment: scan.ray_interval.as_secs_f32(),
+        scan_time: scan.turn.as_secs_f32(),
+        range_min: scan.range_min as f32,
+        range_max: scan.range_max as f32,
         ranges: scan.ranges.clone(),
         intensities: Vec::new(),
     }
@@ -43,4 +42,28 @@ pub fn odometry(at: Timestamp, sensors: &SensorData) -> Odometry {
         pose: (&sensors.odometry).into(),
         twist: TwistWithCovariance { twist: sensors.velocity.into(), covariance: Covariance::default() },
     }
+}
+
+/// `geometry_msgs/PoseWithCovarianceStamped` of where the robot is on the map, as localization says it.
+pub fn localized(at: Timestamp, sensors: &SensorData) -> PoseWithCovarianceStamped {
+    PoseWithCovarianceStamped { header: Header::new(at, MAP_FRAME), pose: (&sensors.pose).into() }
+}
+
+/// `tf2_msgs/TFMessage` of all frames: the map's, odometry's, the base's and the lidar's.
+pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
+    let frame = |parent: &str, child: &str, Planar { x, y, heading }| TransformStamped {
+        header: Header::new(at, parent),
+        child_frame_id: child.to_owned(),
+        transform: Transform {
+            translation: Vector3 { x, y, z: 0.0 },
+            rotation: Quaternion::from_heading(heading),
+        },
+    };
+    let base = Planar::of(&sensors.odometry);
+    let transforms = vec![
+        frame(MAP_FRAME, ODOMETRY_FRAME, Planar::of(&sensors.pose).then(base.inverse())),
+        frame(ODOMETRY_FRAME, BASE_FRAME, base),
+        frame(BASE_FRAME, LASER_FRAME, Planar { x: 0.0, y: 0.0, heading: 0.0 }),
+    ];
+    TFMessage { transforms }
 }

@@ -114,10 +114,7 @@ impl ServiceEndpoint {
         if !self.is_due(now) {
             return None;
         }
-        let missed = now.since(self.next_emission).as_nanos() / self.interval.as_nanos();
-        let step = self.interval.as_nanos().saturating_mul(missed + 1);
-        self.next_emission =
-            self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
+        self.skip(now);
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
         self.pending.push_back(Pending { sequence, emitted: now, route });
@@ -128,6 +125,17 @@ impl ServiceEndpoint {
             robot: self.robot.clone(),
             pose: pose.into(),
         })
+    }
+
+    /// Leaves out what is due at `now`.
+    pub fn skip(&mut self, now: Timestamp) {
+        if !self.is_due(now) {
+            return;
+        }
+        let missed = now.since(self.next_emission).as_nanos() / self.interval.as_nanos();
+        let step = self.interval.as_nanos().saturating_mul(missed + 1);
+        self.next_emission =
+            self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
     }
 
     /// A navigation packet arrived.

@@ -11,7 +11,7 @@ use cotorra_graph::{
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
-    kobuki::{Base, COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, Odometer},
+    kobuki::{self, Base, COMMAND_TIMEOUT, MAX_SPEED, Odometer},
     lidar::{Lidar, RAYS, Scan},
     world::World,
 };
@@ -89,16 +89,6 @@ impl SimulatedRobot {
             source: PoseSource::Simulator,
         }
     }
-
-    /// The part of a velocity that the robot may drive, on the same curve.
-    fn limited(&self, wanted: Velocity) -> Velocity {
-        let over = (wanted.linear.abs() / self.speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
-        if over > 1.0 {
-            Velocity { linear: wanted.linear / over, angular: wanted.angular / over }
-        } else {
-            wanted
-        }
-    }
 }
 
 impl RobotDriver for SimulatedRobot {
@@ -125,7 +115,7 @@ impl RobotDriver for SimulatedRobot {
             return Err(CommandRefused::NotFinite(velocity));
         }
         self.advance(now);
-        let limited = self.limited(velocity);
+        let limited = kobuki::limited(velocity, self.speed_limit);
         self.base.command(now, limited);
         Ok(limited)
     }

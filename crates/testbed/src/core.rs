@@ -9,11 +9,14 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Decision, Event, Instruction, NodeId, PluginId, Program, Stamped, Testbed, Timestamp, VnfId,
+    Attachment, Decision, Event, Instruction, Node, NodeId, PluginId, Program, Stamped, Testbed, Timestamp,
+    VnfId,
 };
 use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
 use cotorra_plugin::wire::{NAVIGATION_PORT, NavigationPacket};
-use cotorra_robot_middleware::{RobotMiddleware, Route, SimulationError};
+use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SimulatedRobot};
+
+use crate::robots::RobotError;
 
 /// How often κ is collected.
 const CONTEXT: Duration = Duration::from_millis(100);
@@ -45,20 +48,23 @@ pub(crate) struct Core<N, E> {
 }
 
 impl<N: Network, E: Engine> Core<N, E> {
+    /// The core with the robots that `drive` makes.
+    ///
     /// # Errors
-    /// When a robot has no place to start from.
+    /// When a robot cannot be driven.
     pub(crate) fn new(
         testbed: Arc<Testbed>,
         seed: u64,
         network: N,
         engine: E,
-    ) -> Result<Self, SimulationError> {
+        drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError>,
+    ) -> Result<Self, RobotError> {
         let navigation = |service: &cotorra_graph::Service| {
             let vnf = service.vnfs.iter().find(|vnf| vnf.program == Program::Navigation)?;
             Some((service.robot.clone(), vnf.id.clone()))
         };
         Ok(Self {
-            middleware: RobotMiddleware::simulated(&testbed, seed, CONTEXT)?,
+            middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
             navigators: testbed.services.iter().filter_map(navigation).collect(),
             attachments: BTreeMap::new(),

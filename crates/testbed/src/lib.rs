@@ -13,6 +13,7 @@ mod plugins;
 mod recorded;
 pub mod replay;
 mod report;
+mod robots;
 mod run;
 mod simulate;
 pub mod sweep;
@@ -26,5 +27,6 @@ pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, Place, PlacementRecord,
     Quantiles, RegionSummary, Report, Summary, draw,
 };
+pub use robots::RobotError;
 pub use run::{Finished, Options, Run, RunError, Stopper, clean, leftovers};
 pub use simulate::{Simulation, simulate};

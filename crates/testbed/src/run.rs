@@ -16,9 +16,10 @@ use std::{
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
+use cotorra_graph::{Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
+use cotorra_robot_middleware::SimulatedRobot;
 use tokio::sync::broadcast;
 
 use crate::{
@@ -30,6 +31,7 @@ use crate::{
     plugins::{Now, PluginError, PluginHost, Said},
     recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
+    robots::{Masters, RobotError, Robots},
 };
 
 /// Where the API listens unless it is told.
@@ -102,8 +104,8 @@ pub enum RunError {
     #[error(transparent)]
     Plugin(#[from] PluginError),
     /// A robot.
-    #[error("{0}")]
-    Robot(String),
+    #[error(transparent)]
+    Robot(#[from] RobotError),
     /// A socket or a thread.
     #[error("cannot {what}: {source}")]
     System {
@@ -147,6 +149,7 @@ pub struct Run {
     tell: Sender<Message>,
     server: Server,
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
+    _masters: Masters,
     datapath: Arc<Datapath>,
 }
 
@@ -206,8 +209,9 @@ impl Run {
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let engine = ProcessEngine::new(Arc::new(launcher), folder.logs(), cgroups);
         let network = RealNetwork(datapath.handle());
-        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine)
-            .map_err(|e| RunError::Robot(e.to_string()))?;
+        let mut robots = Robots::new(Arc::clone(&testbed), Arc::clone(&datapath), now.clone());
+        let drive = |node: &Node, robot: SimulatedRobot| robots.drive(node, robot);
+        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, drive)?;
 
         let namespaces = testbed
             .graph
@@ -249,7 +253,8 @@ impl Run {
             .name("core".to_owned())
             .spawn(move || core_loop.run())
             .map_err(system("start the core's thread"))?;
-        Ok(Self { testbed, live, folder, history, recorder, run, tell, server, core: Some(core), datapath })
+        let (core, _masters) = (Some(core), robots.masters());
+        Ok(Self { testbed, live, folder, history, recorder, run, tell, server, core, _masters, datapath })
     }
 
     /// The testbed.

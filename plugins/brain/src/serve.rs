@@ -105,6 +105,7 @@ fn context(packet: &PositionPacket) -> RobotContext {
             nearest_obstacle_m: None,
         },
         waypoint: packet.waypoint,
+        health: Vec::new(),
     }
 }
 

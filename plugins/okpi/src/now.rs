@@ -463,7 +463,13 @@ walks:
             nearest_obstacle_m: None,
         };
         let attachments = vec![Attachment { radio_unit: unit.clone(), attached: true, signal: None }];
-        let there = Event::Robot(RobotContext { robot: robot.clone(), attachments, sensors, waypoint: 0 });
+        let there = Event::Robot(RobotContext {
+            robot: robot.clone(),
+            attachments,
+            sensors,
+            waypoint: 0,
+            health: Vec::new(),
+        });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {
             let mut now = Now::new(&testbed());

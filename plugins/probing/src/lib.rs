@@ -197,6 +197,7 @@ links:
                 nearest_obstacle_m: None,
             },
             waypoint: 0,
+            health: Vec::new(),
         })
     }
 

@@ -1,7 +1,7 @@
 //! What the radio promises, seen from the fabric: frames in, frames and events out, in virtual time.
 
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, DomainId, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
+    BitRate, Capacity, Conditions, DomainId, Driver, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
     PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
@@ -67,6 +67,7 @@ fn robot(name: &str, x: f64, roaming: Roaming) -> Node {
         tx_power: Dbm(20.0),
         heading: 0.0,
         roaming,
+        driver: Driver::default(),
     };
     node(name, x, NodeKind::Robot(robot))
 }

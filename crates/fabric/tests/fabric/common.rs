@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Dbm, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
+    BitRate, Capacity, Conditions, Dbm, Driver, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link,
     LinkContext, Node, NodeKind, PathLoss, Position, RadioUnit, Rate, Roaming, Robot, RobotModel, Server,
     Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
 };
@@ -66,6 +66,7 @@ impl Network {
             tx_power: Dbm(20.0),
             heading: 0.0,
             roaming: Roaming::Instructed,
+            driver: Driver::default(),
         };
         self.node(name, x, NodeKind::Robot(robot))
     }

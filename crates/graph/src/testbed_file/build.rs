@@ -13,6 +13,7 @@ use super::{
         ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProgramWord, ServiceRecord,
         TestbedRecord, VnfRecord, WalkRecord, WirelessRecord,
     },
+    ros,
 };
 use crate::{
     conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
@@ -104,15 +105,7 @@ struct Builder<'a> {
 impl Builder<'_> {
     /// Reports a name that nothing has.
     fn dangling<'b>(&mut self, span: &Span, what: &str, name: &str, there: impl Iterator<Item = &'b str>) {
-        let mut there: Vec<_> = there.collect();
-        there.sort_unstable();
-        self.sink.error(span, format!("there is no {what} `{name}`")).help(
-            match nearest(name, there.iter().copied()) {
-                Some(near) => format!("did you mean `{near}`?"),
-                None if there.is_empty() => format!("this file has no {what} at all"),
-                None => there_are(&there),
-            },
-        );
+        dangling(span, what, name, there, self.sink);
     }
 
     /// The node of that name, which must be there.
@@ -131,12 +124,7 @@ impl Builder<'_> {
         what: &str,
         fits: impl Fn(&NodeRecord) -> bool,
     ) -> Option<NodeId> {
-        if self.nodes.get(id.value.as_str()).is_some_and(|node| fits(node)) {
-            return Some(id.value.clone());
-        }
-        let there: Vec<_> = self.nodes.iter().filter(|(_, node)| fits(node)).map(|(name, _)| *name).collect();
-        self.dangling(&id.span, what, id.value.as_str(), there.into_iter());
-        None
+        find(&self.nodes, id, what, fits, self.sink)
     }
 
     fn map(&mut self) -> Option<Option<OccupancyGrid>> {
@@ -226,6 +214,12 @@ impl Builder<'_> {
                     let way: Vec<_> = walk.waypoints.value.iter().take(2).map(|w| w.value).collect();
                     if let [from, to] = way[..] { (to.y - from.y).atan2(to.x - from.x) } else { 0.0 }
                 };
+                let nodes = &self.nodes;
+                let mut host = |node: &Spanned<NodeId>, sink: &mut Sink| {
+                    let is_host = |record: &NodeRecord| !matches!(record, NodeRecord::Switch(_));
+                    find(nodes, node, "node with a network of its own", is_host, sink)
+                };
+                let driver = ros::driver(r, &id.value, &mut host, self.sink);
                 let robot = Robot {
                     capacity: capacity(r.cpus, r.memory),
                     model: r.model,
@@ -233,6 +227,7 @@ impl Builder<'_> {
                     tx_power: r.tx_power,
                     heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
                     roaming: r.roaming,
+                    driver: driver?,
                 };
                 (Some(position?), NodeKind::Robot(robot))
             }
@@ -687,6 +682,35 @@ impl Builder<'_> {
         self.dangling(&name.span, "bundled plug-in", &name.value, BUNDLED_PLUGINS.iter().copied());
         None
     }
+}
+
+/// Reports a name that nothing has.
+fn dangling<'b>(span: &Span, what: &str, name: &str, there: impl Iterator<Item = &'b str>, sink: &mut Sink) {
+    let mut there: Vec<_> = there.collect();
+    there.sort_unstable();
+    sink.error(span, format!("there is no {what} `{name}`")).help(
+        match nearest(name, there.iter().copied()) {
+            Some(near) => format!("did you mean `{near}`?"),
+            None if there.is_empty() => format!("this file has no {what} at all"),
+            None => there_are(&there),
+        },
+    );
+}
+
+/// The node of that name among those that fit; else that is reported.
+fn find(
+    nodes: &HashMap<&str, &NodeRecord>,
+    id: &Spanned<NodeId>,
+    what: &str,
+    fits: impl Fn(&NodeRecord) -> bool,
+    sink: &mut Sink,
+) -> Option<NodeId> {
+    if nodes.get(id.value.as_str()).is_some_and(|node| fits(node)) {
+        return Some(id.value.clone());
+    }
+    let there: Vec<_> = nodes.iter().filter(|(_, node)| fits(node)).map(|(name, _)| *name).collect();
+    dangling(&id.span, what, id.value.as_str(), there.into_iter(), sink);
+    None
 }
 
 fn capacity(cpus: Amount, memory: Bytes) -> Capacity {

@@ -5,6 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
 use crate::{
+    driver::{Driver, Offer},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
     id::NodeId,
     map::Cell,
@@ -22,6 +23,7 @@ use crate::{
 pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     links(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
+    ros(record, &testbed.graph, sink);
     let broken = !sink.is_empty();
     vnfs(record, testbed, sink);
     walks(record, testbed, sink);
@@ -87,6 +89,28 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
                 .help(format!("add a node with `kind: radio_unit` and `network: {}`", robot.network));
             }
             _ => {}
+        }
+    }
+}
+
+/// Robots with one master have topics of their own.
+fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let mut taken = HashMap::new();
+    for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
+        let NodeKind::Robot(robot) = &node.kind else { continue };
+        let (ros1, is_offer) = match &robot.driver {
+            Driver::Ros1(ros1) => (ros1, false),
+            Driver::Simulated { offer: Some(Offer::Ros1(ros1)) } => (ros1, true),
+            Driver::Simulated { offer: None } => continue,
+        };
+        // A robot that one node offers may be driven by another: only two of a kind are in each other's way.
+        let topic = ros1.resolved(&ros1.topics.cmd_vel);
+        if let Some(before) = taken.insert((is_offer, &ros1.master, topic.clone()), &node.id) {
+            sink.error(
+                &id.span,
+                format!("`{before}` and `{}` both hear `{topic}` of one ROS master", node.id),
+            )
+            .help("give one of them another `namespace`, such as `/tb2`");
         }
     }
 }

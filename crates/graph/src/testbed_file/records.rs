@@ -167,10 +167,89 @@ record! {
         tx_power: Dbm = "15 dBm",
         /// Who decides when it changes its radio unit.
         roaming: Roaming = "instructed",
+        /// What moves it: the simulation, or the driver of a robot that is reached over ROS. A word, or a mapping.
+        driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
+        /// How a simulated robot is offered to others. A word, or a mapping.
+        offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
         /// CPUs for VNFs.
         cpus: Amount = 2,
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
+    }
+}
+
+/// Drivers whose settings are left as they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum DriverWord {
+    Simulated,
+    Ros1,
+}
+
+tagged! {
+    /// What moves a robot.
+    DriverRecord by kind {
+        "simulated" => Simulated(SimulatedRecord),
+        "ros1" => Ros1(Ros1Record),
+    }
+}
+
+record! {
+    /// A simulated robot.
+    SimulatedRecord {}
+}
+
+/// Ways of offering a robot whose settings are left as they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum OfferWord {
+    Ros1,
+}
+
+tagged! {
+    /// How a simulated robot is offered to others.
+    OfferRecord by kind {
+        "ros1" => Ros1(Ros1Record),
+    }
+}
+
+record! {
+    /// A robot in ROS 1.
+    #[derive(Default)]
+    Ros1Record {
+        /// Where the master is: its address, such as `http://192.168.0.10:11311`, or a node, in which cotorra then runs
+        /// one. Without it: in the machine's network that in `ROS_MASTER_URI`, in the testbed's the robot's own node.
+        master: Option<Spanned<String>>,
+        /// In which network the robot speaks ROS. Without it: a driver in the machine's, an offer in the testbed's.
+        network: Option<Spanned<RosNetwork>>,
+        /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
+        namespace: Option<Spanned<String>>,
+        /// Names of topics that are others than a TurtleBot's.
+        topics: RosTopicsRecord = {},
+    }
+}
+
+/// In which network a robot speaks ROS.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum RosNetwork {
+    Machine,
+    Testbed,
+}
+
+record! {
+    /// Names of a robot's topics: global ones begin with `/`, others are in its namespace.
+    #[derive(Default)]
+    RosTopicsRecord {
+        /// Turns of its lidar.
+        scan: Option<Spanned<String>>,
+        /// Its odometry.
+        odom: Option<Spanned<String>>,
+        /// Velocities for it.
+        cmd_vel: Option<Spanned<String>>,
+        /// Its coordinate frames.
+        tf: Option<Spanned<String>>,
+        /// Where it is on the map.
+        amcl_pose: Option<Spanned<String>>,
+        /// The map.
+        map: Option<Spanned<String>>,
     }
 }
 
@@ -404,6 +483,17 @@ choice!(RobotModel, "robot model", {
 choice!(Roaming, "way of roaming", {
     "instructed" => Self::Instructed, "plug-ins decide; alone it only joins the strongest";
     "signal" => Self::Signal, "its station decides, by signal with hysteresis and time-to-trigger";
+});
+choice!(DriverWord, "driver", {
+    "simulated" => Self::Simulated, "cotorra simulates it";
+    "ros1" => Self::Ros1, "a robot that speaks ROS 1";
+});
+choice!(OfferWord, "way of offering a robot", {
+    "ros1" => Self::Ros1, "as a robot that speaks ROS 1";
+});
+choice!(RosNetwork, "network for ROS", {
+    "machine" => Self::Machine, "the network of this machine";
+    "testbed" => Self::Testbed, "the emulated network: the robot's ROS node is in its node";
 });
 choice!(Tier, "tier", {
     "fog" => Self::Fog, "on the premises";

@@ -197,13 +197,14 @@ pub(crate) fn expected(node: &Node, what: &str, help: &str, sink: &mut Sink) {
 macro_rules! record {
     (
         $(#[doc = $doc:literal])*
+        $(#[derive($derive:ident)])?
         $name:ident {
             $( $(#[doc = $field_doc:literal])* $field:ident: $type:ty $(= $default:tt)?, )*
             $(.. $flat:ident: $flat_type:ty,)?
         }
     ) => {
         $(#[doc = $doc])*
-        #[derive(Debug)]
+        #[derive(Debug $(, $derive)?)]
         pub(crate) struct $name {
             $( $(#[doc = $field_doc])* pub $field: $type, )*
             $( pub $flat: $flat_type, )?
@@ -253,6 +254,7 @@ macro_rules! tagged {
     ) => {
         $(#[doc = $doc])*
         #[derive(Debug)]
+        #[allow(clippy::large_enum_variant, reason = "there are few, and they are taken apart at once")]
         pub(crate) enum $name { $( $variant($record), )* }
 
         impl $crate::yaml::decode::Decode for $name {

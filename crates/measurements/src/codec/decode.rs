@@ -5,8 +5,9 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Jitter,
     JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement, PluginId, Pose,
-    PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, Scale, SensorData, ServiceId,
-    ServiceTime, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
+    ServiceId, ServiceTime, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
+    VnfState,
 };
 
 use super::direction_of;
@@ -109,6 +110,16 @@ impl Columns<'_> {
         Ok(Some(direction_of(code).ok_or_else(|| unreadable(format_args!("{code} is not a direction")))?))
     }
 
+    fn faults(&mut self) -> Result<Vec<RobotFault>> {
+        let text = self.0.text()?.unwrap_or_default();
+        let fault = |word| RobotFault::ALL.into_iter().find(|fault| fault.as_str() == word);
+        text.split_whitespace()
+            .map(|word| {
+                fault(word).ok_or_else(|| unreadable(format_args!("`{word}` is no fault of a robot")))
+            })
+            .collect()
+    }
+
     fn pose(&mut self) -> Result<Pose> {
         let (x, y, heading) = (self.real()?, self.real()?, self.real()?);
         let mut covariance = [0.0; 9];
@@ -139,6 +150,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                 bumper: row.boolean()?,
                 nearest_obstacle_m: row.0.real()?,
             };
+            let health = row.faults()?;
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
@@ -146,7 +158,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                     signal: row.0.real()?.map(Dbm),
                 })
             })?;
-            Event::Robot(RobotContext { robot, attachments, sensors, waypoint })
+            Event::Robot(RobotContext { robot, attachments, sensors, waypoint, health })
         }
         Kind::Radio => {
             let (radio_unit, channel, load) = (row.name()?, row.small()?, row.real()?);

@@ -4,7 +4,7 @@ use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
     Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose, PoseSource, QueueLimit, Rate,
-    VnfState,
+    RobotFault, VnfState,
 };
 
 use super::{Role, Value, direction_code};
@@ -81,7 +81,8 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .real(sensors.velocity.linear)
                 .real(sensors.velocity.angular)
                 .integer(sensors.bumper.into())
-                .optional(sensors.nearest_obstacle_m, Fields::real);
+                .optional(sensors.nearest_obstacle_m, Fields::real)
+                .optional(faults(&context.health), Fields::text);
             for attachment in &context.attachments {
                 children
                     .name(attachment.radio_unit.as_str())
@@ -174,6 +175,12 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             row.text(message.as_str());
         }
     }
+}
+
+/// Faults in words, with spaces between; `None` without any.
+fn faults(health: &[RobotFault]) -> Option<String> {
+    let words: Vec<_> = health.iter().map(|fault| fault.as_str()).collect();
+    (!words.is_empty()).then(|| words.join(" "))
 }
 
 fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {

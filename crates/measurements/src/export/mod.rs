@@ -24,7 +24,7 @@ use table::TableWriter;
 
 /// Says what the folder is; written last, so that half an export is none.
 const NOTE: &str = "run.json";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// What the tables of an export are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -212,7 +212,7 @@ impl History {
         if note.version > VERSION {
             return Err(ExportError::Newer { path, found: note.version });
         }
-        let mut tables = read::Tables::open(folder, note.format)?;
+        let mut tables = read::Tables::open(folder, note.format, note.version)?;
         // Nothing is begun for what cannot even be opened.
         let run = self.begin_run(&note.info)?;
         let mut batch = Vec::new();

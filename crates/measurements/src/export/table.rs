@@ -43,6 +43,14 @@ impl Shape {
         Self::new(kind.as_str(), &["n", "t_ns"], codec::table(kind).columns)
     }
 
+    /// As that version of the format had it: without the columns that are newer, which are the last.
+    pub fn in_version(mut self, version: u32) -> Self {
+        if version < 2 {
+            self.columns.retain(|(name, _)| *name != "health");
+        }
+        self
+    }
+
     /// Of what belongs to events of a kind, if that is a table of its own.
     pub fn children(kind: Kind) -> Option<Self> {
         let (name, columns) = codec::table(kind).children?;
@@ -64,7 +72,7 @@ impl Shape {
 const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
-    "reason", "refused", "message", "jitter_distribution", "loss", "trace_ms",
+    "reason", "refused", "message", "health", "jitter_distribution", "loss", "trace_ms",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[

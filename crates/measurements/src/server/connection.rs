@@ -84,7 +84,11 @@ pub(super) fn prepare(connection: &mut Conn, server: &Server) -> Result<()> {
         )?;
         for (version, migration) in (1_i64..).zip(MIGRATIONS).skip(found as usize) {
             for statement in for_server(migration) {
-                connection.query_drop(statement)?;
+                match connection.query_drop(statement) {
+                    // Added by a migration that was killed before it could say so.
+                    Err(mysql::Error::MySqlError(error)) if error.code == code::COLUMN_IS_THERE => {}
+                    done => done?,
+                }
             }
             connection.exec_drop("REPLACE INTO cotorra_schema (one, version) VALUES (1, ?)", (version,))?;
         }
@@ -119,6 +123,7 @@ fn version(connection: &mut Conn, server: &Server) -> Result<Option<u32>> {
 /// What servers call what happens: numbers of MySQL's and MariaDB's error references.
 mod code {
     pub const UNKNOWN_DATABASE: u16 = 1049;
+    pub const COLUMN_IS_THERE: u16 = 1060;
     /// Disk full, table full.
     pub const FULL: [u16; 2] = [1021, 1114];
     /// `--read-only` and alike, table is read-only, transaction is.

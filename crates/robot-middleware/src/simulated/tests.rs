@@ -2,6 +2,7 @@ use cotorra_graph::Position;
 use proptest::prelude::*;
 
 use super::*;
+use crate::MAX_ANGULAR_SPEED;
 use crate::fixtures::{id, robot, room, walk};
 
 fn millis(ms: u64) -> Timestamp {

@@ -30,6 +30,7 @@ use self::{
 use crate::{
     core::Core,
     plugins::{PluginError, bundled, panic_text, programs},
+    robots::simulated,
     run::RunError,
 };
 
@@ -74,8 +75,7 @@ impl Simulation {
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, seed)?);
         let navigation = Navigation::default();
         let engine = VirtualEngine::new(&testbed, navigation.clone());
-        let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine)
-            .map_err(|e| RunError::Robot(e.to_string()))?;
+        let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, simulated)?;
         let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {
             PluginProgram::Bundled(name) => Some(bundled(spec, name, &testbed, seed).map(|plugin| Hosted {
                 id: spec.id.clone(),

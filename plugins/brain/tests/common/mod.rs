@@ -5,9 +5,9 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Attachment, Capacity, Dbm, DomainId, Event, HardwareGraph, Node, NodeId, NodeKind, OccupancyGrid, Pose,
-    PoseSource, Position, Roaming, Robot, RobotContext, RobotModel, SensorData, Testbed, Velocity, Walk,
-    testbed_file,
+    Attachment, Capacity, Dbm, DomainId, Driver, Event, HardwareGraph, Node, NodeId, NodeKind, OccupancyGrid,
+    Pose, PoseSource, Position, Roaming, Robot, RobotContext, RobotModel, SensorData, Testbed, Velocity,
+    Walk, testbed_file,
 };
 
 /// Radius of the robot, metres.
@@ -33,6 +33,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         tx_power: Dbm(15.0),
         heading: 0.0,
         roaming: Roaming::Instructed,
+        driver: Driver::default(),
     };
     Testbed {
         name: "corridor".to_owned(),
@@ -78,5 +79,6 @@ pub fn context(pose: Pose, waypoint: u32) -> Event {
             nearest_obstacle_m: None,
         },
         waypoint,
+        health: Vec::new(),
     })
 }

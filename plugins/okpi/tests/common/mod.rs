@@ -50,6 +50,7 @@ pub fn context((x, y): (f64, f64), attached: &str) -> Event {
             nearest_obstacle_m: None,
         },
         waypoint: 0,
+        health: Vec::new(),
     })
 }
 

@@ -1,0 +1,106 @@
+//! What moves a robot: the simulation, or a robot out there that is reached over ROS; and how a simulated one is offered
+//! to others.
+
+use serde::{Deserialize, Serialize};
+
+use crate::id::NodeId;
+
+/// What moves a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Driver {
+    /// It is simulated.
+    Simulated {
+        /// How others reach it, beside the testbed itself.
+        offer: Option<Offer>,
+    },
+    /// It is a robot that speaks ROS 1.
+    Ros1(Box<Ros1>),
+}
+
+impl Default for Driver {
+    /// Simulated, and nobody else's.
+    fn default() -> Self {
+        Self::Simulated { offer: None }
+    }
+}
+
+/// How others reach a simulated robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Offer {
+    /// As a robot that speaks ROS 1.
+    Ros1(Box<Ros1>),
+}
+
+/// Where a robot is in ROS 1.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Ros1 {
+    /// Where its master is, and in which network it is reached.
+    pub master: RosMaster,
+    /// The namespace in which its topics are.
+    pub namespace: String,
+    /// Its topics.
+    pub topics: RosTopics,
+}
+
+impl Ros1 {
+    /// The global name of a topic.
+    pub fn resolved(&self, topic: &str) -> String {
+        let namespace = self.namespace.trim_end_matches('/');
+        if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") }
+    }
+}
+
+/// Where a ROS 1 master is.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "network")]
+pub enum RosMaster {
+    /// In the network of this machine: at this address, or at that in `ROS_MASTER_URI`.
+    Machine {
+        /// Such as `http://localhost:11311`.
+        uri: Option<String>,
+    },
+    /// In the emulated network, where somebody else runs it. The robot's ROS node is in the robot's own node.
+    Testbed {
+        /// Such as `http://10.77.0.3:11311`; the host may be a node's name.
+        uri: String,
+    },
+    /// In the emulated network, at port 11311 of this node, where cotorra runs it. The robot's ROS node is in the robot's
+    /// own node.
+    Node {
+        /// The node.
+        node: NodeId,
+    },
+}
+
+/// Names of a robot's topics: global ones begin with `/`, others are in its namespace. The same for ROS 1 and 2.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct RosTopics {
+    /// `sensor_msgs/LaserScan`.
+    pub scan: String,
+    /// `nav_msgs/Odometry`.
+    pub odom: String,
+    /// `geometry_msgs/Twist`, to the robot.
+    pub cmd_vel: String,
+    /// `tf2_msgs/TFMessage`.
+    pub tf: String,
+    /// `geometry_msgs/PoseWithCovarianceStamped`.
+    pub amcl_pose: String,
+    /// `nav_msgs/OccupancyGrid`.
+    pub map: String,
+}
+
+impl Default for RosTopics {
+    /// Those of a TurtleBot.
+    fn default() -> Self {
+        let [scan, odom, cmd_vel, tf, amcl_pose, map] =
+            ["scan", "odom", "cmd_vel", "tf", "amcl_pose", "map"].map(str::to_owned);
+        Self { scan, odom, cmd_vel, tf, amcl_pose, map }
+    }
+}

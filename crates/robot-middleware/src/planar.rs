@@ -1,0 +1,100 @@
+//! Movements in the plane, to put what a robot says in its own frames onto the map.
+
+use cotorra_graph::Pose;
+
+/// Where one frame is in another.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Planar {
+    pub x: f64,
+    pub y: f64,
+    /// Radians.
+    pub heading: f64,
+}
+
+impl Planar {
+    pub fn of(pose: &Pose) -> Self {
+        Self { x: pose.x, y: pose.y, heading: pose.heading }
+    }
+
+    /// Where `inner`, which is in this frame, is in the frame that this one is in.
+    pub fn then(self, inner: Self) -> Self {
+        let (sin, cos) = self.heading.sin_cos();
+        Self {
+            x: self.x + inner.x * cos - inner.y * sin,
+            y: self.y + inner.x * sin + inner.y * cos,
+            heading: normalised(self.heading + inner.heading),
+        }
+    }
+
+    /// Where the outer frame is in this one.
+    pub fn inverse(self) -> Self {
+        let (sin, cos) = self.heading.sin_cos();
+        Self {
+            x: -self.x * cos - self.y * sin,
+            y: self.x * sin - self.y * cos,
+            heading: normalised(-self.heading),
+        }
+    }
+
+    /// A pose in this frame as it is in the frame that this one is in, its covariance turned with it.
+    pub fn place(self, pose: &Pose) -> Pose {
+        let placed = self.then(Self::of(pose));
+        let (sin, cos) = self.heading.sin_cos();
+        // R Σ Rᵀ, R turning x and y.
+        let turn = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
+        let covariance = std::array::from_fn(|k| {
+            let (row, column) = (k / 3, k % 3);
+            let term = |i: usize, j: usize| turn[row][i] * pose.covariance[3 * i + j] * turn[column][j];
+            (0..3).flat_map(|i| (0..3).map(move |j| term(i, j))).sum()
+        });
+        Pose { x: placed.x, y: placed.y, heading: placed.heading, covariance, source: pose.source }
+    }
+}
+
+/// The same angle in (-π, π].
+pub(crate) fn normalised(angle: f64) -> f64 {
+    use std::f64::consts::PI;
+    let turned = angle.rem_euclid(2.0 * PI);
+    if turned > PI { turned - 2.0 * PI } else { turned }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use cotorra_graph::PoseSource;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn planar() -> impl Strategy<Value = Planar> {
+        (-1e3..1e3, -1e3..1e3, -PI..PI).prop_map(|(x, y, heading)| Planar { x, y, heading })
+    }
+
+    fn near(a: Planar, b: Planar) -> bool {
+        (a.x - b.x).abs() < 1e-6 && (a.y - b.y).abs() < 1e-6 && normalised(a.heading - b.heading).abs() < 1e-9
+    }
+
+    proptest! {
+        #[test]
+        fn there_and_back_is_nowhere(a in planar(), b in planar()) {
+            let nowhere = Planar { x: 0.0, y: 0.0, heading: 0.0 };
+            prop_assert!(near(a.then(a.inverse()), nowhere));
+            prop_assert!(near(a.inverse().then(a.then(b)), b));
+        }
+    }
+
+    #[test]
+    fn a_quarter_turn_swaps_the_axes_of_a_covariance() {
+        let quarter = Planar { x: 1.0, y: 2.0, heading: PI / 2.0 };
+        let covariance = [4.0, 0.5, 0.2, 0.5, 1.0, 0.1, 0.2, 0.1, 9.0];
+        let pose = Pose { x: 3.0, y: 0.0, heading: 0.0, covariance, source: PoseSource::Odometry };
+        let placed = quarter.place(&pose);
+        assert!((placed.x - 1.0).abs() < 1e-12 && (placed.y - 5.0).abs() < 1e-12);
+        for (found, expected) in
+            placed.covariance.iter().zip([1.0, -0.5, -0.1, -0.5, 4.0, 0.2, -0.1, 0.2, 9.0])
+        {
+            assert!((found - expected).abs() < 1e-12, "{:?}", placed.covariance);
+        }
+    }
+}

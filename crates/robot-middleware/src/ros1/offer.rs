@@ -1,0 +1,93 @@
+//! A simulated robot's topics in ROS 1: a node that tells what the robot senses, and takes velocities for it.
+
+use cotorra_graph::{Cell, OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
+use cotorra_ros1::{
+    Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscriber,
+    messages::{self as ros1, Twist},
+};
+
+use super::convert::back;
+use crate::{lidar::Scan, ros, ros_offer::RosOffer};
+
+/// A node that has the topics of a TurtleBot, and those of localization and of a map server, which know exactly.
+#[derive(Debug)]
+pub struct Ros1Offer {
+    /// The beginning of the run, since 1970.
+    epoch: Timestamp,
+    odometry: Publisher<ros1::Odometry>,
+    scans: Publisher<ros1::LaserScan>,
+    poses: Publisher<ros1::PoseWithCovarianceStamped>,
+    frames: Publisher<ros1::TFMessage>,
+    velocities: Subscriber<Twist>,
+    /// Latched, so only kept.
+    _map: Option<Publisher<ros1::OccupancyGrid>>,
+    /// Keeps all of it going.
+    _node: Node,
+}
+
+impl Ros1Offer {
+    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count from 1970;
+    /// `epoch` is when the run began.
+    ///
+    /// # Errors
+    /// [`NodeError`] if a name is none, or the master is not there.
+    pub fn connect(
+        config: NodeConfig,
+        topics: &RosTopics,
+        map: Option<&OccupancyGrid>,
+        epoch: Timestamp,
+    ) -> Result<Self, NodeError> {
+        let node = Node::new(config)?;
+        let usual = PublishOptions::default();
+        let map = map.map(|map| {
+            let publisher = node.publish(&topics.map, PublishOptions { latch: true, ..usual })?;
+            publisher.publish(&grid(map));
+            Ok::<_, NodeError>(publisher)
+        });
+        Ok(Self {
+            epoch,
+            odometry: node.publish(&topics.odom, usual)?,
+            scans: node.publish(&topics.scan, usual)?,
+            poses: node.publish(&topics.amcl_pose, usual)?,
+            frames: node.publish(&topics.tf, usual)?,
+            velocities: node.subscribe(&topics.cmd_vel, SubscribeOptions::default())?,
+            _map: map.transpose()?,
+            _node: node,
+        })
+    }
+}
+
+impl RosOffer for Ros1Offer {
+    fn asked(&mut self) -> Option<Velocity> {
+        let Twist { linear, angular } = self.velocities.try_recv()?;
+        Some(Velocity { linear: linear.x, angular: angular.z })
+    }
+
+    fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
+        let stamp = |at: Timestamp| at + self.epoch.since(Timestamp::ZERO);
+        self.odometry.publish(&back::odometry(ros::odometry(stamp(at), sensors)));
+        self.frames.publish(&back::frames(ros::frames(stamp(at), sensors)));
+        if let Some(scan) = scan {
+            self.poses.publish(&back::pose_stamped(ros::localized(stamp(at), sensors)));
+            let scan = Scan { at: stamp(scan.at), ..scan.clone() };
+            self.scans.publish(&back::laser_scan(ros::laser_scan(&scan)));
+        }
+    }
+}
+
+/// `nav_msgs/OccupancyGrid` of a map.
+fn grid(map: &OccupancyGrid) -> ros1::OccupancyGrid {
+    let mut grid = ros1::OccupancyGrid::default();
+    grid.header.frame_id = ros::MAP_FRAME.to_owned();
+    grid.info.resolution = map.resolution() as f32;
+    (grid.info.width, grid.info.height) = (map.width() as u32, map.height() as u32);
+    (grid.info.origin.position.x, grid.info.origin.position.y) = (map.origin().x, map.origin().y);
+    grid.info.origin.orientation.w = 1.0;
+    let cell = |place: usize| match map.cell(place % map.width(), place / map.width()) {
+        Cell::Free => 0,
+        Cell::Occupied => 100,
+        Cell::Unknown => -1,
+    };
+    grid.data = (0..map.width() * map.height()).map(cell).collect();
+    grid
+}

@@ -1,0 +1,222 @@
+//! The driver of a robot that speaks ROS: a [`RosRobot`], a link to it, and the thread that keeps both going. ROS 1 and
+//! ROS 2 are two kinds of link.
+
+use std::{
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread,
+    time::Duration,
+};
+
+use cotorra_graph::{NodeId, RobotFault, SensorData, Timestamp, Velocity};
+
+use crate::{
+    driver::{CommandRefused, RobotDriver},
+    lidar::Scan,
+    ros_robot::{RosRobot, STOPS},
+};
+
+/// What was said is taken in at least so often.
+const LISTEN: Duration = Duration::from_millis(20);
+/// After a failure to connect, the next attempt comes so much later.
+pub(crate) const AGAIN: Duration = Duration::from_secs(1);
+/// Between two stops at the end.
+const BETWEEN_STOPS: Duration = Duration::from_millis(20);
+
+/// A connection to a robot over ROS, which never waits.
+pub trait RosLink: Send + 'static {
+    /// Tells `robot` all that it said since the last call.
+    fn hear(&mut self, now: Timestamp, robot: &mut RosRobot);
+
+    /// Says a velocity to the robot.
+    fn say(&mut self, velocity: Velocity);
+}
+
+/// What time it is, since the run began.
+pub type Clock = Arc<dyn Fn() -> Timestamp + Send + Sync>;
+
+/// Drives a robot over a link.
+///
+/// Its thread connects, again and again until it can, listens, repeats velocities, and stops the robot when nobody says
+/// any for its command timeout, or when the driver is dropped.
+pub struct RosDriver<L: RosLink> {
+    id: NodeId,
+    shared: Arc<Shared<L>>,
+    /// As of the last advance or command.
+    seen: Seen,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+struct Seen {
+    sensors: SensorData,
+    scan: Option<Scan>,
+    health: Vec<RobotFault>,
+}
+
+struct Shared<L> {
+    state: Mutex<State<L>>,
+    changed: Condvar,
+}
+
+struct State<L> {
+    robot: RosRobot,
+    link: Option<L>,
+    /// Time never falls, whichever thread read it.
+    now: Timestamp,
+    ended: bool,
+}
+
+impl<L: RosLink> Shared<L> {
+    fn lock(&self) -> MutexGuard<'_, State<L>> {
+        // A thread that panicked left a robot that is stopped by its next timeout, as always.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<L: RosLink> State<L> {
+    /// Takes in what was said, and says what is to be said.
+    fn go_on(&mut self, now: Timestamp) {
+        self.now = self.now.max(now);
+        if let Some(link) = &mut self.link {
+            link.hear(self.now, &mut self.robot);
+        }
+        self.robot.advance(self.now);
+        while let Some(velocity) = self.robot.poll_velocity(self.now) {
+            if let Some(link) = &mut self.link {
+                link.say(velocity);
+            }
+        }
+    }
+}
+
+impl<L: RosLink> RosDriver<L> {
+    /// Drives the robot over what `connect` makes, which is called on a thread that is started by the calling one, and so
+    /// is in its network namespace. A failure is logged and tried again; until it succeeds, the robot is absent.
+    ///
+    /// # Errors
+    /// When there is no thread.
+    pub fn start<E: std::fmt::Display>(
+        robot: RosRobot,
+        clock: Clock,
+        connect: impl FnMut() -> Result<L, E> + Send + 'static,
+    ) -> std::io::Result<Self> {
+        let seen = Seen { sensors: robot.sensors(), scan: None, health: robot.health().to_vec() };
+        let id = robot.id().clone();
+        let state = State { robot, link: None, now: Timestamp::ZERO, ended: false };
+        let shared = Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() });
+        let its = Arc::clone(&shared);
+        let name = format!("ros-{id}");
+        let thread = thread::Builder::new().name(name).spawn(move || run(&its, &clock, connect))?;
+        Ok(Self { id, shared, seen, thread: Some(thread) })
+    }
+
+    fn look(&mut self, state: &State<L>) {
+        self.seen.sensors = state.robot.sensors();
+        state.robot.health().clone_into(&mut self.seen.health);
+        if self.seen.scan.as_ref().map(|scan| scan.at) != state.robot.scan().map(|scan| scan.at) {
+            self.seen.scan = state.robot.scan().cloned();
+        }
+    }
+}
+
+/// The driver's thread.
+fn run<L: RosLink, E: std::fmt::Display>(
+    shared: &Shared<L>,
+    clock: &Clock,
+    mut connect: impl FnMut() -> Result<L, E>,
+) {
+    let mut told = false;
+    loop {
+        if shared.lock().ended {
+            return;
+        }
+        match connect() {
+            Ok(link) => {
+                shared.lock().link = Some(link);
+                break;
+            }
+            // Once: the next attempts fail in the same way.
+            Err(error) if !told => {
+                told = true;
+                tracing::warn!("robot {}: {error}; trying again", shared.lock().robot.id());
+            }
+            Err(_) => {}
+        }
+        let state = shared.lock();
+        drop(shared.changed.wait_timeout_while(state, AGAIN, |state| !state.ended));
+    }
+    let mut state = shared.lock();
+    while !state.ended {
+        state.go_on(clock());
+        let now = state.now;
+        let wait = state.robot.next_deadline(now).map_or(LISTEN, |at| at.since(now).min(LISTEN));
+        let waited = shared.changed.wait_timeout(state, wait.max(Duration::from_millis(1)));
+        state = waited.unwrap_or_else(PoisonError::into_inner).0;
+    }
+    let Some(mut link) = state.link.take() else { return };
+    drop(state);
+    // The end: whoever drives the robot next finds it standing. Said several times, as what says so may get lost.
+    for _ in 0..STOPS {
+        link.say(Velocity::default());
+        let state = shared.lock();
+        drop(shared.changed.wait_timeout(state, BETWEEN_STOPS));
+    }
+}
+
+impl<L: RosLink> RobotDriver for RosDriver<L> {
+    fn robot(&self) -> &NodeId {
+        &self.id
+    }
+
+    fn command_timeout(&self) -> Duration {
+        RosRobot::COMMAND_TIMEOUT
+    }
+
+    fn advance(&mut self, now: Timestamp) {
+        let shared = Arc::clone(&self.shared);
+        let mut state = shared.lock();
+        state.go_on(now);
+        self.look(&state);
+    }
+
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+        let shared = Arc::clone(&self.shared);
+        let mut state = shared.lock();
+        state.now = state.now.max(now);
+        let at = state.now;
+        let done = state.robot.command(at, velocity);
+        state.go_on(at);
+        self.look(&state);
+        done
+    }
+
+    fn stop(&mut self, now: Timestamp) {
+        let mut state = self.shared.lock();
+        state.now = state.now.max(now);
+        let at = state.now;
+        state.robot.stop(at);
+        state.go_on(at);
+    }
+
+    fn sensors(&self) -> SensorData {
+        self.seen.sensors.clone()
+    }
+
+    fn scan(&self) -> Option<&Scan> {
+        self.seen.scan.as_ref()
+    }
+
+    fn health(&self) -> &[RobotFault] {
+        &self.seen.health
+    }
+}
+
+impl<L: RosLink> Drop for RosDriver<L> {
+    fn drop(&mut self) {
+        self.shared.lock().ended = true;
+        self.shared.changed.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // A thread that panicked has ended, too.
+            let _ = thread.join();
+        }
+    }
+}

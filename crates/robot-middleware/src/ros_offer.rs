@@ -1,0 +1,168 @@
+//! A simulated robot that others reach over ROS: a thread that keeps it moving and tells what it senses, as a real one
+//! would, beside the testbed that it belongs to.
+
+use std::{
+    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    thread,
+    time::Duration,
+};
+
+use cotorra_graph::{NodeId, SensorData, Timestamp, Velocity};
+
+use crate::{
+    driver::{CommandRefused, RobotDriver},
+    lidar::Scan,
+    ros_driver::{AGAIN, Clock},
+    simulated::SimulatedRobot,
+};
+
+/// Those whom a robot is offered to over ROS. Never waits.
+pub trait RosOffer: Send + 'static {
+    /// The velocities that were asked for since the last call, the oldest first.
+    fn asked(&mut self) -> Option<Velocity>;
+
+    /// Tells what the robot senses at a time; with each new turn of its lidar, that.
+    fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>);
+}
+
+/// A simulated robot that is offered to others. Whoever says a velocity last moves it.
+pub struct OfferedRobot {
+    id: NodeId,
+    shared: Arc<Shared>,
+    scan: Option<Scan>,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+struct Shared {
+    state: Mutex<State>,
+    ended: Condvar,
+}
+
+struct State {
+    robot: SimulatedRobot,
+    /// Time never falls, whichever thread read it.
+    now: Timestamp,
+    ended: bool,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // Physics that panicked stands still, which the testbed's own thread then says.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl OfferedRobot {
+    /// Offers a robot over what `connect` makes, which is called on a thread that is started by the calling one, and so
+    /// is in its network namespace. A failure is logged and tried again.
+    ///
+    /// # Errors
+    /// When there is no thread.
+    pub fn start<O: RosOffer, E: std::fmt::Display>(
+        robot: SimulatedRobot,
+        clock: Clock,
+        mut connect: impl FnMut() -> Result<O, E> + Send + 'static,
+    ) -> std::io::Result<Self> {
+        let id = robot.robot().clone();
+        let state = State { robot, now: Timestamp::ZERO, ended: false };
+        let shared = Arc::new(Shared { state: Mutex::new(state), ended: Condvar::new() });
+        let its = Arc::clone(&shared);
+        let run = move || {
+            let mut told = false;
+            loop {
+                match connect() {
+                    Ok(offer) => return serve(&its, &clock, offer),
+                    // Once: the next attempts fail in the same way.
+                    Err(error) if !told => {
+                        told = true;
+                        tracing::warn!("robot {}: {error}; trying again", its.lock().robot.robot());
+                    }
+                    Err(_) => {}
+                }
+                let waited = its.ended.wait_timeout_while(its.lock(), AGAIN, |state| !state.ended);
+                if waited.unwrap_or_else(PoisonError::into_inner).0.ended {
+                    return;
+                }
+            }
+        };
+        let thread = thread::Builder::new().name(format!("ros-{id}")).spawn(run)?;
+        Ok(Self { id, shared, scan: None, thread: Some(thread) })
+    }
+
+    fn at<R>(&self, now: Timestamp, act: impl FnOnce(&mut SimulatedRobot, Timestamp) -> R) -> R {
+        let mut state = self.shared.lock();
+        state.now = state.now.max(now);
+        let now = state.now;
+        act(&mut state.robot, now)
+    }
+}
+
+/// The robot's thread.
+fn serve(shared: &Shared, clock: &Clock, mut offer: impl RosOffer) {
+    let mut told = None;
+    let mut state = shared.lock();
+    while !state.ended {
+        state.now = state.now.max(clock());
+        let now = state.now;
+        while let Some(velocity) = offer.asked() {
+            if let Err(error) = state.robot.command(now, velocity) {
+                tracing::debug!("robot {}: {error}", state.robot.robot());
+            }
+        }
+        state.robot.advance(now);
+        let fresh = state.robot.scan().filter(|scan| told != Some(scan.at)).cloned();
+        told = fresh.as_ref().map(|scan| scan.at).or(told);
+        let sensors = state.robot.sensors();
+        drop(state);
+        offer.tell(now, &sensors, fresh.as_ref());
+        let next = now + SimulatedRobot::STEP;
+        let wait = next.since(clock()).max(Duration::from_millis(1));
+        state = shared.ended.wait_timeout(shared.lock(), wait).unwrap_or_else(PoisonError::into_inner).0;
+    }
+}
+
+impl RobotDriver for OfferedRobot {
+    fn robot(&self) -> &NodeId {
+        &self.id
+    }
+
+    fn command_timeout(&self) -> Duration {
+        self.shared.lock().robot.command_timeout()
+    }
+
+    fn advance(&mut self, now: Timestamp) {
+        let known = self.scan.as_ref().map(|scan| scan.at);
+        let scan = self.at(now, |robot, now| {
+            robot.advance(now);
+            robot.scan().filter(|scan| known != Some(scan.at)).cloned()
+        });
+        self.scan = scan.or(self.scan.take());
+    }
+
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+        self.at(now, |robot, now| robot.command(now, velocity))
+    }
+
+    fn stop(&mut self, now: Timestamp) {
+        self.at(now, |robot, now| robot.stop(now));
+    }
+
+    fn sensors(&self) -> SensorData {
+        self.shared.lock().robot.sensors()
+    }
+
+    fn scan(&self) -> Option<&Scan> {
+        self.scan.as_ref()
+    }
+}
+
+impl Drop for OfferedRobot {
+    fn drop(&mut self) {
+        self.shared.lock().ended = true;
+        self.shared.ended.notify_all();
+        if let Some(thread) = self.thread.take() {
+            // A thread that panicked has ended, too.
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,373 @@
+//! A robot that speaks ROS, as a state machine: what it says goes in, as ROS messages with the time, and velocities for it
+//! come out. ROS 1 and ROS 2 share it; which of them carries the messages is a [`crate::RosLink`]'s to know.
+
+use std::time::Duration;
+
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotFault, SensorData, Timestamp, Velocity, Walk};
+use cotorra_plugin::messages::{
+    Header, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
+};
+
+use crate::{
+    driver::CommandRefused,
+    kobuki::{COMMAND_TIMEOUT, MAX_SPEED, limited},
+    lidar::Scan,
+    planar::Planar,
+    ros::MAP_FRAME,
+    watch::{Topic, Watch},
+};
+
+/// A velocity is said again so often: a base stops by itself when it hears none.
+const REPEAT: Duration = Duration::from_millis(100);
+/// A robot is told so often to stop: what says so may get lost.
+pub(crate) const STOPS: u32 = 5;
+/// What is farther away, metres, or faster, m/s or rad/s, is no robot's.
+const FARTHEST: f64 = 1e6;
+const FASTEST: f64 = 1e3;
+/// A variance above that says no more than that; it keeps sums finite.
+const GREATEST_VARIANCE: f64 = 1e12;
+
+/// A robot that speaks ROS.
+///
+/// Its pose on the map is localization's: that of `map` → `odom` among its frames, else of the last `amcl_pose`, and
+/// odometry from there on. Without either, it is where odometry has it from the start that the testbed file gives.
+///
+/// A velocity is said again each 100 ms until [`Self::COMMAND_TIMEOUT`], then the robot is told to stop; so it is when
+/// something is wrong with it. What it says is only taken in when it can be: nothing that is not finite gets out.
+#[derive(Debug, Clone)]
+pub struct RosRobot {
+    id: NodeId,
+    speed_limit: f64,
+    start: Planar,
+    watch: Watch,
+    health: Vec<RobotFault>,
+    odometry: Option<Odometer>,
+    /// The odometry's frame on the map, as localization has it.
+    correction: Option<Correction>,
+    velocity: Velocity,
+    scan: Option<Scan>,
+    motion: Motion,
+}
+
+#[derive(Debug, Clone)]
+struct Odometer {
+    /// In the frame of odometry.
+    pose: Pose,
+    frame: String,
+    /// The frame of odometry on the map, if the robot began where the testbed file says.
+    origin: Planar,
+}
+
+#[derive(Debug, Clone)]
+struct Correction {
+    origin: Planar,
+    /// Of localization's last pose; zero before the first.
+    covariance: [f64; 9],
+    /// Whether it is of the robot's frames, which then need no `amcl_pose`.
+    of_frames: bool,
+}
+
+/// What is to be said to the robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Motion {
+    Standing,
+    Driving { velocity: Velocity, until: Timestamp, next: Timestamp },
+    Stopping { left: u32, next: Timestamp },
+}
+
+impl RosRobot {
+    /// How long a velocity is followed.
+    pub const COMMAND_TIMEOUT: Duration = COMMAND_TIMEOUT;
+
+    /// A robot that was not heard yet. It starts at that place and heading on the map, and goes no faster than its
+    /// walk's speed limit, where there is one.
+    pub fn new(id: NodeId, start: Position, heading: f64, walk: Option<&Walk>) -> Self {
+        let watch = Watch::default();
+        Self {
+            id,
+            speed_limit: walk.map_or(MAX_SPEED, |walk| walk.speed_limit.clamp(0.0, MAX_SPEED)),
+            start: Planar { x: start.x, y: start.y, heading },
+            health: watch.faults(Timestamp::ZERO),
+            watch,
+            odometry: None,
+            correction: None,
+            velocity: Velocity::default(),
+            scan: None,
+            motion: Motion::Standing,
+        }
+    }
+
+    /// Which robot.
+    pub fn id(&self) -> &NodeId {
+        &self.id
+    }
+
+    /// What is wrong with it as of the last call with a time.
+    pub fn health(&self) -> &[RobotFault] {
+        &self.health
+    }
+
+    /// The last turn of its lidar that made sense.
+    pub fn scan(&self) -> Option<&Scan> {
+        self.scan.as_ref()
+    }
+
+    /// σ.
+    pub fn sensors(&self) -> SensorData {
+        let at_start = Pose {
+            x: self.start.x,
+            y: self.start.y,
+            heading: self.start.heading,
+            covariance: [0.0; 9],
+            source: PoseSource::Odometry,
+        };
+        let odometry =
+            self.odometry.as_ref().map_or(at_start, |odometer| odometer.origin.place(&odometer.pose));
+        let pose = match (&self.correction, &self.odometry) {
+            (Some(correction), Some(odometer)) => Pose {
+                covariance: correction.covariance,
+                source: PoseSource::Localization,
+                ..correction.origin.place(&odometer.pose)
+            },
+            _ => odometry,
+        };
+        SensorData {
+            pose,
+            odometry,
+            velocity: self.velocity,
+            bumper: false,
+            nearest_obstacle_m: self.scan.as_ref().and_then(Scan::nearest),
+        }
+    }
+
+    /// Its odometry came.
+    pub fn odometry(&mut self, now: Timestamp, message: &Odometry) {
+        self.watch.count(now, Topic::Odometry, 1);
+        let twist = &message.twist.twist;
+        let velocity = Velocity::from(twist);
+        let all = [velocity.linear, velocity.angular, twist.linear.y];
+        if let Some(pose) = self.pose(now, &message.pose, PoseSource::Odometry)
+            && self.is_finite(now, &all)
+            && self.makes_sense(now, all.iter().all(|speed| speed.abs() <= FASTEST))
+        {
+            let origin = match &self.odometry {
+                Some(odometer) => odometer.origin,
+                None => self.start.then(Planar::of(&pose).inverse()),
+            };
+            let frame = bare(&message.header.frame_id).to_owned();
+            self.odometry = Some(Odometer { pose, frame, origin });
+            self.velocity = velocity;
+            self.heard(now, Topic::Odometry, &message.header);
+        }
+        self.advance(now);
+    }
+
+    /// A turn of its lidar came.
+    pub fn scanned(&mut self, now: Timestamp, message: LaserScan) {
+        self.watch.count(now, Topic::Scan, 1);
+        let angles = [message.angle_min, message.angle_max, message.angle_increment];
+        let others = [message.range_min, message.range_max, message.time_increment, message.scan_time];
+        // REP 117 has NaN for a measurement that failed. If all did, there is none.
+        let blind = !message.ranges.is_empty() && message.ranges.iter().all(|range| range.is_nan());
+        let figures: Vec<_> = angles.into_iter().chain(others).map(f64::from).collect();
+        if self.is_finite(now, &figures)
+            && self.is_finite(now, if blind { &[f64::NAN] } else { &[] })
+            && self.makes_sense(now, is_a_turn(&message))
+        {
+            self.heard(now, Topic::Scan, &message.header);
+            self.scan = Some(Scan {
+                at: now,
+                first_angle: message.angle_min.into(),
+                angle_step: message.angle_increment.into(),
+                ray_interval: Duration::from_secs_f32(message.time_increment.clamp(0.0, 1e3)),
+                turn: Duration::from_secs_f32(message.scan_time.clamp(0.0, 1e3)),
+                range_min: message.range_min.into(),
+                range_max: message.range_max.into(),
+                ranges: message.ranges,
+            });
+        }
+        self.advance(now);
+    }
+
+    /// Localization says where it is on the map: `amcl_pose`.
+    pub fn localized(&mut self, now: Timestamp, message: &PoseWithCovarianceStamped) {
+        self.watch.count(now, Topic::Localization, 1);
+        if let Some(pose) = self.pose(now, &message.pose, PoseSource::Localization) {
+            self.heard(now, Topic::Localization, &message.header);
+            let of_frames = self.correction.as_ref().filter(|correction| correction.of_frames);
+            // Without odometry, nobody knows how the robot moves from there; the next pose will do.
+            if let Some(odometer) = &self.odometry {
+                let origin = match of_frames {
+                    Some(correction) => correction.origin,
+                    None => Planar::of(&pose).then(Planar::of(&odometer.pose).inverse()),
+                };
+                let of_frames = of_frames.is_some();
+                self.correction = Some(Correction { origin, covariance: pose.covariance, of_frames });
+            }
+        }
+        self.advance(now);
+    }
+
+    /// Coordinate frames came, of this robot or of others.
+    pub fn frames(&mut self, now: Timestamp, message: &TFMessage) {
+        self.watch.count(now, Topic::Frames, 1);
+        for transform in &message.transforms {
+            let is_ours = self.odometry.as_ref().is_some_and(|odometer| {
+                bare(&transform.child_frame_id) == odometer.frame
+                    && bare(&transform.header.frame_id).rsplit('/').next() == Some(MAP_FRAME)
+            });
+            if !is_ours {
+                continue;
+            }
+            let translation = &transform.transform.translation;
+            let place = [translation.x, translation.y, translation.z];
+            if let Some(origin) = self.planar(now, place, &transform.transform.rotation) {
+                self.heard(now, Topic::Frames, &transform.header);
+                let covariance =
+                    self.correction.as_ref().map_or([0.0; 9], |correction| correction.covariance);
+                self.correction = Some(Correction { origin, covariance, of_frames: true });
+            }
+        }
+        self.advance(now);
+    }
+
+    /// Messages of a topic were lost on the way, because too many came: so many.
+    pub fn missed(&mut self, now: Timestamp, topic: Topic, messages: u64) {
+        self.watch.count(now, topic, messages);
+        self.advance(now);
+    }
+
+    /// Something came that is no message of its type.
+    pub fn malformed(&mut self, now: Timestamp) {
+        self.watch.saw(now, RobotFault::Malformed);
+        self.advance(now);
+    }
+
+    /// Time has come to `now`: what is wrong with the robot may be something else.
+    pub fn advance(&mut self, now: Timestamp) {
+        self.health = self.watch.faults(now);
+        if !self.health.is_empty() && matches!(self.motion, Motion::Driving { .. }) {
+            self.stop(now);
+        }
+    }
+
+    /// Moves it at that velocity; gives what it does of it.
+    ///
+    /// # Errors
+    /// [`CommandRefused`]; the one before goes on, unless the robot is not well: then it stands still.
+    pub fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+        if !(velocity.linear.is_finite() && velocity.angular.is_finite()) {
+            return Err(CommandRefused::NotFinite(velocity));
+        }
+        self.advance(now);
+        if let Some(fault) = self.health.first() {
+            return Err(CommandRefused::Unwell(*fault));
+        }
+        let velocity = limited(velocity, self.speed_limit);
+        self.motion = Motion::Driving { velocity, until: now + Self::COMMAND_TIMEOUT, next: now };
+        Ok(velocity)
+    }
+
+    /// Stops it.
+    pub fn stop(&mut self, now: Timestamp) {
+        self.motion = Motion::Stopping { left: STOPS, next: now };
+    }
+
+    /// The velocity that is to be said to the robot at `now`, if one is.
+    pub fn poll_velocity(&mut self, now: Timestamp) -> Option<Velocity> {
+        self.advance(now);
+        if let Motion::Driving { until, .. } = self.motion
+            && now >= until
+        {
+            self.stop(now);
+        }
+        match &mut self.motion {
+            Motion::Driving { velocity, next, .. } if now >= *next => {
+                *next = now + REPEAT;
+                Some(*velocity)
+            }
+            Motion::Stopping { left, next } if now >= *next => {
+                (*left, *next) = (*left - 1, now + REPEAT);
+                if *left == 0 {
+                    self.motion = Motion::Standing;
+                }
+                Some(Velocity::default())
+            }
+            _ => None,
+        }
+    }
+
+    /// When a velocity is to be said, or the robot's health may change; `None` as long as nothing is heard.
+    pub fn next_deadline(&self, now: Timestamp) -> Option<Timestamp> {
+        let motion = match self.motion {
+            Motion::Standing => None,
+            Motion::Driving { until, next, .. } => Some(until.min(next)),
+            Motion::Stopping { next, .. } => Some(next),
+        };
+        motion.into_iter().chain(self.watch.next_deadline(now)).min()
+    }
+
+    fn heard(&mut self, now: Timestamp, topic: Topic, header: &Header) {
+        self.watch.heard(now, topic, &header.stamp);
+    }
+
+    /// Whether all are finite; else that is noted.
+    fn is_finite(&mut self, now: Timestamp, figures: &[f64]) -> bool {
+        let finite = figures.iter().all(|figure| figure.is_finite());
+        if !finite {
+            self.watch.saw(now, RobotFault::NotFinite);
+        }
+        finite
+    }
+
+    /// Notes if something makes no sense.
+    fn makes_sense(&mut self, now: Timestamp, sense: bool) -> bool {
+        if !sense {
+            self.watch.saw(now, RobotFault::Malformed);
+        }
+        sense
+    }
+
+    /// The part of a pose that lies in the plane, if it is one; else that is noted.
+    fn pose(&mut self, now: Timestamp, message: &PoseWithCovariance, source: PoseSource) -> Option<Pose> {
+        let position = &message.pose.position;
+        let Planar { x, y, heading } =
+            self.planar(now, [position.x, position.y, position.z], &message.pose.orientation)?;
+        let covariance = message.covariance.planar();
+        let finite = self.is_finite(now, &covariance);
+        let covariance = covariance.map(|c| c.clamp(-GREATEST_VARIANCE, GREATEST_VARIANCE));
+        finite.then_some(Pose { x, y, heading, covariance, source })
+    }
+
+    fn planar(&mut self, now: Timestamp, place: [f64; 3], rotation: &Quaternion) -> Option<Planar> {
+        let [x, y, _] = place;
+        let turned = [rotation.x, rotation.y, rotation.z, rotation.w];
+        // Of a rotation, the squares add up to one; senders round.
+        let is_rotation = (turned.iter().map(|q| q * q).sum::<f64>() - 1.0).abs() < 0.1;
+        let is_near = place.iter().all(|metres| metres.abs() <= FARTHEST);
+        let is_pose = self.is_finite(now, &place)
+            && self.is_finite(now, &turned)
+            && self.makes_sense(now, is_rotation && is_near);
+        is_pose.then(|| Planar { x, y, heading: rotation.heading() })
+    }
+}
+
+/// Whether a scan can be one.
+fn is_a_turn(scan: &LaserScan) -> bool {
+    let full_turn = std::f32::consts::TAU * 1.01;
+    let swept = scan.angle_increment.abs() * scan.ranges.len().saturating_sub(1) as f32;
+    !scan.ranges.is_empty()
+        && (scan.angle_increment != 0.0 || scan.ranges.len() == 1)
+        && swept <= full_turn
+        && scan.angle_min.abs() <= full_turn
+        && 0.0 <= scan.range_min
+        && scan.range_min < scan.range_max
+}
+
+/// A frame's name as tf2 has it: old names begin with a slash.
+fn bare(frame: &str) -> &str {
+    frame.trim_start_matches('/')
+}
+
+#[cfg(test)]
+mod tests;

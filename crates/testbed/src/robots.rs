@@ -1,0 +1,199 @@
+//! Robots in real time: each is driven as the testbed file says, over ROS in the network that it says, and the masters
+//! that it asks for run in their nodes.
+
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
+use cotorra_datapath::Datapath;
+use cotorra_graph::{Driver, Node, NodeId, NodeKind, Offer, Ros1, RosMaster, Testbed, Timestamp};
+use cotorra_robot_middleware::{
+    Clock, OfferedRobot, RobotDriver, Ros1Link, Ros1Offer, RosDriver, RosRobot, SimulatedRobot,
+    SimulationError,
+};
+use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
+
+/// Where a master listens that cotorra runs, as every ROS master does.
+const MASTER_PORT: u16 = 11311;
+
+/// Why a robot cannot be driven.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotError {
+    /// It cannot be simulated.
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+    /// Where its master is.
+    #[error("robot `{robot}`: {reason}")]
+    Master {
+        /// The robot.
+        robot: NodeId,
+        /// Why.
+        reason: ConfigError,
+    },
+    /// A master cannot listen, or there is no thread.
+    #[error("robot `{robot}`: {source}")]
+    System {
+        /// The robot.
+        robot: NodeId,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Virtual time has no ROS.
+    #[error(
+        "robot `{0}` speaks ROS, which goes by the clock on the wall: run without `--simulate`, or simulate it all by \
+         `--set nodes.{0}.driver=simulated` and without an `offer`"
+    )]
+    VirtualTime(NodeId),
+}
+
+/// What drives a robot in virtual time.
+pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
+    match driver(node) {
+        Driver::Simulated { offer: None } => Ok(Box::new(robot)),
+        Driver::Simulated { offer: Some(_) } | Driver::Ros1(_) => {
+            Err(RobotError::VirtualTime(node.id.clone()))
+        }
+    }
+}
+
+fn driver(node: &Node) -> Driver {
+    match &node.kind {
+        NodeKind::Robot(robot) => robot.driver.clone(),
+        NodeKind::RadioUnit(_) | NodeKind::Switch | NodeKind::Server(_) => Driver::default(),
+    }
+}
+
+/// A master in a node. It ends in the node's network, where its own thread is.
+struct NodeMaster {
+    server: Option<MasterServer>,
+    node: NodeId,
+    datapath: Arc<Datapath>,
+}
+
+impl Drop for NodeMaster {
+    fn drop(&mut self) {
+        let server = self.server.take();
+        if let Ok(namespace) = self.datapath.namespace(&self.node) {
+            namespace.run(|| drop(server));
+        }
+    }
+}
+
+/// What drives the robots of a run, in real time.
+pub(crate) struct Robots {
+    testbed: Arc<Testbed>,
+    datapath: Arc<Datapath>,
+    clock: Clock,
+    /// The beginning of the run, since 1970.
+    epoch: Timestamp,
+    masters: BTreeMap<NodeId, NodeMaster>,
+}
+
+/// Keeps the masters going as long as it lives.
+pub(crate) struct Masters {
+    _masters: BTreeMap<NodeId, NodeMaster>,
+}
+
+impl Robots {
+    pub fn new(testbed: Arc<Testbed>, datapath: Arc<Datapath>, clock: Clock) -> Self {
+        let epoch = since_1970().saturating_sub(clock().since(Timestamp::ZERO));
+        Self { testbed, datapath, clock, epoch: Timestamp::ZERO + epoch, masters: BTreeMap::new() }
+    }
+
+    /// What is to outlive the robots.
+    pub fn masters(self) -> Masters {
+        Masters { _masters: self.masters }
+    }
+
+    /// What drives a robot.
+    pub fn drive(&mut self, node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
+        let system = |source| RobotError::System { robot: node.id.clone(), source };
+        let clock = Arc::clone(&self.clock);
+        match driver(node) {
+            Driver::Simulated { offer: None } => Ok(Box::new(robot)),
+            Driver::Simulated { offer: Some(Offer::Ros1(ros1)) } => {
+                let config = self.config(node, &ros1, "offer")?;
+                let (testbed, epoch) = (Arc::clone(&self.testbed), self.epoch);
+                let topics = ros1.topics;
+                let connect =
+                    move || Ros1Offer::connect(config.clone(), &topics, testbed.map.as_ref(), epoch);
+                let start = || OfferedRobot::start(robot, clock, connect);
+                Ok(Box::new(self.inside(node, &ros1.master, start).map_err(system)?))
+            }
+            Driver::Ros1(ros1) => {
+                let config = self.config(node, &ros1, "driver")?;
+                let topics = ros1.topics;
+                let connect = move || Ros1Link::connect(config.clone(), &topics);
+                // It begins where a simulated one would.
+                let pose = robot.pose();
+                let walk = self.testbed.walk(&node.id);
+                let robot = RosRobot::new(node.id.clone(), pose.position(), pose.heading, walk);
+                let start = || RosDriver::start(robot, clock, connect);
+                Ok(Box::new(self.inside(node, &ros1.master, start).map_err(system)?))
+            }
+        }
+    }
+
+    /// Starts something in the network from which the master is reached.
+    fn inside<R: Send>(&self, node: &Node, master: &RosMaster, start: impl FnOnce() -> R + Send) -> R {
+        match (master, self.datapath.namespace(&node.id)) {
+            (RosMaster::Testbed { .. } | RosMaster::Node { .. }, Ok(namespace)) => namespace.run(start),
+            _ => start(),
+        }
+    }
+
+    /// Where a robot's ROS node is, its master running if cotorra is to run it.
+    fn config(&mut self, node: &Node, ros1: &Ros1, what: &str) -> Result<NodeConfig, RobotError> {
+        let robot = &node.id;
+        let wrong = |reason: ConfigError| RobotError::Master { robot: robot.clone(), reason };
+        // No two nodes of a master have one name, and names of ROS's are letters, digits and underscores.
+        let letters = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let name = format!("cotorra_{what}_{}", robot.as_str().chars().map(letters).collect::<String>());
+        let namespace = ros1.namespace.clone();
+        let address =
+            |node: &NodeId| self.testbed.graph.address(node).map(|address| address.ipv4.to_string());
+        let parse = |uri: &str| uri.parse::<Endpoint>().map_err(|error| wrong(error.into()));
+        let (master, host) = match &ros1.master {
+            RosMaster::Machine { uri } => {
+                let mut config = NodeConfig::from_env(&name).map_err(wrong)?;
+                if let Some(uri) = uri {
+                    config.master = parse(uri)?;
+                }
+                return Ok(NodeConfig { namespace, ..config });
+            }
+            RosMaster::Testbed { uri } => {
+                let mut master = parse(uri)?;
+                let named = NodeId::new(&master.host).ok().and_then(|node| address(&node));
+                master.host = named.unwrap_or(master.host);
+                (master, address(robot))
+            }
+            RosMaster::Node { node } => {
+                let host = address(node).unwrap_or_default();
+                let its = address(robot);
+                self.run_master(node, &host)
+                    .map_err(|source| RobotError::System { robot: robot.clone(), source })?;
+                (Endpoint { host, port: MASTER_PORT }, its)
+            }
+        };
+        Ok(NodeConfig { namespace, master, host, ..NodeConfig::new(&name) })
+    }
+
+    /// Runs a master in a node, if none runs there yet.
+    fn run_master(&mut self, node: &NodeId, host: &str) -> std::io::Result<()> {
+        if self.masters.contains_key(node) {
+            return Ok(());
+        }
+        let namespace = self.datapath.namespace(node).map_err(std::io::Error::other)?;
+        let server = Some(namespace.run(|| MasterServer::start(host, MASTER_PORT))?);
+        let master = NodeMaster { server, node: node.clone(), datapath: Arc::clone(&self.datapath) };
+        self.masters.insert(node.clone(), master);
+        Ok(())
+    }
+}
+
+#[allow(
+    clippy::disallowed_types,
+    clippy::disallowed_methods,
+    reason = "stamps of ROS's messages count from 1970; the calendar is read once, when a run begins"
+)]
+fn since_1970() -> Duration {
+    std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default()
+}
