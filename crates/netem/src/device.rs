@@ -1,0 +1,397 @@
+//! One interface as the kernel told it: its rules, and plans that change them. Pure: the kernel's answers go in, requests
+//! come out.
+
+use std::{collections::BTreeMap, fmt};
+
+use crate::{
+    attributes::{Malformed, attributes, number, text, word},
+    filter::{Field, Filter, Verdict},
+    handle::{Handle, Network},
+    netem::Netem,
+    request::{Discipline, Object, Request, Verb},
+    rule::{Counters, Refusal, Replaced, Rule, Side},
+    tree::{Installed, Root, Tree},
+};
+
+/// A network interface.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Interface {
+    /// Its number in its network namespace.
+    pub index: u32,
+    /// Its name.
+    pub name: String,
+}
+
+/// A discipline as the kernel told it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct SeenDiscipline {
+    interface: u32,
+    handle: Handle,
+    parent: Handle,
+    kind: String,
+    options: Vec<u8>,
+    counters: Counters,
+}
+
+/// What the kernel told about a network namespace.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Seen {
+    pub(crate) interfaces: Vec<Interface>,
+    pub(crate) disciplines: Vec<SeenDiscipline>,
+    /// With the interface and the place at which they are.
+    pub(crate) filters: Vec<(u32, Handle, Filter)>,
+}
+
+/// An interface and what is at it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Device {
+    interface: Interface,
+    egress: Tree,
+    /// The detour of what arrives: its tree, if there is one.
+    detour: Option<Tree>,
+    /// Index for a detour that is to be made.
+    free_index: u32,
+    hook: Hook,
+}
+
+/// What is where packets arrive.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Hook {
+    /// Kind of the discipline there.
+    discipline: Option<String>,
+    /// Whether our filter leads to the detour.
+    redirects: bool,
+    /// Filters of others.
+    others: usize,
+}
+
+/// Things to do, in order.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Plan(pub(crate) Vec<Request>);
+
+/// Priority of the filter that sends what arrives to the detour.
+const DETOUR: u16 = 0xc070;
+
+/// The name of the detour of an interface.
+pub(crate) fn detour_name(index: u32) -> String {
+    format!("cotorra-i{index}")
+}
+
+impl Plan {
+    /// Whether there is nothing to do.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whether packets that wait in a discipline are lost by it.
+    pub fn loses_packets(&self) -> bool {
+        self.0.iter().any(|request| {
+            request.verb == Verb::Delete && matches!(request.object, Object::Discipline { .. } | Object::Ifb)
+        })
+    }
+}
+
+impl fmt::Display for Plan {
+    /// In the words of `tc` and `ip`, one a line.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|request| writeln!(f, "{request}"))
+    }
+}
+
+impl Device {
+    pub(crate) fn new(seen: &Seen, interface: &Interface) -> Result<Self, Malformed> {
+        let detour = detour_name(interface.index);
+        let detour = seen.interfaces.iter().find(|other| other.name == detour);
+        let taken = |index: &u32| seen.interfaces.iter().any(|other| other.index == *index);
+        let arriving = |f: &&(u32, Handle, Filter)| f.0 == interface.index && f.1 == Handle::ARRIVING;
+        let ours = |f: &&(u32, Handle, Filter)| {
+            f.2.priority == DETOUR && detour.is_some_and(|d| f.2.verdict == Verdict::Redirect(d.index))
+        };
+        let filters: Vec<_> = seen.filters.iter().filter(arriving).collect();
+        let hook = Hook {
+            discipline: seen
+                .disciplines
+                .iter()
+                .find(|d| d.interface == interface.index && d.parent == Handle::INGRESS)
+                .map(|d| d.kind.clone()),
+            redirects: filters.iter().copied().any(|f| ours(&f)),
+            others: filters.iter().copied().filter(|f| !ours(f)).count(),
+        };
+        Ok(Self {
+            egress: seen.tree(interface, Field::Destination)?,
+            detour: detour.map(|detour| seen.tree(detour, Field::Source)).transpose()?,
+            free_index: (1000..).find(|index| !taken(index)).expect("no machine has so many interfaces"),
+            interface: interface.clone(),
+            hook,
+        })
+    }
+
+    /// Which interface.
+    pub fn interface(&self) -> &Interface {
+        &self.interface
+    }
+
+    /// All rules: those for what leaves first, the one for all packets before those for networks.
+    pub fn rules(&self) -> impl Iterator<Item = (Rule, Counters)> {
+        let of = |side, tree: &Tree| {
+            let rule = move |(network, installed): (&Option<Network>, &Installed)| {
+                let rule = Rule { side, network: *network, netem: installed.netem.clone() };
+                (rule, installed.counters)
+            };
+            tree.rules.iter().map(rule).collect::<Vec<_>>()
+        };
+        let ingress = self.detour.iter().flat_map(move |tree| of(Side::Ingress, tree));
+        of(Side::Egress, &self.egress).into_iter().chain(ingress)
+    }
+
+    /// Tells what the kernel does not: the shape of a rule's jitter, which matters where the rule is made anew.
+    pub fn recall(&mut self, side: Side, network: Option<Network>, distribution: crate::Distribution) {
+        let tree = match side {
+            Side::Egress => Some(&mut self.egress),
+            Side::Ingress => self.detour.as_mut(),
+        };
+        let rule = tree.and_then(|tree| tree.rules.get_mut(&network));
+        if let Some(jitter) = rule.and_then(|rule| rule.netem.jitter.as_mut()) {
+            jitter.distribution = Some(distribution);
+        }
+    }
+
+    /// Somebody's discipline that a rule would take the place of.
+    pub fn foreign(&self) -> Option<&Replaced> {
+        match &self.egress.root {
+            Root::Foreign { replaced, .. } => Some(replaced),
+            _ => None,
+        }
+    }
+
+    /// What makes a rule, or changes it in place. `replace` allows it to take the place of somebody's discipline.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn set(&self, rule: &Rule, replace: bool) -> Result<Plan, Refusal> {
+        if rule.side == Side::Egress {
+            return self.egress.set(rule.network, &rule.netem, replace).map(Plan);
+        }
+        if self.interface.name.starts_with("cotorra-i") {
+            return Err(Refusal::Detour(self.interface.name.clone()));
+        }
+        let mut requests = Vec::new();
+        let detour = self.detour.clone().unwrap_or_else(|| {
+            let detour = self.new_detour();
+            requests.push(Request {
+                verb: Verb::Add,
+                interface: detour.interface.clone(),
+                object: Object::Ifb,
+            });
+            detour
+        });
+        // Packets are led to the detour only once it does what it should.
+        requests.extend(detour.set(rule.network, &rule.netem, true)?);
+        if self.hook.discipline.is_none() {
+            requests.push(self.arriving(Verb::Add));
+        }
+        if !self.hook.redirects {
+            requests.push(self.redirect(Verb::Add, &detour));
+        }
+        Ok(Plan(requests))
+    }
+
+    /// What takes a rule away.
+    pub fn remove(&self, side: Side, network: Option<Network>) -> Plan {
+        match (side, &self.detour) {
+            (Side::Egress, _) => Plan(self.egress.remove(network)),
+            (Side::Ingress, Some(detour)) if !detour.rules.contains_key(&network) => Plan::default(),
+            (Side::Ingress, Some(detour)) if detour.rules.len() > 1 => Plan(detour.remove(network)),
+            (Side::Ingress, _) => self.clear(Side::Ingress, None),
+        }
+    }
+
+    /// What takes all rules of a side away, and puts back what they replaced.
+    pub fn clear(&self, side: Side, replaced: Option<&Replaced>) -> Plan {
+        let mut requests = Vec::new();
+        match (side, &self.detour) {
+            (Side::Egress, _) => {
+                requests.extend(self.egress.clear());
+                if let Some(replaced) = replaced.filter(|_| !requests.is_empty()) {
+                    requests.push(self.egress.foreign(Verb::Add, replaced.handle, replaced));
+                }
+            }
+            (Side::Ingress, Some(detour)) => {
+                if self.hook.redirects {
+                    requests.push(self.redirect(Verb::Delete, detour));
+                }
+                // `clsact` is never ours; an empty `ingress` is of no use to anyone.
+                if self.hook.discipline.as_deref() == Some("ingress") && self.hook.others == 0 {
+                    requests.push(self.arriving(Verb::Delete));
+                }
+                requests.push(Request {
+                    verb: Verb::Delete,
+                    interface: detour.interface.clone(),
+                    object: Object::Ifb,
+                });
+            }
+            (Side::Ingress, None) => {}
+        }
+        Plan(requests)
+    }
+
+    fn new_detour(&self) -> Tree {
+        Tree {
+            interface: (self.free_index, detour_name(self.interface.index)),
+            field: Field::Source,
+            root: Root::Default,
+            rules: BTreeMap::new(),
+        }
+    }
+
+    fn request(&self, verb: Verb, object: Object) -> Request {
+        Request { verb, interface: (self.interface.index, self.interface.name.clone()), object }
+    }
+
+    fn arriving(&self, verb: Verb) -> Request {
+        let (parent, handle) = (Handle::INGRESS, Handle::INGRESS_DISCIPLINE);
+        self.request(verb, Object::Discipline { parent, handle, discipline: Discipline::Ingress })
+    }
+
+    fn redirect(&self, verb: Verb, detour: &Tree) -> Request {
+        let verdict = Verdict::Redirect(detour.interface.0);
+        let filter = Filter { network: None, field: Field::Destination, verdict, priority: DETOUR };
+        self.request(verb, Object::Filter { parent: Handle::ARRIVING, filter })
+    }
+}
+
+impl Seen {
+    /// Where filters are that matter for an interface.
+    pub(crate) fn filter_places(&self, interface: &Interface) -> Vec<(u32, Handle)> {
+        let detour = detour_name(interface.index);
+        let detour = self.interfaces.iter().find(|other| other.name == detour).map(|other| other.index);
+        let of = |d: &SeenDiscipline| match d {
+            d if d.handle == Handle::OURS && d.kind == "htb" => Some((d.interface, Handle::OURS)),
+            d if d.parent == Handle::INGRESS => Some((d.interface, Handle::ARRIVING)),
+            _ => None,
+        };
+        let ours = |d: &&SeenDiscipline| d.interface == interface.index || Some(d.interface) == detour;
+        self.disciplines.iter().filter(ours).filter_map(of).collect()
+    }
+
+    fn tree(&self, interface: &Interface, field: Field) -> Result<Tree, Malformed> {
+        let at: Vec<_> = self.disciplines.iter().filter(|d| d.interface == interface.index).collect();
+        let top = at.iter().find(|d| d.parent == Handle::ROOT && d.handle != Handle(0));
+        let mut rules = BTreeMap::new();
+        let installed = |d: &SeenDiscipline, number, priority| {
+            let netem = Netem::decode(&d.options)?;
+            Ok(Installed { number, priority, netem, counters: d.counters })
+        };
+        let root = match top {
+            None => Root::Default,
+            Some(top) if top.handle == Handle::OURS && top.kind == "netem" => {
+                rules.insert(None, installed(top, 0, 0)?);
+                Root::Plain
+            }
+            Some(top) if top.handle == Handle::OURS && top.kind == "htb" => {
+                for (_, _, filter) in
+                    self.filters.iter().filter(|f| f.0 == interface.index && f.1 == Handle::OURS)
+                {
+                    let leaf =
+                        at.iter().find(|d| Verdict::Class(d.parent) == filter.verdict && d.kind == "netem");
+                    if let Some(leaf) = leaf {
+                        rules.insert(filter.network, installed(leaf, leaf.parent.minor(), filter.priority)?);
+                    }
+                }
+                Root::Classes
+            }
+            Some(top) => Root::Foreign {
+                handle: top.handle,
+                has_below: at.iter().any(|d| d.parent.major() == top.handle.major() && d.handle != Handle(0)),
+                replaced: Replaced {
+                    handle: top.handle,
+                    kind: top.kind.clone(),
+                    options: top.options.clone(),
+                },
+            },
+        };
+        Ok(Tree { interface: (interface.index, interface.name.clone()), field, root, rules })
+    }
+}
+
+impl Interface {
+    /// Reads what follows the header of an `RTM_NEWLINK`.
+    pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
+        let index = word(body, 1)?;
+        let rest = body.get(16..).unwrap_or_default();
+        let name = attributes(rest)?.into_iter().find(|(kind, _)| *kind == 3).map(|(_, name)| text(name));
+        Ok(Self { index, name: name.ok_or(Malformed("an interface has no name"))? })
+    }
+}
+
+impl SeenDiscipline {
+    /// Reads what follows the header of an `RTM_NEWQDISC`.
+    pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
+        let mut seen = Self {
+            interface: word(body, 1)?,
+            handle: Handle(word(body, 2)?),
+            parent: Handle(word(body, 3)?),
+            kind: String::new(),
+            options: Vec::new(),
+            counters: Counters::default(),
+        };
+        for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {
+            match kind {
+                1 => seen.kind = text(value),
+                2 => seen.options = value.to_vec(),
+                7 => seen.counters = Counters::decode(value)?,
+                _ => {}
+            }
+        }
+        Ok(seen)
+    }
+}
+
+impl Counters {
+    /// Reads `TCA_STATS2`.
+    fn decode(value: &[u8]) -> Result<Self, Malformed> {
+        let mut counters = Self::default();
+        for (kind, value) in attributes(value)? {
+            match kind {
+                1 => {
+                    counters.bytes = number(value)?;
+                    counters.packets = word(value, 2)?.into();
+                }
+                3 => {
+                    counters.waiting = word(value, 0)?.into();
+                    counters.dropped = word(value, 2)?.into();
+                }
+                _ => {}
+            }
+        }
+        Ok(counters)
+    }
+}
+
+/// Reads what follows the header of an `RTM_NEWTFILTER`; `None` for one that we would not write.
+pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>, Malformed> {
+    let (interface, parent, info) = (word(body, 1)?, Handle(word(body, 3)?), word(body, 4)?);
+    let (priority, protocol) = ((info >> 16) as u16, u16::from_be(info as u16));
+    for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {
+        if kind == 2
+            && let Some(filter) = Filter::decode(value, protocol, priority)?
+        {
+            // The kernel names the place of an ingress filter by its discipline, or by its hook.
+            let parent = if parent.major() == 0xffff { Handle::ARRIVING } else { parent };
+            return Ok(Some((interface, parent, filter)));
+        }
+    }
+    Ok(None)
+}
+
+/// Reads bytes as everything that the kernel answers; for the fuzzer, which has no kernel.
+#[doc(hidden)]
+pub fn read_anything(bytes: &[u8]) {
+    let _ = (Interface::decode(bytes), decode_filter(bytes));
+    if let Ok(discipline) = SeenDiscipline::decode(bytes) {
+        let interface = Interface { index: discipline.interface, name: "fuzz".to_owned() };
+        let seen =
+            Seen { interfaces: vec![interface.clone()], disciplines: vec![discipline], ..Seen::default() };
+        let _ = Device::new(&seen, &interface);
+    }
+}

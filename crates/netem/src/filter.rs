@@ -1,0 +1,205 @@
+//! Filters of the kind u32, which sort packets by address into classes, or send all that arrive elsewhere: the oldest
+//! kind there is, and the one that kernels have most often.
+
+use std::net::IpAddr;
+
+use crate::{
+    attributes::{Malformed, Writer, attributes, word},
+    handle::{Handle, Network},
+};
+
+/// Which address of a packet a filter looks at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Field {
+    Source,
+    Destination,
+}
+
+/// What becomes of a packet that a filter finds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// It goes into this class.
+    Class(Handle),
+    /// It is sent out of the interface with this index.
+    Redirect(u32),
+}
+
+/// A filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Filter {
+    /// `None` finds all.
+    pub(crate) network: Option<Network>,
+    pub(crate) field: Field,
+    pub(crate) verdict: Verdict,
+    /// Filters with smaller ones go first; ours have one each.
+    pub(crate) priority: u16,
+}
+
+const CLASS: u16 = 1;
+const SELECTOR: u16 = 5;
+const ACTIONS: u16 = 7;
+/// `TC_U32_TERMINAL`: the verdict is final.
+const TERMINAL: u8 = 1;
+/// `struct tc_u32_sel` without its keys; the third byte is their number.
+const SELECTOR_HEADER: usize = 16;
+const KEY: usize = 16;
+
+/// Where addresses begin in the headers of IPv4 (RFC 791) and IPv6 (RFC 8200).
+const V4: [(Field, u32); 2] = [(Field::Source, 12), (Field::Destination, 16)];
+const V6: [(Field, u32); 2] = [(Field::Source, 8), (Field::Destination, 24)];
+
+fn offset(of: [(Field, u32); 2], field: Field) -> u32 {
+    if field == of[0].0 { of[0].1 } else { of[1].1 }
+}
+
+impl Filter {
+    /// EtherType of the packets that it looks at.
+    pub(crate) fn protocol(&self) -> u16 {
+        match self.network.map(Network::address) {
+            Some(IpAddr::V4(_)) => 0x0800,
+            Some(IpAddr::V6(_)) => 0x86dd,
+            None => 0x0003,
+        }
+    }
+
+    /// Mask, value and offset of each word that it compares, as in the packet.
+    fn keys(&self) -> Vec<([u8; 4], [u8; 4], u32)> {
+        let Some(network) = self.network else { return vec![([0; 4], [0; 4], 0)] };
+        let (address, start) = match network.address() {
+            IpAddr::V4(v4) => (v4.octets().to_vec(), offset(V4, self.field)),
+            IpAddr::V6(v6) => (v6.octets().to_vec(), offset(V6, self.field)),
+        };
+        let word = |(i, value): (usize, &[u8])| {
+            let bits = u32::from(network.prefix()).saturating_sub(i as u32 * 32).min(32);
+            let mask = u32::MAX.checked_shl(32 - bits).unwrap_or(0);
+            let value = [value[0], value[1], value[2], value[3]];
+            // The first word is compared even where nothing in it counts: a filter has a key.
+            (bits > 0 || i == 0).then(|| (mask.to_be_bytes(), value, start + i as u32 * 4))
+        };
+        address.chunks_exact(4).enumerate().filter_map(word).collect()
+    }
+
+    pub(crate) fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        if let Verdict::Class(class) = self.verdict {
+            w.words(CLASS, &[class.0]);
+        }
+        let keys = self.keys();
+        let mut selector = vec![0; SELECTOR_HEADER];
+        selector[0] = TERMINAL;
+        selector[2] = keys.len() as u8;
+        for (mask, value, offset) in keys {
+            selector.extend([mask, value, offset.to_ne_bytes(), [0; 4]].concat());
+        }
+        w.bytes(SELECTOR, &selector);
+        if let Verdict::Redirect(interface) = self.verdict {
+            w.with(ACTIONS, |w| {
+                w.with(1, |w| {
+                    w.text(1, "mirred");
+                    w.with(2, |w| {
+                        // index, capabilities, TC_ACT_STOLEN, two counters, TCA_EGRESS_REDIR, interface
+                        w.words(2, &[0, 0, 4, 0, 0, 1, interface]);
+                    });
+                });
+            });
+        }
+        w.finish()
+    }
+
+    /// Reads the options of the kernel's answer; `None` if it is nothing that we would write.
+    pub(crate) fn decode(options: &[u8], protocol: u16, priority: u16) -> Result<Option<Self>, Malformed> {
+        let (mut verdict, mut selected) = (None, None);
+        for (kind, value) in attributes(options)? {
+            match kind {
+                CLASS => verdict = Some(Verdict::Class(Handle(word(value, 0)?))),
+                ACTIONS => verdict = redirect(value)?.map(Verdict::Redirect).or(verdict),
+                SELECTOR => selected = read_selector(value, protocol)?,
+                _ => {}
+            }
+        }
+        let (Some(verdict), Some((field, network))) = (verdict, selected) else { return Ok(None) };
+        let filter = Self { network, field, verdict, priority };
+        Ok((filter.protocol() == protocol).then_some(filter))
+    }
+}
+
+fn redirect(actions: &[u8]) -> Result<Option<u32>, Malformed> {
+    for (_, action) in attributes(actions)? {
+        for (kind, options) in attributes(action)? {
+            if kind != 2 {
+                continue;
+            }
+            for (kind, value) in attributes(options)? {
+                if kind == 2 && value.len() >= 28 {
+                    return Ok(Some(word(value, 6)?));
+                }
+            }
+        }
+    }
+    Ok(None)
+}
+
+fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Network>)>, Malformed> {
+    let keys = value.get(SELECTOR_HEADER..).ok_or(Malformed("a filter's selector is too short"))?;
+    let (fields, length) = match protocol {
+        0x0800 => (V4, 4),
+        0x86dd => (V6, 16),
+        _ => return Ok(Some((Field::Destination, None))),
+    };
+    let mut address = vec![0_u8; length];
+    let mut prefix = 0;
+    let mut field = None;
+    for key in keys.chunks_exact(KEY) {
+        let mask = u32::from_be_bytes([key[0], key[1], key[2], key[3]]);
+        let at = word(key, 2)?;
+        let Some((found, start)) = fields.into_iter().find(|(_, s)| (*s..*s + length as u32).contains(&at))
+        else {
+            return Ok(None);
+        };
+        let place = (at - start) as usize;
+        let Some(bytes) = address.get_mut(place..place + 4) else { return Ok(None) };
+        bytes.copy_from_slice(&key[4..8]);
+        prefix += mask.leading_ones() as u8;
+        field = Some(found);
+    }
+    let address = match length {
+        4 => IpAddr::from([address[0], address[1], address[2], address[3]]),
+        _ => IpAddr::from(<[u8; 16]>::try_from(address).expect("an address of IPv6 has 16 bytes")),
+    };
+    Ok(field.and_then(|field| Some((field, Some(Network::new(address, prefix)?)))))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(bits: u128, v4: bool, prefix in 0_u8..=128, source: bool, class in 1_u16.., priority: u16) {
+            let network = if v4 {
+                Network::new((bits as u32).to_be_bytes().into(), prefix / 4)
+            } else {
+                Network::new(bits.to_be_bytes().into(), prefix)
+            };
+            let field = if source { Field::Source } else { Field::Destination };
+            let filter = Filter { network, field, verdict: Verdict::Class(Handle::class(class)), priority };
+            prop_assert_eq!(Filter::decode(&filter.encode(), filter.protocol(), priority), Ok(Some(filter)));
+        }
+
+        #[test]
+        fn no_options_panic(bytes in prop::collection::vec(any::<u8>(), 0..120), protocol: u16) {
+            _ = Filter::decode(&bytes, protocol, 0);
+            _ = Filter::decode(&bytes, 0x0800, 0);
+            _ = Filter::decode(&bytes, 0x86dd, 0);
+        }
+    }
+
+    #[test]
+    fn all_that_arrives_is_redirected() {
+        let all =
+            Filter { network: None, field: Field::Destination, verdict: Verdict::Redirect(7), priority: 9 };
+        assert_eq!(Filter::decode(&all.encode(), 3, 9), Ok(Some(all)));
+    }
+}

@@ -1,0 +1,361 @@
+//! What is asked of the kernel, one message each (rtnetlink(7), linux/rtnetlink.h): as bytes for it, and in the words of
+//! `tc` for people.
+
+use std::fmt;
+
+use crate::{
+    attributes::Writer,
+    filter::{Field, Filter, Verdict},
+    handle::Handle,
+    loss::Loss,
+    netem::Netem,
+};
+
+/// What is to happen to something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Verb {
+    Add,
+    Change,
+    Delete,
+}
+
+/// A queueing discipline.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "a plan has a few of them")]
+pub(crate) enum Discipline {
+    /// NetEm; what it did before, where it is changed.
+    Netem { netem: Netem, before: Option<Netem> },
+    /// Hierarchical token buckets, here only to hold classes; what no filter finds passes at once.
+    Htb,
+    /// Where arriving packets meet filters.
+    Ingress,
+    /// Another's, as it was found.
+    Foreign { kind: String, options: Vec<u8> },
+}
+
+/// What a request is about.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant, reason = "a plan has a few of them")]
+pub(crate) enum Object {
+    Discipline {
+        parent: Handle,
+        handle: Handle,
+        discipline: Discipline,
+    },
+    /// A class of ours with that number.
+    Class {
+        number: u16,
+    },
+    Filter {
+        parent: Handle,
+        filter: Filter,
+    },
+    /// An intermediate functional block: an interface whose only purpose is its discipline.
+    Ifb,
+}
+
+/// One thing to do.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Request {
+    pub(crate) verb: Verb,
+    /// Index and name of the interface.
+    pub(crate) interface: (u32, String),
+    pub(crate) object: Object,
+}
+
+/// `RTM_NEWLINK` and the like: what makes; one more deletes, two more get.
+const LINK: u16 = 16;
+const QDISC: u16 = 36;
+const CLASS: u16 = 40;
+const FILTER: u16 = 44;
+
+const REQUEST: u16 = 1;
+const ACK: u16 = 4;
+const DUMP: u16 = 0x300;
+const CREATE: u16 = 0x400;
+const EXCLUSIVE: u16 = 0x200;
+
+const KIND: u16 = 1;
+const OPTIONS: u16 = 2;
+
+const UP: u32 = 1;
+
+/// Bytes a second of a class: 1 Tbit/s, which is to say, at once.
+const CLASS_RATE: u64 = 125_000_000_000;
+
+impl Request {
+    /// What undoes it.
+    pub(crate) fn undo(&self) -> Self {
+        let mut object = self.object.clone();
+        let verb = match self.verb {
+            Verb::Add => Verb::Delete,
+            Verb::Delete => Verb::Add,
+            Verb::Change => {
+                if let Object::Discipline { discipline: Discipline::Netem { netem, before }, .. } =
+                    &mut object
+                    && let Some(before) = before
+                {
+                    std::mem::swap(netem, before);
+                }
+                Verb::Change
+            }
+        };
+        Self { verb, interface: self.interface.clone(), object }
+    }
+
+    /// The module without which a kernel does not know it.
+    pub(crate) fn module(&self) -> &'static str {
+        match &self.object {
+            Object::Discipline { discipline: Discipline::Netem { .. }, .. } => "sch_netem",
+            Object::Discipline { discipline: Discipline::Ingress, .. } => "sch_ingress",
+            Object::Discipline { discipline: Discipline::Htb, .. } | Object::Class { .. } => "sch_htb",
+            Object::Discipline { .. } => "discipline of that kind",
+            Object::Filter { filter: Filter { verdict: Verdict::Redirect(_), .. }, .. } => {
+                "cls_u32 or act_mirred"
+            }
+            Object::Filter { .. } => "cls_u32",
+            Object::Ifb => "ifb",
+        }
+    }
+
+    /// The message, with its number.
+    pub(crate) fn encode(&self, number: u32) -> Vec<u8> {
+        let flags = REQUEST
+            | ACK
+            | match self.verb {
+                Verb::Add => CREATE | EXCLUSIVE,
+                Verb::Change | Verb::Delete => 0,
+            };
+        let delete = u16::from(self.verb == Verb::Delete);
+        let index = self.interface.0;
+        let mut w = Writer::default();
+        let kind = match &self.object {
+            Object::Discipline { parent, handle, discipline } => {
+                w.raw(&tc(index, *handle, *parent, 0));
+                if delete == 0 {
+                    discipline.encode(&mut w);
+                }
+                QDISC
+            }
+            Object::Class { number } => {
+                w.raw(&tc(index, Handle::class(*number), Handle::OURS, 0));
+                if delete == 0 {
+                    encode_class(&mut w);
+                }
+                CLASS
+            }
+            Object::Filter { parent, filter } => {
+                let info = u32::from(filter.priority) << 16 | u32::from(filter.protocol().to_be());
+                w.raw(&tc(index, Handle(0), *parent, info));
+                if delete == 0 {
+                    w.text(KIND, "u32").bytes(OPTIONS, &filter.encode());
+                }
+                FILTER
+            }
+            Object::Ifb => {
+                w.raw(&link(index, UP));
+                if delete == 0 {
+                    w.text(3, &self.interface.1).words(13, &[crate::netem::QUEUE]);
+                    w.with(18, |w| {
+                        w.text(1, "ifb");
+                    });
+                }
+                LINK
+            }
+        };
+        message(kind + delete, flags, number, &w.finish())
+    }
+}
+
+/// What the kernel is asked to tell, all of it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Question {
+    Links,
+    Disciplines,
+    /// Of an interface, at a place.
+    Filters(u32, Handle),
+}
+
+impl Question {
+    pub(crate) fn encode(self, number: u32) -> Vec<u8> {
+        let (kind, body) = match self {
+            Self::Links => (LINK, link(0, 0)),
+            Self::Disciplines => (QDISC, tc(0, Handle(0), Handle(0), 0)),
+            Self::Filters(index, parent) => (FILTER, tc(index, Handle(0), parent, 0)),
+        };
+        message(kind + 2, REQUEST | DUMP, number, &body)
+    }
+}
+
+fn message(kind: u16, flags: u16, number: u32, body: &[u8]) -> Vec<u8> {
+    let length = (16 + body.len()) as u32;
+    let mut bytes = length.to_ne_bytes().to_vec();
+    bytes.extend(kind.to_ne_bytes());
+    bytes.extend(flags.to_ne_bytes());
+    bytes.extend(number.to_ne_bytes());
+    bytes.extend([0; 4]);
+    bytes.extend(body);
+    bytes
+}
+
+/// `struct tcmsg`.
+fn tc(index: u32, handle: Handle, parent: Handle, info: u32) -> Vec<u8> {
+    [0, index, handle.0, parent.0, info].map(u32::to_ne_bytes).concat()
+}
+
+/// `struct ifinfomsg`.
+fn link(index: u32, flags: u32) -> Vec<u8> {
+    [0, index, flags, flags].map(u32::to_ne_bytes).concat()
+}
+
+impl Discipline {
+    pub(crate) fn kind(&self) -> &str {
+        match self {
+            Self::Netem { .. } => "netem",
+            Self::Htb => "htb",
+            Self::Ingress => "ingress",
+            Self::Foreign { kind, .. } => kind,
+        }
+    }
+
+    fn encode(&self, w: &mut Writer) {
+        w.text(KIND, self.kind());
+        match self {
+            Self::Netem { netem, before } => drop(w.bytes(OPTIONS, &netem.encode(before.as_ref()))),
+            // struct tc_htb_glob: version, rate to quantum, default class, debug, direct packets; then how many
+            // packets may wait that go past all classes.
+            Self::Htb => {
+                w.with(OPTIONS, |w| {
+                    w.words(2, &[3, 10, 0, 0, 0]).words(5, &[crate::netem::QUEUE]);
+                });
+            }
+            Self::Ingress => {}
+            Self::Foreign { options, .. } if options.is_empty() => {}
+            Self::Foreign { options, .. } => drop(w.bytes(OPTIONS, options)),
+        }
+    }
+}
+
+/// A class that holds nothing up.
+fn encode_class(w: &mut Writer) {
+    // struct tc_ratespec, of Ethernet, whose rate is said elsewhere as it has no room here.
+    let ratespec = [0_u32.to_ne_bytes(), [0; 4], u32::MAX.to_ne_bytes()].concat();
+    let mut ethernet = ratespec.clone();
+    ethernet[1] = 1;
+    // 1 ms of tokens, in ticks of 64 ns; quantum in bytes, level, priority.
+    let rest = [15_625_u32, 15_625, 60_000, 0, 0].map(u32::to_ne_bytes).concat();
+    w.text(KIND, "htb").with(OPTIONS, |w| {
+        w.bytes(1, &[ethernet.clone(), ethernet, rest].concat()).u64(6, CLASS_RATE).u64(7, CLASS_RATE);
+    });
+}
+
+impl fmt::Display for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verb = match self.verb {
+            Verb::Add => "add",
+            Verb::Change => "change",
+            Verb::Delete => "delete",
+        };
+        let dev = &self.interface.1;
+        let describe = self.verb != Verb::Delete;
+        match &self.object {
+            Object::Discipline { parent, handle, discipline } => {
+                let place = match *parent {
+                    Handle::ROOT | Handle::INGRESS => parent.to_string(),
+                    parent => format!("parent {parent}"),
+                };
+                write!(f, "tc qdisc {verb} dev {dev} {place} handle {handle}")?;
+                match discipline {
+                    Discipline::Netem { netem, .. } if describe => write!(f, " {netem}"),
+                    Discipline::Ingress => Ok(()),
+                    Discipline::Htb if describe => f.write_str(" htb"),
+                    Discipline::Foreign { kind, .. } => write!(f, " {kind}"),
+                    _ => Ok(()),
+                }
+            }
+            Object::Class { number } => {
+                write!(
+                    f,
+                    "tc class {verb} dev {dev} parent {} classid {}",
+                    Handle::OURS,
+                    Handle::class(*number)
+                )?;
+                if describe { f.write_str(" htb rate 1tbit") } else { Ok(()) }
+            }
+            Object::Filter { parent, filter } => {
+                let protocol = match filter.protocol() {
+                    0x0800 => "ip",
+                    0x86dd => "ipv6",
+                    _ => "all",
+                };
+                let parent = if *parent == Handle::ARRIVING { Handle::INGRESS_DISCIPLINE } else { *parent };
+                write!(
+                    f,
+                    "tc filter {verb} dev {dev} parent {parent} protocol {protocol} pref {}",
+                    filter.priority
+                )?;
+                if !describe {
+                    return Ok(());
+                }
+                match filter.network {
+                    Some(network) => {
+                        let ip = if protocol == "ip" { "ip" } else { "ip6" };
+                        let field = if filter.field == Field::Source { "src" } else { "dst" };
+                        write!(f, " u32 match {ip} {field} {}/{}", network.address(), network.prefix())?;
+                    }
+                    None => f.write_str(" u32 match u32 0 0")?,
+                }
+                match filter.verdict {
+                    Verdict::Class(class) => write!(f, " flowid {class}"),
+                    Verdict::Redirect(index) => write!(f, " action mirred egress redirect index {index}"),
+                }
+            }
+            Object::Ifb => match self.verb {
+                Verb::Delete => write!(f, "ip link delete {dev}"),
+                _ => write!(f, "ip link {verb} {dev} type ifb && ip link set {dev} up"),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Netem {
+    /// In the words of `tc`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let percent = |p: cotorra_graph::Probability| format!("{}%", p.get() * 100.0);
+        let time = |d: std::time::Duration| format!("{}ms", d.as_secs_f64() * 1e3);
+        write!(f, "netem limit {}", self.limit())?;
+        match &self.jitter {
+            Some(jitter) => {
+                write!(f, " delay {} {}", time(self.delay), time(jitter.deviation))?;
+                if let Some(distribution) = jitter.distribution {
+                    write!(f, " distribution {}", distribution.name())?;
+                }
+            }
+            None => write!(f, " delay {}", time(self.delay))?,
+        }
+        match self.loss {
+            Loss::None => {}
+            Loss::Independent { rate } => write!(f, " loss {}", percent(rate))?,
+            Loss::GilbertElliott { to_bad, to_good, lost_in_bad, lost_in_good } => {
+                let [p, r, bad, good] = [to_bad, to_good, lost_in_bad, lost_in_good].map(percent);
+                write!(f, " loss gemodel {p} {r} {bad} {good}")?;
+            }
+        }
+        for (word, share) in
+            [("duplicate", self.duplication), ("corrupt", self.corruption), ("reorder", self.reordering)]
+        {
+            if share.get() > 0.0 {
+                write!(f, " {word} {}", percent(share))?;
+            }
+        }
+        match self.rate {
+            Some(rate) => write!(f, " rate {}bit", rate.bits_per_second())?,
+            None if self.in_order => f.write_str(" rate 8796093022208bit")?,
+            None => {}
+        }
+        if let Some(seed) = self.seed {
+            write!(f, " seed {seed}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,184 @@
+//! How conditions lie on one interface, and what leads from one set of them to another. One rule for all packets is a
+//! NetEm at the root; rules for networks are classes with a NetEm each, and filters that lead there, the longest
+//! prefix first; packets that no rule is for then pass untouched.
+
+use std::collections::BTreeMap;
+
+use crate::{
+    filter::{Field, Filter, Verdict},
+    handle::{Handle, Network},
+    netem::Netem,
+    request::{Discipline, Object, Request, Verb},
+    rule::{Counters, Refusal, Replaced},
+};
+
+/// What is at an interface's root.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Root {
+    /// What the kernel puts there by itself.
+    Default,
+    /// Our NetEm for all.
+    Plain,
+    /// Our classes.
+    Classes,
+    /// Somebody's; and whether it has disciplines below it.
+    Foreign { handle: Handle, replaced: Replaced, has_below: bool },
+}
+
+/// A rule that is there.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Installed {
+    /// Number of its class; 0 at the root.
+    pub(crate) number: u16,
+    /// Of the filter that leads to it.
+    pub(crate) priority: u16,
+    pub(crate) netem: Netem,
+    pub(crate) counters: Counters,
+}
+
+/// The root discipline of an interface and what is below it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Tree {
+    pub(crate) interface: (u32, String),
+    /// Which address rules look at.
+    pub(crate) field: Field,
+    pub(crate) root: Root,
+    /// By network; `None` is the rule for all packets that no other is for.
+    pub(crate) rules: BTreeMap<Option<Network>, Installed>,
+}
+
+/// Filters of each length of prefix have so many priorities to themselves.
+const PRIORITIES: u16 = 400;
+/// Of the filter that finds all.
+const LAST: u16 = 65_000;
+
+impl Tree {
+    fn request(&self, verb: Verb, object: Object) -> Request {
+        Request { verb, interface: self.interface.clone(), object }
+    }
+
+    fn root(&self, verb: Verb, discipline: Discipline) -> Request {
+        self.request(verb, Object::Discipline { parent: Handle::ROOT, handle: Handle::OURS, discipline })
+    }
+
+    /// The discipline of a rule.
+    fn leaf(&self, verb: Verb, number: u16, netem: Netem, before: Option<Netem>) -> Request {
+        let discipline = Discipline::Netem { netem, before };
+        if number == 0 {
+            return self.root(verb, discipline);
+        }
+        let (parent, handle) = (Handle::class(number), Handle::leaf(number));
+        self.request(verb, Object::Discipline { parent, handle, discipline })
+    }
+
+    fn filter(&self, verb: Verb, network: Option<Network>, number: u16, priority: u16) -> Request {
+        let verdict = Verdict::Class(Handle::class(number));
+        let filter = Filter { network, field: self.field, verdict, priority };
+        self.request(verb, Object::Filter { parent: Handle::OURS, filter })
+    }
+
+    /// All that makes a rule, below classes.
+    fn add_rule(&self, network: Option<Network>, number: u16, priority: u16, netem: Netem) -> [Request; 3] {
+        [
+            self.request(Verb::Add, Object::Class { number }),
+            self.leaf(Verb::Add, number, netem, None),
+            self.filter(Verb::Add, network, number, priority),
+        ]
+    }
+
+    /// The first priority for filters of a network's length.
+    fn priorities(network: Option<Network>) -> u16 {
+        let Some(network) = network else { return LAST };
+        let group = match network.address() {
+            std::net::IpAddr::V4(_) => 32 - u16::from(network.prefix()),
+            std::net::IpAddr::V6(_) => 33 + 128 - u16::from(network.prefix()),
+        };
+        1 + group * PRIORITIES
+    }
+
+    /// A class and a priority that no rule has.
+    fn free(&self, network: Option<Network>) -> Result<(u16, u16), Refusal> {
+        let first = Self::priorities(network);
+        let mut priorities = first..first.saturating_add(PRIORITIES);
+        let priority = priorities.find(|p| self.rules.values().all(|rule| rule.priority != *p));
+        let number = (1..16_000).find(|n| self.rules.values().all(|rule| rule.number != *n));
+        number.zip(priority).ok_or(Refusal::TooMany)
+    }
+
+    /// What gives a network, or all packets, these conditions. A rule that is there is changed in place.
+    pub(crate) fn set(
+        &self,
+        network: Option<Network>,
+        netem: &Netem,
+        replace: bool,
+    ) -> Result<Vec<Request>, Refusal> {
+        if let Some(rule) = self.rules.get(&network) {
+            return Ok(vec![self.leaf(Verb::Change, rule.number, netem.clone(), Some(rule.netem.clone()))]);
+        }
+        let mut requests = Vec::new();
+        if let Root::Foreign { handle, replaced, has_below } = &self.root {
+            let name = || (self.interface.1.clone(), replaced.kind.clone());
+            if *has_below {
+                let (interface, kind) = name();
+                return Err(Refusal::ForeignTree { interface, kind });
+            }
+            if !replace {
+                let (interface, kind) = name();
+                return Err(Refusal::Foreign { interface, kind });
+            }
+            requests.push(self.foreign(Verb::Delete, *handle, replaced));
+        }
+        if network.is_none() && self.root != Root::Classes {
+            requests.push(self.leaf(Verb::Add, 0, netem.clone(), None));
+            return Ok(requests);
+        }
+        let mut classes = self.clone();
+        if self.root != Root::Classes {
+            let all = classes.rules.remove(&None);
+            if let Some(all) = &all {
+                requests.push(self.leaf(Verb::Delete, 0, all.netem.clone(), None));
+            }
+            requests.push(self.root(Verb::Add, Discipline::Htb));
+            if let Some(all) = all {
+                let (number, priority) = classes.free(None)?;
+                requests.extend(self.add_rule(None, number, priority, all.netem.clone()));
+                classes.rules.insert(None, Installed { number, priority, ..all });
+            }
+        }
+        let (number, priority) = classes.free(network)?;
+        requests.extend(self.add_rule(network, number, priority, netem.clone()));
+        Ok(requests)
+    }
+
+    /// What takes the conditions of a network, or of all packets, away; the root's own come back with the last.
+    pub(crate) fn remove(&self, network: Option<Network>) -> Vec<Request> {
+        let Some(rule) = self.rules.get(&network) else { return Vec::new() };
+        if self.rules.len() == 1 {
+            return self.clear();
+        }
+        vec![
+            self.filter(Verb::Delete, network, rule.number, rule.priority),
+            self.leaf(Verb::Delete, rule.number, rule.netem.clone(), None),
+            self.request(Verb::Delete, Object::Class { number: rule.number }),
+        ]
+    }
+
+    /// What takes all of ours away.
+    pub(crate) fn clear(&self) -> Vec<Request> {
+        match self.root {
+            Root::Default | Root::Foreign { .. } => Vec::new(),
+            Root::Classes => vec![self.root(Verb::Delete, Discipline::Htb)],
+            Root::Plain => {
+                let netem = self.rules.get(&None).map(|rule| rule.netem.clone()).unwrap_or_default();
+                vec![self.leaf(Verb::Delete, 0, netem, None)]
+            }
+        }
+    }
+
+    /// Somebody's discipline, as it was found.
+    pub(crate) fn foreign(&self, verb: Verb, handle: Handle, replaced: &Replaced) -> Request {
+        let Replaced { kind, options, .. } = replaced.clone();
+        let discipline = Discipline::Foreign { kind, options };
+        self.request(verb, Object::Discipline { parent: Handle::ROOT, handle, discipline })
+    }
+}
