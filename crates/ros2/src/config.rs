@@ -1,0 +1,143 @@
+//! What a node is called and where its peers are: said by the program, by ROS 2's environment variables, and by its
+//! arguments.
+//!
+//! Source: ROS 2 documentation, "The ROS_DOMAIN_ID", "Improved Dynamic Discovery" and "Passing ROS arguments to nodes
+//! via the command-line".
+
+use std::{
+    env,
+    net::{IpAddr, Ipv4Addr},
+};
+
+/// Beyond that, the UDP ports of a domain would be over 65535 (DDSI-RTPS 2.5, 9.6.2.3).
+const LAST_DOMAIN: u16 = 232;
+
+/// Why a configuration is none.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// The domain is none.
+    #[error("ROS_DOMAIN_ID: `{0}` is no number from 0 to {LAST_DOMAIN}")]
+    Domain(String),
+    /// `from:=` without a value, or the other way round, or no remapping behind `-r`.
+    #[error("`{0}` is no remapping such as scan:=/robot/scan; after --ros-args, it follows -r")]
+    Remapping(String),
+}
+
+/// What a node is called, and where its peers are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NodeConfig {
+    /// Its name, without namespace.
+    pub name: String,
+    /// The namespace in which its names are.
+    pub namespace: String,
+    /// Who is in another domain is not seen; 0 to 232.
+    pub domain: u16,
+    /// The address of the one network interface to use for multicast, and to be reached at; by default, all are used.
+    /// Loopback, 127.0.0.1, keeps to this machine.
+    pub interface: Option<IpAddr>,
+    /// What names become: from, to.
+    pub remappings: Vec<(String, String)>,
+}
+
+impl NodeConfig {
+    /// A node of that name in the namespace `/` and in domain 0, on all interfaces.
+    pub fn new(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            namespace: "/".to_owned(),
+            domain: 0,
+            interface: None,
+            remappings: Vec::new(),
+        }
+    }
+
+    /// A node of that name, with what `ROS_DOMAIN_ID` says, and `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` or
+    /// `ROS_LOCALHOST_ONLY=1`.
+    ///
+    /// # Errors
+    /// [`ConfigError::Domain`] if the domain is none.
+    pub fn from_env(name: &str) -> Result<Self, ConfigError> {
+        Self::new(name).with_variables(|variable| env::var(variable).ok())
+    }
+
+    fn with_variables(mut self, variable: impl Fn(&str) -> Option<String>) -> Result<Self, ConfigError> {
+        let variable = |name| variable(name).filter(|value| !value.is_empty());
+        if let Some(domain) = variable("ROS_DOMAIN_ID") {
+            let number = domain.parse().ok().filter(|number| *number <= LAST_DOMAIN);
+            self.domain = number.ok_or(ConfigError::Domain(domain))?;
+        }
+        let range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
+        let localhost = variable("ROS_LOCALHOST_ONLY").is_some_and(|only| only == "1");
+        if localhost || range.is_some_and(|range| range.eq_ignore_ascii_case("LOCALHOST")) {
+            self.interface = Some(Ipv4Addr::LOCALHOST.into());
+        }
+        Ok(self)
+    }
+
+    /// With the remappings among a program's arguments, which follow `--ros-args`: `-r from:=to`. `__node` (or
+    /// `__name`) and `__ns` say what the names tell. All else is ignored.
+    ///
+    /// # Errors
+    /// [`ConfigError::Remapping`] if one is none.
+    pub fn with_args(mut self, args: impl IntoIterator<Item = impl AsRef<str>>) -> Result<Self, ConfigError> {
+        let (mut ours, mut follows) = (false, false);
+        for arg in args {
+            match arg.as_ref() {
+                "--ros-args" => ours = true,
+                "--" => ours = false,
+                "-r" | "--remap" if ours => follows = true,
+                remapping if follows => {
+                    follows = false;
+                    self.remap(remapping)?;
+                }
+                _ => {}
+            }
+        }
+        if follows { Err(ConfigError::Remapping("-r".to_owned())) } else { Ok(self) }
+    }
+
+    fn remap(&mut self, remapping: &str) -> Result<(), ConfigError> {
+        let parts = remapping.split_once(":=").filter(|(from, to)| !from.is_empty() && !to.is_empty());
+        let (from, to) = parts.ok_or_else(|| ConfigError::Remapping(remapping.to_owned()))?;
+        let to = to.to_owned();
+        match from {
+            "__node" | "__name" => self.name = to,
+            "__ns" => self.namespace = to,
+            _ => self.remappings.push((from.to_owned(), to)),
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_environment_says_where_peers_are() {
+        let with = |set: &[(&str, &str)]| {
+            let value =
+                |name: &str| set.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned());
+            NodeConfig::new("n").with_variables(value)
+        };
+        assert_eq!(with(&[]).unwrap(), NodeConfig::new("n"));
+        let config = with(&[("ROS_DOMAIN_ID", "42"), ("ROS_LOCALHOST_ONLY", "1")]).unwrap();
+        assert_eq!((config.domain, config.interface), (42, Some(Ipv4Addr::LOCALHOST.into())));
+        assert!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")]).unwrap().interface.is_some());
+        assert!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]).unwrap().interface.is_none());
+        for wrong in ["233", "-1", "a"] {
+            assert_eq!(with(&[("ROS_DOMAIN_ID", wrong)]), Err(ConfigError::Domain(wrong.to_owned())));
+        }
+    }
+
+    #[test]
+    fn arguments_remap() {
+        let args = "-v a:=b --ros-args -r scan:=/lidar --remap __node:=m -r __ns:=/robot -p x:=1 -- -r c:=d";
+        let config = NodeConfig::new("n").with_args(args.split(' ')).unwrap();
+        assert_eq!((config.name.as_str(), config.namespace.as_str()), ("m", "/robot"));
+        assert_eq!(config.remappings, [("scan".to_owned(), "/lidar".to_owned())]);
+        for wrong in [&["--ros-args", "-r", "scan"][..], &["--ros-args", "-r"]] {
+            assert!(matches!(NodeConfig::new("n").with_args(wrong), Err(ConfigError::Remapping(_))));
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! The node's thread: takes in what discovery tells and what peers publish, and sends what had to wait.
+
+use std::{io, sync::Arc, time::Duration};
+
+use rustdds::{
+    DomainParticipantStatusListener, StatusEvented,
+    mio1::{Events, Interest, Poll, Token, Waker},
+};
+
+use super::Shared;
+use crate::queue::lock;
+
+const WAKER: Token = Token(0);
+const DISCOVERY: Token = Token(1);
+/// The first number of what else the thread waits for.
+pub const FIRST_ID: usize = 2;
+
+/// How soon what had to wait is tried again: no longer than commands are apart.
+const RETRY: Duration = Duration::from_millis(20);
+
+/// What the thread waits with, and what wakes it.
+pub fn poll() -> io::Result<(Poll, Waker)> {
+    let poll = Poll::new()?;
+    let waker = Waker::new(poll.registry(), WAKER)?;
+    Ok((poll, waker))
+}
+
+/// The thread.
+pub struct Engine {
+    poll: Poll,
+    discovery: DomainParticipantStatusListener,
+    shared: Arc<Shared>,
+}
+
+impl Engine {
+    pub fn new(
+        poll: Poll,
+        mut discovery: DomainParticipantStatusListener,
+        shared: Arc<Shared>,
+    ) -> io::Result<Self> {
+        poll.registry().register(discovery.as_status_source_mio1(), DISCOVERY, Interest::READABLE)?;
+        Ok(Self { poll, discovery, shared })
+    }
+
+    pub fn run(mut self) {
+        let mut events = Events::with_capacity(64);
+        let mut timeout = None;
+        while !self.shared.is_stopped() {
+            if let Err(error) = self.poll.poll(&mut events, timeout)
+                && error.kind() != io::ErrorKind::Interrupted
+            {
+                tracing::error!("{}: no more messages: {error}", self.shared.names.node());
+                return;
+            }
+            // First who publishes, then what.
+            while let Some(event) = self.discovery.try_recv_status() {
+                lock(&self.shared.graph).apply(event);
+            }
+            let (subscriptions, publications) = {
+                let state = lock(&self.shared.state);
+                let subscriptions = events.iter().filter_map(|event| state.readers.get(&event.token().0));
+                let publications: Vec<_> = state.publications.values().cloned().collect();
+                (subscriptions.cloned().collect::<Vec<_>>(), publications)
+            };
+            for (subscription, kind) in subscriptions {
+                subscription.take(kind, &self.shared.graph);
+            }
+            let waits = publications.iter().filter(|publication| publication.flush(&self.shared)).count() > 0;
+            timeout = waits.then_some(RETRY);
+        }
+    }
+}

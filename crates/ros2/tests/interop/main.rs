@@ -1,0 +1,6 @@
+//! The node against other implementations of DDS with ROS 2's names, and against itself.
+#![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
+
+mod cyclone;
+mod own;
+mod peer;

@@ -1,0 +1,149 @@
+//! Other implementations of DDS for tests, as processes that end with the test; and what waits for them.
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
+
+use std::{
+    env,
+    io::{self, Read},
+    net::Ipv4Addr,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicU32, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use cotorra_ros2::{Node, NodeConfig};
+
+/// How long anything may take; far more than it does, even on a busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Waits until the condition holds.
+pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !condition() {
+        assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Asserts that a text has all parts.
+pub fn contains(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "no `{part}` in:\n{text}");
+    }
+}
+
+/// A place for nodes to meet, on loopback only, where no other test is.
+pub struct Meeting {
+    domain: u16,
+    namespace: String,
+}
+
+impl Meeting {
+    pub fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        // The ports of these domains are below those that the kernel hands out. Who meets there by chance speaks of
+        // other topics.
+        let domain = u16::try_from(1 + process % 100).unwrap();
+        Self { domain, namespace: format!("/test_{process}_{count}") }
+    }
+
+    /// The namespace.
+    pub fn namespace(&self) -> &str {
+        &self.namespace
+    }
+
+    /// A node of this crate.
+    pub fn node(&self, name: &str) -> Node {
+        let config = NodeConfig {
+            domain: self.domain,
+            namespace: self.namespace.clone(),
+            interface: Some(Ipv4Addr::LOCALHOST.into()),
+            ..NodeConfig::new(name)
+        };
+        Node::new(config).unwrap()
+    }
+
+    /// Starts Cyclone DDS: see `cyclone.py`. A topic is one of the meeting's namespace, if it is none of DDS's own.
+    /// `None`, and a message, where it is not installed.
+    pub fn cyclone(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
+        let python = cyclone_python()?;
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/cyclone.py");
+        let mut command = Command::new(python);
+        let only_loopback = "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
+            </General><Discovery><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>";
+        command
+            .arg("-u")
+            .arg(script)
+            .args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos])
+            .env("CYCLONEDDS_URI", only_loopback);
+        let process = Process::spawn(&mut command).unwrap();
+        until("Cyclone DDS is there", || process.output().contains("ready"));
+        Some(process)
+    }
+
+    fn dds_topic(&self, topic: &str) -> String {
+        if topic == "ros_discovery_info" { topic.to_owned() } else { format!("rt{}/{topic}", self.namespace) }
+    }
+}
+
+/// The Python that has Cyclone DDS. Says so if there is none; in CI, that is a failure.
+fn cyclone_python() -> Option<PathBuf> {
+    let python = env::var_os("COTORRA_PEERS").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
+    let there = Command::new(&python).args(["-c", "import cyclonedds"]).stderr(Stdio::null()).status();
+    found(there.is_ok_and(|status| status.success()), "Cyclone DDS").then_some(python)
+}
+
+fn found(there: bool, what: &str) -> bool {
+    if !there {
+        assert!(env::var_os("CI").is_none(), "{what} is not installed: scripts/test does that");
+        eprintln!("skipped: {what} is not installed (scripts/test does that)");
+    }
+    there
+}
+
+/// A process, and what it printed. Killed when dropped.
+pub struct Process {
+    child: Child,
+    output: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Process {
+    fn spawn(command: &mut Command) -> io::Result<Self> {
+        let (mut reader, writer) = io::pipe()?;
+        let mut child = command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).spawn()?;
+        // The command holds the writing ends.
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        let _ = child.stdin.take();
+        let output = Arc::new(Mutex::new(Vec::new()));
+        let collected = Arc::clone(&output);
+        thread::spawn(move || {
+            let mut piece = [0; 4096];
+            while let Ok(read @ 1..) = reader.read(&mut piece) {
+                collected.lock().unwrap().extend_from_slice(&piece[..read]);
+            }
+        });
+        Ok(Self { child, output })
+    }
+
+    /// What it printed until now.
+    pub fn output(&self) -> String {
+        String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
+    }
+
+    /// Waits until it printed that.
+    pub fn prints(&self, what: &str) {
+        until(&format!("it prints `{what}`"), || self.output().contains(what));
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
