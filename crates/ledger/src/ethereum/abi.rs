@@ -1,0 +1,222 @@
+//! Calls, events and refusals in the contract's binary interface, read from the contract's own text.
+
+use alloy::{
+    primitives::{B256, Bytes, U256, aliases::U96, hex},
+    sol_types::{SolCall, SolEventInterface, SolInterface},
+};
+
+use crate::{
+    message::{self, Call, Event, Refusal},
+    values::{Account, ChainTime, Commitment, Price, PublicKey, ServiceId, Wei},
+};
+
+mod generated {
+    alloy::sol!("../../contracts/Federation.sol");
+}
+use generated::Federation::{self, FederationErrors, FederationEvents};
+
+/// Bytes that the contract cannot have said.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("this is nothing that the federation contract says: {0}")]
+pub struct DecodeError(String);
+
+/// What deploys the contract: the bytecode in `contracts/Federation.json`, which `contracts/compile.mjs` makes.
+pub fn bytecode() -> Vec<u8> {
+    #[derive(serde::Deserialize)]
+    struct Artefact<'a> {
+        bytecode: &'a str,
+    }
+    let artefact: Artefact<'_> = serde_json::from_str(include_str!("../../../../contracts/Federation.json"))
+        .expect("it is checked in");
+    hex::decode(artefact.bytecode).expect("solc writes hexadecimal")
+}
+
+/// A call as a transaction's input.
+pub fn encode(call: &Call) -> Vec<u8> {
+    let id = |id: &ServiceId| B256::from(id.0);
+    match call {
+        Call::Register { name } => Federation::registerCall { name: name.clone() }.abi_encode(),
+        Call::Announce { salt, key, requirements, terms } => Federation::announceCall {
+            salt: salt.0.into(),
+            key: key.0.into(),
+            requirements: Federation::Requirements {
+                vnf: requirements.vnf.clone(),
+                map: requirements.map.clone(),
+                xMm: requirements.x_mm,
+                yMm: requirements.y_mm,
+                radiusMm: requirements.radius_mm,
+                ssid: requirements.ssid.clone(),
+                mobilityDomain: requirements.mobility_domain,
+                frequencyMhz: requirements.frequency_mhz,
+                widthMhz: requirements.width_mhz,
+                signalDbm: requirements.signal_dbm,
+            },
+            terms: Federation::Terms {
+                openFor: terms.open_for,
+                deployWithin: terms.deploy_within,
+                acceptWithin: terms.accept_within,
+                useFor: terms.use_for,
+            },
+        }
+        .abi_encode(),
+        Call::Bid { id, commitment, sealed } => Federation::bidCall {
+            id: id.0.into(),
+            commitment: commitment.0.into(),
+            sealedBid: Bytes::copy_from_slice(sealed),
+        }
+        .abi_encode(),
+        Call::Choose { id, provider, price, salt, deposit: _ } => Federation::chooseCall {
+            id: id.0.into(),
+            provider: provider.0.into(),
+            price: U96::from(price.get()),
+            salt: salt.0.into(),
+        }
+        .abi_encode(),
+        Call::Deploy { id, sealed } => {
+            Federation::deployCall { id: id.0.into(), sealedAttachment: Bytes::copy_from_slice(sealed) }
+                .abi_encode()
+        }
+        Call::Accept { id: of } => Federation::acceptCall { id: id(of) }.abi_encode(),
+        Call::Cancel { id: of } => Federation::cancelCall { id: id(of) }.abi_encode(),
+        Call::Decline { id: of } => Federation::declineCall { id: id(of) }.abi_encode(),
+        Call::Release { id: of } => Federation::releaseCall { id: id(of) }.abi_encode(),
+        Call::Expire { id: of } => Federation::expireCall { id: id(of) }.abi_encode(),
+        Call::Withdraw => Federation::withdrawCall {}.abi_encode(),
+    }
+}
+
+/// An event from a log of the contract.
+///
+/// # Errors
+/// [`DecodeError`] if the contract cannot have written it.
+pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeError> {
+    let topics: Vec<B256> = topics.iter().map(B256::from).collect();
+    let event = FederationEvents::decode_raw_log(&topics, data).map_err(|e| DecodeError(e.to_string()))?;
+    Ok(match event {
+        FederationEvents::OperatorRegistered(e) => {
+            Event::OperatorRegistered { operator: Account(e.operator.into()), name: e.name }
+        }
+        FederationEvents::ServiceAnnounced(e) => Event::ServiceAnnounced {
+            id: ServiceId(e.id.0),
+            creator: Account(e.creator.into()),
+            key: PublicKey(e.key.0),
+            requirements: message::Requirements {
+                vnf: e.requirements.vnf,
+                map: e.requirements.map,
+                x_mm: e.requirements.xMm,
+                y_mm: e.requirements.yMm,
+                radius_mm: e.requirements.radiusMm,
+                ssid: e.requirements.ssid,
+                mobility_domain: e.requirements.mobilityDomain,
+                frequency_mhz: e.requirements.frequencyMhz,
+                width_mhz: e.requirements.widthMhz,
+                signal_dbm: e.requirements.signalDbm,
+            },
+            terms: message::Terms {
+                open_for: e.terms.openFor,
+                deploy_within: e.terms.deployWithin,
+                accept_within: e.terms.acceptWithin,
+                use_for: e.terms.useFor,
+            },
+            deadline: ChainTime(e.deadline.to()),
+        },
+        FederationEvents::BidPlaced(e) => Event::BidPlaced {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            commitment: Commitment(e.commitment.0),
+            sealed: e.sealedBid.into(),
+        },
+        FederationEvents::ProviderChosen(e) => Event::ProviderChosen {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            price: Price::new(e.price.to()).expect("96 bits"),
+            deadline: ChainTime(e.deadline.to()),
+        },
+        FederationEvents::ServiceDeployed(e) => Event::ServiceDeployed {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            sealed: e.sealedAttachment.into(),
+            deadline: ChainTime(e.deadline.to()),
+        },
+        FederationEvents::ServiceAccepted(e) => Event::ServiceAccepted {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            deadline: ChainTime(e.deadline.to()),
+        },
+        FederationEvents::ServiceEnded(e) => Event::ServiceEnded {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            outcome: outcome(e.outcome)?,
+            charge: wei(e.charge)?,
+        },
+        FederationEvents::Withdrawn(e) => {
+            Event::Withdrawn { operator: Account(e.operator.into()), amount: wei(e.amount)? }
+        }
+    })
+}
+
+/// Why a call was reverted, from what the ledger returned of it.
+///
+/// # Errors
+/// [`DecodeError`] if the contract does not revert so.
+pub fn decode_refusal(data: &[u8]) -> Result<Refusal, DecodeError> {
+    let error = FederationErrors::abi_decode(data).map_err(|e| DecodeError(e.to_string()))?;
+    Ok(match error {
+        FederationErrors::NotRegistered(_) => Refusal::NotRegistered,
+        FederationErrors::AlreadyRegistered(_) => Refusal::AlreadyRegistered,
+        FederationErrors::BadName(_) => Refusal::BadName,
+        FederationErrors::BadRequirements(_) => Refusal::BadRequirements,
+        FederationErrors::BadTerms(_) => Refusal::BadTerms,
+        FederationErrors::BadKey(_) => Refusal::BadKey,
+        FederationErrors::BadSealed(_) => Refusal::BadSealed,
+        FederationErrors::BadCommitment(_) => Refusal::BadCommitment,
+        FederationErrors::BadDeposit(e) => Refusal::BadDeposit(wei(e.due)?),
+        FederationErrors::AlreadyAnnounced(_) => Refusal::AlreadyAnnounced,
+        FederationErrors::AlreadyBid(_) => Refusal::AlreadyBid,
+        FederationErrors::NoSuchBid(_) => Refusal::NoSuchBid,
+        FederationErrors::CommitmentDiffers(_) => Refusal::CommitmentDiffers,
+        FederationErrors::PriceIsZero(_) => Refusal::PriceIsZero,
+        FederationErrors::OwnService(_) => Refusal::OwnService,
+        FederationErrors::OnlyCreator(_) => Refusal::OnlyCreator,
+        FederationErrors::OnlyProvider(_) => Refusal::OnlyProvider,
+        FederationErrors::OnlyParties(_) => Refusal::OnlyParties,
+        FederationErrors::WrongState(e) => Refusal::WrongState(state(e.state)?),
+        FederationErrors::TooLate(e) => Refusal::TooLate(ChainTime(e.deadline.to())),
+        FederationErrors::TooEarly(e) => Refusal::TooEarly(ChainTime(e.deadline.to())),
+        FederationErrors::NothingToWithdraw(_) => Refusal::NothingToWithdraw,
+        FederationErrors::TransferFailed(_) => Refusal::TransferFailed,
+    })
+}
+
+fn wei(amount: U256) -> Result<Wei, DecodeError> {
+    u128::try_from(amount)
+        .map(Wei)
+        .map_err(|_| DecodeError(format!("{amount} wei are more than there can be")))
+}
+
+fn state(state: Federation::State) -> Result<message::State, DecodeError> {
+    use Federation::State as S;
+    Ok(match state {
+        S::None => message::State::None,
+        S::Open => message::State::Open,
+        S::Closed => message::State::Closed,
+        S::Deployed => message::State::Deployed,
+        S::InUse => message::State::InUse,
+        S::Ended => message::State::Ended,
+        S::__Invalid => return Err(DecodeError("a state that does not exist".to_owned())),
+    })
+}
+
+fn outcome(outcome: Federation::Outcome) -> Result<message::Outcome, DecodeError> {
+    use Federation::Outcome as O;
+    Ok(match outcome {
+        O::Cancelled => message::Outcome::Cancelled,
+        O::Declined => message::Outcome::Declined,
+        O::NoWinner => message::Outcome::NoWinner,
+        O::NotDeployed => message::Outcome::NotDeployed,
+        O::NotAccepted => message::Outcome::NotAccepted,
+        O::Released => message::Outcome::Released,
+        O::Completed => message::Outcome::Completed,
+        O::__Invalid => return Err(DecodeError("an outcome that does not exist".to_owned())),
+    })
+}

@@ -1,0 +1,164 @@
+//! Those who mean no good, some of them contracts themselves.
+
+use alloy::{primitives::Bytes, sol_types::SolCall};
+use cotorra_ledger::{Account, Call, Commitment, Event, Outcome, Refusal, Salt, ServiceId, Wei, ethereum};
+
+use crate::{
+    both::{Both, CREATOR, OTHER, PRICE, PROVIDER, TERMS, announce, bid, choose, deploy, salt_of},
+    chain::{START, account, attacker},
+};
+
+mod generated {
+    alloy::sol!("../../contracts/Attackers.sol");
+}
+use generated::{Reentrant, Wallet};
+
+const SALT: Salt = Salt([6; 32]);
+const MALLORY: Account = Account([66; 20]);
+
+/// `call` by way of a contract of Mallory's.
+fn execute(both: &mut Both, wallet: Account, call: &Call) -> Result<Vec<Event>, Refusal> {
+    both.wait(1);
+    let input = Wallet::executeCall {
+        target: both.chain.contract().0.into(),
+        input: Bytes::from(ethereum::encode(call)),
+    };
+    let chain = &both.chain;
+    chain
+        .transact(both.now, MALLORY, wallet, &input.abi_encode(), call.value().0)
+        .map(|receipt| receipt.events)
+}
+
+/// A service that Mallory's contract announced, and that was used; the contract now has a balance. Beside it a deposit
+/// of the creator, which is not Mallory's.
+fn with_balance(both: &mut Both, wallet: Account) {
+    let create = |both: &mut Both, call: Call| execute(both, wallet, &call).unwrap();
+    create(both, Call::Register { name: "mallory".to_owned() });
+    create(both, announce(SALT));
+    let id = ServiceId::of(wallet, SALT);
+    let chain = &both.chain;
+    chain.call(both.now.after(1), PROVIDER, &bid(id, PROVIDER)).unwrap();
+    both.wait(1);
+    create(both, choose(id, PROVIDER));
+    create(both, Call::Cancel { id });
+}
+
+fn view(both: &Both, call: &impl SolCall, of: Account) -> Vec<u8> {
+    both.chain.view(of, &call.abi_encode())
+}
+
+#[test]
+fn a_payee_that_asks_again_while_it_is_paid_gets_nothing_more() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let victim = both.closed(Salt([7; 32]));
+    let wallet = both.chain.create(MALLORY, &attacker("Reentrant"));
+    with_balance(&mut both, wallet);
+    let again = Reentrant::setAgainCall { input: Bytes::from(ethereum::encode(&Call::Withdraw)) };
+    both.wait(1);
+    both.chain.transact(both.now, MALLORY, wallet, &again.abi_encode(), 0).unwrap();
+    let amount = PRICE.times(TERMS.use_for);
+    let paid = execute(&mut both, wallet, &Call::Withdraw).unwrap();
+    assert_eq!(paid, [Event::Withdrawn { operator: wallet, amount }]);
+    assert_eq!(both.chain.wealth(wallet), amount.0, "paid once");
+    assert_eq!(view(&both, &Reentrant::gainsCall {}, wallet), [0; 32], "the call from within was refused");
+    assert_eq!(both.chain.wealth(both.chain.contract()), amount.0, "the victim's deposit is still there");
+    both.chain.call(both.now.after(1), CREATOR, &Call::Cancel { id: victim }).unwrap();
+}
+
+#[test]
+fn a_payee_that_takes_no_money_holds_up_nobody() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let wallet = both.chain.create(MALLORY, &attacker("Unpayable"));
+    // Its service ends although it cannot be paid back; only its own withdrawal fails, each time.
+    with_balance(&mut both, wallet);
+    for _ in 0..2 {
+        assert_eq!(execute(&mut both, wallet, &Call::Withdraw), Err(Refusal::TransferFailed));
+    }
+    assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0);
+}
+
+#[test]
+fn nobody_takes_an_id_by_being_faster() {
+    let Some(mut both) = Both::with_operators() else { return };
+    // Mallory saw the creator's announcement before it was in a block, and sends the same at a higher fee.
+    both.does(OTHER, announce(SALT));
+    let announced = both.does(CREATOR, announce(SALT));
+    assert_eq!(announced.service(), Some(ServiceId::of(CREATOR, SALT)));
+}
+
+#[test]
+fn a_replayed_announcement_opens_nothing_again() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.deployed(SALT);
+    both.refuses(Refusal::AlreadyAnnounced, CREATOR, announce(SALT));
+    both.does(CREATOR, Call::Cancel { id });
+    both.refuses(Refusal::AlreadyAnnounced, CREATOR, announce(SALT));
+}
+
+#[test]
+fn a_copied_bid_cannot_be_opened() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.bid_for(SALT);
+    // The very bytes of the provider's bid, by another.
+    both.does(OTHER, bid(id, PROVIDER));
+    let deposit = PRICE.times(TERMS.use_for);
+    let copied = Call::Choose { id, provider: OTHER, price: PRICE, salt: salt_of(PROVIDER), deposit };
+    both.refuses(Refusal::CommitmentDiffers, CREATOR, copied);
+    // Nor does a bid for one service serve for another.
+    let second = ServiceId::of(CREATOR, Salt([8; 32]));
+    both.does(CREATOR, announce(Salt([8; 32])));
+    let commitment = Commitment::to(id, PROVIDER, PRICE, salt_of(PROVIDER));
+    both.does(PROVIDER, Call::Bid { id: second, commitment, sealed: vec![1] });
+    both.refuses(Refusal::CommitmentDiffers, CREATOR, choose(second, PROVIDER));
+}
+
+#[test]
+fn a_provider_that_lies_about_its_deployment_is_paid_nothing() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.deployed(SALT);
+    both.refuses(Refusal::OnlyCreator, PROVIDER, Call::Accept { id });
+    both.wait(TERMS.accept_within);
+    let ended = both.does(PROVIDER, Call::Expire { id });
+    let outcome = Outcome::NotAccepted;
+    assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome, charge: Wei(0) });
+    both.refuses(Refusal::NothingToWithdraw, PROVIDER, Call::Withdraw);
+    both.does(CREATOR, Call::Withdraw);
+}
+
+#[test]
+fn a_creator_cannot_take_its_deposit_out_of_a_used_service() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.in_use(SALT);
+    both.wait(TERMS.use_for / 2);
+    // Each call, refused or not, is a second later.
+    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw);
+    both.does(PROVIDER, Call::Release { id });
+    assert_eq!(both.balance(PROVIDER), PRICE.times(TERMS.use_for / 2 + 3));
+}
+
+#[test]
+fn the_losers_and_the_winners_of_other_services_deploy_nothing_here() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.bid_for(SALT);
+    both.does(OTHER, bid(id, OTHER));
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));
+    let second = Salt([8; 32]);
+    both.does(CREATOR, announce(second));
+    let second = ServiceId::of(CREATOR, second);
+    both.does(OTHER, bid(second, OTHER));
+    both.does(CREATOR, choose(second, OTHER));
+    both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));
+    both.refuses(Refusal::OnlyProvider, PROVIDER, deploy(second));
+}
+
+#[test]
+fn money_without_a_call_and_calls_that_take_none_are_refused() {
+    let Some(both) = Both::new() else { return };
+    let contract = both.chain.contract();
+    let register = ethereum::encode(&Call::Register { name: "rich".to_owned() });
+    for (input, value) in [(&[][..], 1), (&[0xde, 0xad, 0xbe, 0xef], 0), (&register, 1)] {
+        assert!(both.chain.is_reverted(START.after(10), account(4), contract, input, value), "{input:?}");
+    }
+    assert_eq!(both.chain.wealth(contract), 0);
+}

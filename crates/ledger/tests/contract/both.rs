@@ -1,0 +1,164 @@
+//! The compiled contract and its rules in Rust, side by side: each call goes to both, and they must agree.
+
+use cotorra_ledger::{
+    Account, Call, ChainTime, Commitment, Contract, Event, Price, PublicKey, Refusal, Requirements, Salt,
+    ServiceId, State, Terms, Wei,
+};
+
+use crate::chain::{Chain, START, account};
+
+pub const CREATOR: Account = Account([1; 20]);
+pub const PROVIDER: Account = Account([2; 20]);
+pub const OTHER: Account = Account([3; 20]);
+
+pub const TERMS: Terms = Terms { open_for: 60, deploy_within: 30, accept_within: 20, use_for: 600 };
+pub const PRICE: Price = Price::new(7).unwrap();
+
+pub struct Both {
+    pub chain: Chain,
+    rules: Contract,
+    /// The time of the next call.
+    pub now: ChainTime,
+    /// Gas of the last call that went through.
+    pub gas: u64,
+}
+
+impl Both {
+    /// On a new chain; `None` where there is none.
+    pub fn new() -> Option<Self> {
+        Some(Self { chain: Chain::new()?, rules: Contract::default(), now: START, gas: 0 })
+    }
+
+    /// On the same chain, with a new contract.
+    pub fn renew(&mut self) {
+        self.chain.renew();
+        self.rules = Contract::default();
+    }
+
+    /// With three registered operators.
+    pub fn with_operators() -> Option<Self> {
+        let mut both = Self::new()?;
+        for operator in [CREATOR, PROVIDER, OTHER] {
+            both.does(operator, Call::Register { name: format!("operator {operator}") });
+        }
+        Some(both)
+    }
+
+    /// Calls both, a second after the last call.
+    pub fn call(&mut self, caller: Account, call: Call) -> Result<Event, Refusal> {
+        self.now = self.now.after(1);
+        let by_rules = self.rules.apply(self.now, caller, &call);
+        let by_chain = self.chain.call(self.now, caller, &call);
+        let by_chain = by_chain.map(|receipt| {
+            self.gas = receipt.gas;
+            receipt.events
+        });
+        assert_eq!(
+            by_chain,
+            by_rules.clone().map(|event| vec![event]),
+            "{caller} at {:?}: {call:?}",
+            self.now
+        );
+        assert_eq!(Wei(self.chain.wealth(self.chain.contract())), self.rules.holds(), "behind {call:?}");
+        by_rules
+    }
+
+    /// A call that goes through.
+    #[track_caller]
+    pub fn does(&mut self, caller: Account, call: Call) -> Event {
+        self.call(caller, call.clone()).unwrap_or_else(|refusal| panic!("{call:?}: {refusal}"))
+    }
+
+    /// A call that is refused.
+    #[track_caller]
+    pub fn refuses(&mut self, refusal: Refusal, caller: Account, call: Call) {
+        assert_eq!(self.call(caller, call.clone()), Err(refusal), "{call:?}");
+    }
+
+    /// Where a service stands.
+    pub fn state(&self, id: ServiceId) -> State {
+        self.rules.state(id)
+    }
+
+    /// What an operator may withdraw.
+    pub fn balance(&self, operator: Account) -> Wei {
+        self.rules.balance(operator)
+    }
+
+    /// Lets time pass.
+    pub fn wait(&mut self, seconds: u32) {
+        self.now = self.now.after(seconds);
+    }
+
+    /// A service of the creator with a bid of the provider.
+    pub fn bid_for(&mut self, salt: Salt) -> ServiceId {
+        let id = ServiceId::of(CREATOR, salt);
+        self.does(CREATOR, announce(salt));
+        self.does(PROVIDER, bid(id, PROVIDER));
+        id
+    }
+
+    /// A service that the provider is to deploy.
+    pub fn closed(&mut self, salt: Salt) -> ServiceId {
+        let id = self.bid_for(salt);
+        self.does(CREATOR, choose(id, PROVIDER));
+        id
+    }
+
+    /// A service that the provider says it deployed.
+    pub fn deployed(&mut self, salt: Salt) -> ServiceId {
+        let id = self.closed(salt);
+        self.does(PROVIDER, deploy(id));
+        id
+    }
+
+    /// A service that is paid for.
+    pub fn in_use(&mut self, salt: Salt) -> ServiceId {
+        let id = self.deployed(salt);
+        self.does(CREATOR, Call::Accept { id });
+        id
+    }
+}
+
+pub fn requirements() -> Requirements {
+    Requirements {
+        vnf: "vAP".to_owned(),
+        map: "corridor".to_owned(),
+        x_mm: 25_500,
+        y_mm: -24_300,
+        radius_mm: 5_000,
+        ssid: "robots".to_owned(),
+        mobility_domain: 0xa1b2,
+        frequency_mhz: 5_180,
+        width_mhz: 20,
+        signal_dbm: -70,
+    }
+}
+
+pub fn announce(salt: Salt) -> Call {
+    Call::Announce { salt, key: PublicKey([9; 32]), requirements: requirements(), terms: TERMS }
+}
+
+/// The salt of a provider's bid.
+pub fn salt_of(provider: Account) -> Salt {
+    Salt([provider.0[0]; 32])
+}
+
+pub fn bid(id: ServiceId, provider: Account) -> Call {
+    let commitment = Commitment::to(id, provider, PRICE, salt_of(provider));
+    Call::Bid { id, commitment, sealed: vec![0xab; 128] }
+}
+
+pub fn choose(id: ServiceId, provider: Account) -> Call {
+    let deposit = PRICE.times(TERMS.use_for);
+    Call::Choose { id, provider, price: PRICE, salt: salt_of(provider), deposit }
+}
+
+pub fn deploy(id: ServiceId) -> Call {
+    Call::Deploy { id, sealed: vec![0xcd; 192] }
+}
+
+/// Somebody who is no operator.
+pub fn stranger() -> Account {
+    account(77)
+}

@@ -1,0 +1,197 @@
+//! A chain for tests: an anvil node that makes a block for each transaction, at a time that the test says.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+};
+
+use cotorra_ledger::{
+    Account, Call, ChainTime, Event, Refusal,
+    ethereum::{
+        self,
+        anvil::{self, Anvil},
+    },
+};
+use serde_json::{Value, json};
+
+/// Where the first block of a test may be.
+pub const START: ChainTime = ChainTime(4_000_000_000);
+/// What each account of a test has, in wei.
+const WEALTH: &str = "0xffffffffffffffffffffffffffffffffff";
+
+/// An anvil node with the contract on it.
+pub struct Chain {
+    node: Anvil,
+    agent: ureq::Agent,
+    contract: Account,
+    /// What the contract cost.
+    pub deployment_gas: u64,
+}
+
+/// What a transaction did.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Receipt {
+    /// The contract's events.
+    pub events: Vec<Event>,
+    /// What it cost.
+    pub gas: u64,
+}
+
+/// The node's program; `None`, and a message, where it is not installed.
+fn program() -> Option<PathBuf> {
+    let installed = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../contracts/node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
+    let program = env::var_os(anvil::PROGRAM).map_or(installed, PathBuf::from);
+    if program.exists() {
+        return Some(program);
+    }
+    assert!(env::var_os("CI").is_none(), "anvil is missing: npm ci --prefix contracts");
+    eprintln!("skipped: anvil is not installed (npm ci --prefix contracts)");
+    None
+}
+
+impl Chain {
+    /// A new chain; `None` where there is no anvil.
+    pub fn new() -> Option<Self> {
+        let settings = anvil::Settings { program: Some(program()?), ..anvil::Settings::default() };
+        let node = Anvil::start(&settings).unwrap();
+        let mut chain = Self {
+            node,
+            agent: ureq::Agent::new_with_defaults(),
+            contract: Account::default(),
+            deployment_gas: 0,
+        };
+        chain.rpc("anvil_autoImpersonateAccount", json!([true]));
+        chain.renew();
+        Some(chain)
+    }
+
+    /// Another contract, as new.
+    pub fn renew(&mut self) {
+        let receipt = self.deploy(account(99), &ethereum::bytecode());
+        self.contract = receipt["contractAddress"].as_str().unwrap().parse().unwrap();
+        self.deployment_gas = number(&receipt["gasUsed"]);
+    }
+
+    /// Where the contract is.
+    pub fn contract(&self) -> Account {
+        self.contract
+    }
+
+    /// Calls the contract in a block of time `now`.
+    pub fn call(&self, now: ChainTime, caller: Account, call: &Call) -> Result<Receipt, Refusal> {
+        self.transact(now, caller, self.contract, &ethereum::encode(call), call.value().0)
+    }
+
+    /// A transaction in a block of its own.
+    pub fn transact(
+        &self,
+        now: ChainTime,
+        from: Account,
+        to: Account,
+        input: &[u8],
+        value: u128,
+    ) -> Result<Receipt, Refusal> {
+        let (transaction, receipt) = self.send(now, from, to, input, value);
+        if receipt["status"] == "0x0" {
+            let error = self.try_rpc("eth_call", json!([transaction, receipt["blockNumber"]])).unwrap_err();
+            let data = unhex(error["data"].as_str().unwrap_or_else(|| panic!("{error}")));
+            return Err(ethereum::decode_refusal(&data).unwrap());
+        }
+        let events = receipt["logs"].as_array().unwrap().iter();
+        let events = events.filter(|log| log["address"] == self.contract.to_string()).map(|log| {
+            let topics = log["topics"].as_array().unwrap().iter();
+            let topics: Vec<[u8; 32]> =
+                topics.map(|topic| unhex(topic.as_str().unwrap()).try_into().unwrap()).collect();
+            ethereum::decode_event(&topics, &unhex(log["data"].as_str().unwrap())).unwrap()
+        });
+        Ok(Receipt { events: events.collect(), gas: number(&receipt["gasUsed"]) })
+    }
+
+    /// Whether a transaction comes to nothing, for whatever reason.
+    pub fn is_reverted(&self, now: ChainTime, from: Account, to: Account, input: &[u8], value: u128) -> bool {
+        self.send(now, from, to, input, value).1["status"] == "0x0"
+    }
+
+    /// A transaction and its receipt.
+    fn send(&self, now: ChainTime, from: Account, to: Account, input: &[u8], value: u128) -> (Value, Value) {
+        self.rpc("anvil_setBalance", json!([from.to_string(), WEALTH]));
+        self.rpc("evm_setNextBlockTimestamp", json!([now.0]));
+        let transaction = json!({
+            "from": from.to_string(),
+            "to": to.to_string(),
+            "input": hex(input),
+            "value": format!("{value:#x}"),
+            "gas": "0x1e8480",
+        });
+        let receipt = self.rpc("eth_sendTransactionSync", json!([transaction]));
+        (transaction, receipt)
+    }
+
+    /// What a contract answers, without a transaction.
+    pub fn view(&self, contract: Account, input: &[u8]) -> Vec<u8> {
+        let call = json!({ "to": contract.to_string(), "input": hex(input) });
+        unhex(self.rpc("eth_call", json!([call, "latest"])).as_str().unwrap())
+    }
+
+    /// A new contract.
+    pub fn create(&self, from: Account, code: &[u8]) -> Account {
+        self.deploy(from, code)["contractAddress"].as_str().unwrap().parse().unwrap()
+    }
+
+    fn deploy(&self, from: Account, code: &[u8]) -> Value {
+        self.rpc("anvil_setBalance", json!([from.to_string(), WEALTH]));
+        let transaction = json!({ "from": from.to_string(), "input": hex(code) });
+        let receipt = self.rpc("eth_sendTransactionSync", json!([transaction]));
+        assert_eq!(receipt["status"], "0x1", "{receipt}");
+        receipt
+    }
+
+    /// What an account has, in wei.
+    pub fn wealth(&self, of: Account) -> u128 {
+        let balance = self.rpc("eth_getBalance", json!([of.to_string(), "latest"]));
+        u128::from_str_radix(balance.as_str().unwrap().trim_start_matches("0x"), 16).unwrap()
+    }
+
+    fn rpc(&self, method: &str, params: Value) -> Value {
+        self.try_rpc(method, params).unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    fn try_rpc(&self, method: &str, params: Value) -> Result<Value, Value> {
+        let request = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": params });
+        let url = format!("http://{}", self.node.address());
+        let mut answer: Value =
+            self.agent.post(url).send_json(request).unwrap().body_mut().read_json().unwrap();
+        match answer.get_mut("error") {
+            Some(error) => Err(error.take()),
+            None => Ok(answer["result"].take()),
+        }
+    }
+}
+
+/// An account of a test.
+pub fn account(number: u8) -> Account {
+    Account([number; 20])
+}
+
+/// Bytes as JSON-RPC has them.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold("0x".to_owned(), |text, byte| text + &format!("{byte:02x}"))
+}
+
+/// Bytes as JSON-RPC has them.
+pub fn unhex(text: &str) -> Vec<u8> {
+    let digits = text.strip_prefix("0x").unwrap();
+    (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
+}
+
+fn number(quantity: &Value) -> u64 {
+    u64::from_str_radix(quantity.as_str().unwrap().trim_start_matches("0x"), 16).unwrap()
+}
+
+/// A contract that means no good: `contracts/Attackers.sol`.
+pub fn attacker(name: &str) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../contracts/Attackers.json");
+    let code: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+    unhex(code[name].as_str().unwrap())
+}

@@ -1,0 +1,264 @@
+//! Who may do what, and when.
+
+use cotorra_ledger::{
+    Account, Call, Commitment, Event, Outcome, Price, PublicKey, Refusal, Salt, ServiceId, State, Terms, Wei,
+};
+
+use crate::both::{
+    Both, CREATOR, OTHER, PRICE, PROVIDER, TERMS, announce, bid, choose, deploy, requirements, salt_of,
+    stranger,
+};
+
+const SALT: Salt = Salt([5; 32]);
+
+#[test]
+fn a_service_is_negotiated_used_and_paid_by_the_second() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.in_use(SALT);
+    both.wait(98);
+    // Two calls are a second apart each: accepted one second behind the deployment, released 99 later.
+    let ended = both.does(CREATOR, Call::Release { id });
+    let charge = PRICE.times(100);
+    assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome: Outcome::Released, charge });
+    assert_eq!(both.does(PROVIDER, Call::Withdraw), Event::Withdrawn { operator: PROVIDER, amount: charge });
+    assert_eq!(both.balance(CREATOR), Wei(PRICE.times(TERMS.use_for).0 - charge.0));
+    both.does(CREATOR, Call::Withdraw);
+    assert_eq!(both.chain.wealth(both.chain.contract()), 0);
+    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw);
+}
+
+#[test]
+fn operators_have_a_name_and_register_once() {
+    let Some(mut both) = Both::new() else { return };
+    both.refuses(Refusal::NotRegistered, CREATOR, announce(SALT));
+    both.refuses(Refusal::BadName, CREATOR, Call::Register { name: String::new() });
+    both.refuses(Refusal::BadName, CREATOR, Call::Register { name: "x".repeat(65) });
+    both.does(CREATOR, Call::Register { name: "x".repeat(64) });
+    both.refuses(Refusal::AlreadyRegistered, CREATOR, Call::Register { name: "another".to_owned() });
+}
+
+#[test]
+fn an_announcement_is_complete_and_unique() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let with = |change: &dyn Fn(&mut Call)| {
+        let mut call = announce(SALT);
+        change(&mut call);
+        call
+    };
+    let required = |change: fn(&mut cotorra_ledger::Requirements)| {
+        let mut requirements = requirements();
+        change(&mut requirements);
+        Call::Announce { salt: SALT, key: PublicKey([9; 32]), requirements, terms: TERMS }
+    };
+    for call in [
+        required(|r| r.vnf.clear()),
+        required(|r| r.map.clear()),
+        required(|r| r.vnf = "v".repeat(65)),
+        required(|r| r.map = "m".repeat(65)),
+        required(|r| r.ssid = "s".repeat(33)),
+    ] {
+        both.refuses(Refusal::BadRequirements, CREATOR, call);
+    }
+    for wrong in [
+        Terms { open_for: 0, ..TERMS },
+        Terms { deploy_within: 0, ..TERMS },
+        Terms { accept_within: 0, ..TERMS },
+        Terms { use_for: 0, ..TERMS },
+    ] {
+        let call = with(&|call| {
+            if let Call::Announce { terms, .. } = call {
+                *terms = wrong;
+            }
+        });
+        both.refuses(Refusal::BadTerms, CREATOR, call);
+    }
+    let keyless = with(&|call| {
+        if let Call::Announce { key, .. } = call {
+            *key = PublicKey::default();
+        }
+    });
+    both.refuses(Refusal::BadKey, CREATOR, keyless);
+    both.does(CREATOR, announce(SALT));
+    both.refuses(Refusal::AlreadyAnnounced, CREATOR, announce(SALT));
+    // Another's id with the same salt is another.
+    both.does(OTHER, announce(SALT));
+}
+
+#[test]
+fn bids_are_of_other_operators_once_and_in_time() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = ServiceId::of(CREATOR, SALT);
+    both.refuses(Refusal::WrongState(State::None), PROVIDER, bid(id, PROVIDER));
+    let Event::ServiceAnnounced { deadline, .. } = both.does(CREATOR, announce(SALT)) else { panic!() };
+    both.refuses(Refusal::NotRegistered, stranger(), bid(id, stranger()));
+    both.refuses(Refusal::OwnService, CREATOR, bid(id, CREATOR));
+    let commitment = Commitment([1; 32]);
+    let sealed = vec![1];
+    both.refuses(
+        Refusal::BadCommitment,
+        PROVIDER,
+        Call::Bid { id, commitment: Commitment::default(), sealed: sealed.clone() },
+    );
+    for sealed in [vec![], vec![1; 1025]] {
+        both.refuses(Refusal::BadSealed, PROVIDER, Call::Bid { id, commitment, sealed });
+    }
+    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1; 1024] });
+    both.refuses(Refusal::AlreadyBid, PROVIDER, bid(id, PROVIDER));
+    both.now.0 = deadline.0 - 1;
+    both.does(OTHER, bid(id, OTHER));
+    both.refuses(Refusal::TooLate(deadline), OTHER, bid(id, OTHER));
+}
+
+#[test]
+fn the_creator_alone_chooses_among_the_bids_at_their_price() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.bid_for(SALT);
+    both.refuses(Refusal::OnlyCreator, PROVIDER, choose(id, PROVIDER));
+    both.refuses(Refusal::OnlyCreator, stranger(), choose(id, PROVIDER));
+    for nobody in [OTHER, Account::default(), CREATOR] {
+        both.refuses(Refusal::NoSuchBid, CREATOR, choose(id, nobody));
+    }
+    let chosen = |price: u128, salt, deposit| {
+        let price = Price::new(price).unwrap();
+        Call::Choose { id, provider: PROVIDER, price, salt, deposit: Wei(deposit) }
+    };
+    let due = PRICE.times(TERMS.use_for);
+    both.refuses(
+        Refusal::CommitmentDiffers,
+        CREATOR,
+        chosen(PRICE.get() - 1, salt_of(PROVIDER), due.0 - u128::from(TERMS.use_for)),
+    );
+    both.refuses(Refusal::CommitmentDiffers, CREATOR, chosen(PRICE.get(), Salt([0; 32]), due.0));
+    for wrong in [0, due.0 - 1, due.0 + 1] {
+        both.refuses(Refusal::BadDeposit(due), CREATOR, chosen(PRICE.get(), salt_of(PROVIDER), wrong));
+    }
+    // A bid for nothing can be made, for nobody sees its price; it cannot win.
+    let free = Price::new(0).unwrap();
+    let commitment = Commitment::to(id, OTHER, free, salt_of(OTHER));
+    both.does(OTHER, Call::Bid { id, commitment, sealed: vec![1] });
+    let call = Call::Choose { id, provider: OTHER, price: free, salt: salt_of(OTHER), deposit: Wei(0) };
+    both.refuses(Refusal::PriceIsZero, CREATOR, call);
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.refuses(Refusal::WrongState(State::Closed), CREATOR, choose(id, PROVIDER));
+    both.refuses(Refusal::WrongState(State::Closed), OTHER, bid(id, OTHER));
+}
+
+#[test]
+fn the_winner_alone_deploys_and_the_creator_alone_accepts() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.bid_for(SALT);
+    both.refuses(Refusal::WrongState(State::Open), PROVIDER, deploy(id));
+    both.does(CREATOR, choose(id, PROVIDER));
+    for other in [CREATOR, OTHER, stranger()] {
+        both.refuses(Refusal::OnlyProvider, other, deploy(id));
+        both.refuses(Refusal::OnlyProvider, other, Call::Decline { id });
+    }
+    both.refuses(Refusal::BadSealed, PROVIDER, Call::Deploy { id, sealed: vec![] });
+    both.refuses(Refusal::BadSealed, PROVIDER, Call::Deploy { id, sealed: vec![1; 1025] });
+    both.refuses(Refusal::WrongState(State::Closed), CREATOR, Call::Accept { id });
+    both.does(PROVIDER, deploy(id));
+    both.refuses(Refusal::WrongState(State::Deployed), PROVIDER, deploy(id));
+    for other in [PROVIDER, OTHER, stranger()] {
+        both.refuses(Refusal::OnlyCreator, other, Call::Accept { id });
+        both.refuses(Refusal::OnlyCreator, other, Call::Cancel { id });
+    }
+    both.refuses(Refusal::WrongState(State::Deployed), CREATOR, Call::Release { id });
+    both.does(CREATOR, Call::Accept { id });
+    for (party, call) in [(CREATOR, Call::Cancel { id }), (PROVIDER, Call::Decline { id })] {
+        both.refuses(Refusal::WrongState(State::InUse), party, call);
+    }
+    for other in [OTHER, stranger()] {
+        both.refuses(Refusal::OnlyParties, other, Call::Release { id });
+    }
+    both.does(PROVIDER, Call::Release { id });
+    for call in [Call::Release { id }, Call::Expire { id }, Call::Accept { id }, Call::Cancel { id }] {
+        both.refuses(Refusal::WrongState(State::Ended), CREATOR, call);
+    }
+}
+
+#[test]
+fn until_both_said_that_it_works_either_may_go_and_nothing_is_owed() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let ended = |id, provider, outcome| Event::ServiceEnded { id, provider, outcome, charge: Wei(0) };
+    let id = both.bid_for(Salt([10; 32]));
+    assert_eq!(both.does(CREATOR, Call::Cancel { id }), ended(id, Account::default(), Outcome::Cancelled));
+    let makes: [fn(&mut Both, Salt) -> ServiceId; 2] = [Both::closed, Both::deployed];
+    for (number, make) in (0..).zip(makes) {
+        let id = make(&mut both, Salt([20 + number; 32]));
+        assert_eq!(both.does(CREATOR, Call::Cancel { id }), ended(id, PROVIDER, Outcome::Cancelled));
+        let id = make(&mut both, Salt([30 + number; 32]));
+        assert_eq!(both.does(PROVIDER, Call::Decline { id }), ended(id, PROVIDER, Outcome::Declined));
+    }
+    assert_eq!(both.balance(PROVIDER), Wei(0));
+    assert_eq!(both.balance(CREATOR), Wei(4 * PRICE.times(TERMS.use_for).0));
+    both.does(CREATOR, Call::Withdraw);
+}
+
+#[test]
+fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
+    let Some(mut both) = Both::with_operators() else { return };
+    type Make = fn(&mut Both, Salt) -> ServiceId;
+    let makes = [
+        (Both::bid_for as Make, TERMS.open_for - 1, Outcome::NoWinner),
+        (Both::closed, TERMS.deploy_within, Outcome::NotDeployed),
+        (Both::deployed, TERMS.accept_within, Outcome::NotAccepted),
+        (Both::in_use, TERMS.use_for - 1, Outcome::Completed),
+    ];
+    for (number, (make, time, wanted)) in (40..).zip(makes) {
+        let id = make(&mut both, Salt([number; 32]));
+        both.wait(time - 1);
+        // The last second that is in time.
+        let deadline = both.now.after(1);
+        both.refuses(Refusal::TooEarly(deadline), stranger(), Call::Expire { id });
+        let late = match wanted {
+            Outcome::NoWinner => Some((CREATOR, choose(id, PROVIDER))),
+            Outcome::NotDeployed => Some((PROVIDER, deploy(id))),
+            Outcome::NotAccepted => Some((CREATOR, Call::Accept { id })),
+            _ => None,
+        };
+        if let Some((party, call)) = late {
+            both.refuses(Refusal::TooLate(deadline), party, call);
+        }
+        let Event::ServiceEnded { outcome, charge, .. } = both.does(stranger(), Call::Expire { id }) else {
+            panic!()
+        };
+        assert_eq!(outcome, wanted);
+        let all = PRICE.times(TERMS.use_for);
+        assert_eq!(charge, if wanted == Outcome::Completed { all } else { Wei(0) });
+        both.refuses(Refusal::WrongState(State::Ended), stranger(), Call::Expire { id });
+    }
+    let id = ServiceId([1; 32]);
+    both.refuses(Refusal::WrongState(State::None), stranger(), Call::Expire { id });
+}
+
+#[test]
+fn a_late_release_is_charged_for_what_was_paid_and_no_more() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.in_use(SALT);
+    both.wait(10 * TERMS.use_for);
+    let ended = both.does(CREATOR, Call::Release { id });
+    let charge = PRICE.times(TERMS.use_for);
+    assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome: Outcome::Completed, charge });
+}
+
+#[test]
+fn the_highest_price_for_the_longest_time_overflows_nothing() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let terms = Terms { use_for: u32::MAX, ..TERMS };
+    let id = ServiceId::of(CREATOR, SALT);
+    both.does(
+        CREATOR,
+        Call::Announce { salt: SALT, key: PublicKey([9; 32]), requirements: requirements(), terms },
+    );
+    let price = Price::MAX;
+    let salt = salt_of(PROVIDER);
+    let commitment = Commitment::to(id, PROVIDER, price, salt);
+    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1] });
+    let deposit = price.times(u32::MAX);
+    both.does(CREATOR, Call::Choose { id, provider: PROVIDER, price, salt, deposit });
+    both.does(PROVIDER, deploy(id));
+    both.does(CREATOR, Call::Accept { id });
+    both.does(CREATOR, Call::Release { id });
+    both.does(PROVIDER, Call::Withdraw);
+    both.does(CREATOR, Call::Withdraw);
+}
