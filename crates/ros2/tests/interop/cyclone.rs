@@ -9,28 +9,10 @@ use cotorra_ros2::{
     },
 };
 
-use crate::peer::{Meeting, PATIENCE, Process, contains, until};
+use crate::peer::{Meeting, PATIENCE, contains, publishing_until_printed, scan, until};
 
 /// Long enough for most messages.
 const SOON: Duration = Duration::from_millis(50);
-
-fn scan() -> LaserScan {
-    LaserScan {
-        header: Header { stamp: Time { sec: 3, nanosec: 9 }, frame_id: "laser".to_owned() },
-        angle_increment: 0.5,
-        range_max: 12.0,
-        ranges: vec![1.5, f32::INFINITY, 2.25],
-        ..LaserScan::default()
-    }
-}
-
-/// Publishes over and over until it prints that.
-fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what: &str) {
-    until(&format!("it prints `{what}`"), || {
-        publish();
-        peer.output().contains(what)
-    });
-}
 
 #[test]
 fn cyclone_reads_scans_however_they_are_published() {

@@ -2,5 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
 
 mod cyclone;
+mod fastdds;
 mod own;
 mod peer;

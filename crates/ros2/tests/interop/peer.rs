@@ -3,6 +3,7 @@
 
 use std::{
     env,
+    fs::File,
     io::{self, Read},
     net::Ipv4Addr,
     path::{Path, PathBuf},
@@ -15,7 +16,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cotorra_ros2::{Node, NodeConfig};
+use cotorra_ros2::{
+    Node, NodeConfig,
+    messages::{Header, LaserScan, Time},
+};
 
 /// How long anything may take; far more than it does, even on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -34,6 +38,25 @@ pub fn contains(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "no `{part}` in:\n{text}");
     }
+}
+
+/// A scan that is like no other.
+pub fn scan() -> LaserScan {
+    LaserScan {
+        header: Header { stamp: Time { sec: 3, nanosec: 9 }, frame_id: "laser".to_owned() },
+        angle_increment: 0.5,
+        range_max: 12.0,
+        ranges: vec![1.5, f32::INFINITY, 2.25],
+        ..LaserScan::default()
+    }
+}
+
+/// Publishes over and over until it prints that.
+pub fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what: &str) {
+    until(&format!("it prints `{what}`"), || {
+        publish();
+        peer.output().contains(what)
+    });
 }
 
 /// A place for nodes to meet, on loopback only, where no other test is.
@@ -86,6 +109,15 @@ impl Meeting {
         Some(process)
     }
 
+    /// Starts Fast DDS: see `fastdds.cpp`. `None`, and a message, where it is not installed.
+    pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
+        let mut command = Command::new(fast_dds_program()?);
+        command.args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos]);
+        let process = Process::spawn(&mut command).unwrap();
+        until("Fast DDS is there", || process.output().contains("ready"));
+        Some(process)
+    }
+
     fn dds_topic(&self, topic: &str) -> String {
         if topic == "ros_discovery_info" { topic.to_owned() } else { format!("rt{}/{topic}", self.namespace) }
     }
@@ -96,6 +128,26 @@ fn cyclone_python() -> Option<PathBuf> {
     let python = env::var_os("COTORRA_PEERS").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
     let there = Command::new(&python).args(["-c", "import cyclonedds"]).stderr(Stdio::null()).status();
     found(there.is_ok_and(|status| status.success()), "Cyclone DDS").then_some(python)
+}
+
+/// The program that is Fast DDS, compiled if it is older than its source.
+fn fast_dds_program() -> Option<PathBuf> {
+    if !found(Path::new("/usr/include/fastdds/dds/domain/DomainParticipant.hpp").exists(), "Fast DDS") {
+        return None;
+    }
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/fastdds.cpp");
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let program = folder.join("fastdds");
+    // One test compiles, the others wait for it.
+    let lock = File::create(folder.join("fastdds.lock")).unwrap();
+    lock.lock().unwrap();
+    let changed = |path: &Path| path.metadata().and_then(|metadata| metadata.modified()).ok();
+    if changed(&program) <= changed(&source) {
+        let mut compiler = Command::new("c++");
+        compiler.arg("-std=c++17").arg("-o").arg(&program).arg(source).args(["-lfastrtps", "-lfastcdr"]);
+        assert!(compiler.status().unwrap().success(), "the compiler fails");
+    }
+    Some(program)
 }
 
 fn found(there: bool, what: &str) -> bool {
