@@ -15,6 +15,7 @@ use cotorra_testbed::sweep::Axis;
 
 use crate::{
     history::{HISTORY_VARIABLE, Place},
+    netem::Netem,
     stamp::Stamp,
 };
 
@@ -96,6 +97,14 @@ Examples:
         stamp: Stamp,
     },
     Bench(BenchArgs),
+    /// Give packets of an interface of this machine delay, loss or a rate, by the kernel's NetEm
+    ///
+    /// For real links, of real robots and servers. It needs root, and a kernel with NetEm (`cotorra doctor` says whether
+    /// this one has it); links between a testbed's nodes need neither: they are emulated by cotorra itself.
+    Netem {
+        #[command(subcommand)]
+        netem: Netem,
+    },
     /// Print a completion script for a shell
     #[command(after_long_help = "\
 Examples:

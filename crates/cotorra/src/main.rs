@@ -11,6 +11,7 @@ mod exec;
 mod experiment;
 mod history;
 mod logs;
+mod netem;
 mod output;
 mod replay;
 mod run;
@@ -59,6 +60,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Exec(args) => match exec::exec(&args)? {},
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
+        Command::Netem { netem } => netem::netem(&netem)?,
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "cotorra", &mut script);

@@ -72,9 +72,12 @@ pub struct Plan(pub(crate) Vec<Request>);
 /// Priority of the filter that sends what arrives to the detour.
 const DETOUR: u16 = 0xc070;
 
+/// What names of detours begin with.
+const DETOUR_NAME: &str = "cotorra-i";
+
 /// The name of the detour of an interface.
 pub(crate) fn detour_name(index: u32) -> String {
-    format!("cotorra-i{index}")
+    format!("{DETOUR_NAME}{index}")
 }
 
 impl Plan {
@@ -172,7 +175,7 @@ impl Device {
         if rule.side == Side::Egress {
             return self.egress.set(rule.network, &rule.netem, replace).map(Plan);
         }
-        if self.interface.name.starts_with("cotorra-i") {
+        if self.is_detour() {
             return Err(Refusal::Detour(self.interface.name.clone()));
         }
         let mut requests = Vec::new();
@@ -196,13 +199,21 @@ impl Device {
         Ok(Plan(requests))
     }
 
-    /// What takes a rule away.
-    pub fn remove(&self, side: Side, network: Option<Network>) -> Plan {
-        match (side, &self.detour) {
-            (Side::Egress, _) => Plan(self.egress.remove(network)),
-            (Side::Ingress, Some(detour)) if !detour.rules.contains_key(&network) => Plan::default(),
-            (Side::Ingress, Some(detour)) if detour.rules.len() > 1 => Plan(detour.remove(network)),
-            (Side::Ingress, _) => self.clear(Side::Ingress, None),
+    /// Whether it is the detour of another interface's arriving packets.
+    pub fn is_detour(&self) -> bool {
+        self.interface.name.starts_with(DETOUR_NAME)
+    }
+
+    /// What takes a rule away, and with the last one all; see [`Self::clear`].
+    pub fn remove(&self, side: Side, network: Option<Network>, replaced: Option<&Replaced>) -> Plan {
+        let tree = match side {
+            Side::Egress => Some(&self.egress),
+            Side::Ingress => self.detour.as_ref(),
+        };
+        match tree {
+            Some(tree) if !tree.rules.contains_key(&network) => Plan::default(),
+            Some(tree) if tree.rules.len() > 1 => Plan(tree.remove(network)),
+            _ => self.clear(side, replaced),
         }
     }
 

@@ -2,13 +2,11 @@
 //! kernel: 1 % with a correlation of 25 % loses nothing at all.
 
 use cotorra_graph::Probability;
-use serde::{Deserialize, Serialize};
 
 use crate::netem::{from_wire, to_wire};
 
 /// Which packets vanish.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", tag = "kind")]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Loss {
     /// None do.
     #[default]

@@ -4,7 +4,6 @@
 use std::time::Duration;
 
 use cotorra_graph::{BitRate, Probability};
-use serde::{Deserialize, Serialize};
 
 use crate::{
     attributes::{Malformed, Writer, attributes, number, word},
@@ -13,7 +12,7 @@ use crate::{
 };
 
 /// Random part of a delay.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Jitter {
     /// Half-width of a uniform, standard deviation of the other distributions.
     pub deviation: Duration,
@@ -22,7 +21,7 @@ pub struct Jitter {
 }
 
 /// What NetEm does to packets.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Netem {
     /// What every packet waits.
     pub delay: Duration,

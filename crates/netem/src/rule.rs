@@ -20,7 +20,7 @@ pub enum Side {
 }
 
 /// Conditions, and the packets that have them.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rule {
     /// Those that leave, or those that arrive.
     pub side: Side,
@@ -31,7 +31,7 @@ pub struct Rule {
 }
 
 /// What the kernel counted for a rule since it was made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
     /// Bytes that left the discipline.
     pub bytes: u64,

@@ -150,12 +150,9 @@ impl Tree {
         Ok(requests)
     }
 
-    /// What takes the conditions of a network, or of all packets, away; the root's own come back with the last.
+    /// What takes the conditions of a network, or of all packets, away, while others stay.
     pub(crate) fn remove(&self, network: Option<Network>) -> Vec<Request> {
         let Some(rule) = self.rules.get(&network) else { return Vec::new() };
-        if self.rules.len() == 1 {
-            return self.clear();
-        }
         vec![
             self.filter(Verb::Delete, network, rule.number, rule.priority),
             self.leaf(Verb::Delete, rule.number, rule.netem.clone(), None),

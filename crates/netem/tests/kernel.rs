@@ -370,7 +370,7 @@ fn each_destination_has_conditions_of_its_own() {
     let asked = [to("10.0.0.3", 200), to("10.0.0.0/24", 160), to("fd00::/16", 120)];
     let kept: BTreeMap<_, _> = wire.rules().into_iter().map(|rule| (rule.network, rule.netem)).collect();
     assert_eq!(kept, asked.into_iter().map(|rule| (rule.network, rule.netem.as_kept())).collect());
-    let plan = wire.device().remove(Side::Egress, Some("10.0.0.3".parse().unwrap()));
+    let plan = wire.device().remove(Side::Egress, Some("10.0.0.3".parse().unwrap()), None);
     wire.a.run(|| Kernel::open().unwrap().apply(&plan).unwrap());
     assert_eq!(delays(&wire), [160, 160, 120]);
     let plan = wire.device().clear(Side::Egress, None);

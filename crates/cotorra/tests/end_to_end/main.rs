@@ -10,6 +10,7 @@ mod interruption;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 #[path = "../../../measurements/src/testing/mariadb.rs"]
 mod mariadb;
+mod netem;
 mod plugin;
 mod run;
 mod stamp;

@@ -1,0 +1,151 @@
+//! `cotorra netem`: conditions of real interfaces of this machine, by the kernel's NetEm.
+
+mod args;
+mod record;
+mod show;
+
+use cotorra_netem::{Device, Error, Kernel, Plan, Rule, Side};
+use miette::{IntoDiagnostic, miette};
+
+pub use self::args::Netem;
+use self::{
+    args::{ClearArgs, SetArgs, ShowArgs},
+    record::Record,
+};
+use crate::output;
+
+/// Sets, shows or clears.
+pub fn netem(what: &Netem) -> miette::Result<()> {
+    match what {
+        Netem::Set(args) => set(args),
+        Netem::Show(args) => show(args),
+        Netem::Clear(args) => clear(args),
+    }
+}
+
+/// The interface, with what the kernel does not tell of it.
+fn device(kernel: &Kernel, name: &str) -> miette::Result<(Device, Record)> {
+    let mut device = kernel.device(name).map_err(explained)?;
+    let record = Record::load(&device);
+    record.recall(&mut device);
+    Ok((device, record))
+}
+
+/// An error with what to do instead, where there is something.
+fn explained(error: Error) -> miette::Report {
+    let help = match &error {
+        Error::Missing { module: "sch_netem" } => {
+            "links between a testbed's nodes need none: cotorra emulates them itself (`cotorra run`)"
+        }
+        Error::Missing { module: "ifb" | "sch_ingress" } => {
+            "condition what leaves at the other end of the link instead"
+        }
+        Error::Missing { module: "sch_htb" | "cls_u32" } => {
+            "leave --to and --from out: all packets need no filter"
+        }
+        _ => return miette!("{error}"),
+    };
+    miette!(help = help, "{error}")
+}
+
+fn set(args: &SetArgs) -> miette::Result<()> {
+    let rule = args.rule().map_err(|reason| miette!("{reason}"))?;
+    let kernel = Kernel::open().into_diagnostic()?;
+    let (device, mut record) = device(&kernel, &args.packets.interface)?;
+    let plan = device.set(&rule, args.replace).into_diagnostic()?;
+    if args.dry_run {
+        return output::print(&plan.to_string());
+    }
+    record.note(&device, &rule);
+    // What is replaced is written down before it is gone.
+    if let Err(error) = record.save(&device) {
+        if record.replaced.is_some() {
+            return Err(miette!("cannot write down what NetEm would take the place of: {error}"));
+        }
+        tracing::debug!("shapes of jitter are not remembered: {error}");
+    }
+    if let Err(error) = kernel.apply(&plan) {
+        if device.rules().next().is_none() {
+            Record::forget(&device);
+        }
+        return Err(explained(error));
+    }
+    tell(&plan, &device);
+    let kept = self::device(&kernel, &args.packets.interface)?.0;
+    let found = kept
+        .rules()
+        .map(|(kept, _)| kept)
+        .find(|kept| (kept.side, kept.network) == (rule.side, rule.network));
+    let Some(kept) = found else {
+        return Err(miette!(
+            "the kernel took the conditions, and does not tell them: somebody else changed them"
+        ));
+    };
+    if rule.netem.seed.is_some() && kept.netem.seed != rule.netem.seed {
+        eprintln!(
+            "note: this kernel's NetEm takes no seed (Linux 6.7 and later do): losses differ each time"
+        );
+    }
+    output::print(&line(&device, &kept))
+}
+
+fn line(device: &Device, rule: &Rule) -> String {
+    format!("{} {}: {}\n", device.interface().name, show::packets(rule), show::conditions(&rule.netem))
+}
+
+/// What a plan costs.
+fn tell(plan: &Plan, device: &Device) {
+    let waiting: u64 = device.rules().map(|(_, counters)| counters.waiting).sum();
+    if plan.loses_packets() && waiting > 0 {
+        eprintln!("note: up to {waiting} packets that waited in the old conditions were lost");
+    }
+}
+
+fn show(args: &ShowArgs) -> miette::Result<()> {
+    let kernel = Kernel::open().into_diagnostic()?;
+    let devices = match &args.interface {
+        Some(name) => vec![device(&kernel, name)?.0],
+        None => {
+            let mut devices = kernel.devices().map_err(explained)?;
+            // What a detour does is told with the interface whose detour it is.
+            devices.retain(|device| !device.is_detour());
+            for device in &mut devices {
+                Record::load(device).recall(device);
+            }
+            devices
+        }
+    };
+    if args.json {
+        return output::print(&format!("{:#}\n", show::json(&devices)));
+    }
+    output::print(&show::table(&devices))
+}
+
+fn clear(args: &ClearArgs) -> miette::Result<()> {
+    let kernel = Kernel::open().into_diagnostic()?;
+    let (device, record) = device(&kernel, &args.packets.interface)?;
+    let replaced = record.replaced.as_ref();
+    let plans = match args.packets.which() {
+        (Side::Egress, None) => {
+            vec![device.clear(Side::Ingress, None), device.clear(Side::Egress, replaced)]
+        }
+        (Side::Ingress, None) => vec![device.clear(Side::Ingress, None)],
+        (side, network) => vec![device.remove(side, network, replaced)],
+    };
+    if args.dry_run {
+        return output::print(&plans.iter().map(Plan::to_string).collect::<String>());
+    }
+    if plans.iter().all(Plan::is_empty) {
+        return output::print(&format!("{} has no such conditions\n", device.interface().name));
+    }
+    for plan in &plans {
+        kernel.apply(plan).map_err(explained)?;
+        tell(plan, &device);
+    }
+    let left = kernel.device(&args.packets.interface).map_err(explained)?;
+    if left.rules().next().is_none() {
+        Record::forget(&left);
+    }
+    let back = replaced.filter(|_| left.foreign().is_some()).map(|was| format!("; {} is back", was.kind));
+    output::print(&format!("{}: cleared{}\n", device.interface().name, back.unwrap_or_default()))
+}

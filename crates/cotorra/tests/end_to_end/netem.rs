@@ -1,0 +1,105 @@
+//! `cotorra netem`, in a network namespace of its own; what the kernel does is shown where `scripts/uml` runs this.
+
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+use crate::harness::{cotorra, stderr, stdout};
+
+/// Runs a script in a network namespace of its own; `$COTORRA` is the program.
+fn script(lines: &str) -> Output {
+    let program = cotorra([""; 0]).get_program().to_owned();
+    Command::new("unshare")
+        .args(["--map-root-user", "--net", "sh", "-ec", lines])
+        .env("COTORRA", program)
+        .env("NO_COLOR", "1")
+        .output()
+        .expect("unshare is part of util-linux")
+}
+
+/// Whether this kernel has NetEm, and lets this user have a namespace in which to use it.
+fn has_netem() -> bool {
+    let tried = script("$COTORRA netem set lo --delay 1ms");
+    let has = tried.status.success();
+    if !has {
+        let said = stderr(&tried);
+        assert!(std::env::var_os("COTORRA_KERNEL").is_none(), "the rig's kernel has no NetEm: {said}");
+        eprintln!("skipped: {said}");
+        let reasons = ["this kernel has no sch_netem", "unshare", "/run"];
+        assert!(reasons.iter().any(|reason| said.contains(reason)), "{said}");
+    }
+    has
+}
+
+#[test]
+fn a_dry_run_says_in_the_words_of_tc_what_would_be_done() {
+    let done = script(
+        "$COTORRA netem set lo --to 10.0.0.0/8 --delay 10ms --jitter 1ms --rate 8Mbit/s --loss 1% --dry-run
+                       $COTORRA netem show lo",
+    );
+    if stderr(&done).contains("unshare") {
+        return;
+    }
+    assert!(done.status.success(), "{}", stderr(&done));
+    let expected = "\
+tc qdisc add dev lo root handle c070: htb
+tc class add dev lo parent c070: classid c070:1 htb rate 1tbit
+tc qdisc add dev lo parent c070:1 handle c071: netem limit 1010 delay 10ms 1ms distribution normal loss 1% rate 8000000bit
+tc filter add dev lo parent c070: protocol ip pref 9601 u32 match ip dst 10.0.0.0/8 flowid c070:1
+no conditions
+";
+    assert_eq!(stdout(&done), expected);
+}
+
+#[test]
+fn what_cannot_be_is_refused_with_what_would_be_right() {
+    for (arguments, part) in [
+        (vec!["set", "lo"], "--delay <DURATION>"),
+        (vec!["set", "lo", "--delay", "10"], "write it like 10ms"),
+        (vec!["set", "lo", "--loss", "1"], "write it like 1%"),
+        (vec!["set", "lo", "--loss", "90%", "--burst", "2"], "bursts are 9.000 packets or longer"),
+        (vec!["set", "lo", "--delay", "1ms", "--to", "nowhere"], "neither an address nor a network"),
+        (vec!["set", "lo", "--delay", "1ms", "--from", "10.0.0.1"], "--ingress"),
+        (vec!["show", "no-such-interface"], "there is no interface `no-such-interface` here: there are lo"),
+    ] {
+        let refused = cotorra(["netem"].into_iter().chain(arguments.clone())).output().unwrap();
+        assert!(!refused.status.success(), "{arguments:?}");
+        // Long lines are broken.
+        let said =
+            stderr(&refused).replace(['│', '\n'], " ").split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains(part), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn conditions_are_set_shown_and_cleared() {
+    if !has_netem() {
+        return;
+    }
+    let done = script(
+        "ip link add va type veth peer name vb; ip link set va up
+         tc qdisc add dev va root handle 9: pfifo limit 50
+         ! $COTORRA netem set va --delay 10ms
+         $COTORRA netem set va --delay 10ms --jitter 2ms --distribution pareto --replace >/dev/null
+         $COTORRA netem set va --to 10.0.0.2 --loss 1% --burst 5 --rate 10Mbit/s --delay 100ms >/dev/null
+         $COTORRA netem set va --ingress --from fd00::/8 --delay 7ms >/dev/null
+         $COTORRA netem show va --json
+         $COTORRA netem clear va
+         $COTORRA netem show
+         tc qdisc show dev va",
+    );
+    assert!(done.status.success(), "{}", stderr(&done));
+    assert!(stderr(&done).contains("--replace"), "{}", stderr(&done));
+    let text = stdout(&done);
+    let (json, rest) = text.split_once("\n]\n").unwrap();
+    let rules: Value = serde_json::from_str(&format!("{json}]")).unwrap();
+    assert_eq!(rules[0]["delay_ms"], 10.0);
+    assert_eq!(rules[0]["jitter"]["distribution"], "pareto", "the kernel does not tell it: it is remembered");
+    assert_eq!(rules[1]["network"], "10.0.0.2");
+    assert_eq!(rules[1]["rate_bps"], 10_000_000);
+    assert_eq!(rules[1]["limit"], 1083);
+    assert!((rules[1]["loss"]["rate"].as_f64().unwrap() - 0.01).abs() < 1e-6);
+    assert_eq!(rules[2]["side"], "ingress");
+    assert_eq!(rules[2]["network"], "fd00::/8");
+    assert!(rest.starts_with("va: cleared; pfifo is back\nno conditions\nqdisc pfifo 9: root"), "{rest}");
+}
