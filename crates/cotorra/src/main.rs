@@ -10,6 +10,7 @@ mod doctor;
 mod exec;
 mod experiment;
 mod history;
+mod localize;
 mod logs;
 mod netem;
 mod output;
@@ -52,6 +53,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::History { question } => return history::history(&question),
         Command::Replay(args) => return replay::replay(&args),
+        Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
         Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
         Command::OpenApi => output::print(&cotorra_testbed::openapi())?,

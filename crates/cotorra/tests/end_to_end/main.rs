@@ -7,6 +7,7 @@ mod experiment;
 mod harness;
 mod history;
 mod interruption;
+mod localize;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 #[path = "../../../measurements/src/testing/mariadb.rs"]
 mod mariadb;

@@ -1,0 +1,194 @@
+//! `cotorra localize`: where a robot was, from a recorded log and a map, and how far off that is.
+
+use std::{
+    fmt::Write as _,
+    fs::File,
+    io::{BufReader, Read as _},
+    path::{Path, PathBuf},
+    process::ExitCode,
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::map_server;
+use cotorra_localization::{
+    Estimate, LikelihoodField, LocalizationError, Localizer, Parameters, Pose2,
+    carmen::{Laser, Log, LogError, Message},
+    trajectory::{Errors, LOST, Trajectory},
+};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::{
+    cli::{LocalizeArgs, LocalizeMode},
+    output, signals,
+    testbed_file::FileError,
+};
+
+/// What a shell calls a program that SIGINT ended.
+const INTERRUPTED: u8 = 130;
+/// How well a start is known: the variances that AMCL begins with, m² and rad² (15°).
+const START_VARIANCE: [f64; 2] = [0.25, 0.0685];
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum Error {
+    #[error("cannot read {}: {reason}", path.display())]
+    Unreadable { path: PathBuf, reason: std::io::Error },
+    #[error("cannot write {}: {reason}", path.display())]
+    Unwritable { path: PathBuf, reason: std::io::Error },
+    #[error("{}, {wrong}", path.display())]
+    #[diagnostic(help(
+        "a log has FLASER or ROBOTLASER1 messages of CARMEN, a message a line; a reference may also have \
+        lines of time,x,y,heading or of time x y z qx qy qz qw"
+    ))]
+    Malformed { path: PathBuf, wrong: LogError },
+    #[error("{} has no laser message", .0.display())]
+    #[diagnostic(help("a log of CARMEN has scans in lines that begin with FLASER or ROBOTLASER1"))]
+    NoScan(PathBuf),
+    #[error("{} says nothing of when the log's scans were taken", .0.display())]
+    #[diagnostic(help(
+        "its times have to be the log's; a corrected log may differ in time if it has as many scans"
+    ))]
+    NoReference(PathBuf),
+    #[error("a laser does not reach {0} m")]
+    #[diagnostic(help("write a reach in metres, above zero"))]
+    Reach(f64),
+    #[error(transparent)]
+    Localization(#[from] LocalizationError),
+    #[error("cannot listen to Ctrl-C: {0}")]
+    Signals(ctrlc::Error),
+}
+
+/// Localizes a robot.
+pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
+    if let Some(reach) = args.max_range
+        && !(reach > 0.0 && reach.is_finite())
+    {
+        return Err(Error::Reach(reach).into());
+    }
+    let map = map_server::load(&args.map).map_err(FileError::from)?;
+    let scans = scans(&args.log)?;
+    let Some(first) = scans.first() else { return Err(Error::NoScan(args.log.clone()).into()) };
+    let reference = args.reference.as_deref().map(trajectory).transpose()?;
+    let mut parameters = match args.mode {
+        LocalizeMode::Likelihood => Parameters::default(),
+        LocalizeMode::Amcl => Parameters::amcl(),
+    };
+    let reach = args.max_range.or(first.range_max);
+    parameters.beams.range_max = reach.unwrap_or(parameters.beams.range_max);
+    let field = Arc::new(LikelihoodField::new(&map, &parameters));
+    let truth = |nth: usize| reference.as_ref().and_then(|r| r.at(nth, scans.len(), scans[nth].at));
+    let localizer = if args.global {
+        Localizer::anywhere(field, parameters, args.seed)
+    } else {
+        let given = args.start.map(|[x, y, heading]| Pose2::new(x, y, heading));
+        let start = given.or_else(|| truth(0)).unwrap_or(first.robot);
+        let [position, heading] = START_VARIANCE;
+        let covariance = [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading];
+        Localizer::at(field, parameters, args.seed, start, &covariance)
+    };
+    let mut localizer = localizer.map_err(Error::from)?;
+
+    let interrupts = signals::listen().map_err(Error::Signals)?;
+    let bar = progress(scans.len(), args.headless);
+    let mut table = String::from(HEAD);
+    let mut found: Vec<Estimate> = Vec::with_capacity(scans.len());
+    for scan in &scans {
+        if interrupts.try_recv().is_ok() {
+            break;
+        }
+        let estimate = localizer.observe(scan.robot, &scan.scan()).map_err(Error::from)?;
+        row(&mut table, scan.at, &estimate);
+        found.push(estimate);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let told = told(&found, scans.len(), args.reference.as_ref().map(|path| (path, truth)))?;
+    match &args.out {
+        Some(path) => {
+            let unwritable = |reason| Error::Unwritable { path: path.clone(), reason };
+            std::fs::write(path, table).map_err(unwritable)?;
+            output::print(&told)?;
+        }
+        None => {
+            output::print(&table)?;
+            eprint!("{told}");
+        }
+    }
+    Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })
+}
+
+fn open(path: &Path) -> Result<BufReader<File>, Error> {
+    let unreadable = |reason| Error::Unreadable { path: path.to_owned(), reason };
+    let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
+    // A folder opens, too, and only fails when it is read.
+    file.read_exact(&mut []).and_then(|()| file.get_ref().metadata()).map_err(unreadable)?;
+    Ok(file)
+}
+
+fn scans(path: &Path) -> Result<Vec<Laser>, Error> {
+    let mut scans = Vec::new();
+    for message in Log::new(open(path)?) {
+        if let Message::Laser(laser) =
+            message.map_err(|wrong| Error::Malformed { path: path.to_owned(), wrong })?
+        {
+            scans.push(laser);
+        }
+    }
+    Ok(scans)
+}
+
+fn trajectory(path: &Path) -> Result<Trajectory, Error> {
+    Trajectory::read(open(path)?).map_err(|wrong| Error::Malformed { path: path.to_owned(), wrong })
+}
+
+fn progress(scans: usize, headless: bool) -> ProgressBar {
+    if headless {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{wide_bar:.cyan/dim}  {pos} of {len} scans, {eta} to go")
+        .expect("a template that is right")
+        .progress_chars("━╸─");
+    let bar = ProgressBar::new(scans as u64).with_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+const HEAD: &str = "time,x,y,heading,var_x,cov_xy,cov_xh,var_y,cov_yh,var_h,particles,updated\n";
+
+fn row(table: &mut String, at: f64, estimate: &Estimate) {
+    let Estimate { pose, covariance: c, particles, updated } = estimate;
+    let Pose2 { x, y, heading } = pose;
+    let (upper, used) = ([c[0], c[1], c[2], c[4], c[5], c[8]], u8::from(*updated));
+    write!(table, "{at},{x:.4},{y:.4},{heading:.5}").expect("writing into a string cannot fail");
+    upper
+        .iter()
+        .try_for_each(|entry| write!(table, ",{entry:.3e}"))
+        .expect("writing into a string cannot fail");
+    writeln!(table, ",{particles},{used}").expect("writing into a string cannot fail");
+}
+
+/// What came of it, in words. While a robot that could be anywhere is not found, its errors are not counted.
+fn told(
+    found: &[Estimate],
+    scans: usize,
+    reference: Option<(&PathBuf, impl Fn(usize) -> Option<Pose2>)>,
+) -> Result<String, Error> {
+    let updates = found.iter().filter(|estimate| estimate.updated).count();
+    let particles = found.iter().map(|estimate| estimate.particles).sum::<usize>() / found.len().max(1);
+    let mut told =
+        format!("{} of {scans} scans, {updates} of them used; {particles} particles\n", found.len());
+    let Some((path, truth)) = reference else { return Ok(told) };
+    let pairs: Vec<_> = found.iter().enumerate().filter_map(|(nth, e)| Some((nth, e, truth(nth)?))).collect();
+    if pairs.is_empty() && !found.is_empty() {
+        return Err(Error::NoReference(path.clone()));
+    }
+    let Some(begin) = pairs.iter().position(|(_, e, truth)| e.pose.distance(*truth) <= LOST) else {
+        return Ok(told + "the robot was never found\n");
+    };
+    if begin > 0 {
+        writeln!(told, "found at scan {}", pairs[begin].0 + 1).expect("writing into a string cannot fail");
+    }
+    let mut errors = Errors::default();
+    pairs[begin..].iter().for_each(|(_, estimate, truth)| errors.push(estimate, *truth));
+    Ok(told + &format!("{errors}\n"))
+}

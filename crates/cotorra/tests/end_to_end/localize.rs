@@ -1,0 +1,84 @@
+//! `cotorra localize` on a log that a robot in a room would have written.
+
+use std::{f64::consts::PI, fmt::Write as _, fs, path::Path};
+
+use crate::harness::{output, stderr, stdout};
+
+/// A room of 6 m × 4 m, its walls 0.1 m thick, and the log of a way through it: odometry says 3 % more than was gone.
+fn room(folder: &Path) {
+    let (width, height) = (124, 84);
+    let mut picture = format!("P5\n{width} {height}\n255\n").into_bytes();
+    for row in 0..height {
+        for column in 0..width {
+            let wall = row < 2 || column < 2 || row >= height - 2 || column >= width - 2;
+            picture.push(if wall { 0 } else { 254 });
+        }
+    }
+    fs::write(folder.join("room.pgm"), picture).unwrap();
+    let yaml = "image: room.pgm\nresolution: 0.05\norigin: [-0.1, -0.1, 0]\n";
+    fs::write(folder.join("room.yaml"), yaml).unwrap();
+    let (mut log, mut reference) = ("# a log\n".to_owned(), "time,x,y,heading\n".to_owned());
+    for scan in 0..40 {
+        let (x, y) = (1.0 + 0.1 * f64::from(scan), 1.5);
+        log += "FLASER 180";
+        for beam in 0..180 {
+            let (sin, cos) = (f64::from(beam) * PI / 180.0 - PI / 2.0).sin_cos();
+            let towards = |along: f64, at: f64, side: f64| match along {
+                along if along > 1e-9 => (side - at) / along,
+                along if along < -1e-9 => -at / along,
+                _ => f64::INFINITY,
+            };
+            write!(log, " {:.3}", towards(cos, x, 6.0).min(towards(sin, y, 4.0))).unwrap();
+        }
+        let odometry = 7.0 + 0.103 * f64::from(scan);
+        writeln!(log, " {odometry:.3} 2 0 {odometry:.3} 2 0 {scan} host {scan}").unwrap();
+        writeln!(reference, "{scan},{x},{y},0").unwrap();
+    }
+    fs::write(folder.join("log"), log).unwrap();
+    fs::write(folder.join("reference.csv"), reference).unwrap();
+}
+
+fn localize(folder: &Path, more: &[&str]) -> std::process::Output {
+    let at = |name: &str| folder.join(name).display().to_string();
+    let (map, log, reference) = (at("room.yaml"), at("log"), at("reference.csv"));
+    let given = ["localize", "--map", &map, "--log", &log, "--reference", &reference];
+    output(given.into_iter().chain(more.iter().copied()))
+}
+
+#[test]
+fn a_log_becomes_a_trajectory_and_its_error() {
+    let folder = tempfile::tempdir().unwrap();
+    room(folder.path());
+    let found = localize(folder.path(), &[]);
+    assert!(found.status.success(), "{}", stderr(&found));
+    let table = stdout(&found);
+    assert_eq!(table.lines().count(), 41);
+    let last: Vec<f64> = table.lines().last().unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
+    assert!((last[1] - 4.9).abs() < 0.1 && (last[2] - 1.5).abs() < 0.1, "{last:?}");
+    let said = stderr(&found);
+    assert!(said.contains("40 of 40 scans") && said.contains("lost (over 1 m) 0.00 %"), "{said}");
+    // The same seed gives the same table, another one does not.
+    assert_eq!(table, stdout(&localize(folder.path(), &["--seed", "1"])));
+    assert_ne!(table, stdout(&localize(folder.path(), &["--seed", "2"])));
+
+    let out = folder.path().join("found.csv");
+    let found = localize(folder.path(), &["--mode", "amcl", "--out", out.to_str().unwrap()]);
+    assert!(stdout(&found).contains("position RMSE"), "{}", stdout(&found));
+    assert_eq!(fs::read_to_string(out).unwrap().lines().count(), 41);
+}
+
+#[test]
+fn a_log_that_is_none_is_told_with_its_line() {
+    let folder = tempfile::tempdir().unwrap();
+    room(folder.path());
+    let log = folder.path().join("log");
+    let wrong = fs::read_to_string(&log).unwrap().replacen("FLASER 180", "FLASER 190", 2);
+    fs::write(&log, wrong).unwrap();
+    let found = localize(folder.path(), &[]);
+    assert_eq!(found.status.code(), Some(1));
+    assert!(stderr(&found).contains("line 2: "), "{}", stderr(&found));
+    fs::write(&log, "PARAM robot_width 1\n").unwrap();
+    assert!(stderr(&localize(folder.path(), &[])).contains("has no laser message"));
+    fs::remove_file(&log).unwrap();
+    assert!(stderr(&localize(folder.path(), &[])).contains("cannot read"));
+}

@@ -1,0 +1,315 @@
+//! Logs of CARMEN, the format of most public lidar data sets: a message a line, its name first.
+//!
+//! Read are `ODOM`, `FLASER` (the older laser message, of a SICK that looks forward) and `ROBOTLASER1`, which says how
+//! its laser sits. Other messages are passed over.
+
+use std::{f64::consts::PI, io::BufRead, num::ParseFloatError};
+
+use crate::{geometry::Pose2, scan::Scan};
+
+/// A message of a log.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Message {
+    /// Where odometry says that the robot is.
+    Odometry {
+        /// Seconds, from whenever the log counts.
+        at: f64,
+        /// Where.
+        pose: Pose2,
+    },
+    /// A scan.
+    Laser(Laser),
+}
+
+/// A scan, and where the robot then believed to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Laser {
+    /// Seconds, from whenever the log counts.
+    pub at: f64,
+    /// Where the robot is: by its odometry, or, in a corrected log, where it was found to have been.
+    pub robot: Pose2,
+    /// The same of the laser.
+    pub laser: Pose2,
+    /// Direction of the first beam in the laser's frame, radians.
+    pub angle_min: f64,
+    /// From one beam to the next, radians.
+    pub angle_increment: f64,
+    /// The laser's reach, metres, where the log says so.
+    pub range_max: Option<f64>,
+    /// Metres.
+    pub ranges: Vec<f32>,
+}
+
+impl Laser {
+    /// As the filter takes it.
+    pub fn scan(&self) -> Scan<'_> {
+        let &Self { angle_min, angle_increment, ref ranges, .. } = self;
+        // A SICK turns 75 times a second.
+        let (mount, sweep) = (self.robot.step_to(self.laser), Pose2::default());
+        Scan { angle_min, angle_increment, ranges, mount, sweep }
+    }
+}
+
+/// Why a log cannot be read on.
+#[derive(Debug, thiserror::Error)]
+#[error("line {line}: {problem}")]
+pub struct LogError {
+    /// Counted from 1.
+    pub line: usize,
+    /// What is wrong there.
+    pub problem: LogProblem,
+}
+
+/// What is wrong with a line of a log.
+#[derive(Debug, thiserror::Error)]
+pub enum LogProblem {
+    /// The file cannot be read, or is no text.
+    #[error("it cannot be read: {0}")]
+    Unreadable(#[from] std::io::Error),
+    /// A message ends too early.
+    #[error("`{message}` ends before its {field}")]
+    Short {
+        /// Its name.
+        message: &'static str,
+        /// What is missing.
+        field: &'static str,
+    },
+    /// No number where one belongs.
+    #[error("the {field} of `{message}` is `{found}`, which is no number")]
+    NoNumber {
+        /// Its name.
+        message: &'static str,
+        /// What should be there.
+        field: &'static str,
+        /// What is there.
+        found: String,
+    },
+    /// More readings than any laser has.
+    #[error("`{message}` announces {count} {field}, but no laser has more than {MAX_READINGS}")]
+    TooMany {
+        /// Its name.
+        message: &'static str,
+        /// Of what.
+        field: &'static str,
+        /// How many.
+        count: f64,
+    },
+}
+
+/// No laser has more beams than so many.
+const MAX_READINGS: usize = 1 << 20;
+
+/// Reads a log line by line.
+#[derive(Debug)]
+pub struct Log<R> {
+    source: R,
+    text: String,
+    line: usize,
+    failed: bool,
+}
+
+impl<R: BufRead> Log<R> {
+    /// Reads from there.
+    pub fn new(source: R) -> Self {
+        Self { source, text: String::new(), line: 0, failed: false }
+    }
+
+    /// How many lines were read.
+    pub fn line(&self) -> usize {
+        self.line
+    }
+}
+
+/// The messages that are known; nothing follows an error.
+impl<R: BufRead> Iterator for Log<R> {
+    type Item = Result<Message, LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while !self.failed {
+            self.line += 1;
+            self.text.clear();
+            let message = match self.source.read_line(&mut self.text) {
+                Ok(0) => return None,
+                Ok(_) => message(&self.text),
+                Err(error) => Err(error.into()),
+            };
+            match message {
+                Ok(Some(message)) => return Some(Ok(message)),
+                Ok(None) => {}
+                Err(problem) => {
+                    self.failed = true;
+                    return Some(Err(LogError { line: self.line, problem }));
+                }
+            }
+        }
+        None
+    }
+}
+
+/// Reads one line; `None` if it says nothing of odometry or laser.
+fn message(line: &str) -> Result<Option<Message>, LogProblem> {
+    let mut fields = line.split_ascii_whitespace();
+    Ok(match fields.next() {
+        Some("ODOM") => Some(odometry(Fields { message: "ODOM", fields })?),
+        Some("FLASER") => Some(front_laser(Fields { message: "FLASER", fields })?),
+        Some("ROBOTLASER1") => Some(robot_laser(Fields { message: "ROBOTLASER1", fields })?),
+        _ => None,
+    })
+}
+
+/// `ODOM x y theta tv rv accel timestamp host logger_timestamp`
+fn odometry(mut fields: Fields<'_>) -> Result<Message, LogProblem> {
+    let pose = fields.pose("pose")?;
+    for field in ["velocity", "angular velocity", "acceleration"] {
+        fields.number(field)?;
+    }
+    Ok(Message::Odometry { at: fields.number("time")?, pose })
+}
+
+/// `FLASER n ranges... laser_x laser_y laser_theta x y theta timestamp host logger_timestamp`
+fn front_laser(mut fields: Fields<'_>) -> Result<Message, LogProblem> {
+    let ranges = fields.list("ranges")?;
+    let (laser, robot) = (fields.pose("laser's pose")?, fields.pose("robot's pose")?);
+    let at = fields.number("time")?;
+    // The message does not say it: 180 or 181 beams are a degree apart, 360 or 361 half a degree, and so on. All of
+    // them look forward over half a turn, the first one to the right.
+    let angle_increment = match ranges.len() {
+        0 => 0.0,
+        beams if beams % 10 == 1 && beams > 1 => PI / (beams - 1) as f64,
+        beams => PI / beams as f64,
+    };
+    let angle_min = -PI / 2.0;
+    Ok(Message::Laser(Laser { at, robot, laser, angle_min, angle_increment, range_max: None, ranges }))
+}
+
+/// `ROBOTLASER1 type start_angle field_of_view resolution maximum_range accuracy remission_mode n ranges... m
+/// remissions... laser_x laser_y laser_theta x y theta tv rv forward_safety side_safety turn_axis timestamp host
+/// logger_timestamp`
+fn robot_laser(mut fields: Fields<'_>) -> Result<Message, LogProblem> {
+    fields.number("laser's type")?;
+    let angle_min = fields.number("start angle")?;
+    fields.number("field of view")?;
+    let angle_increment = fields.number("angular resolution")?;
+    let range_max = fields.number("maximum range")?;
+    fields.number("accuracy")?;
+    fields.number("remission mode")?;
+    let ranges = fields.list("ranges")?;
+    fields.list("remissions")?;
+    let (laser, robot) = (fields.pose("laser's pose")?, fields.pose("robot's pose")?);
+    for field in ["velocity", "angular velocity", "forward safety", "side safety", "turn axis"] {
+        fields.number(field)?;
+    }
+    let at = fields.number("time")?;
+    let range_max = (range_max > 0.0).then_some(range_max);
+    Ok(Message::Laser(Laser { at, robot, laser, angle_min, angle_increment, range_max, ranges }))
+}
+
+/// What follows a message's name.
+struct Fields<'a> {
+    message: &'static str,
+    fields: std::str::SplitAsciiWhitespace<'a>,
+}
+
+impl Fields<'_> {
+    fn number(&mut self, field: &'static str) -> Result<f64, LogProblem> {
+        let message = self.message;
+        let found = self.fields.next().ok_or(LogProblem::Short { message, field })?;
+        let number: Result<f64, ParseFloatError> = found.parse();
+        match number {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(LogProblem::NoNumber { message, field, found: shortened(found) }),
+        }
+    }
+
+    fn pose(&mut self, field: &'static str) -> Result<Pose2, LogProblem> {
+        Ok(Pose2::new(self.number(field)?, self.number(field)?, self.number(field)?))
+    }
+
+    /// How many, then each. A range may be NaN or infinite: that beam hit nothing.
+    fn list(&mut self, field: &'static str) -> Result<Vec<f32>, LogProblem> {
+        let message = self.message;
+        let count = self.number(field)?;
+        if !(0.0..=MAX_READINGS as f64).contains(&count) || count.fract() != 0.0 {
+            return Err(LogProblem::TooMany { message, field, count });
+        }
+        let read = |_| {
+            let found = self.fields.next().ok_or(LogProblem::Short { message, field })?;
+            found.parse().map_err(|_| LogProblem::NoNumber { message, field, found: shortened(found) })
+        };
+        (0..count as usize).map(read).collect()
+    }
+}
+
+fn shortened(found: &str) -> String {
+    found.chars().take(40).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn read(text: &str) -> Vec<Result<Message, LogError>> {
+        Log::new(text.as_bytes()).collect()
+    }
+
+    fn wrong(text: &str) -> String {
+        read(text).pop().unwrap().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn both_laser_messages_and_odometry() {
+        let text = "# CARMEN Logfile\nPARAM robot_width 0.5 nohost 0\n\n\
+            ODOM 1 2 0.5 0.1 0 0 7.25 host 7.3\n\
+            FLASER 3 1.0 2.0 inf 1.1 2 0.5 1 2 0.5 7.5 host 7.6\n\
+            ROBOTLASER1 0 -1.57 3.14 0.0174 81.9 0.01 0 2 1.5 2.5 1 0.3 3 4 0 2.9 4 0 0.1 0.2 0 0 0 8 host 8.1\n";
+        let messages: Vec<Message> = read(text).into_iter().map(Result::unwrap).collect();
+        assert_eq!(messages[0], Message::Odometry { at: 7.25, pose: Pose2::new(1.0, 2.0, 0.5) });
+        let [Message::Laser(front), Message::Laser(robot)] = &messages[1..] else {
+            panic!("{messages:?}");
+        };
+        assert_eq!((front.at, front.ranges.as_slice()), (7.5, [1.0, 2.0, f32::INFINITY].as_slice()));
+        assert_eq!((front.angle_min, front.range_max), (-PI / 2.0, None));
+        assert!((front.scan().mount.x - 0.1 * 0.5_f64.cos()).abs() < 1e-12);
+        assert_eq!((robot.at, robot.ranges.as_slice()), (8.0, [1.5, 2.5].as_slice()));
+        assert_eq!((robot.angle_min, robot.angle_increment, robot.range_max), (-1.57, 0.0174, Some(81.9)));
+        assert!((robot.scan().mount.x - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn beams_of_a_front_laser_cover_half_a_turn() {
+        for (beams, degrees) in [(180, 1.0), (181, 1.0), (360, 0.5), (361, 0.5), (90, 2.0)] {
+            let ranges = vec!["1"; beams].join(" ");
+            let messages = read(&format!("FLASER {beams} {ranges} 0 0 0 0 0 0 0 h 0"));
+            let Some(Ok(Message::Laser(laser))) = messages.first() else { panic!("{messages:?}") };
+            assert!((laser.angle_increment.to_degrees() - degrees).abs() < 1e-9, "{beams}");
+        }
+    }
+
+    #[test]
+    fn mistakes_are_told_with_their_line() {
+        assert_eq!(wrong("\nODOM 1 2\n"), "line 2: `ODOM` ends before its pose");
+        assert_eq!(wrong("FLASER 3 1 2"), "line 1: `FLASER` ends before its ranges");
+        assert_eq!(wrong("FLASER 2 1 x"), "line 1: the ranges of `FLASER` is `x`, which is no number");
+        assert_eq!(
+            wrong("FLASER 1e9 1"),
+            "line 1: `FLASER` announces 1000000000 ranges, but no laser has more than 1048576"
+        );
+        assert_eq!(
+            wrong("ODOM nan 2 3 0 0 0 1 h 1"),
+            "line 1: the pose of `ODOM` is `nan`, which is no number"
+        );
+        // Nothing follows a mistake.
+        assert_eq!(read("ODOM\nODOM 1 2 3 0 0 0 1 h 1\n").len(), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn no_log_panics(text in "(ODOM|FLASER|ROBOTLASER1)( -?[0-9.einf]{1,4}){0,30}\n?") {
+            read(&text).into_iter().for_each(|message| if let Ok(Message::Laser(laser)) = message {
+                _ = laser.scan();
+            });
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! Monte Carlo localization: where a robot is on a map, from its odometry and its lidar, with the covariance of that.
+//! σ_p(r) of a robot that no simulator knows the place of.
+//!
+//! [`Localizer`] is the way in: a state machine without clock or sockets, seeded, the same to the bit each time.
+//! [`carmen`] reads recorded logs, and [`trajectory`] compares what came of them with a reference.
+#![forbid(unsafe_code)]
+
+mod bins;
+pub mod carmen;
+mod field;
+mod geometry;
+mod localizer;
+mod motion;
+mod parameters;
+mod particles;
+mod random;
+mod relocate;
+mod scan;
+pub mod trajectory;
+mod weights;
+
+pub use field::LikelihoodField;
+pub use geometry::Pose2;
+pub use localizer::{Estimate, LocalizationError, Localizer, nees};
+pub use parameters::{BeamModel, MotionNoise, Parameters, Weighing};
+pub use scan::Scan;

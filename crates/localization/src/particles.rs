@@ -1,0 +1,221 @@
+//! The particles: columns side by side, so that each step of the filter runs through what it needs alone, and drawing
+//! them anew with as many as KLD-sampling asks for.
+
+use crate::{
+    bins::{Binning, Bins, kld_bound},
+    field::Place,
+    parameters::Parameters,
+    random::Stream,
+};
+
+/// Weighted places, in cells of the field's table. Weights sum to 1 but while they are being changed.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Particles {
+    pub column: Vec<f32>,
+    pub row: Vec<f32>,
+    pub heading: Vec<f32>,
+    pub weight: Vec<f32>,
+}
+
+impl Particles {
+    pub fn len(&self) -> usize {
+        self.weight.len()
+    }
+
+    pub fn clear(&mut self) {
+        for values in [&mut self.column, &mut self.row, &mut self.heading, &mut self.weight] {
+            values.clear();
+        }
+    }
+
+    pub fn push(&mut self, place: Place, weight: f32) {
+        self.column.push(place.column);
+        self.row.push(place.row);
+        self.heading.push(place.heading);
+        self.weight.push(weight);
+    }
+
+    pub fn place(&self, particle: usize) -> Place {
+        Place { column: self.column[particle], row: self.row[particle], heading: self.heading[particle] }
+    }
+
+    /// Scales the weights to sum to 1. If all are 0, or one is no number, all become alike.
+    pub fn normalize(&mut self) {
+        let sum: f64 = self.weight.iter().map(|&weight| f64::from(weight)).sum();
+        let alike = (self.len() as f64).recip() as f32;
+        let scale = sum.recip() as f32;
+        let proper = sum > 0.0 && sum.is_finite() && scale.is_finite();
+        self.weight.iter_mut().for_each(|weight| *weight = if proper { *weight * scale } else { alike });
+    }
+
+    /// As many particles of one weight would say as much: 1/Σw² (Kong, Liu and Wong 1994).
+    pub fn effective(&self) -> f64 {
+        self.weight.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>().recip()
+    }
+
+    /// Draws particles anew into `drawn`, as many as KLD-sampling asks for (Fox 2003), and of one weight. `anew` gives
+    /// a particle from elsewhere, with that probability in place of a drawn one.
+    ///
+    /// The draws are the points of an additive recurrence with the golden ratio: however many are taken, they are
+    /// spread nearly as evenly as those of low-variance resampling (Probabilistic Robotics, table 4.4), which has to
+    /// know their number beforehand.
+    pub fn draw(
+        &self,
+        drawn: &mut Self,
+        parameters: &Parameters,
+        binning: &Binning,
+        random: &mut Stream,
+        (probability, anew): (f64, &mut dyn FnMut(&mut Stream) -> Place),
+    ) {
+        const GOLDEN: f64 = 0.618_033_988_749_894_9;
+        let parents = Parents::new(&self.weight);
+        let mut children = vec![0_u32; self.len()];
+        let mut bins = Bins::default();
+        let mut bound = parameters.min_particles;
+        let mut point = random.uniform();
+        drawn.clear();
+        let mut count = 0;
+        while count < bound {
+            count += 1;
+            let place = if probability > 0.0 && random.uniform() < probability {
+                let place = anew(random);
+                drawn.push(place, 0.0);
+                place
+            } else {
+                point = (point + GOLDEN).fract();
+                let parent = parents.at(point);
+                children[parent] += 1;
+                // Only a first child can be in a new bin.
+                if children[parent] > 1 {
+                    continue;
+                }
+                self.place(parent)
+            };
+            let known = bins.len();
+            bins.insert(binning.bin(place));
+            if bins.len() > known {
+                bound = kld_bound(bins.len(), parameters);
+            }
+        }
+        for (parent, &count) in children.iter().enumerate() {
+            (0..count).for_each(|_| drawn.push(self.place(parent), 0.0));
+        }
+        let weight = (drawn.len() as f32).recip();
+        drawn.weight.fill(weight);
+    }
+}
+
+/// Finds the particle at a share of the cumulative weight (the method of cutpoints; Chen and Asau 1974).
+struct Parents {
+    cumulative: Vec<f64>,
+    /// Of each of as many even stretches as there are particles: the first particle that reaches into it.
+    cutpoints: Vec<u32>,
+}
+
+impl Parents {
+    fn new(weights: &[f32]) -> Self {
+        let mut sum = 0.0;
+        let mut cumulative: Vec<f64> = weights
+            .iter()
+            .map(|&weight| {
+                sum += f64::from(weight);
+                sum
+            })
+            .collect();
+        cumulative.iter_mut().for_each(|reached| *reached /= sum);
+        let stretches = weights.len();
+        let mut cutpoints = Vec::with_capacity(stretches);
+        let mut particle = 0;
+        for stretch in 0..stretches {
+            let begin = stretch as f64 / stretches as f64;
+            while particle + 1 < stretches && cumulative[particle] <= begin {
+                particle += 1;
+            }
+            cutpoints.push(particle as u32);
+        }
+        Self { cumulative, cutpoints }
+    }
+
+    /// The particle at a share in [0, 1).
+    fn at(&self, share: f64) -> usize {
+        let stretch = ((share * self.cutpoints.len() as f64) as usize).min(self.cutpoints.len() - 1);
+        let mut particle = self.cutpoints[stretch] as usize;
+        while particle + 1 < self.cumulative.len() && self.cumulative[particle] <= share {
+            particle += 1;
+        }
+        particle
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn weighted(weights: &[f32]) -> Particles {
+        let mut particles = Particles::default();
+        for (i, &weight) in weights.iter().enumerate() {
+            particles.push(Place { column: i as f32 * 100.0, row: 0.0, heading: 0.0 }, weight);
+        }
+        particles.normalize();
+        particles
+    }
+
+    fn drawn(particles: &Particles, parameters: &Parameters) -> Particles {
+        let mut drawn = Particles::default();
+        let mut nobody = |_: &mut Stream| unreachable!("nobody comes from elsewhere");
+        let binning = Binning::new(0.05);
+        particles.draw(&mut drawn, parameters, &binning, &mut Stream::new(5), (0.0, &mut nobody));
+        drawn
+    }
+
+    proptest! {
+        /// Each is drawn as often as its weight says, to within a few: that is what low variance means.
+        #[test]
+        fn draws_are_as_many_as_weights_say(weights in prop::collection::vec(0.0..1.0_f32, 1..8)) {
+            prop_assume!(weights.iter().sum::<f32>() > 0.1);
+            let particles = weighted(&weights);
+            let parameters = Parameters { min_particles: 1000, max_particles: 1000, ..Parameters::default() };
+            let drawn = drawn(&particles, &parameters);
+            prop_assert_eq!(drawn.len(), 1000);
+            for (i, &weight) in particles.weight.iter().enumerate() {
+                let count = drawn.column.iter().filter(|&&column| column == i as f32 * 100.0).count();
+                prop_assert!((count as f32 - weight * 1000.0).abs() < 6.0, "{} {}", count, weight);
+            }
+        }
+
+        #[test]
+        fn the_particle_at_a_share_is_where_the_weights_reach_it(
+            weights in prop::collection::vec(0.0..1.0_f32, 1..50), share in 0.0..1.0_f64,
+        ) {
+            prop_assume!(weights.iter().sum::<f32>() > 0.1);
+            let parents = Parents::new(&weights);
+            let found = parents.at(share);
+            let slow = parents.cumulative.iter().position(|&reached| reached > share).unwrap_or(weights.len() - 1);
+            prop_assert_eq!(found, slow);
+        }
+    }
+
+    #[test]
+    fn the_wider_they_spread_the_more_are_drawn() {
+        let parameters = Parameters::default();
+        assert_eq!(drawn(&weighted(&[1.0]), &parameters).len(), 500);
+        let many = drawn(&weighted(&[1.0; 300]), &parameters).len();
+        assert!((3000..10_000).contains(&many), "{many}");
+        let amcl = Parameters::amcl();
+        assert_eq!(drawn(&weighted(&[1.0; 3000]), &amcl).len(), 2000);
+    }
+
+    #[test]
+    fn weights_that_are_none_become_alike() {
+        for wrong in [[0.0, 0.0], [f32::NAN, 1.0], [f32::INFINITY, 1.0]] {
+            let mut particles = weighted(&[1.0, 3.0]);
+            particles.weight.copy_from_slice(&wrong);
+            particles.normalize();
+            assert_eq!(particles.weight, [0.5, 0.5]);
+        }
+        assert_eq!(weighted(&[1.0, 3.0]).weight, [0.25, 0.75]);
+        assert!((weighted(&[1.0, 1.0, 0.0]).effective() - 2.0).abs() < 1e-6);
+    }
+}

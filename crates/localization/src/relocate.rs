@@ -1,0 +1,79 @@
+//! Where a scan could have been taken, asked of the whole map: for a robot that does not know where it is, and for one
+//! that was carried away. Uniform particles would need luck, because the likelihood is sharp: the best of many are
+//! moved uphill before they become particles (sensor resetting; Lenser and Veloso 2000).
+
+use crate::{
+    field::{LikelihoodField, Place},
+    random::Stream,
+    scan::Beams,
+    weights,
+};
+
+/// Candidates per m² of free space: one for each 0.2 m × 0.2 m × 8°.
+const DENSITY: f64 = 25.0 * 45.0;
+/// So many of the best are moved uphill.
+const KEPT: usize = 400;
+/// Steps uphill, and the deviation of the first, metres and radians; each next one is a little shorter.
+const STEPS: usize = 40;
+const FIRST_STEP: [f32; 2] = [0.15, 0.1];
+const SHORTER: f32 = 0.95;
+
+/// Places from which a scan would have looked like that, each with its share.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Candidates {
+    places: Vec<Place>,
+    cumulative: Vec<f64>,
+}
+
+impl Candidates {
+    /// Looks for them among no more than `most` places of the map; `None` if it has no free space.
+    pub fn find(field: &LikelihoodField, beams: &Beams, most: usize, random: &mut Stream) -> Option<Self> {
+        let count = ((field.free_area() * DENSITY) as usize).clamp(KEPT, most.max(KEPT));
+        let mut pool: Vec<(f32, Place)> = Vec::with_capacity(count);
+        for _ in 0..count {
+            let place = field.anywhere(random)?;
+            pool.push((field.score(place, beams), place));
+        }
+        let best = |a: &(f32, Place), b: &(f32, Place)| b.0.total_cmp(&a.0);
+        pool.select_nth_unstable_by(KEPT - 1, best);
+        pool.truncate(KEPT);
+        let in_cells = (FIRST_STEP[0] as f64 / field.resolution()) as f32;
+        for (score, place) in &mut pool {
+            let mut length = 1.0;
+            for _ in 0..STEPS {
+                let step = Place {
+                    column: place.column + in_cells * length * random.bell(),
+                    row: place.row + in_cells * length * random.bell(),
+                    heading: place.heading + FIRST_STEP[1] * length * random.bell(),
+                };
+                let there = field.score(step, beams);
+                if there > *score {
+                    (*score, *place) = (there, step);
+                }
+                length *= SHORTER;
+            }
+        }
+        // How likely one is beside another is not trusted far: one scan says little of which corridor it was.
+        let scores: Vec<f32> = pool.iter().map(|(score, _)| *score).collect();
+        let alike = vec![(KEPT as f32).recip(); KEPT];
+        let share = weights::tempered(&alike, &scores, KEPT as f64 / 8.0);
+        let mut weight = alike;
+        weights::multiply(&mut weight, &scores, share);
+        let mut sum = 0.0;
+        let cumulative = weight
+            .iter()
+            .map(|&weight| {
+                sum += f64::from(weight);
+                sum
+            })
+            .collect();
+        Some(Self { places: pool.into_iter().map(|(_, place)| place).collect(), cumulative })
+    }
+
+    /// Draws one.
+    pub fn draw(&self, random: &mut Stream) -> Place {
+        let share = random.uniform() * self.cumulative.last().copied().unwrap_or(1.0);
+        let nth = self.cumulative.partition_point(|&reached| reached <= share);
+        self.places[nth.min(self.places.len() - 1)]
+    }
+}

@@ -1,0 +1,176 @@
+//! What a lidar saw, and the beams of it that are used: ends in the robot's frame, each with its share of a vote.
+
+use crate::{
+    geometry::Pose2,
+    parameters::{BeamModel, Weighing},
+};
+
+/// One turn of a lidar.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scan<'a> {
+    /// Direction of the first beam in the lidar's frame, radians.
+    pub angle_min: f64,
+    /// From one beam to the next, radians; negative for a lidar that turns clockwise.
+    pub angle_increment: f64,
+    /// Metres. What is not finite, not above zero, or not below the lidar's reach hit nothing that can be used.
+    pub ranges: &'a [f32],
+    /// Where the lidar sits on the robot.
+    pub mount: Pose2,
+    /// How far the robot went from the first beam to the last, at which its odometry is told: a lidar that turns ten
+    /// times a second, on a robot that turns once in eight, is 4.5° off at its first beam.
+    pub sweep: Pose2,
+}
+
+impl Scan<'_> {
+    /// Where the robot was at a beam, as it sees it from where it was at the last one.
+    fn before_the_last(&self, beam: usize) -> Pose2 {
+        let left = 1.0 - beam as f64 / self.ranges.len().saturating_sub(1).max(1) as f64;
+        let Pose2 { x, y, heading } = self.sweep;
+        Pose2::new(left * x, left * y, left * heading).inverse()
+    }
+}
+
+/// So many beams are weighed at once; the last are filled up with beams of no weight.
+pub(crate) const LANES: usize = 8;
+
+/// The beams of a scan that are used.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Beams {
+    /// Ends in the robot's frame, metres.
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    /// Shares of a vote.
+    pub weight: Vec<f32>,
+    /// Their sum: as many independent beams would say as much.
+    pub votes: f32,
+}
+
+impl Beams {
+    /// Takes evenly spaced beams of a scan, and leaves out those that hit nothing.
+    pub fn take(&mut self, scan: &Scan<'_>, model: &BeamModel, weighing: Weighing) {
+        self.x.clear();
+        self.y.clear();
+        // As AMCL does: the first beam and the last, and steps of the same length between.
+        let step = (scan.ranges.len().saturating_sub(1) / (model.max_beams.max(2) - 1)).max(1);
+        for (beam, &range) in scan.ranges.iter().enumerate().step_by(step) {
+            let range = f64::from(range);
+            if !(range > 0.0 && range < model.range_max) {
+                continue;
+            }
+            let angle = scan.mount.heading + scan.angle_min + beam as f64 * scan.angle_increment;
+            let (sin, cos) = angle.sin_cos();
+            let end = Pose2::new(scan.mount.x + range * cos, scan.mount.y + range * sin, 0.0);
+            let end = scan.before_the_last(beam) * end;
+            self.x.push(end.x as f32);
+            self.y.push(end.y as f32);
+        }
+        self.weight.clear();
+        match weighing {
+            Weighing::Likelihood { correlation_length } => self.share_votes(correlation_length as f32),
+            Weighing::Amcl => self.weight.resize(self.x.len(), 1.0),
+        }
+        self.votes = self.weight.iter().sum();
+        let filled = self.x.len().next_multiple_of(LANES);
+        for values in [&mut self.x, &mut self.y, &mut self.weight] {
+            values.resize(filled, 0.0);
+        }
+    }
+
+    /// About so many of them, evenly spaced.
+    pub fn some(&self, count: usize) -> Self {
+        let step = (self.x.len() / count.max(1)).max(1);
+        let every = |values: &[f32]| {
+            let mut some: Vec<f32> = values.iter().copied().step_by(step).collect();
+            some.resize(some.len().next_multiple_of(LANES), 0.0);
+            some
+        };
+        let weight = every(&self.weight);
+        Self { x: every(&self.x), y: every(&self.y), votes: weight.iter().sum(), weight }
+    }
+
+    /// Beams that end near each other err alike: the map is off there, or something stands before the wall. With the
+    /// correlation ρ(d) = max(0, 1 - d/ℓ) of errors at ends d apart, a beam counts as ωᵢ = 1 / Σⱼ ρᵢⱼ: n beams on one
+    /// spot count as one, n beams far from each other as n (the design effect of cluster sampling; Kish 1965, ch. 5).
+    fn share_votes(&mut self, length: f32) {
+        let beams = self.x.len();
+        self.weight.resize(beams, 1.0);
+        for i in 0..beams {
+            for j in i + 1..beams {
+                let distance = (self.x[i] - self.x[j]).hypot(self.y[i] - self.y[j]);
+                // Beams go round: once the ends part, those behind part more, but for corners that hide nothing much.
+                if distance >= length {
+                    break;
+                }
+                let correlation = 1.0 - distance / length;
+                self.weight[i] += correlation;
+                self.weight[j] += correlation;
+            }
+        }
+        self.weight.iter_mut().for_each(|weight| *weight = weight.recip());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use super::*;
+    use crate::Parameters;
+
+    fn taken(ranges: &[f32], weighing: Weighing) -> Beams {
+        let scan = Scan {
+            angle_min: -PI / 2.0,
+            angle_increment: PI / 180.0,
+            ranges,
+            mount: Pose2::default(),
+            sweep: Pose2::default(),
+        };
+        let mut beams = Beams::default();
+        beams.take(&scan, &Parameters::amcl().beams, weighing);
+        beams
+    }
+
+    #[test]
+    fn beams_are_spaced_as_amcl_spaces_them() {
+        // 361 beams in steps of ⌊360/119⌋ = 3: 121, filled up to 128.
+        let beams = taken(&[3.0; 361], Weighing::Amcl);
+        assert_eq!((beams.votes, beams.x.len()), (121.0, 128));
+        // A scan of few beams gives them all.
+        assert_eq!(taken(&[3.0; 90], Weighing::Amcl).votes, 90.0);
+        assert_eq!(taken(&[], Weighing::Amcl).votes, 0.0);
+    }
+
+    #[test]
+    fn beams_that_hit_nothing_are_left_out() {
+        let ranges = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -1.0, 0.0, 80.0, 81.83, 2.0];
+        let beams = taken(&ranges, Weighing::Amcl);
+        assert_eq!(beams.votes, 1.0);
+        let angle = -PI / 2.0 + 7.0 * PI / 180.0;
+        assert!((f64::from(beams.x[0]) - 2.0 * angle.cos()).abs() < 1e-6);
+        assert!((f64::from(beams.y[0]) - 2.0 * angle.sin()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_was_seen_on_the_way_is_told_from_its_end() {
+        // Half a metre on and a quarter turn to the left; the first beam saw a place 2 m ahead of where the way began.
+        let sweep = Pose2::new(0.5, 0.0, PI / 2.0);
+        let ranges = [2.0, f32::NAN, 2.0];
+        let scan =
+            Scan { angle_min: 0.0, angle_increment: 0.0, ranges: &ranges, mount: Pose2::default(), sweep };
+        let mut beams = Beams::default();
+        beams.take(&scan, &Parameters::amcl().beams, Weighing::Amcl);
+        let ends: Vec<(f32, f32)> = beams.x.iter().copied().zip(beams.y.iter().copied()).take(2).collect();
+        assert!(ends[0].0.abs() < 1e-6 && (ends[0].1 + 1.5).abs() < 1e-6, "{ends:?}");
+        assert_eq!(ends[1], (2.0, 0.0));
+    }
+
+    #[test]
+    fn beams_on_one_spot_have_one_vote_and_beams_apart_have_one_each() {
+        let weighing = Weighing::Likelihood { correlation_length: 0.25 };
+        // A degree apart at 1 cm, and at 20 m (0.35 m).
+        let near = taken(&[0.01; 100], weighing);
+        assert!(near.votes < 1.2, "{}", near.votes);
+        let far = taken(&[20.0; 100], weighing);
+        assert_eq!(far.votes, 100.0);
+    }
+}

@@ -1,0 +1,251 @@
+//! Trajectories to compare with: read from what public data sets have, and by how much an estimate is off them.
+
+use std::{fmt, io::BufRead};
+
+use crate::{
+    carmen::{Log, LogError, LogProblem, Message},
+    geometry::{Pose2, wrapped},
+    localizer::{Estimate, nees},
+};
+
+/// Where a robot was, over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trajectory {
+    /// Seconds, and where the robot then was.
+    poses: Vec<(f64, Pose2)>,
+    /// Of a CARMEN log there is one for each scan, whatever its clock said.
+    per_scan: bool,
+}
+
+/// Poses farther apart in time do not say where the robot was between, seconds.
+const GAP: f64 = 2.0;
+
+impl Trajectory {
+    /// Reads a trajectory: a corrected CARMEN log (the robot's pose in its laser messages), or lines of
+    /// `time x y heading`, or of `time x y z qx qy qz qw` (TUM), divided by commas or blanks. Lines that begin with `#`
+    /// and a first line of words are passed over.
+    ///
+    /// # Errors
+    /// The first line that is none of it.
+    pub fn read(source: impl BufRead) -> Result<Self, LogError> {
+        let mut text = String::new();
+        let mut source = source;
+        if let Err(error) = source.read_to_string(&mut text) {
+            return Err(LogError { line: 1, problem: error.into() });
+        }
+        let carmen = |line: &str| {
+            ["FLASER ", "ROBOTLASER1 ", "ODOM ", "PARAM "].iter().any(|name| line.starts_with(name))
+        };
+        if text.lines().any(carmen) {
+            let mut poses = Vec::new();
+            for message in Log::new(text.as_bytes()) {
+                if let Message::Laser(laser) = message? {
+                    poses.push((laser.at, laser.robot));
+                }
+            }
+            return Ok(Self { poses, per_scan: true });
+        }
+        let mut poses: Vec<(f64, Pose2)> = Vec::new();
+        for (line, text) in text.lines().enumerate() {
+            let text = text.trim();
+            let words =
+                poses.is_empty() && text.starts_with(|c: char| c.is_alphabetic() && !text.starts_with("nan"));
+            if text.is_empty() || text.starts_with('#') || words {
+                continue;
+            }
+            poses.push(row(text).map_err(|problem| LogError { line: line + 1, problem })?);
+        }
+        Ok(Self { poses, per_scan: false })
+    }
+
+    /// The first pose.
+    pub fn first(&self) -> Option<Pose2> {
+        self.poses.first().map(|(_, pose)| *pose)
+    }
+
+    /// How many poses there are.
+    pub fn len(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
+    }
+
+    /// Where the robot was at scan number `nth` of `scans`, taken at that time; `None` where the trajectory does not
+    /// say so.
+    pub fn at(&self, nth: usize, scans: usize, time: f64) -> Option<Pose2> {
+        if self.per_scan && self.poses.len() == scans {
+            return self.poses.get(nth).map(|(_, pose)| *pose);
+        }
+        let after = self.poses.partition_point(|(at, _)| *at < time);
+        let (begin, end) =
+            (after.checked_sub(1).map(|before| self.poses[before]), self.poses.get(after).copied());
+        match (begin, end) {
+            (_, Some((at, pose))) if at == time => Some(pose),
+            (Some((from, a)), Some((to, b))) if to - from <= GAP => {
+                let share = (time - from) / (to - from);
+                let turned = a.heading + share * wrapped(b.heading - a.heading);
+                Some(Pose2::new(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), turned))
+            }
+            _ => None,
+        }
+    }
+}
+
+fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
+    let message = "trajectory";
+    let mut numbers = Vec::new();
+    for found in text.split([',', ' ', '\t']).filter(|field| !field.is_empty()) {
+        match found.parse::<f64>() {
+            Ok(number) if number.is_finite() => numbers.push(number),
+            _ => {
+                let found = found.chars().take(40).collect();
+                return Err(LogProblem::NoNumber { message, field: "row", found });
+            }
+        }
+    }
+    match numbers[..] {
+        [at, x, y, _, qx, qy, qz, qw] => {
+            let heading = (2.0 * (qw * qz + qx * qy)).atan2(1.0 - 2.0 * (qy * qy + qz * qz));
+            Ok((at, Pose2::new(x, y, heading)))
+        }
+        // Whatever follows is not looked at, such as a covariance.
+        [at, x, y, heading, ..] => Ok((at, Pose2::new(x, y, heading))),
+        _ => Err(LogProblem::Short { message, field: "heading" }),
+    }
+}
+
+/// Farther off than that, a robot is lost, metres.
+pub const LOST: f64 = 1.0;
+
+/// How far estimates were off a reference.
+#[derive(Debug, Clone, Default)]
+pub struct Errors {
+    position: Vec<f64>,
+    heading: Vec<f64>,
+    nees: Vec<f64>,
+}
+
+impl Errors {
+    /// Counts an estimate.
+    pub fn push(&mut self, estimate: &Estimate, reference: Pose2) {
+        self.position.push(estimate.pose.distance(reference));
+        self.heading.push(wrapped(estimate.pose.heading - reference.heading).abs());
+        self.nees.extend(nees(estimate, reference));
+    }
+
+    /// How many were counted.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+
+    /// Whether none was.
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+
+    /// Root mean square error of the position, metres.
+    pub fn position_rmse(&self) -> f64 {
+        root_mean_square(&self.position)
+    }
+
+    /// The error of the position that this share stays below, metres.
+    pub fn position_quantile(&self, share: f64) -> f64 {
+        let mut sorted = self.position.clone();
+        sorted.sort_by(f64::total_cmp);
+        sorted
+            .get((share * (sorted.len().saturating_sub(1)) as f64).round() as usize)
+            .copied()
+            .unwrap_or(f64::NAN)
+    }
+
+    /// Root mean square error of the heading, radians.
+    pub fn heading_rmse(&self) -> f64 {
+        root_mean_square(&self.heading)
+    }
+
+    /// Share of estimates more than [`LOST`] off.
+    pub fn lost(&self) -> f64 {
+        self.position.iter().filter(|&&error| error > LOST).count() as f64 / self.len() as f64
+    }
+
+    /// Mean of [`nees`]: 3 if the covariance is as large as the errors, more if it is too small.
+    pub fn mean_nees(&self) -> f64 {
+        self.nees.iter().sum::<f64>() / self.nees.len() as f64
+    }
+}
+
+/// One line.
+impl fmt::Display for Errors {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let heading = self.heading_rmse().to_degrees();
+        let (median, max) = (self.position_quantile(0.5), self.position_quantile(1.0));
+        let (lost, nees) = (100.0 * self.lost(), self.mean_nees());
+        write!(f, "position RMSE {:.3} m, median {median:.3} m, max {max:.3} m; ", self.position_rmse())?;
+        write!(
+            f,
+            "heading RMSE {heading:.2}°; lost (over {LOST} m) {lost:.2} %; NEES {nees:.1} (3 is consistent)"
+        )
+    }
+}
+
+fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Trajectory {
+        Trajectory::read(text.as_bytes()).unwrap()
+    }
+
+    #[test]
+    fn tables_and_tum_say_the_same() {
+        let table = read("time,x,y,heading\n# a remark\n1,2,3,1.0\n2,4,3,1.5\n");
+        let (sin, cos) = 0.5_f64.sin_cos();
+        let (sin_after, cos_after) = 0.75_f64.sin_cos();
+        let tum = read(&format!("1 2 3 0 0 0 {sin} {cos}\n2 4 3 0 0 0 {sin_after} {cos_after}\n"));
+        for trajectory in [&table, &tum] {
+            let between = trajectory.at(0, 9, 1.5).unwrap();
+            assert!((between.x - 3.0).abs() < 1e-9 && (between.heading - 1.25).abs() < 1e-9);
+            assert_eq!(trajectory.at(0, 9, 0.9), None);
+            assert_eq!(trajectory.at(0, 9, 2.1), None);
+            assert!(trajectory.at(0, 9, 2.0).is_some());
+        }
+    }
+
+    #[test]
+    fn a_corrected_log_of_as_many_scans_is_taken_scan_by_scan() {
+        // Many public logs have clocks that stand, or lack digits.
+        let log = "FLASER 1 2 5 6 0 5 6 0 0 h 0\nFLASER 1 2 7 6 0 7 6 0 0 h 0\n";
+        let trajectory = read(log);
+        assert_eq!(trajectory.at(1, 2, 0.0), Some(Pose2::new(7.0, 6.0, 0.0)));
+        assert_eq!((trajectory.len(), trajectory.first()), (2, Some(Pose2::new(5.0, 6.0, 0.0))));
+    }
+
+    #[test]
+    fn a_mistake_is_told_with_its_line() {
+        let wrong = |text: &str| Trajectory::read(text.as_bytes()).unwrap_err().to_string();
+        assert_eq!(wrong("1,2,3,4\n2,x,3,4\n"), "line 2: the row of `trajectory` is `x`, which is no number");
+        assert_eq!(wrong("1,2,3\n"), "line 1: `trajectory` ends before its heading");
+    }
+
+    #[test]
+    fn errors_are_told_with_their_root_mean_square_and_consistency() {
+        let mut errors = Errors::default();
+        let covariance = [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01];
+        for x in [0.1, -0.1, 3.0] {
+            let estimate =
+                Estimate { pose: Pose2::new(x, 0.0, 0.0), covariance, particles: 1, updated: true };
+            errors.push(&estimate, Pose2::default());
+        }
+        assert!((errors.position_rmse() - (9.02_f64 / 3.0).sqrt()).abs() < 1e-12);
+        assert!((errors.lost() - 1.0 / 3.0).abs() < 1e-12);
+        assert!((errors.position_quantile(0.5) - 0.1).abs() < 1e-12);
+        assert!((errors.mean_nees() - 902.0 / 3.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,57 @@
+//! Weights from log-likelihoods, without overflow, and how much of a likelihood the particles can bear at once.
+
+/// Multiplies each weight by exp(share · score), up to a common factor.
+pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) {
+    let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    for (weight, score) in weights.iter_mut().zip(scores) {
+        *weight *= (share * (score - best)).exp();
+    }
+}
+
+/// The largest share in (0, 1] of the log-likelihood that leaves as many effective particles as said, found to 1 %:
+/// one step of an annealed filter (Del Moral, Doucet and Jasra 2006, section 3.3).
+pub(crate) fn tempered(weights: &[f32], scores: &[f32], least: f64) -> f32 {
+    let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let bearable = |share: f32| {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for (weight, score) in weights.iter().zip(scores) {
+            let weight = weight * (share * (score - best)).exp();
+            sum += weight;
+            squares += weight * weight;
+        }
+        f64::from(sum * sum / squares) >= least
+    };
+    if bearable(1.0) {
+        return 1.0;
+    }
+    let (mut low, mut high) = (0.0_f32, 1.0_f32);
+    while high - low > 0.01 * high && high > 1e-3 {
+        let middle = (low + high) / 2.0;
+        if bearable(middle) { low = middle } else { high = middle }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_survive_likelihoods_that_no_float_holds() {
+        let mut weights = [0.5, 0.5];
+        multiply(&mut weights, &[-5000.0, -5001.0], 1.0);
+        assert!((weights[1] / weights[0] - (-1.0_f32).exp()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn no_more_of_a_likelihood_is_taken_than_particles_bear() {
+        let weights = [0.01; 100];
+        let scores: Vec<f32> = (0..100).map(|i| -(i as f32)).collect();
+        let share = tempered(&weights, &scores, 20.0);
+        let mut after = weights;
+        multiply(&mut after, &scores, share);
+        let (sum, squares) = after.iter().fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));
+        assert!((sum * sum / squares - 20.0).abs() < 1.0);
+        assert_eq!(tempered(&weights, &[-3.0; 100], 20.0), 1.0);
+    }
+}

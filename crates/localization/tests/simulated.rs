@@ -1,0 +1,257 @@
+//! What localization promises of a robot on the corridor's map and in rooms: it is followed, found when nothing is
+//! known of it, found again when it was carried away, and its covariance is as large as its errors.
+
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{path::Path, sync::Arc, time::Duration};
+
+use cotorra_graph::{
+    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
+    RobotModel, Timestamp, Velocity, map_server,
+};
+use cotorra_localization::{
+    Estimate, LikelihoodField, Localizer, Parameters, Pose2, Scan, trajectory::Errors,
+};
+use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
+
+const WALK: [(f64, f64); 5] = [(27.1, -12.4), (27.2, -9.4), (27.5, -6.2), (25.5, -4.3), (22.5, -2.4)];
+/// From a scan to the next.
+const PERIOD: Duration = Duration::from_millis(100);
+const SEEDS: std::ops::Range<u64> = 1..3;
+
+fn corridor() -> OccupancyGrid {
+    map_server::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/maps/corridor.yaml")).unwrap()
+}
+
+/// Rooms of different sizes beside a corridor, 20 m × 12 m, with doors.
+fn rooms() -> OccupancyGrid {
+    let (width, height) = (400, 240);
+    let wall = |row: usize, column: usize| {
+        let edge = row == 0 || column == 0 || row == height - 1 || column == width - 1;
+        let beside = (row == 100 || row == 140) && !(column % 130 > 30 && column % 130 < 52);
+        let between = row > 140 && (column == 110 || column == 270);
+        let below = row < 100 && (column == 70 || column == 180 || column == 310);
+        let cupboard = (200..230).contains(&row) && (20..40).contains(&column);
+        edge || beside || between || below || cupboard
+    };
+    let cells = (0..width * height)
+        .map(|i| if wall(i / width, i % width) { Cell::Occupied } else { Cell::Free })
+        .collect();
+    OccupancyGrid::new(width, height, 0.05, Position::default(), cells).unwrap()
+}
+
+/// A simulated robot that drives to one place after the other, and back again.
+struct Drive {
+    robot: SimulatedRobot,
+    places: Vec<(f64, f64)>,
+    next: usize,
+    now: Timestamp,
+    /// A robot that is carried away keeps its odometry.
+    carried: Pose2,
+    /// How far it went during the last scan, by its odometry.
+    sweep: Pose2,
+}
+
+impl Drive {
+    fn new(world: &Arc<World>, seed: u64, places: &[(f64, f64)]) -> Self {
+        let heading = (places[1].1 - places[0].1).atan2(places[1].0 - places[0].0);
+        let robot = Robot {
+            capacity: Capacity { cpus: 2.0, memory_bytes: 8 << 30 },
+            model: RobotModel::Turtlebot2,
+            network: "air".to_owned(),
+            tx_power: Dbm(15.0),
+            heading,
+            roaming: Roaming::Instructed,
+            driver: Driver::default(),
+        };
+        let node = Node {
+            id: NodeId::new("robot").unwrap(),
+            domain: DomainId::new("main").unwrap(),
+            position: Some(Position::new(places[0].0, places[0].1)),
+            kind: NodeKind::Robot(robot),
+        };
+        let robot = SimulatedRobot::new(&node, None, Arc::clone(world), seed).unwrap();
+        let back = places.iter().rev().skip(1);
+        let places = places.iter().chain(back).copied().collect();
+        Self {
+            robot,
+            places,
+            next: 1,
+            now: Timestamp::ZERO,
+            carried: Pose2::default(),
+            sweep: Pose2::default(),
+        }
+    }
+
+    fn truth(&self) -> Pose2 {
+        let pose = self.robot.pose();
+        Pose2::new(pose.x, pose.y, pose.heading)
+    }
+
+    fn odometry(&self) -> Pose2 {
+        let pose = self.robot.sensors().odometry;
+        self.carried * Pose2::new(pose.x, pose.y, pose.heading)
+    }
+
+    /// Drives on until the next scan; false at the end.
+    fn go_on(&mut self) -> bool {
+        let at = self.truth();
+        let Some(&(x, y)) = self.places.get(self.next) else { return false };
+        if at.distance(Pose2::new(x, y, 0.0)) < 0.3 {
+            self.next += 1;
+        }
+        let off = Pose2::new(0.0, 0.0, (y - at.y).atan2(x - at.x) - at.heading).heading;
+        let linear = if off.abs() < 0.5 { 0.3 } else { 0.0 };
+        self.robot.command(self.now, Velocity { linear, angular: (1.5 * off).clamp(-0.8, 0.8) }).unwrap();
+        let before = self.odometry();
+        self.now = self.now + PERIOD;
+        self.robot.advance(self.now);
+        self.sweep = before.step_to(self.odometry());
+        true
+    }
+
+    fn observe(&self, localizer: &mut Localizer) -> Option<Estimate> {
+        let turn = self.robot.scan()?;
+        let scan = Scan {
+            angle_min: turn.first_angle,
+            angle_increment: turn.angle_step,
+            ranges: &turn.ranges,
+            mount: Pose2::default(),
+            sweep: self.sweep,
+        };
+        Some(localizer.observe(self.odometry(), &scan).unwrap())
+    }
+
+    fn follow(&mut self, localizer: &mut Localizer) -> Errors {
+        let mut errors = Errors::default();
+        while self.go_on() {
+            if let Some(estimate) = self.observe(localizer) {
+                errors.push(&estimate, self.truth());
+            }
+        }
+        errors
+    }
+}
+
+/// AMCL with a TurtleBot's lidar.
+fn amcl() -> Parameters {
+    let mut parameters = Parameters::amcl();
+    parameters.beams.range_max = 12.0;
+    parameters
+}
+
+const ABOUT: [f64; 9] = [0.04, 0.0, 0.0, 0.0, 0.04, 0.0, 0.0, 0.0, 0.01];
+
+#[test]
+fn a_robot_is_followed_along_the_corridor() {
+    let (map, parameters) = (corridor(), Parameters::turtlebot2());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    for seed in SEEDS {
+        let mut drive = Drive::new(&world, seed, &WALK);
+        let mut localizer =
+            Localizer::at(Arc::clone(&field), parameters, seed, drive.truth(), &ABOUT).unwrap();
+        let errors = drive.follow(&mut localizer);
+        assert!(errors.len() > 500, "{}", errors.len());
+        assert!(
+            errors.position_rmse() < 0.08 && errors.position_quantile(1.0) < 0.25,
+            "seed {seed}: {errors}"
+        );
+        assert!(errors.heading_rmse() < 0.02, "seed {seed}: {errors}");
+        // Neither vain nor timid.
+        assert!((0.3..8.0).contains(&errors.mean_nees()), "seed {seed}: {errors}");
+    }
+}
+
+#[test]
+fn amcl_follows_it_too() {
+    let (map, parameters) = (rooms(), amcl());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    let mut drive = Drive::new(&world, 1, &[(2.0, 6.0), (18.0, 6.0)]);
+    let mut localizer = Localizer::at(field, parameters, 1, drive.truth(), &ABOUT).unwrap();
+    let errors = drive.follow(&mut localizer);
+    assert!(errors.position_rmse() < 0.15 && errors.lost() == 0.0, "{errors}");
+}
+
+#[test]
+fn a_robot_is_found_when_nothing_is_known_of_it() {
+    let (map, parameters) = (rooms(), Parameters::turtlebot2());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    for seed in SEEDS {
+        let mut drive =
+            Drive::new(&world, seed, &[(15.0, 8.5), (18.0, 10.5), (15.0, 9.0), (15.0, 6.0), (8.0, 6.0)]);
+        let mut localizer = Localizer::anywhere(Arc::clone(&field), parameters, seed).unwrap();
+        // The first 4 m are for finding it.
+        for _ in 0..200 {
+            assert!(drive.go_on());
+            drive.observe(&mut localizer);
+        }
+        let errors = drive.follow(&mut localizer);
+        assert!(errors.position_rmse() < 0.06 && errors.lost() == 0.0, "seed {seed}: {errors}");
+    }
+}
+
+#[test]
+fn a_robot_that_was_carried_away_is_found_again() {
+    let (map, parameters) = (rooms(), Parameters::turtlebot2());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    for seed in SEEDS {
+        let mut drive = Drive::new(&world, seed, &[(2.0, 6.0), (12.0, 6.0), (3.0, 6.0)]);
+        let mut localizer =
+            Localizer::at(Arc::clone(&field), parameters, seed, drive.truth(), &ABOUT).unwrap();
+        let errors = drive.follow(&mut localizer);
+        assert_eq!(errors.lost(), 0.0, "seed {seed}: {errors}");
+        let before = drive.odometry();
+        // Into a room 14 m away. Its wheels did not turn.
+        let mut drive = Drive::new(&world, seed, &[(18.0, 10.5), (15.0, 9.0), (15.0, 6.0), (8.0, 6.0)]);
+        drive.carried = before * drive.odometry().inverse();
+        for _ in 0..250 {
+            assert!(drive.go_on());
+            drive.observe(&mut localizer);
+        }
+        let errors = drive.follow(&mut localizer);
+        assert!(errors.position_rmse() < 0.06 && errors.lost() == 0.0, "seed {seed}: {errors}");
+    }
+}
+
+#[test]
+fn the_same_seed_is_the_same_trajectory() {
+    let (map, parameters) = (rooms(), Parameters::turtlebot2());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    let trajectory = |seed| {
+        let mut drive = Drive::new(&world, 1, &[(2.0, 6.0), (5.0, 6.0)]);
+        let mut localizer =
+            Localizer::at(Arc::clone(&field), parameters, seed, drive.truth(), &ABOUT).unwrap();
+        let mut estimates = Vec::new();
+        while drive.go_on() {
+            estimates.extend(drive.observe(&mut localizer));
+        }
+        estimates
+    };
+    assert_eq!(trajectory(1), trajectory(1));
+    assert_ne!(trajectory(1), trajectory(2));
+}
+
+#[test]
+fn what_is_no_pose_changes_nothing() {
+    let (map, parameters) = (rooms(), Parameters::turtlebot2());
+    let field = Arc::new(LikelihoodField::new(&map, &parameters));
+    let mut localizer = Localizer::at(field, parameters, 1, Pose2::new(2.0, 6.0, 0.0), &ABOUT).unwrap();
+    let scan = Scan {
+        angle_min: 0.0,
+        angle_increment: 0.1,
+        ranges: &[2.0; 60],
+        mount: Pose2::default(),
+        sweep: Pose2::default(),
+    };
+    let before = localizer.observe(Pose2::default(), &scan).unwrap();
+    let nowhere = Pose2 { x: f64::NAN, y: 0.0, heading: 0.0 };
+    assert!(localizer.observe(nowhere, &scan).is_err());
+    let after = localizer.observe(Pose2::default(), &scan).unwrap();
+    assert_eq!((before.pose, after.updated), (after.pose, false));
+    // A lidar that sees nothing, and a map without room.
+    let blind = Scan { ranges: &[f32::INFINITY; 60], ..scan };
+    assert!(!localizer.observe(Pose2::new(1.0, 0.0, 0.0), &blind).unwrap().updated);
+    let solid = OccupancyGrid::new(2, 2, 0.05, Position::default(), vec![Cell::Occupied; 4]).unwrap();
+    let solid = Arc::new(LikelihoodField::new(&solid, &parameters));
+    assert!(Localizer::anywhere(solid, parameters, 1).is_err());
+}
