@@ -1,5 +1,7 @@
 //! `cotorra localize` on a log that a robot in a room would have written.
 
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
 use std::{f64::consts::PI, fmt::Write as _, fs, path::Path};
 
 use crate::harness::{output, stderr, stdout};
