@@ -12,7 +12,7 @@ mod description;
 mod geometry;
 mod robot;
 
-pub use description::{Description, Field, FieldType};
+pub use description::{Byte, Description, Field, FieldType};
 pub use geometry::*;
 pub use robot::*;
 
@@ -90,35 +90,41 @@ pub trait Message: Serialize + DeserializeOwned {
     }
 }
 
-/// Declares a message: a struct with public fields in the order of the `.msg` file. Encoding and type hash follow.
+/// Declares a message: a struct with public fields in the order of the `.msg` file. Encoding, type hash and definition
+/// follow. Who uses it depends on `serde`.
+#[macro_export]
 macro_rules! message {
     (
         $(#[$meta:meta])*
         pub struct $name:ident = $ros:literal { $($(#[$field_meta:meta])* $field:ident: $kind:ty,)* }
     ) => {
         $(#[$meta])*
-        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[derive(Debug, Clone, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
         pub struct $name { $($(#[$field_meta])* pub $field: $kind,)* }
 
-        impl Message for $name {
+        impl $crate::messages::Message for $name {
             const TYPE_NAME: &'static str = $ros;
 
             fn description() -> $crate::messages::Description {
                 $crate::messages::Description {
                     type_name: $ros,
-                    fields: vec![$((stringify!($field), <$kind as Field>::field_type()),)*],
+                    // `r#type` is a field that ROS calls `type`.
+                    fields: vec![$((
+                        stringify!($field).trim_start_matches("r#"),
+                        <$kind as $crate::messages::Field>::field_type(),
+                    ),)*],
                 }
             }
         }
 
-        impl Field for $name {
-            fn field_type() -> FieldType {
-                FieldType::message(Self::description())
+        impl $crate::messages::Field for $name {
+            fn field_type() -> $crate::messages::FieldType {
+                $crate::messages::FieldType::message(<Self as $crate::messages::Message>::description())
             }
         }
     };
 }
-use message;
+pub use message;
 
 #[cfg(test)]
 mod tests;

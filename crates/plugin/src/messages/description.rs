@@ -3,6 +3,7 @@
 //! Sources: REP 2011, "Evolving Message Types"; REP 2016, "Type Description Distribution" (RIHS01);
 //! `type_description_interfaces/msg/FieldType`.
 
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// What a message is made of.
@@ -41,6 +42,19 @@ impl FieldType {
         Self { id, capacity: 0, message: None }
     }
 
+    /// As in a `.msg` file, such as `geometry_msgs/Point[]`.
+    fn text(&self) -> String {
+        let (id, brackets) = match self.id {
+            id @ Self::SEQUENCE.. => (id - Self::SEQUENCE, "[]".to_owned()),
+            id @ Self::ARRAY.. => (id - Self::ARRAY, format!("[{}]", self.capacity)),
+            id => (id, String::new()),
+        };
+        let scalar = SCALARS.iter().find(|(known, _)| *known == id).map(|(_, name)| *name);
+        let name =
+            self.message.as_ref().map(|message| short(message.type_name)).or(scalar.map(str::to_owned));
+        name.expect("a field is a message or a scalar") + &brackets
+    }
+
     /// A message.
     pub fn message(description: Description) -> Self {
         Self { id: Self::MESSAGE, capacity: 0, message: Some(description) }
@@ -58,7 +72,10 @@ impl FieldType {
 }
 
 macro_rules! scalars {
-    ($($kind:ty = $id:literal,)*) => {
+    ($($kind:ty = $id:literal $name:literal,)*) => {
+        /// Numbers in `FieldType.msg`, and names in `.msg` files.
+        const SCALARS: &[(u8, &str)] = &[$(($id, $name),)*];
+
         $(impl Field for $kind {
             fn field_type() -> FieldType {
                 FieldType::scalar($id)
@@ -67,7 +84,23 @@ macro_rules! scalars {
     };
 }
 
-scalars! { i8 = 2, u8 = 3, i32 = 6, u32 = 7, f32 = 10, f64 = 11, String = 17, }
+scalars! {
+    i8 = 2 "int8",
+    u8 = 3 "uint8",
+    i32 = 6 "int32",
+    u32 = 7 "uint32",
+    u64 = 9 "uint64",
+    f32 = 10 "float32",
+    f64 = 11 "float64",
+    bool = 15 "bool",
+    Byte = 16 "byte",
+    String = 17 "string",
+}
+
+/// ROS's `byte`, which is a type of its own beside `uint8`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Byte(pub u8);
 
 impl<T: Field> Field for Vec<T> {
     fn field_type() -> FieldType {
@@ -97,6 +130,21 @@ impl Description {
         Sha256::digest(json).iter().fold("RIHS01_".to_owned(), |hash, byte| hash + &format!("{byte:02x}"))
     }
 
+    /// The `.msg` text of the type, and behind it those of all types in it, as `ros2 bag` puts them into a recording
+    /// (MCAP's encoding `ros2msg`): each after a line of 80 `=` and one that names it.
+    pub fn definition(&self) -> String {
+        let mut parts = Vec::new();
+        self.collect_parts(&mut parts);
+        let named = |part: &&Self| {
+            format!("{}\nMSG: {}\n{}", "=".repeat(80), short(part.type_name), part.own_definition())
+        };
+        self.own_definition() + &parts.iter().map(named).collect::<String>()
+    }
+
+    fn own_definition(&self) -> String {
+        self.fields.iter().map(|(name, kind)| format!("{} {name}\n", kind.text())).collect()
+    }
+
     fn own_json(&self) -> String {
         let field = |(name, kind): &(&str, FieldType)| {
             let FieldType { id, capacity, message } = kind;
@@ -119,4 +167,9 @@ impl Description {
             }
         }
     }
+}
+
+/// `geometry_msgs/msg/Point` as `.msg` files call it: `geometry_msgs/Point`.
+fn short(type_name: &str) -> String {
+    type_name.replace("/msg/", "/")
 }

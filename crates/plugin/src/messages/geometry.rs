@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Field, FieldType, Message, array, message};
+use super::{Field, FieldType, array, message};
 
 message! {
     /// Text.

@@ -1,11 +1,6 @@
 //! What robots say, and what they are told: `sensor_msgs`, `nav_msgs`, `tf2_msgs` and `rosgraph_msgs`.
 
-use serde::{Deserialize, Serialize};
-
-use super::{
-    Field, FieldType, Header, Message, Pose, PoseWithCovariance, Time, TransformStamped, TwistWithCovariance,
-    message,
-};
+use super::{Header, Pose, PoseWithCovariance, Time, TransformStamped, TwistWithCovariance, message};
 
 message! {
     /// Where the wheels say that a robot is, and how it moves.

@@ -156,6 +156,43 @@ fn type_hashes_are_those_of_an_independent_implementation() {
 }
 
 #[test]
+fn a_definition_has_every_type_once_and_names_it() {
+    let separator = "=".repeat(80);
+    let expected = format!(
+        "geometry_msgs/TransformStamped[] transforms\n\
+         {separator}\nMSG: geometry_msgs/TransformStamped\n\
+         std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n\
+         {separator}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n\
+         {separator}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n\
+         {separator}\nMSG: geometry_msgs/Transform\n\
+         geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n\
+         {separator}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n\
+         {separator}\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+    );
+    assert_eq!(TFMessage::description().definition(), expected);
+    let pose = PoseWithCovariance::description().definition();
+    assert!(pose.starts_with("geometry_msgs/Pose pose\nfloat64[36] covariance\n"), "{pose}");
+}
+
+message! {
+    /// Has what the other messages lack.
+    #[derive(Default)]
+    pub struct Odd = "cotorra_msgs/msg/Odd" {
+        /// A word of Rust's.
+        r#type: Byte,
+        /// One of several.
+        flags: Vec<bool>,
+    }
+}
+
+#[test]
+fn fields_are_named_as_ros_names_them() {
+    assert_eq!(Odd::description().definition(), "byte type\nbool[] flags\n");
+    let odd = Odd { r#type: Byte(2), flags: vec![true, false] };
+    assert_eq!(bytes(&odd), [0, 1, 0, 0, 2, 0, 0, 0, 2, 0, 0, 0, 1, 0]);
+}
+
+#[test]
 fn a_lying_length_is_an_error_and_no_allocation() {
     let mut lying = bytes(&scan());
     let ranges = lying.len() - 4 - 12 - 4;
