@@ -27,7 +27,7 @@ mod world;
 pub use driver::{CommandRefused, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use lidar::Scan;
-pub use middleware::{MoveRefused, RobotMiddleware, Route};
+pub use middleware::{MoveRefused, RobotMiddleware, Route, SensedScan};
 pub use ros_driver::{Clock, RosDriver, RosLink};
 pub use ros_offer::{OfferedRobot, RosOffer};
 pub use ros_robot::RosRobot;

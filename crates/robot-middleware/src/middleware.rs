@@ -15,6 +15,7 @@ use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
+    lidar::Scan,
     service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
@@ -53,6 +54,17 @@ pub enum MoveRefused {
     },
 }
 
+/// A turn of a robot's lidar, told to whoever taps scans.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensedScan {
+    /// The robot.
+    pub robot: NodeId,
+    /// When it was known, which is after it was complete.
+    pub at: Timestamp,
+    /// What was seen.
+    pub scan: Scan,
+}
+
 /// The Robot Middleware.
 ///
 /// Time is an argument and never falls from call to call. After any call, [`Self::poll_event`] tells what happened
@@ -66,6 +78,8 @@ pub struct RobotMiddleware {
     /// When each service has something due, and whose it is.
     due: BTreeSet<(Timestamp, NodeId)>,
     events: VecDeque<Stamped>,
+    /// Scans that nobody has polled; `None` while nobody taps them.
+    scans: Option<VecDeque<SensedScan>>,
 }
 
 struct Managed {
@@ -77,6 +91,8 @@ struct Managed {
     flagged: bool,
     /// What is wrong with it, as told last.
     health: Vec<RobotFault>,
+    /// When the last scan began that was told to a tap.
+    told_scan: Option<Timestamp>,
 }
 
 impl RobotMiddleware {
@@ -93,6 +109,7 @@ impl RobotMiddleware {
             now: Timestamp::ZERO,
             due: BTreeSet::new(),
             events: VecDeque::new(),
+            scans: None,
         }
     }
 
@@ -145,7 +162,8 @@ impl RobotMiddleware {
     /// Adds a robot, in place of one of that name.
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
-        let managed = Managed { driver, service, due: None, flagged: false, health: Vec::new() };
+        let (health, told_scan) = (Vec::new(), None);
+        let managed = Managed { driver, service, due: None, flagged: false, health, told_scan };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
@@ -232,6 +250,9 @@ impl RobotMiddleware {
                     health: managed.health.clone(),
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
+                if let Some(scans) = &mut self.scans {
+                    scans.extend(managed.fresh_scan(now));
+                }
             }
         }
         due.iter().for_each(|robot| self.note_due(robot));
@@ -323,6 +344,17 @@ impl RobotMiddleware {
     pub fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front()
     }
+
+    /// From now on each scan is kept until [`Self::poll_scan`] takes it: for whoever records or watches. They are no
+    /// events, because scans are many times what everything else is together.
+    pub fn tap_scans(&mut self) {
+        self.scans.get_or_insert_default();
+    }
+
+    /// A scan that was completed since the taps began, oldest first; robots are looked at when κ is built.
+    pub fn poll_scan(&mut self) -> Option<SensedScan> {
+        self.scans.as_mut()?.pop_front()
+    }
 }
 
 impl Managed {
@@ -368,6 +400,13 @@ impl Managed {
         };
         self.health = health.to_vec();
         events.push_back(Stamped { at: now, event: Event::Notice { message } });
+    }
+
+    /// Its last scan, if it was not told before.
+    fn fresh_scan(&mut self, now: Timestamp) -> Option<SensedScan> {
+        let scan = self.driver.scan().filter(|scan| self.told_scan != Some(scan.at))?;
+        self.told_scan = Some(scan.at);
+        Some(SensedScan { robot: self.driver.robot().clone(), at: now, scan: scan.clone() })
     }
 
     /// The end of its walk: the robot stops, whatever the last command said.

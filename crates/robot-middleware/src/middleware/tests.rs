@@ -258,3 +258,26 @@ fn robots_are_where_they_say() {
     assert!(!middleware.finished());
     assert!(middleware.driver(&id("robot1")).is_some());
 }
+
+#[test]
+fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
+    let mut untapped = middleware();
+    untapped.advance(at(1000), attached);
+    assert_eq!(untapped.poll_scan(), None);
+
+    let mut tapped = middleware();
+    tapped.tap_scans();
+    let mut told = Vec::new();
+    for moment in 0..=20 {
+        // Twice as often as the lidar turns.
+        tapped.advance(at(50 * moment), attached);
+        told.extend(std::iter::from_fn(|| tapped.poll_scan()));
+    }
+    let of = |robot: &str| {
+        told.iter().filter(|scan| scan.robot == robot).map(|s| (s.at, s.scan.at)).collect::<Vec<_>>()
+    };
+    // The first ray of a turn is cast after the first step of its five.
+    let expected: Vec<_> = (1..=10).map(|turn| (at(100 * turn), at(100 * turn - 80))).collect();
+    assert_eq!(of("robot1"), expected);
+    assert_eq!(of("idle"), expected);
+}
