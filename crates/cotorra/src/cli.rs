@@ -19,6 +19,9 @@ use crate::{
     stamp::Stamp,
 };
 
+/// Where Foxglove looks by itself.
+const FOXGLOVE: &str = "127.0.0.1:8765";
+
 /// Where a run serves its API unless that is taken.
 pub const DEFAULT_API: &str = "127.0.0.1:7700";
 
@@ -171,6 +174,8 @@ Examples:
   cotorra run testbeds/corridor.yaml --until 60s --seed 7
   cotorra run testbeds/corridor.yaml --headless --out /tmp/runs
   cotorra run testbeds/corridor.yaml --simulate
+  cotorra run testbeds/corridor.yaml --record corridor.mcap
+  cotorra run testbeds/corridor.yaml --foxglove
   cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
   COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra run testbeds/corridor.yaml
@@ -219,6 +224,17 @@ pub struct RunArgs {
     /// take part.
     #[arg(long)]
     pub simulate: bool,
+    /// Record the run as MCAP, for Foxglove, PlotJuggler and `ros2 bag`: in recording.mcap in the run's folder, or in FILE
+    ///
+    /// Poses, scans, transforms, the map, radio units, attachments, service times and all else as ROS 2 messages. What
+    /// the disk cannot keep up with is dropped and counted; the run never waits.
+    #[arg(long, value_name = "FILE.mcap", num_args = 0..=1, value_parser = parse_recording)]
+    pub record: Option<Option<PathBuf>>,
+    /// Serve the run live to Foxglove; by default on 127.0.0.1:8765
+    ///
+    /// Needs a cotorra that was built with `--features foxglove`. Whoever can reach the address can watch.
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE, conflicts_with = "simulate")]
+    pub foxglove: Option<SocketAddr>,
     /// Let idle cores fall asleep
     ///
     /// A run keeps up to four cores awake, at a priority that takes nothing from anyone else: a packet that has to wake a
@@ -355,6 +371,7 @@ pub struct OkpiArgs {
 Examples:
   cotorra replay latest
   cotorra replay latest --speed 10x --from 1min --to 2min
+  cotorra replay latest --foxglove
   cotorra replay latest --speed max > decisions.jsonl &
   COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
 pub struct ReplayArgs {
@@ -371,6 +388,9 @@ pub struct ReplayArgs {
     /// Address of the HTTP API, as of `cotorra run`
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
+    /// Serve what is played to Foxglove, too, as of `cotorra run`
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE)]
+    pub foxglove: Option<SocketAddr>,
     /// Folder from which the testbed file's own paths lead, such as its map's
     #[arg(long, value_name = "DIR", default_value = "testbeds")]
     pub base: PathBuf,
@@ -424,27 +444,50 @@ pub enum History {
     Import(ImportArgs),
 }
 
-/// Write a run as tables that other programs read
+/// Write a run as tables that other programs read, or as MCAP
 ///
-/// One for each kind of events, in a new folder: csv, parquet, or arrow (Arrow IPC, also known as Feather). Columns are
-/// named with their units, as in the history; `n` is an event's place in the run.
+/// One table for each kind of events, in a new folder: csv, parquet, or arrow (Arrow IPC, also known as Feather). Columns
+/// are named with their units, as in the history; `n` is an event's place in the run.
+///
+/// mcap is one file, as `cotorra run --record` writes it, but without scans, which no history keeps.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra history export latest --out exported
   cotorra history export latest --format parquet --out exported
+  cotorra history export latest --format mcap --out run.mcap
   cotorra history export 7 --history runs/all.sqlite --format arrow --out exported")]
 pub struct ExportArgs {
     /// The run
     pub run: String,
-    /// csv, parquet or arrow
-    #[arg(long, default_value_t = Format::Csv)]
-    pub format: Format,
-    /// The new folder
-    #[arg(long, value_name = "DIR")]
+    /// csv, parquet, arrow or mcap
+    #[arg(long, default_value = "csv", value_parser = parse_export)]
+    pub format: ExportFormat,
+    /// The new folder; of mcap, the new file
+    #[arg(long, value_name = "DIR|FILE")]
     pub out: PathBuf,
+    /// With mcap: folder from which the testbed file's own paths lead, such as its map's
+    #[arg(long, value_name = "DIR", default_value = "testbeds")]
+    pub base: PathBuf,
     #[command(flatten)]
     pub place: HistoryPlace,
+}
+
+/// What a run is exported as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExportFormat {
+    Tables(Format),
+    Mcap,
+}
+
+fn parse_export(name: &str) -> Result<ExportFormat, String> {
+    match name {
+        "mcap" => Ok(ExportFormat::Mcap),
+        name => name
+            .parse()
+            .map(ExportFormat::Tables)
+            .map_err(|_| "formats are csv, parquet, arrow and mcap".to_owned()),
+    }
 }
 
 /// Keep a run that was exported as a new run of a history
@@ -720,6 +763,15 @@ pub struct BenchArgs {
     /// The program rattan, to be measured beside
     #[arg(long, value_name = "PATH", default_value = "rattan")]
     pub rattan: PathBuf,
+}
+
+/// Reads the name of a recording. Without the ending, the testbed file behind --record would be overlooked.
+fn parse_recording(name: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(name);
+    let is_mcap = path.extension().is_some_and(|extension| extension == "mcap");
+    is_mcap
+        .then_some(path)
+        .ok_or_else(|| "the recording's name ends with .mcap; a testbed file goes before --record".to_owned())
 }
 
 /// Reads `60s`, `1.5min`, `500 ms`. A bare number is an error, because seconds and milliseconds look alike.

@@ -1,6 +1,6 @@
 //! `cotorra replay`: plays a recorded run through the API, and prints what a plug-in asks for meanwhile.
 
-use std::{process::ExitCode, time::Duration};
+use std::{path::Path, process::ExitCode, time::Duration};
 
 use cotorra_graph::{
     Testbed, Timestamp,
@@ -30,7 +30,7 @@ enum Error {
 /// Plays a run.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let source = Source::find(&args.run, &args.place)?;
-    let testbed = recorded(&source.run.info.testbed, args).map_err(FileError::from)?;
+    let testbed = recorded(&source.run.info.testbed, &args.run, &args.base).map_err(FileError::from)?;
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
@@ -41,10 +41,14 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         },
         from: args.span.from.map_or(Timestamp::ZERO, after_start),
         to: args.span.to.map(after_start),
+        foxglove: args.foxglove,
     };
     let interrupts = signals::listen().map_err(Error::Signals)?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
     eprintln!("API on http://{}, replay of {}", replay.api_address(), args.run);
+    if let Some(foxglove) = replay.foxglove_address() {
+        eprintln!("Foxglove on ws://{foxglove}");
+    }
     let bar = ProgressBar::new_spinner();
     let mut printed = Ok(());
     let end = replay.play(|played| {
@@ -76,9 +80,9 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
 }
 
 /// The testbed as it was run, with the settings that were noted behind its file.
-fn recorded(text: &str, args: &ReplayArgs) -> Result<Testbed, cotorra_graph::Diagnostics> {
+pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, cotorra_graph::Diagnostics> {
     let noted = text.lines().rev().map_while(|line| line.strip_prefix("# set: "));
     let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
     settings.reverse();
-    testbed_file::parse_with(&format!("the testbed file of {}", args.run), text, &args.base, &settings)
+    testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
 }

@@ -14,6 +14,7 @@ use std::{
 };
 
 use cotorra_graph::{Testbed, Timestamp, testbed_file};
+use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{Options, Place, Simulation, simulate};
 
 fn main() {
@@ -25,12 +26,16 @@ fn main() {
     for plugin in ["probing", "okpi"] {
         let testbed = corridor(plugin);
         row(&format!("corridor, {plugin}"), 15, || bare(&testbed, None));
-        row(&format!("corridor, {plugin}, with history and figure"), 15, || whole(&testbed, None));
+        row(&format!("corridor, {plugin}, with history and figure"), 15, || whole(&testbed, None, None));
+        row(&format!("corridor, {plugin}, … and recorded as MCAP"), 15, || {
+            whole(&testbed, None, recorded())
+        });
     }
     let minute = Duration::from_secs(60);
     let hundred = hundred_robots();
     row("100 robots, 20 radio units, 3 servers, a minute", 5, || bare(&hundred, Some(minute)));
-    row("… with history and figure", 5, || whole(&hundred, Some(minute)));
+    row("… with history and figure", 5, || whole(&hundred, Some(minute), None));
+    row("… and recorded as MCAP", 5, || whole(&hundred, Some(minute), recorded()));
 }
 
 /// Prints the median and the slowest of some runs, of which each gives its virtual seconds.
@@ -58,11 +63,17 @@ fn bare(testbed: &Testbed, until: Option<Duration>) -> Timestamp {
     }
 }
 
+/// As `--record` has it.
+fn recorded() -> Option<RecordingPlace> {
+    Some(RecordingPlace::Folder)
+}
+
 /// What `cotorra run --simulate` does.
-fn whole(testbed: &Testbed, until: Option<Duration>) -> Timestamp {
+fn whole(testbed: &Testbed, until: Option<Duration>, file: Option<RecordingPlace>) -> Timestamp {
     let out = tempfile::tempdir().unwrap();
     let folder = Place::In(PathBuf::from(out.path()));
-    let options = Options { until, folder, ..Options::default() };
+    let recording = Wanted { file, foxglove: None };
+    let options = Options { until, folder, recording, ..Options::default() };
     let mut end = Timestamp::ZERO;
     let finished = simulate(testbed.clone(), "", &options, |_| true).unwrap();
     for sample in finished.report.samples() {

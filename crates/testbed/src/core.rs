@@ -14,7 +14,7 @@ use cotorra_graph::{
 };
 use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
 use cotorra_plugin::wire::{NAVIGATION_PORT, NavigationPacket};
-use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SimulatedRobot};
+use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
 use crate::robots::RobotError;
 
@@ -195,6 +195,16 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// What happened, oldest first.
     pub(crate) fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front().or_else(|| self.middleware.poll_event())
+    }
+
+    /// From now on scans are to be polled; for whoever records or watches.
+    pub(crate) fn tap_scans(&mut self) {
+        self.middleware.tap_scans();
+    }
+
+    /// A scan that was completed, oldest first.
+    pub(crate) fn poll_scan(&mut self) -> Option<SensedScan> {
+        self.middleware.poll_scan()
     }
 
     /// The end: what the network knows is told once more, and VNFs are stopped.

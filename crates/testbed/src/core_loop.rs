@@ -10,6 +10,7 @@ use std::{
 use cotorra_graph::{Event, Instruction, NodeId, PluginId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
 use cotorra_network_control::{Network, NetworkGone, Refused, vim::Engine};
+use cotorra_recording::Tap;
 use tokio::sync::broadcast;
 
 use crate::{
@@ -79,6 +80,7 @@ pub(crate) struct Readers {
     pub(crate) report: Report,
     pub(crate) stream: broadcast::Sender<Arc<Stamped>>,
     pub(crate) plugins: PluginHost,
+    pub(crate) tap: Option<Tap>,
 }
 
 impl Readers {
@@ -89,6 +91,9 @@ impl Readers {
         self.plugins.publish(&event);
         // Nobody may be listening.
         let _ = self.stream.send(Arc::clone(&event));
+        if let Some(tap) = &self.tap {
+            tap.event(Arc::clone(&event));
+        }
         self.recorder.record(Arc::unwrap_or_clone(event));
     }
 }
@@ -167,6 +172,11 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     fn publish(&mut self) {
         while let Some(event) = self.core.poll_event() {
             self.readers.publish(event);
+        }
+        if let Some(tap) = &self.readers.tap {
+            while let Some(scan) = self.core.poll_scan() {
+                tap.scan(scan);
+            }
         }
     }
 

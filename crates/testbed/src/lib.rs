@@ -28,5 +28,5 @@ pub use report::{
     Quantiles, RegionSummary, Report, Summary, draw,
 };
 pub use robots::RobotError;
-pub use run::{Finished, Options, Run, RunError, Stopper, clean, leftovers};
+pub use run::{Finished, Options, Run, RunError, Stopper, about, clean, leftovers};
 pub use simulate::{Simulation, simulate};

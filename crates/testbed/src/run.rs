@@ -19,6 +19,7 @@ use cotorra_fabric::Fabric;
 use cotorra_graph::{Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
+use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::SimulatedRobot;
 use tokio::sync::broadcast;
 
@@ -60,6 +61,8 @@ pub struct Options {
     pub settings: Vec<Setting>,
     /// Where the history is kept, in place of `history.sqlite` in the run's folder.
     pub history: Option<Location>,
+    /// How the run is recorded and watched besides.
+    pub recording: Wanted,
 }
 
 /// What a run came to.
@@ -73,6 +76,8 @@ pub struct Finished {
     pub folder: PathBuf,
     /// The run's number in its history.
     pub run: RunId,
+    /// What the recording came to, if it was recorded or watched.
+    pub recording: Option<RecordingSummary>,
 }
 
 impl Finished {
@@ -97,6 +102,9 @@ pub enum RunError {
     /// The emulated network's packets.
     #[error(transparent)]
     Datapath(#[from] cotorra_datapath::Error),
+    /// The recording, or who watches.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// The API.
     #[error(transparent)]
     Api(#[from] ApiError),
@@ -151,6 +159,7 @@ pub struct Run {
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
     _masters: Masters,
     datapath: Arc<Datapath>,
+    recording: Option<Recording>,
 }
 
 impl Run {
@@ -165,8 +174,10 @@ impl Run {
         let moved = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-        let (history, run) =
-            Recorded::begin(&folder, options.history.as_ref(), &run_info(&testbed, seed, text))?;
+        let info = run_info(&testbed, seed, text);
+        let recording =
+            Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;
+        let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
 
@@ -244,9 +255,14 @@ impl Run {
                 })
                 .map_err(system("start a robot's thread"))?;
         }
+        let tap = recording.as_ref().map(Recording::tap);
+        if tap.is_some() {
+            core.tap_scans();
+        }
         core.start(now());
         let report = Report::new(&testbed, seed);
-        let readers = Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins };
+        let readers =
+            Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };
         let until = options.until.map(|until| Timestamp::ZERO + until);
         let core_loop = CoreLoop { core, readers, inbox, sockets, now, until };
         let core = thread::Builder::new()
@@ -254,7 +270,20 @@ impl Run {
             .spawn(move || core_loop.run())
             .map_err(system("start the core's thread"))?;
         let (core, _masters) = (Some(core), robots.masters());
-        Ok(Self { testbed, live, folder, history, recorder, run, tell, server, core, _masters, datapath })
+        Ok(Self {
+            testbed,
+            live,
+            folder,
+            history,
+            recorder,
+            run,
+            tell,
+            server,
+            core,
+            _masters,
+            datapath,
+            recording,
+        })
     }
 
     /// The testbed.
@@ -277,6 +306,11 @@ impl Run {
         self.server.address()
     }
 
+    /// Where it serves Foxglove, if it does.
+    pub fn foxglove_address(&self) -> Option<SocketAddr> {
+        self.recording.as_ref().and_then(Recording::foxglove)
+    }
+
     /// What ends the run early.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.tell.clone())
@@ -294,6 +328,7 @@ impl Run {
     pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
+        let recording = self.recording.take().map(Recording::finish);
         if let Err(error) = self.recorder.flush() {
             tracing::error!("the history is not complete: {error}");
         }
@@ -304,7 +339,8 @@ impl Run {
         let summary = report.summary(end, why.as_str(), losses);
         self.folder.write_report(&report, &summary)?;
         self.history.end_run(self.run, end)?;
-        Ok(Finished { summary, report, folder: self.folder.path().to_owned(), run: self.run })
+        let folder = self.folder.path().to_owned();
+        Ok(Finished { summary, report, folder, run: self.run, recording })
     }
 }
 
@@ -340,6 +376,12 @@ fn run_info(testbed: &Testbed, seed: u64, text: &str) -> RunInfo {
         started_at_unix_ns: i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX),
         testbed: text.to_owned(),
     }
+}
+
+/// What a recording says of its run.
+pub fn about(info: &RunInfo) -> About<'_> {
+    let RunInfo { name, seed, started_at_unix_ns, testbed } = info;
+    About { name, seed: *seed, started_at_unix_ns: *started_at_unix_ns, testbed_file: testbed }
 }
 
 fn absolute(file: &Path) -> Result<PathBuf, RunError> {

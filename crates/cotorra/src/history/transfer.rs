@@ -1,8 +1,14 @@
-//! `cotorra history export` and `import`: a run as tables, and back.
+//! `cotorra history export` and `import`: a run as tables, and back; and as MCAP.
 
-use std::{path::Path, sync::mpsc};
+use std::{
+    fs,
+    path::Path,
+    sync::{Arc, mpsc},
+};
 
-use cotorra_measurements::{History, export::ExportError};
+use cotorra_measurements::{History, PageRequest, export::ExportError};
+use cotorra_recording::{Export, RecordingError};
+use cotorra_testbed::about;
 use indicatif::ProgressBar;
 
 use super::{
@@ -10,14 +16,22 @@ use super::{
     place::{HISTORY_VARIABLE, location},
 };
 use crate::{
-    cli::{ExportArgs, ImportArgs},
-    output, signals,
+    cli::{ExportArgs, ExportFormat, ImportArgs},
+    output,
+    replay::recorded,
+    signals,
+    testbed_file::FileError,
 };
+
+/// Events between two questions to the history.
+const PAGE: usize = 1000;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum TransferError {
     #[error(transparent)]
     Export(#[from] ExportError),
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     #[error("import into which history?")]
     #[diagnostic(help("name it with --history or in {HISTORY_VARIABLE}, as in --history runs/all.sqlite"))]
     Nowhere,
@@ -25,14 +39,53 @@ enum TransferError {
     Signals(ctrlc::Error),
 }
 
-/// Writes a run as tables.
+/// Writes a run as tables, or as MCAP.
 pub fn export(args: &ExportArgs) -> miette::Result<()> {
     let source = Source::find(&args.run, &args.place)?;
+    let format = match args.format {
+        ExportFormat::Tables(format) => format,
+        ExportFormat::Mcap => return mcap(&source, args),
+    };
     let progress = Progress::begin()?;
-    let events = source.history.export(source.run.id, args.format, &args.out, |events| progress.show(events));
+    let events = source.history.export(source.run.id, format, &args.out, |events| progress.show(events));
     progress.bar.finish_and_clear();
     let events = events.map_err(TransferError::from)?;
     output::print(&format!("{events} events in {}\n", place(&args.out)))
+}
+
+/// Writes a run as MCAP. A file that is not complete goes.
+fn mcap(source: &Source, args: &ExportArgs) -> miette::Result<()> {
+    let info = &source.run.info;
+    let testbed = recorded(&info.testbed, &args.run, &args.base).map_err(FileError::from)?;
+    let export = Export::create(&args.out, Arc::new(testbed), about(info)).map_err(TransferError::from)?;
+    let progress = Progress::begin()?;
+    let written = write(source, export, &progress);
+    progress.bar.finish_and_clear();
+    let events = written.inspect_err(|_| {
+        // What keeps it from being removed was told already.
+        let _ = fs::remove_file(&args.out);
+    })?;
+    output::print(&format!("{events} events in {}\n", args.out.display()))
+}
+
+fn write(source: &Source, mut export: Export, progress: &Progress) -> Result<u64, TransferError> {
+    let (mut request, mut events) = (PageRequest::first(PAGE), 0);
+    loop {
+        let page = source.history.events(source.run.id, &[], .., request).map_err(ExportError::from)?;
+        for event in &page.items {
+            export.event(event)?;
+        }
+        events += page.items.len() as u64;
+        if !progress.show(events) {
+            return Err(ExportError::Stopped(events).into());
+        }
+        match page.next {
+            Some(next) => request = PageRequest::after(next, PAGE),
+            None => break,
+        }
+    }
+    export.finish()?;
+    Ok(events)
 }
 
 /// Reads a run from tables.

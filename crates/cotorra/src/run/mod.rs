@@ -13,6 +13,7 @@ use std::{
     time::Duration,
 };
 
+use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
@@ -73,6 +74,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         save_power: args.save_power,
         settings: args.settings.clone(),
         history: history.clone(),
+        recording: wanted(&args),
     };
     if args.dry_run {
         output::print(&plan::describe(&loaded.testbed, &args, history.as_ref()))?;
@@ -86,6 +88,12 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     };
     output::print(&summary::describe(&finished, history.as_ref()))?;
     Ok(verdict(&finished.summary))
+}
+
+/// How a run is to be recorded and watched.
+fn wanted(args: &RunArgs) -> Wanted {
+    let file = args.record.clone().map(|file| file.map_or(RecordingPlace::Folder, RecordingPlace::File));
+    Wanted { file, foxglove: args.foxglove }
 }
 
 /// What runs in a process share: the terminal, the log, and Ctrl-C.
@@ -117,7 +125,7 @@ impl Stage {
         self.log_to(&folder)?;
         let version = env!("CARGO_PKG_VERSION");
         tracing::info!(version, file = %file.display(), api = %run.api_address(), "up");
-        let places = Places { api: run.api_address(), folder: &folder };
+        let places = Places { api: run.api_address(), foxglove: run.foxglove_address(), folder: &folder };
         let mut view = View::new(&loaded.testbed, until, &places, &self.terminal);
         watch(&run, &mut view, &self.interrupts);
         let finished = run.finish().map_err(Error::from);

@@ -59,6 +59,14 @@ pub fn describe(testbed: &Testbed, args: &RunArgs, history: Option<&Location>) -
     if let Some(history) = history {
         rest.row(["history".to_owned(), history.to_string()]);
     }
+    if let Some(recording) = &args.record {
+        let file =
+            recording.as_ref().map_or("recording.mcap in the folder".to_owned(), |f| f.display().to_string());
+        rest.row(["recording".to_owned(), file]);
+    }
+    if let Some(foxglove) = args.foxglove {
+        rest.row(["Foxglove".to_owned(), format!("ws://{foxglove}")]);
+    }
     text + "\n" + &rest.render("")
 }
 

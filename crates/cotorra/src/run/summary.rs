@@ -2,6 +2,7 @@
 
 use console::style;
 use cotorra_measurements::Location;
+use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{Finished, Quantiles, Summary};
 
 use super::view::{clock, millis};
@@ -36,13 +37,32 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     if summary.history_dropped > 0 {
         text += &format!("  {} the history lacks {} events\n", style("!").red(), summary.history_dropped);
     }
+    if let Some(recording) = &finished.recording {
+        text += &lost(recording);
+    }
     let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
     text += &format!(
         "\n{}/\n  summary.json  service_time.csv  service_time.svg  {own}  testbed.yaml  logs/\n",
         folder.display()
     );
+    if let Some(RecordingSummary { file: Some(file), messages, .. }) = &finished.recording {
+        text += &format!("{}: {}\n", file.display(), count(*messages as usize, "message"));
+    }
     if let Some(history) = elsewhere {
         text += &format!("Its history is run {} in {history}\n", finished.run);
+    }
+    text
+}
+
+/// What a recording lacks.
+fn lost(recording: &RecordingSummary) -> String {
+    let mark = style("!").red();
+    let mut text = String::new();
+    if recording.dropped > 0 {
+        text += &format!("  {mark} the recording lacks {} events and scans\n", recording.dropped);
+    }
+    if let Some(reason) = &recording.failed {
+        text += &format!("  {mark} the recording is not complete: {reason}\n");
     }
     text
 }

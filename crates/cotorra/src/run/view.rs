@@ -1,6 +1,6 @@
 //! What a run shows while it goes: a live view on a terminal, else a plain line now and then.
 
-use std::{path::Path, time::Duration};
+use std::{net::SocketAddr, path::Path, time::Duration};
 
 use cotorra_graph::{NodeId, Program, RobotContext, Testbed, Walk};
 use cotorra_testbed::Snapshot;
@@ -21,7 +21,8 @@ const STEPS: u64 = 10_000;
 /// Where a run can be reached and found.
 #[derive(Debug)]
 pub struct Places<'a> {
-    pub api: std::net::SocketAddr,
+    pub api: SocketAddr,
+    pub foxglove: Option<SocketAddr>,
     pub folder: &'a Path,
 }
 
@@ -60,13 +61,17 @@ impl<'a> View<'a> {
     }
 
     fn lines(places: &Places<'_>) -> Shape {
+        if let Some(foxglove) = places.foxglove {
+            eprintln!("Foxglove on ws://{foxglove}");
+        }
         eprintln!("API on http://{}, run in {}", places.api, places.folder.display());
         Shape::Lines { next_s: LINE_EVERY_S }
     }
 
     fn live(testbed: &Testbed, places: &Places<'_>, terminal: &MultiProgress) -> Shape {
         let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
-        let labels = ["so far", "API", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
+        let labels =
+            ["so far", "API", "Foxglove", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
         let width = labels.map(str::len).max().unwrap_or(0);
         let line = |label: &str| {
             // The label first, so that all lines begin alike.
@@ -86,6 +91,9 @@ impl<'a> View<'a> {
             robots.into_iter().take(ROBOTS_SHOWN).map(|id| (id.clone(), line(id.as_str()))).collect();
         if more > 0 {
             line("").set_message(format!("and {more} more robots"));
+        }
+        if let Some(foxglove) = places.foxglove {
+            line("Foxglove").set_message(format!("ws://{foxglove}"));
         }
         let (so_far, api) = (line("so far"), line("API"));
         api.set_message(format!("http://{}, run in {}", places.api, places.folder.display()));

@@ -13,6 +13,7 @@ mod localize;
 mod mariadb;
 mod netem;
 mod plugin;
+mod recording;
 mod run;
 mod stamp;
 mod sweep;

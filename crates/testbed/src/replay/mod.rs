@@ -5,6 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     net::{Ipv4Addr, SocketAddr},
     ops::Bound,
+    path::Path,
     sync::{Arc, mpsc},
     time::Duration,
 };
@@ -12,12 +13,14 @@ use std::{
 use cotorra_graph::{Decision, Event, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::Refused;
+use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 use tokio::sync::broadcast;
 
 use crate::{
     api::{self, ApiError, Follower, Listener, Lockstep, Server, Token, Told},
     core_loop::Message,
     live::Live,
+    run::about,
 };
 
 /// Events that wait for a reader that nobody waits for; one that is further behind misses the oldest.
@@ -55,6 +58,8 @@ pub struct ReplayOptions {
     pub from: Timestamp,
     /// Up to here, this excluded.
     pub to: Option<Timestamp>,
+    /// Where what is played is served to Foxglove, too.
+    pub foxglove: Option<SocketAddr>,
 }
 
 /// What happens in a replay.
@@ -88,6 +93,8 @@ pub struct Replay {
     live: Live,
     stream: broadcast::Sender<Arc<Stamped>>,
     options: ReplayOptions,
+    watched: Option<Recording>,
+    tap: Option<Tap>,
     followers: Vec<Following>,
     marks: u64,
     now: Timestamp,
@@ -117,15 +124,20 @@ impl Replay {
         let address = options.api.unwrap_or(default);
         let listener = Listener::bind(address, options.api.is_none(), options.token.as_ref())?;
         let (history, live) = (Arc::new(history), Live::default());
+        let testbed = Arc::new(testbed);
+        let wanted = Wanted { file: None, foxglove: options.foxglove };
+        let info = history.run(run)?.info;
+        let watched = Recording::begin(&wanted, Path::new(""), &testbed, about(&info), Pace::Live)?;
+        let tap = watched.as_ref().map(Recording::tap);
         let before = Timestamp::from_nanos(options.from.as_nanos().saturating_sub(1));
         if options.from > Timestamp::ZERO {
-            know(&live, history.state_at(run, before)?);
+            know(&live, tap.as_ref(), history.state_at(run, before)?);
         }
         let (core, inbox) = mpsc::channel();
         let (stream, _) = broadcast::channel(STREAM);
         let waits = matches!(options.speed, Speed::Max { .. });
         let context = api::Context {
-            testbed: Arc::new(testbed),
+            testbed,
             live: live.clone(),
             history: Arc::clone(&history),
             run,
@@ -137,12 +149,18 @@ impl Replay {
         };
         let server = Server::start(listener, context, options.token.clone())?;
         let (followers, now) = (Vec::new(), options.from);
-        Ok(Self { server, inbox, history, run, live, stream, options, followers, marks: 0, now })
+        let marks = 0;
+        Ok(Self { server, inbox, history, run, live, stream, options, watched, tap, followers, marks, now })
     }
 
     /// Where the API listens.
     pub fn api_address(&self) -> SocketAddr {
         self.server.address()
+    }
+
+    /// Where it serves Foxglove, if it does.
+    pub fn foxglove_address(&self) -> Option<SocketAddr> {
+        self.watched.as_ref().and_then(Recording::foxglove)
     }
 
     /// Plays the run. `tell` is told what happens, at least several times a second, and says whether to go on.
@@ -207,6 +225,9 @@ impl Replay {
         let event = Arc::new(event);
         for following in self.followers.iter_mut().filter(|f| f.follower.wants(&event)) {
             following.untold.push(Arc::clone(&event));
+        }
+        if let Some(tap) = &self.tap {
+            tap.event(Arc::clone(&event));
         }
         // Nobody may be listening.
         let _ = self.stream.send(event);
@@ -284,17 +305,23 @@ impl Replay {
 }
 
 /// Makes a state known as what happened last.
-fn know(live: &Live, state: GraphState) {
-    fn each<T>(live: &Live, samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
+fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
+    let told = |event: Stamped| {
+        live.absorb(&event);
+        if let Some(tap) = tap {
+            tap.event(Arc::new(event));
+        }
+    };
+    fn each<T>(told: impl Fn(Stamped), samples: Vec<Sample<T>>, event: impl Fn(T) -> Event) {
         for Sample { at, value } in samples {
-            live.absorb(&Stamped { at, event: event(value) });
+            told(Stamped { at, event: event(value) });
         }
     }
-    each(live, state.robots, Event::Robot);
-    each(live, state.radio_units, Event::Radio);
-    each(live, state.links, Event::Link);
-    each(live, state.placements, Event::Placement);
-    each(live, state.virtual_links, Event::VirtualLink);
+    each(told, state.placements, Event::Placement);
+    each(told, state.virtual_links, Event::VirtualLink);
+    each(told, state.robots, Event::Robot);
+    each(told, state.radio_units, Event::Radio);
+    each(told, state.links, Event::Link);
 }
 
 /// Why a run cannot be played.
@@ -303,6 +330,9 @@ pub enum ReplayError {
     /// The API.
     #[error(transparent)]
     Api(#[from] ApiError),
+    /// Who watches.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// The history.
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),

@@ -21,6 +21,7 @@ use cotorra_graph::{
 };
 use cotorra_network_control::Refused;
 use cotorra_plugin::{Actions, Plugin, wire::NAVIGATION_PORT};
+use cotorra_robot_middleware::SensedScan;
 
 pub use self::run::simulate;
 use self::{
@@ -159,6 +160,16 @@ impl Simulation {
     /// What happened, oldest first.
     pub fn poll_event(&mut self) -> Option<Stamped> {
         self.events.pop_front()
+    }
+
+    /// From now on scans are to be polled after each step, like events.
+    fn tap_scans(&mut self) {
+        self.core.tap_scans();
+    }
+
+    /// A scan that was completed, oldest first.
+    fn poll_scan(&mut self) -> Option<SensedScan> {
+        self.core.poll_scan()
     }
 
     /// Whether every walk is done; never where there is none.

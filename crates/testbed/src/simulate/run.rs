@@ -4,6 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
+use cotorra_recording::{Pace, Recording, Tap};
 
 use super::{
     Simulation,
@@ -13,7 +14,7 @@ use crate::{
     core_loop::End,
     recorded::Recorded,
     report::{Losses, Report, RunFolder},
-    run::{Finished, Options, RunError},
+    run::{Finished, Options, RunError, about},
 };
 
 /// After so many events they are written.
@@ -57,10 +58,16 @@ pub(super) fn simulate_with(
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
+    let recording =
+        Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Waiting)?;
+    let tap = recording.as_ref().map(Recording::tap);
+    if tap.is_some() {
+        simulation.tap_scans();
+    }
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
-    let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0 };
+    let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0, tap };
     let asked =
         Asked { testbed: &testbed, history: &history, run, recorder: &books.recorder, logs: &folder.logs() };
     let mut apart = Apart::start(&asked, options, patience)?;
@@ -85,6 +92,11 @@ pub(super) fn simulate_with(
             }
             books.keep(event);
         }
+        if let Some(tap) = &books.tap {
+            while let Some(scan) = simulation.poll_scan() {
+                tap.scan(scan);
+            }
+        }
         if books.unwritten >= HISTORY_PACE {
             books.catch_up()?;
             if !go_on(now) {
@@ -95,11 +107,12 @@ pub(super) fn simulate_with(
     drop(apart);
     books.catch_up()?;
     let Books { report, recorder, .. } = books;
+    let recording = recording.map(Recording::finish);
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
     let summary = report.summary(now, end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, now)?;
-    Ok(Finished { summary, report, folder: folder.path().to_owned(), run })
+    Ok(Finished { summary, report, folder: folder.path().to_owned(), run, recording })
 }
 
 /// Where what happens is kept.
@@ -107,11 +120,15 @@ struct Books {
     report: Report,
     recorder: PacedRecorder,
     unwritten: usize,
+    tap: Option<Tap>,
 }
 
 impl Books {
     fn keep(&mut self, event: Stamped) {
         self.report.absorb(&event);
+        if let Some(tap) = &self.tap {
+            tap.event(Arc::new(event.clone()));
+        }
         self.recorder.record(event);
         self.unwritten += 1;
     }

@@ -1,0 +1,155 @@
+//! Where messages go: topics with ROS 2's rules for names, and the quality of service with which they would be offered.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+};
+
+use cotorra_graph::Timestamp;
+use cotorra_plugin::messages::Message;
+
+/// How a topic would be offered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Qos {
+    /// Reliable, to those who listen.
+    Default,
+    /// Best effort, as sensors are.
+    Sensor,
+    /// Reliable, and the last is kept for those who come later: transient local.
+    Latched,
+}
+
+impl Qos {
+    /// As `ros2 bag` notes it with a channel, in the form that all distributions read (rmw's own numbers).
+    fn to_yaml(self) -> String {
+        let (depth, reliability, durability) = match self {
+            Self::Default => (10, 1, 2),
+            Self::Sensor => (5, 2, 2),
+            Self::Latched => (1, 1, 1),
+        };
+        // rmw's infinite duration.
+        let never = "    sec: 9223372036\n    nsec: 854775807\n";
+        format!(
+            "- history: 1\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n  \
+             deadline:\n{never}  lifespan:\n{never}  liveliness: 1\n  liveliness_lease_duration:\n{never}  \
+             avoid_ros_namespace_conventions: false\n"
+        )
+    }
+}
+
+/// A topic and what its messages are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Channel {
+    /// Its place among the channels of its encoder, from 0, without gaps.
+    pub index: usize,
+    /// Its name, such as `/robot/scan`.
+    pub topic: String,
+    /// The ROS name of its type, such as `sensor_msgs/msg/LaserScan`.
+    pub type_name: &'static str,
+    /// The type's `.msg` text and those of all types in it (`ros2msg`).
+    pub schema: String,
+    /// The type's hash (RIHS01).
+    pub type_hash: String,
+    /// How it would be offered.
+    pub qos: Qos,
+}
+
+impl Channel {
+    /// What `ros2 bag` notes with it.
+    pub fn metadata(&self) -> BTreeMap<String, String> {
+        let notes =
+            [("offered_qos_profiles", self.qos.to_yaml()), ("topic_type_hash", self.type_hash.clone())];
+        notes.into_iter().map(|(key, note)| (key.to_owned(), note)).collect()
+    }
+}
+
+/// A message on its way into a sink.
+#[derive(Debug, Clone, Copy)]
+pub struct Encoded<'a> {
+    /// Where it goes.
+    pub channel: &'a Channel,
+    /// When it was known.
+    pub at: Timestamp,
+    /// CDR with its encapsulation header.
+    pub payload: &'a [u8],
+}
+
+/// The channels so far.
+#[derive(Debug, Default)]
+pub(crate) struct Channels {
+    all: Vec<Channel>,
+    by_topic: BTreeMap<String, usize>,
+    buffer: Vec<u8>,
+}
+
+impl Channels {
+    /// Encodes a message for a topic, which begins with its first.
+    pub fn encode<M: Message>(&mut self, topic: &str, qos: Qos, at: Timestamp, message: &M) -> Encoded<'_> {
+        let index = match self.by_topic.get(topic) {
+            Some(index) => *index,
+            None => {
+                let index = self.all.len();
+                let (topic, description) = (topic.to_owned(), M::description());
+                let (schema, type_hash) = (description.definition(), description.hash());
+                self.by_topic.insert(topic.clone(), index);
+                self.all.push(Channel { index, topic, type_name: M::TYPE_NAME, schema, type_hash, qos });
+                index
+            }
+        };
+        self.buffer.clear();
+        message.encode(&mut self.buffer);
+        Encoded { channel: &self.all[index], at, payload: &self.buffer }
+    }
+}
+
+/// Names of a testbed as parts of topics: letters, digits and single `_`, no digit first, each of its own.
+#[derive(Debug)]
+pub(crate) struct Names {
+    by_name: BTreeMap<String, String>,
+    taken: BTreeSet<String>,
+}
+
+impl Names {
+    /// No names yet, and some that cannot be had.
+    pub fn without(reserved: &[&str]) -> Self {
+        let taken = reserved.iter().map(|name| (*name).to_owned()).collect();
+        Self { by_name: BTreeMap::new(), taken }
+    }
+
+    /// The part of a topic for a name; the same each time.
+    pub fn token(&mut self, name: impl fmt::Display) -> &str {
+        let name = name.to_string();
+        if !self.by_name.contains_key(&name) {
+            let wanted = token(&name);
+            let numbered = (2..).map(|number| format!("{wanted}_{number}"));
+            let free = std::iter::once(wanted.clone()).chain(numbered).find(|t| !self.taken.contains(t));
+            let free = free.expect("there are more numbers than names");
+            self.taken.insert(free.clone());
+            self.by_name.insert(name.clone(), free);
+        }
+        &self.by_name[&name]
+    }
+}
+
+/// `R1~lan` as `R1_lan`, `2nd` as `n2nd`.
+fn token(name: &str) -> String {
+    let parts = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
+    let joined = parts.collect::<Vec<_>>().join("_");
+    if joined.starts_with(|c: char| c.is_ascii_digit()) { format!("n{joined}") } else { joined }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_keep_the_rules_of_ros_and_stay_apart() {
+        let mut names = Names::without(&["tf"]);
+        assert_eq!(names.token("tb2"), "tb2");
+        assert_eq!(names.token("R1~lan"), "R1_lan");
+        assert_eq!(names.token("R1__lan"), "R1_lan_2");
+        assert_eq!(names.token("R1~lan"), "R1_lan");
+        assert_eq!(names.token("2nd.floor-"), "n2nd_floor");
+        assert_eq!(names.token("tf"), "tf_2");
+    }
+}

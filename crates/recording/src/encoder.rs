@@ -1,0 +1,272 @@
+//! What happens in a testbed, as ROS 2 messages on topics: one encoder for the file and for who watches live. It knows no
+//! clock, no file and no socket.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use cotorra_graph::{
+    Direction, Event, Handover, LinkContext, NodeId, Position, Program, RadioContext, RobotContext,
+    ServiceTime, Stamped, Testbed, Timestamp, VnfId,
+};
+use cotorra_plugin::messages::{Header, Message};
+use cotorra_robot_middleware::{SensedScan, ros};
+
+use crate::{
+    channel::{Channels, Encoded, Names, Qos},
+    frames::Frames,
+    markers, messages, told,
+};
+
+/// Topics that no robot's may begin like.
+const RESERVED: &[&str] = &["radio_units", "network", "emulation"];
+
+/// Where encoded messages go.
+pub(crate) type Out<'a> = &'a mut dyn FnMut(Encoded<'_>);
+
+/// Encodes the events and scans of one run.
+pub(crate) struct Encoder {
+    testbed: Arc<Testbed>,
+    channels: Channels,
+    nodes: Names,
+    links: Names,
+    robots: BTreeMap<NodeId, Robot>,
+    radio_units: BTreeMap<NodeId, Position>,
+    placements: BTreeMap<VnfId, NodeId>,
+}
+
+/// What is remembered of a robot.
+struct Robot {
+    number: usize,
+    /// What its topics begin with.
+    topic: String,
+    frames: Frames,
+    navigation: Option<VnfId>,
+    last: Option<ServiceTime>,
+}
+
+impl Encoder {
+    pub fn new(testbed: Arc<Testbed>) -> Self {
+        let mut nodes = Names::without(RESERVED);
+        let robots = testbed.graph.robots().enumerate().map(|(number, (node, _))| {
+            let topic = nodes.token(&node.id).to_owned();
+            let services = testbed.services.iter().filter(|service| service.robot == node.id);
+            let navigation =
+                services.flat_map(|service| &service.vnfs).find(|v| v.program == Program::Navigation);
+            let navigation = navigation.map(|vnf| vnf.id.clone());
+            let frames = Frames::of(&topic);
+            (node.id.clone(), Robot { number, topic, frames, navigation, last: None })
+        });
+        let robots = robots.collect();
+        let radio_units = testbed.graph.radio_units();
+        let radio_units =
+            radio_units.filter_map(|(node, _)| Some((node.id.clone(), node.position?))).collect();
+        let (channels, links, placements) = (Channels::default(), Names::without(&[]), BTreeMap::new());
+        Self { testbed, channels, nodes, links, robots, radio_units, placements }
+    }
+
+    /// What is so from the beginning: the map, and what stands in it.
+    pub fn begin(&mut self, out: Out<'_>) {
+        let at = Timestamp::ZERO;
+        let testbed = Arc::clone(&self.testbed);
+        if let Some(grid) = &testbed.map {
+            out(self.channels.encode("/map", Qos::Latched, at, &markers::map(grid)));
+        }
+        out(self.channels.encode("/testbed", Qos::Latched, at, &markers::standing(&testbed)));
+    }
+
+    /// Something happened.
+    pub fn event(&mut self, Stamped { at, event }: &Stamped, out: Out<'_>) {
+        let at = *at;
+        match event {
+            Event::Robot(context) => self.robot(at, context, out),
+            Event::Radio(context) => self.radio(at, context, out),
+            Event::Link(context) => self.link(at, context, out),
+            Event::ServiceTime(sample) => self.service_time(at, sample, out),
+            Event::Handover(handover) => self.handover(at, handover, out),
+            Event::Placement(placement) => {
+                self.placements.insert(placement.vnf.clone(), placement.node.clone());
+                let (vnf, node) = (placement.vnf.to_string(), placement.node.to_string());
+                let message = messages::Placement { header: Header::new(at, ""), vnf, node };
+                self.tell("/placement", at, &message, out);
+            }
+            Event::VirtualLink(mapping) => {
+                let message = messages::VirtualLink {
+                    header: Header::new(at, ""),
+                    from_vnf: mapping.from.to_string(),
+                    to_vnf: mapping.to.to_string(),
+                    links: mapping.links.iter().map(ToString::to_string).collect(),
+                };
+                self.tell("/virtual_links", at, &message, out);
+            }
+            Event::Decision(decision) => {
+                let instruction = serde_json::to_string(&decision.instruction);
+                let message = messages::Decision {
+                    header: Header::new(at, ""),
+                    plugin: decision.plugin.to_string(),
+                    instruction: instruction.expect("an instruction holds only what JSON can"),
+                    reason: decision.reason.clone().unwrap_or_default(),
+                    refused: decision.refused.clone().unwrap_or_default(),
+                };
+                self.tell("/decisions", at, &message, out);
+            }
+            Event::Lateness(lateness) => {
+                let message = messages::Lateness {
+                    header: Header::new(at, ""),
+                    frames: lateness.frames,
+                    p50_us: lateness.p50_us,
+                    p99_us: lateness.p99_us,
+                    max_us: lateness.max_us,
+                };
+                self.tell("/emulation/lateness", at, &message, out);
+            }
+            Event::Detached { .. }
+            | Event::Scanned { .. }
+            | Event::Vnf(_)
+            | Event::PluginFault { .. }
+            | Event::WalkFinished { .. }
+            | Event::Notice { .. } => {}
+        }
+        if let Some(line) = told::log(at, event) {
+            self.tell("/rosout", at, &line, out);
+        }
+        if let Some(diagnostics) = told::diagnostics(at, event) {
+            self.tell("/diagnostics", at, &diagnostics, out);
+        }
+    }
+
+    /// A robot completed a turn of its lidar.
+    pub fn scan(&mut self, sensed: &SensedScan, out: Out<'_>) {
+        let Some(robot) = self.robots.get(&sensed.robot) else { return };
+        let mut scan = ros::laser_scan(&sensed.scan);
+        robot.frames.own(&mut scan.header.frame_id);
+        let topic = format!("/{}/scan", robot.topic);
+        out(self.channels.encode(&topic, Qos::Sensor, sensed.at, &scan));
+    }
+
+    fn robot(&mut self, at: Timestamp, context: &RobotContext, out: Out<'_>) {
+        let Some(robot) = self.robots.get(&context.robot) else { return };
+        let Robot { topic, frames, .. } = robot;
+        let sensors = &context.sensors;
+        out(self.channels.encode("/tf", Qos::Default, at, &frames.transforms(at, sensors)));
+        let mut odometry = ros::odometry(at, sensors);
+        frames.own(&mut odometry.header.frame_id);
+        frames.own(&mut odometry.child_frame_id);
+        out(self.channels.encode(&format!("/{topic}/odom"), Qos::Default, at, &odometry));
+        let pose = ros::localized(at, sensors);
+        out(self.channels.encode(&format!("/{topic}/amcl_pose"), Qos::Default, at, &pose));
+        let attachment = |a: &cotorra_graph::Attachment| messages::Attachment {
+            radio_unit: a.radio_unit.to_string(),
+            attached: a.attached,
+            signal_dbm: a.signal.map_or(f64::NAN, |signal| signal.0),
+        };
+        let message = messages::RobotContext {
+            header: Header::new(at, &frames.base()),
+            robot: context.robot.to_string(),
+            attached_to: text(context.attached_to()),
+            attachments: context.attachments.iter().map(attachment).collect(),
+            waypoint: context.waypoint,
+            bumper: sensors.bumper,
+            nearest_obstacle_m: sensors.nearest_obstacle_m.unwrap_or(f64::NAN),
+            health: context.health.iter().map(ToString::to_string).collect(),
+        };
+        out(self.channels.encode(&format!("/{topic}/context"), Qos::Default, at, &message));
+        let told = self.in_words(robot, context);
+        let markers = markers::robot(robot.number, context, &self.radio_units, &told);
+        out(self.channels.encode("/markers", Qos::Default, at, &markers));
+    }
+
+    /// What stands above a robot: its name, radio unit, server, and last service time.
+    fn in_words(&self, robot: &Robot, context: &RobotContext) -> String {
+        let attached = context.attached_to().map_or("no radio unit", |unit| unit.as_str());
+        let mut words = format!("{}: {attached}", context.robot);
+        let server = robot.navigation.as_ref().and_then(|vnf| self.placements.get(vnf));
+        words.extend(server.map(|server| format!(", {server}")));
+        if let Some(sample) = &robot.last {
+            let took = sample.took.map(|took| format!(", {:.1} ms", took.as_secs_f64() * 1e3));
+            words += &took.unwrap_or_else(|| ", no answer".to_owned());
+        }
+        words
+    }
+
+    fn service_time(&mut self, at: Timestamp, sample: &ServiceTime, out: Out<'_>) {
+        let Some(robot) = self.robots.get_mut(&sample.robot) else { return };
+        robot.last = Some(sample.clone());
+        let message = messages::ServiceTime {
+            header: Header::new(sample.emitted, &robot.frames.base()),
+            service: sample.service.to_string(),
+            robot: sample.robot.to_string(),
+            sequence: sample.sequence,
+            took_ms: sample.took.map_or(f64::NAN, |took| took.as_secs_f64() * 1e3),
+            attached_to: text(sample.attachment.as_ref()),
+            server: sample.server.to_string(),
+        };
+        out(self.channels.encode(&format!("/{}/service_time", robot.topic), Qos::Default, at, &message));
+    }
+
+    fn handover(&mut self, at: Timestamp, handover: &Handover, out: Out<'_>) {
+        let Some(robot) = self.robots.get(&handover.robot) else { return };
+        let message = messages::Handover {
+            header: Header::new(at, &robot.frames.base()),
+            robot: handover.robot.to_string(),
+            from_radio_unit: text(handover.from.as_ref()),
+            to_radio_unit: handover.to.to_string(),
+            fast: handover.fast,
+            gap_ms: handover.gap.as_secs_f64() * 1e3,
+        };
+        out(self.channels.encode(&format!("/{}/handover", robot.topic), Qos::Default, at, &message));
+    }
+
+    fn radio(&mut self, at: Timestamp, context: &RadioContext, out: Out<'_>) {
+        let station = |station: &cotorra_graph::StationContext| messages::Station {
+            robot: station.robot.to_string(),
+            signal_dbm: station.signal.0,
+            downlink_mbps: station.downlink_mbps,
+            uplink_mbps: station.uplink_mbps,
+        };
+        let message = messages::RadioContext {
+            header: Header::new(at, ""),
+            radio_unit: context.radio_unit.to_string(),
+            channel: context.channel,
+            load: context.load,
+            stations: context.stations.iter().map(station).collect(),
+        };
+        let topic = format!("/radio_units/{}", self.nodes.token(&context.radio_unit));
+        self.tell(&topic, at, &message, out);
+    }
+
+    fn link(&mut self, at: Timestamp, context: &LinkContext, out: Out<'_>) {
+        let direction = match context.direction {
+            Direction::Forward => "forward",
+            Direction::Backward => "backward",
+        };
+        let ms = |duration: std::time::Duration| duration.as_secs_f64() * 1e3;
+        let counters = &context.counters;
+        let message = messages::LinkContext {
+            header: Header::new(at, ""),
+            link: context.link.to_string(),
+            direction: direction.to_owned(),
+            delay_ms: context.delay.map_or(f64::NAN, ms),
+            throughput_bps: context.throughput_bps,
+            delay_scale: context.scale.delay_scale,
+            drop_scale: context.scale.drop_scale,
+            asked_delay_ms: ms(context.asked.delay),
+            effective_delay_ms: ms(context.effective.delay),
+            packets: counters.packets,
+            bytes: counters.bytes,
+            lost: counters.lost,
+            overflowed: counters.overflowed,
+            duplicated: counters.duplicated,
+            corrupted: counters.corrupted,
+        };
+        let topic = format!("/network/{}/{direction}", self.links.token(&context.link));
+        self.tell(&topic, at, &message, out);
+    }
+
+    fn tell<M: Message>(&mut self, topic: &str, at: Timestamp, message: &M, out: Out<'_>) {
+        out(self.channels.encode(topic, Qos::Default, at, message));
+    }
+}
+
+/// A name, or nothing where there is none.
+fn text(name: Option<&NodeId>) -> String {
+    name.map(ToString::to_string).unwrap_or_default()
+}

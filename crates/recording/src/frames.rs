@@ -1,0 +1,43 @@
+//! Where things are: the frames of robots in the tree of transforms. Each robot has frames of its own, named as its topics
+//! are; the map is everyone's.
+
+use cotorra_graph::{SensorData, Timestamp};
+use cotorra_plugin::messages::TFMessage;
+use cotorra_robot_middleware::ros::{self, BASE_FRAME, MAP_FRAME};
+
+/// A robot's frames.
+#[derive(Debug, Clone)]
+pub(crate) struct Frames(String);
+
+impl Frames {
+    /// The frames of the robot whose topics begin with that.
+    pub fn of(robot: &str) -> Self {
+        Self(robot.to_owned())
+    }
+
+    /// Makes a frame's name this robot's.
+    pub fn own(&self, frame: &mut String) {
+        if frame != MAP_FRAME {
+            *frame = self.named(frame);
+        }
+    }
+
+    /// The frame of the robot's base.
+    pub fn base(&self) -> String {
+        self.named(BASE_FRAME)
+    }
+
+    fn named(&self, frame: &str) -> String {
+        format!("{}/{frame}", self.0)
+    }
+
+    /// Where the robot and its lidar are.
+    pub fn transforms(&self, at: Timestamp, sensors: &SensorData) -> TFMessage {
+        let mut frames = ros::frames(at, sensors);
+        for transform in &mut frames.transforms {
+            self.own(&mut transform.header.frame_id);
+            self.own(&mut transform.child_frame_id);
+        }
+        frames
+    }
+}

@@ -1,0 +1,118 @@
+//! What ROS has standard messages for when things are told to people: the log, and diagnostics.
+
+use cotorra_graph::{Event, Lateness, RadioContext, Timestamp, VnfEvent, VnfState};
+use cotorra_plugin::messages::{Byte, Header};
+
+use crate::messages::{DiagnosticArray, DiagnosticStatus, KeyValue, Log};
+
+/// `rcl_interfaces/Log`'s levels.
+const INFO: u8 = 20;
+const WARN: u8 = 30;
+const ERROR: u8 = 40;
+
+/// `diagnostic_msgs/DiagnosticStatus`'s levels.
+const OK: Byte = Byte(0);
+const BAD: Byte = Byte(2);
+
+/// The line of the log that tells an event; most events are told elsewhere.
+pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
+    let (level, name, msg) = match event {
+        Event::Notice { message } => (INFO, "cotorra", message.clone()),
+        Event::Handover(handover) => {
+            let from = handover.from.as_ref().map_or("none", |from| from.as_str());
+            let gap_ms = handover.gap.as_secs_f64() * 1e3;
+            (INFO, handover.robot.as_str(), format!("from {from} to {}, gap {gap_ms:.1} ms", handover.to))
+        }
+        Event::Detached { robot, from } => (WARN, robot.as_str(), format!("lost {from}")),
+        Event::WalkFinished { robot } => (INFO, robot.as_str(), "is at the end of its walk".to_owned()),
+        Event::Placement(placement) => (INFO, placement.vnf.as_str(), format!("runs on {}", placement.node)),
+        Event::Vnf(event) => {
+            let level = if is_well(event) { INFO } else { ERROR };
+            (level, event.vnf.as_str(), format!("on {}: {}", event.node, state(event)))
+        }
+        Event::Decision(decision) => {
+            let refused = decision.refused.as_ref()?;
+            (WARN, decision.plugin.as_str(), format!("was refused: {refused}"))
+        }
+        Event::PluginFault { plugin, reason } => (ERROR, plugin.as_str(), format!("cut off: {reason}")),
+        _ => return None,
+    };
+    Some(Log { stamp: at.into(), level, name: name.to_owned(), msg, ..Log::default() })
+}
+
+/// The diagnostics that an event changes.
+pub(crate) fn diagnostics(at: Timestamp, event: &Event) -> Option<DiagnosticArray> {
+    let status = match event {
+        Event::Radio(context) => radio(context),
+        Event::Vnf(event) => vnf(event),
+        Event::Lateness(lateness) => emulation(lateness),
+        Event::PluginFault { plugin, reason } => DiagnosticStatus {
+            level: BAD,
+            name: format!("plug-in {plugin}"),
+            message: format!("cut off: {reason}"),
+            ..DiagnosticStatus::default()
+        },
+        _ => return None,
+    };
+    Some(DiagnosticArray { header: Header::new(at, ""), status: vec![status] })
+}
+
+fn radio(context: &RadioContext) -> DiagnosticStatus {
+    let mut values =
+        vec![value("channel", context.channel.to_string()), value("load", format!("{:.3}", context.load))];
+    values.extend(context.stations.iter().map(|station| {
+        let rates = (station.downlink_mbps, station.uplink_mbps);
+        let told = format!("{:.0} dBm, {} Mbit/s down, {} Mbit/s up", station.signal.0, rates.0, rates.1);
+        value(station.robot.as_str(), told)
+    }));
+    DiagnosticStatus {
+        level: OK,
+        name: format!("radio unit {}", context.radio_unit),
+        message: format!("{} stations", context.stations.len()),
+        hardware_id: context.radio_unit.to_string(),
+        values,
+    }
+}
+
+fn vnf(event: &VnfEvent) -> DiagnosticStatus {
+    DiagnosticStatus {
+        level: if is_well(event) { OK } else { BAD },
+        name: format!("VNF {}", event.vnf),
+        message: state(event),
+        hardware_id: event.node.to_string(),
+        values: Vec::new(),
+    }
+}
+
+fn emulation(lateness: &Lateness) -> DiagnosticStatus {
+    DiagnosticStatus {
+        level: OK,
+        name: "emulation".to_owned(),
+        message: format!("frames are {:.0} µs late (p99)", lateness.p99_us),
+        hardware_id: String::new(),
+        values: vec![
+            value("frames", lateness.frames.to_string()),
+            value("p50_us", format!("{:.1}", lateness.p50_us)),
+            value("p99_us", format!("{:.1}", lateness.p99_us)),
+            value("max_us", format!("{:.1}", lateness.max_us)),
+        ],
+    }
+}
+
+fn is_well(event: &VnfEvent) -> bool {
+    matches!(event.state, VnfState::Started | VnfState::Stopped)
+}
+
+fn state(event: &VnfEvent) -> String {
+    let state = match event.state {
+        VnfState::Started => "started",
+        VnfState::Died => "died",
+        VnfState::Stopped => "stopped",
+        VnfState::Failed => "failed",
+    };
+    event.detail.as_ref().map_or(state.to_owned(), |detail| format!("{state}: {detail}"))
+}
+
+fn value(key: &str, value: String) -> KeyValue {
+    KeyValue { key: key.to_owned(), value }
+}

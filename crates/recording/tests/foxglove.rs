@@ -1,0 +1,89 @@
+//! A viewer of Foxglove's WebSocket protocol - the Python package `websockets`, with `rosbags` as the decoder - watches.
+#![cfg(feature = "foxglove")]
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    env,
+    io::{BufRead, BufReader},
+    net::SocketAddr,
+    path::Path,
+    process::{Command, Stdio},
+    sync::Arc,
+};
+
+use cotorra_graph::{
+    Event, NodeId, Pose, PoseSource, RobotContext, SensorData, Stamped, Timestamp, Velocity, testbed_file,
+};
+use cotorra_recording::{About, Pace, Recording, RecordingError, Wanted};
+use serde_json::{Value, json};
+
+const TESTBED: &str = "
+name: hall
+wireless: { hall: { standard: n, delay: 1 ms } }
+nodes:
+  tb2: { kind: robot, cpus: 2, memory: 8 GB, position: [1, 2], network: hall }
+  R1: { kind: radio_unit, position: [3, 4], channel: 1, network: hall }
+links: []
+";
+
+/// The robot is that far along x after so many seconds.
+fn moved(second: u64) -> Arc<Stamped> {
+    let (covariance, source) = ([0.0; 9], PoseSource::Odometry);
+    let pose = Pose { x: second as f64, y: 2.0, heading: 0.0, covariance, source };
+    let sensors = SensorData {
+        pose,
+        odometry: pose,
+        velocity: Velocity::default(),
+        bumper: false,
+        nearest_obstacle_m: None,
+    };
+    let robot = NodeId::new("tb2").unwrap();
+    let context = RobotContext { robot, attachments: Vec::new(), sensors, waypoint: 0, health: Vec::new() };
+    Arc::new(Stamped { at: Timestamp::from_nanos(second * 1_000_000_000), event: Event::Robot(context) })
+}
+
+fn serve(address: SocketAddr) -> Result<Recording, RecordingError> {
+    let testbed = testbed_file::parse("hall.yaml", TESTBED, Path::new("."));
+    let testbed = Arc::new(testbed.unwrap_or_else(|error| panic!("{error}")));
+    let wanted = Wanted { file: None, foxglove: Some(address) };
+    let about = About { name: "hall", seed: 1, started_at_unix_ns: 0, testbed_file: TESTBED };
+    let begun = Recording::begin(&wanted, Path::new("."), &testbed, about, Pace::Live)?;
+    Ok(begun.expect("something is wanted"))
+}
+
+#[test]
+fn a_viewer_gets_what_stands_and_what_happens() {
+    let Some(python) = env::var_os("COTORRA_PEERS") else {
+        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
+        return eprintln!("skipped: COTORRA_PEERS names no Python with websockets and rosbags");
+    };
+    let recording = serve(([127, 0, 0, 1], 0).into()).unwrap();
+    recording.tap().event(moved(1));
+
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/watch.py");
+    let mut viewer = Command::new(python)
+        .arg(script)
+        .arg(recording.foxglove().unwrap().to_string())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(viewer.stdout.take().unwrap()).lines();
+    let mut next = || -> Value { serde_json::from_str(&lines.next().expect("a line").unwrap()).unwrap() };
+    assert_eq!(next(), json!("cotorra: hall"));
+    // Told before it came: it is latched.
+    assert_eq!(next(), json!({"t": 0, "names": ["R1"]}));
+    recording.tap().event(moved(7));
+    assert_eq!(next(), json!({"t": 7_000_000_000u64, "frame": "tb2/odom", "x": 7.0, "y": 2.0}));
+    assert!(viewer.wait().unwrap().success());
+
+    let summary = recording.finish();
+    assert_eq!((summary.dropped, summary.failed, summary.file), (0, None, None));
+}
+
+#[test]
+fn a_port_that_is_taken_is_an_error() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap();
+    let refused = serve(address).unwrap_err();
+    assert!(refused.to_string().starts_with(&format!("cannot serve Foxglove on {address}: ")), "{refused}");
+}
