@@ -1,20 +1,27 @@
 //! The ledger over which domains that do not trust each other agree on services: what is said to the contract
 //! `contracts/Federation.sol`, and what it says.
 //!
-//! [`Contract`] has the contract's rules without a ledger. With the feature `ethereum`, [`ethereum`] speaks to real
-//! ones.
+//! [`negotiation`] has the two roles as state machines, over any [`Ledger`]: [`ModelledLedger`] in virtual time, and with the
+//! feature `ethereum` real ones. [`Secret`] seals what others may not read; [`Contract`] has the contract's rules.
 #![forbid(unsafe_code)]
 
 mod contract;
 #[cfg(feature = "ethereum")]
 pub mod ethereum;
+mod ledger;
 mod message;
+mod modelled;
+pub mod negotiation;
+mod seal;
 mod values;
 
 pub use contract::Contract;
+pub use ledger::{Ledger, Notice, Rejection, Ticket};
 pub use message::{
     Call, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Refusal, Requirements, State, Terms,
 };
+pub use modelled::{ModelledChain, ModelledLedger};
+pub use seal::{Attachment, Bid, SealError, Sealable, Secret};
 pub use values::{
     Account, BlockHash, ChainTime, Commitment, ParseHexError, Price, PublicKey, Salt, ServiceId,
     TransactionHash, Wei,

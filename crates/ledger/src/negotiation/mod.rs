@@ -1,0 +1,116 @@
+//! The negotiation of a service, as a state machine for each of its two roles, without a network and without a clock.
+//!
+//! What the chain says is the truth: a machine folds the events of its service into where the service stands, compares
+//! that with what it wants, and submits the call that leads there, one at a time. So it does not matter how often a call
+//! is sent, or whether an event comes twice, late or is taken back; and an operator that was restarted is where it was
+//! once it has heard the events again. A machine that hears nothing gives up at a time of its own; what it has on the
+//! chain by then is ended as soon as the chain is heard.
+
+mod creator;
+mod provider;
+#[cfg(test)]
+mod tests;
+
+use cotorra_graph::Timestamp;
+
+use crate::{
+    ledger::{Ledger, Notice, Ticket},
+    message::{Call, Event, Outcome},
+    values::{Account, ChainTime, ServiceId},
+};
+
+pub use creator::{Creator, CreatorStep, Failure, Policy, Request};
+pub use provider::{Offer, Provider, ProviderStep};
+
+/// Where a service stands, by what was heard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Seen {
+    Nothing,
+    Open { deadline: ChainTime },
+    Closed { provider: Account, deadline: ChainTime },
+    Deployed { provider: Account, deadline: ChainTime },
+    InUse { provider: Account, deadline: ChainTime },
+    Ended(Outcome),
+}
+
+/// What was heard of one service.
+#[derive(Debug)]
+struct Heard {
+    id: ServiceId,
+    events: Vec<Event>,
+    /// Of the last head.
+    time: ChainTime,
+}
+
+impl Heard {
+    fn new(id: ServiceId) -> Self {
+        Self { id, events: Vec::new(), time: ChainTime::default() }
+    }
+
+    /// Takes in a notice. Returns its event, if that is news of the service.
+    fn take<'a>(&mut self, notice: &'a Notice) -> Option<&'a Event> {
+        match notice {
+            // A service has each of its events once: one that is there already was only told again.
+            Notice::Event(event) if event.service() == Some(self.id) && !self.events.contains(event) => {
+                self.events.push(event.clone());
+                return Some(event);
+            }
+            Notice::Retracted(event) => self.events.retain(|other| other != event),
+            Notice::Head { time, .. } => self.time = *time,
+            _ => {}
+        }
+        None
+    }
+
+    /// Where the service stands. What comes later in its life counts, in whatever order it was heard.
+    fn seen(&self) -> Seen {
+        let rank = |event: &Event| match *event {
+            Event::ServiceAnnounced { deadline, .. } => Some((1, Seen::Open { deadline })),
+            Event::ProviderChosen { provider, deadline, .. } => {
+                Some((2, Seen::Closed { provider, deadline }))
+            }
+            Event::ServiceDeployed { provider, deadline, .. } => {
+                Some((3, Seen::Deployed { provider, deadline }))
+            }
+            Event::ServiceAccepted { provider, deadline, .. } => {
+                Some((4, Seen::InUse { provider, deadline }))
+            }
+            Event::ServiceEnded { outcome, .. } => Some((5, Seen::Ended(outcome))),
+            Event::BidPlaced { .. } | Event::OperatorRegistered { .. } | Event::Withdrawn { .. } => None,
+        };
+        let last = self.events.iter().filter_map(rank).max_by_key(|(rank, _)| *rank);
+        last.map_or(Seen::Nothing, |(_, seen)| seen)
+    }
+}
+
+/// The calls that a machine has with the ledger.
+#[derive(Debug, Default)]
+struct Calls {
+    in_flight: Vec<(Ticket, Call)>,
+    /// After a refusal nothing is tried before the next head: the same chain would say the same again.
+    is_held: bool,
+}
+
+impl Calls {
+    fn take(&mut self, notice: &Notice) {
+        match notice {
+            Notice::Refused(ticket, _) => {
+                let before = self.in_flight.len();
+                self.in_flight.retain(|(other, _)| other != ticket);
+                self.is_held |= self.in_flight.len() < before;
+            }
+            Notice::Head { .. } => self.is_held = false,
+            _ => {}
+        }
+    }
+
+    /// Submits a call that is not with the ledger yet. Returns whether it did.
+    fn submit(&mut self, now: Timestamp, ledger: &mut dyn Ledger, call: Call) -> bool {
+        if self.is_held || self.in_flight.iter().any(|(_, other)| *other == call) {
+            return false;
+        }
+        let ticket = ledger.submit(now, call.clone());
+        self.in_flight.push((ticket, call));
+        true
+    }
+}

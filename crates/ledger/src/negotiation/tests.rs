@@ -1,0 +1,559 @@
+//! Negotiations over the modelled ledger, in virtual time: as they should go, when something goes wrong, and with
+//! everything going wrong at random.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::Timestamp;
+use proptest::prelude::*;
+
+use super::*;
+use crate::{
+    ChainTime, Commitment, ModelledChain, ModelledLedger, Price, PublicKey, Refusal, Requirements, Salt,
+    State, Terms, Wei,
+    seal::{Attachment, Secret},
+};
+
+const PERIOD: Duration = Duration::from_secs(5);
+const TERMS: Terms = Terms { open_for: 60, deploy_within: 30, accept_within: 30, use_for: 120 };
+const POLICY: Policy = Policy {
+    highest: Price::new(100).unwrap(),
+    collect: Duration::from_secs(20),
+    enough: 2,
+    patience: Duration::from_secs(90),
+};
+
+fn seconds(seconds: f64) -> Timestamp {
+    Timestamp::from_secs_f64(seconds)
+}
+
+fn account(number: u8) -> Account {
+    Account([number; 20])
+}
+
+fn secret(number: u8) -> Secret {
+    Secret::new([number; 32])
+}
+
+fn request() -> Request {
+    let requirements = Requirements {
+        vnf: "vAP".to_owned(),
+        map: "corridor".to_owned(),
+        x_mm: 1,
+        y_mm: 2,
+        radius_mm: 3,
+        ssid: "robots".to_owned(),
+        mobility_domain: 7,
+        frequency_mhz: 0,
+        width_mhz: 20,
+        signal_dbm: -70,
+    };
+    Request { requirements, terms: TERMS, policy: POLICY }
+}
+
+fn attachment() -> Attachment {
+    Attachment {
+        radio_unit: "R4".to_owned(),
+        ssid: "robots".to_owned(),
+        bssid: [2, 0, 0, 0, 0, 4],
+        frequency_mhz: 5180,
+        pmk_r1: [8; 32],
+    }
+}
+
+/// How a provider behaves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Manner {
+    Honest,
+    NeverBids,
+    NeverDeploys,
+    FailsToDeploy,
+    /// Says that it deployed, but nobody can attach.
+    Lies,
+}
+
+/// How messages between the operators and the ledger go astray: for each notice how often it is told, and how much later.
+#[derive(Debug, Clone, Default)]
+struct Faults {
+    /// Taken in turn, again and again; without any, all goes well.
+    by_notice: Vec<Fault>,
+    next: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Fault {
+    None,
+    Twice,
+    Late(u32),
+    /// Told, taken back, and told again.
+    TakenBack,
+    /// The ledger's node rejects a call instead of telling that it is in a block, although it is.
+    Rejected,
+}
+
+/// A ledger that tells its notices with faults.
+struct Faulty {
+    ledger: ModelledLedger,
+    faults: Faults,
+    waiting: VecDeque<(Timestamp, Notice)>,
+}
+
+impl Faulty {
+    fn take_in(&mut self, now: Timestamp) {
+        while let Some(notice) = self.ledger.poll(now) {
+            let fault = match self.faults.by_notice.len() {
+                0 => Fault::None,
+                count => self.faults.by_notice[self.faults.next % count],
+            };
+            self.faults.next += 1;
+            match (fault, &notice) {
+                (Fault::Twice, Notice::Event(_)) => {
+                    self.waiting.extend([(now, notice.clone()), (now, notice)]);
+                }
+                (Fault::TakenBack, Notice::Event(event)) => {
+                    let back = Notice::Retracted(event.clone());
+                    self.waiting.extend([(now, notice.clone()), (now, back), (now, notice)]);
+                }
+                (Fault::Rejected, Notice::Included(ticket)) => {
+                    let rejected = Notice::Refused(*ticket, Refusal::OnlyCreator.into());
+                    self.waiting.push_back((now, rejected));
+                }
+                (Fault::Late(by), _) => {
+                    self.waiting.push_back((now + Duration::from_secs(by.into()), notice));
+                }
+                _ => self.waiting.push_back((now, notice)),
+            }
+        }
+    }
+}
+
+impl Ledger for Faulty {
+    fn account(&self) -> Account {
+        self.ledger.account()
+    }
+
+    fn submit(&mut self, now: Timestamp, call: Call) -> Ticket {
+        self.ledger.submit(now, call)
+    }
+
+    fn poll(&mut self, now: Timestamp) -> Option<Notice> {
+        self.take_in(now);
+        let at = self.waiting.iter().position(|(due, _)| *due <= now)?;
+        self.waiting.remove(at).map(|(_, notice)| notice)
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        let waiting = self.waiting.iter().map(|(due, _)| *due);
+        waiting.chain(self.ledger.next_deadline()).min()
+    }
+}
+
+struct Domain {
+    ledger: Faulty,
+    manner: Manner,
+    price: u128,
+    bids: Vec<Provider>,
+    steps: Vec<(Timestamp, ProviderStep)>,
+}
+
+/// A creator and providers on one chain.
+struct World {
+    chain: ModelledChain,
+    ledger: Faulty,
+    creator: Creator,
+    providers: Vec<Domain>,
+    steps: Vec<(Timestamp, CreatorStep)>,
+    /// How long the robot takes to attach; and how long it uses the service.
+    attach: Duration,
+    using: Duration,
+    attach_at: Option<Timestamp>,
+    release_at: Option<Timestamp>,
+    now: Timestamp,
+}
+
+impl World {
+    fn new(providers: &[(Manner, u128)], faults: Faults) -> Self {
+        let chain = ModelledChain::new(PERIOD);
+        let ledger = |number| Faulty {
+            ledger: chain.ledger(account(number)),
+            faults: faults.clone(),
+            waiting: VecDeque::new(),
+        };
+        let mut world = Self {
+            ledger: ledger(0),
+            creator: Creator::new(seconds(6.0), account(0), secret(0), Salt([1; 32]), request()),
+            providers: (1..)
+                .zip(providers)
+                .map(|(number, (manner, price))| Domain {
+                    ledger: ledger(number),
+                    manner: *manner,
+                    price: *price,
+                    bids: Vec::new(),
+                    steps: Vec::new(),
+                })
+                .collect(),
+            steps: Vec::new(),
+            attach: Duration::from_millis(500),
+            using: Duration::from_secs(20),
+            attach_at: None,
+            release_at: None,
+            now: Timestamp::ZERO,
+            chain,
+        };
+        world.ledger.submit(Timestamp::ZERO, Call::Register { name: "domain 1".to_owned() });
+        for domain in &mut world.providers {
+            domain.ledger.submit(Timestamp::ZERO, Call::Register { name: "another".to_owned() });
+        }
+        world
+    }
+
+    /// Goes from deadline to deadline until then.
+    fn run(&mut self, until: Timestamp) {
+        while self.now <= until {
+            if self.now >= seconds(6.0) {
+                self.creator();
+            }
+            for domain in &mut self.providers {
+                domain.go_on(self.now);
+            }
+            let own =
+                [self.ledger.next_deadline(), self.creator.next_deadline(), self.attach_at, self.release_at];
+            let others = self.providers.iter().flat_map(|domain| {
+                domain.bids.iter().map(Provider::next_deadline).chain([domain.ledger.next_deadline()])
+            });
+            let next = own.into_iter().chain(others).flatten().min().unwrap_or(Timestamp::MAX);
+            self.now = next.max(self.now + Duration::from_millis(1));
+        }
+    }
+
+    fn creator(&mut self) {
+        let now = self.now;
+        while let Some(notice) = self.ledger.poll(now) {
+            self.creator.handle(now, &notice);
+            self.creator.submit(now, &mut self.ledger);
+        }
+        self.creator.expire(now);
+        if self.attach_at.is_some_and(|at| now >= at) {
+            self.attach_at = None;
+            self.creator.attached();
+        }
+        if self.release_at.is_some_and(|at| now >= at) {
+            self.release_at = None;
+            self.creator.release();
+        }
+        self.creator.submit(now, &mut self.ledger);
+        while let Some(step) = self.creator.poll_step() {
+            match &step {
+                CreatorStep::Deployed(there) if *there == attachment() => {
+                    self.attach_at = Some(now + self.attach);
+                }
+                CreatorStep::Deployed(_) => self.creator.unusable(),
+                CreatorStep::InUse => self.release_at = Some(now + self.using),
+                _ => {}
+            }
+            self.steps.push((now, step));
+        }
+        self.creator.submit(now, &mut self.ledger);
+    }
+
+    fn failure(&self) -> Option<Failure> {
+        self.steps.iter().find_map(|(_, step)| match step {
+            CreatorStep::Failed(failure) => Some(*failure),
+            _ => None,
+        })
+    }
+
+    fn outcome(&self) -> Option<Outcome> {
+        self.steps.iter().find_map(|(_, step)| match step {
+            CreatorStep::Ended(outcome) => Some(*outcome),
+            _ => None,
+        })
+    }
+
+    /// When the creator came to a step first.
+    fn at(&self, wanted: impl Fn(&CreatorStep) -> bool) -> f64 {
+        self.steps.iter().find(|(_, step)| wanted(step)).expect("it came to that").0.as_secs_f64()
+    }
+
+    /// What must hold behind every negotiation: nothing is left on the chain, and both sides know.
+    fn assert_over(&self) {
+        let state = self.chain.contract().state(self.creator.id());
+        assert!(matches!(state, State::None | State::Ended), "{state:?} {:?}", self.steps);
+        assert!(self.creator.is_over(), "{:?}", self.creator);
+        for domain in &self.providers {
+            assert!(domain.bids.iter().all(Provider::is_over), "{:?}", domain.bids);
+            let deployed = domain.steps.iter().any(|(_, step)| matches!(step, ProviderStep::Won));
+            let told = |(_, step): &(_, ProviderStep)| {
+                matches!(step, ProviderStep::Ended { .. } | ProviderStep::Overdue)
+            };
+            assert!(!deployed || domain.steps.iter().any(told), "taken down: {:?}", domain.steps);
+        }
+    }
+}
+
+impl Domain {
+    fn go_on(&mut self, now: Timestamp) {
+        let own = self.ledger.account();
+        while let Some(notice) = self.ledger.poll(now) {
+            if let Notice::Event(event) = &notice
+                && self.manner != Manner::NeverBids
+                && !self.bids.iter().any(|bid| Some(bid.id()) == event.service())
+            {
+                let offer =
+                    Offer { price: Price::new(self.price).unwrap(), endpoint: "http://there".to_owned() };
+                self.bids.extend(Provider::new(own, secret(own.0[0]), event, offer).unwrap());
+            }
+            for bid in &mut self.bids {
+                bid.handle(now, &notice);
+            }
+        }
+        for bid in &mut self.bids {
+            bid.expire(now);
+            bid.submit(now, &mut self.ledger).unwrap();
+            while let Some(step) = bid.poll_step() {
+                if step == ProviderStep::Won {
+                    match self.manner {
+                        Manner::Honest => bid.deployed(attachment()),
+                        Manner::Lies => {
+                            bid.deployed(Attachment { ssid: "nothing".to_owned(), ..attachment() })
+                        }
+                        Manner::FailsToDeploy => bid.give_back(),
+                        Manner::NeverBids | Manner::NeverDeploys => {}
+                    }
+                }
+                self.steps.push((now, step));
+            }
+            bid.submit(now, &mut self.ledger).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_negotiation_takes_the_blocks_that_it_must_and_nothing_else() {
+    let mut world =
+        World::new(&[(Manner::Honest, 9), (Manner::Honest, 7), (Manner::NeverBids, 1)], Faults::default());
+    world.run(seconds(200.0));
+    world.assert_over();
+    assert_eq!(world.failure(), None);
+    assert_eq!(world.outcome(), Some(Outcome::Released));
+    // Started at 6 s: announced in the block at 10 s, bids at 15 s, choice at 20 s, confirmation at 25 s.
+    assert_eq!(world.at(|step| *step == CreatorStep::Announced), 10.0);
+    assert_eq!(world.at(|step| matches!(step, CreatorStep::BidReceived { .. })), 15.0);
+    let cheapest = account(2);
+    assert_eq!(
+        world.at(|step| matches!(step, CreatorStep::Choosing { provider, .. } if *provider == cheapest)),
+        15.0
+    );
+    assert_eq!(world.at(|step| *step == CreatorStep::Chosen), 20.0);
+    assert_eq!(world.at(|step| matches!(step, CreatorStep::Deployed(_))), 25.0);
+    assert_eq!(world.at(|step| *step == CreatorStep::InUse), 30.0);
+    // In use from 30 s, released 20 s later, in the block at 55 s; charged from the deployment in the block at 25 s.
+    assert_eq!(world.chain.contract().balance(cheapest), Wei(7 * 30));
+    assert_eq!(world.chain.contract().balance(account(0)), Wei(7 * 90));
+}
+
+#[test]
+fn the_worse_of_two_bids_loses_and_hears_of_it() {
+    let mut world = World::new(&[(Manner::Honest, 7), (Manner::Honest, 9)], Faults::default());
+    world.run(seconds(100.0));
+    let lost = |domain: &Domain| domain.steps.iter().any(|(_, step)| *step == ProviderStep::Lost);
+    assert!(!lost(&world.providers[0]) && lost(&world.providers[1]));
+}
+
+#[test]
+fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
+    use Manner::*;
+    type Case = (&'static [(Manner, u128)], Failure, Outcome);
+    let cases: [Case; 6] = [
+        (&[], Failure::NoBid, Outcome::Cancelled),
+        (&[(NeverBids, 1)], Failure::NoBid, Outcome::Cancelled),
+        (&[(Honest, 101), (Honest, 0)], Failure::NoGoodBid, Outcome::Cancelled),
+        (&[(NeverDeploys, 5), (Honest, 6)], Failure::NotDeployed, Outcome::NotDeployed),
+        (&[(FailsToDeploy, 5), (Honest, 6)], Failure::NotDeployed, Outcome::Declined),
+        (&[(Lies, 5), (Honest, 6)], Failure::Unusable, Outcome::Cancelled),
+    ];
+    for (providers, failure, outcome) in cases {
+        let mut world = World::new(providers, Faults::default());
+        world.run(seconds(400.0));
+        world.assert_over();
+        assert_eq!(world.failure(), Some(failure), "{providers:?}");
+        let ended = world.outcome();
+        // Whoever says first that the time has passed ends it.
+        let late = outcome == Outcome::NotDeployed && ended == Some(Outcome::Cancelled);
+        assert!(ended == Some(outcome) || late, "{providers:?}: {ended:?}");
+        assert_eq!(world.chain.contract().balance(account(1)), Wei(0));
+    }
+}
+
+#[test]
+fn a_ledger_that_says_nothing_is_given_up_and_what_it_has_is_ended_when_it_is_back() {
+    let away = Faults { by_notice: vec![Fault::Late(150)], next: 0 };
+    let mut world = World::new(&[], away);
+    world.run(seconds(100.0));
+    assert_eq!(world.failure(), Some(Failure::Ledger));
+    assert!(!world.creator.is_over());
+    world.run(seconds(500.0));
+    world.assert_over();
+}
+
+#[test]
+fn a_creator_that_is_restarted_at_any_time_goes_on_where_it_was() {
+    for restart in (0..60).step_by(2) {
+        let mut world = World::new(&[(Manner::Honest, 5), (Manner::Honest, 6)], Faults::default());
+        world.run(seconds(f64::from(restart)));
+        let mut again = Creator::new(world.now, account(0), secret(0), Salt([1; 32]), request());
+        // What the chain has said of the service; calls that were with the ledger are lost, or come twice.
+        for event in world.creator.heard.events.clone() {
+            again.handle(world.now, &Notice::Event(event));
+        }
+        world.creator = again;
+        world.run(seconds(600.0));
+        world.assert_over();
+        assert_eq!(world.failure(), None, "restarted at {restart} s: {:?}", world.steps);
+        assert_eq!(world.outcome(), Some(Outcome::Released), "restarted at {restart} s");
+    }
+}
+
+fn fault() -> impl Strategy<Value = Fault> {
+    prop_oneof![
+        6 => Just(Fault::None),
+        1 => Just(Fault::Twice),
+        2 => (1..40u32).prop_map(Fault::Late),
+        1 => Just(Fault::TakenBack),
+        1 => Just(Fault::Rejected),
+    ]
+}
+
+fn manner() -> impl Strategy<Value = Manner> {
+    use Manner::*;
+    prop_oneof![4 => Just(Honest), 1 => Just(NeverBids), 1 => Just(NeverDeploys), 1 => Just(FailsToDeploy), 1 => Just(Lies)]
+}
+
+/// Any event of the service, sensible or not.
+fn any_event() -> impl Strategy<Value = Event> {
+    let id = ServiceId::of(account(0), Salt([1; 32]));
+    let deadline = || (0..400u64).prop_map(ChainTime);
+    let provider = || (0..4u8).prop_map(account);
+    prop_oneof![
+        deadline().prop_map(move |deadline| Event::ServiceAnnounced {
+            id,
+            creator: account(0),
+            key: PublicKey([1; 32]),
+            requirements: request().requirements,
+            terms: TERMS,
+            deadline,
+        }),
+        provider().prop_map(move |provider| Event::BidPlaced {
+            id,
+            provider,
+            commitment: Commitment([1; 32]),
+            sealed: vec![1; 200],
+        }),
+        (provider(), deadline()).prop_map(move |(provider, deadline)| Event::ProviderChosen {
+            id,
+            provider,
+            price: Price::MAX,
+            deadline,
+        }),
+        (provider(), deadline()).prop_map(move |(provider, deadline)| Event::ServiceDeployed {
+            id,
+            provider,
+            sealed: vec![2; 200],
+            deadline,
+        }),
+        (provider(), deadline()).prop_map(move |(provider, deadline)| Event::ServiceAccepted {
+            id,
+            provider,
+            deadline
+        }),
+        provider().prop_map(move |provider| Event::ServiceEnded {
+            id,
+            provider,
+            outcome: Outcome::Released,
+            charge: Wei(1),
+        }),
+    ]
+}
+
+fn any_notice() -> impl Strategy<Value = Notice> {
+    prop_oneof![
+        6 => any_event().prop_map(Notice::Event),
+        2 => any_event().prop_map(Notice::Retracted),
+        2 => (0..500u64).prop_map(|time| Notice::Head { number: time, time: ChainTime(time) }),
+        1 => (1..6u64).prop_map(|ticket| Notice::Included(Ticket(ticket))),
+        1 => (1..6u64).prop_map(|ticket| Notice::Refused(Ticket(ticket), Refusal::TooLate(ChainTime(0)).into())),
+        1 => Just(Notice::Down("away".to_owned())),
+        1 => Just(Notice::Up),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(128))]
+
+    #[test]
+    fn whatever_goes_wrong_all_of_it_ends(
+        providers in prop::collection::vec((manner(), 1..110u128), 0..4),
+        faults in prop::collection::vec(fault(), 1..40),
+        attach in 0..60_000u64,
+        using in 0..200u64,
+    ) {
+        let mut world = World::new(&providers, Faults { by_notice: faults, next: 0 });
+        (world.attach, world.using) = (Duration::from_millis(attach), Duration::from_secs(using));
+        world.run(seconds(1500.0));
+        world.assert_over();
+        // Nobody is charged for what it did not use, and no money is lost.
+        let contract = world.chain.contract();
+        let balances: u128 = (0..5).map(|number| contract.balance(account(number)).0).sum();
+        prop_assert_eq!(Wei(balances), contract.holds());
+    }
+
+    #[test]
+    fn whatever_is_heard_the_creator_has_an_answer_in_time(
+        notices in prop::collection::vec((any_notice(), 0..2_000u64), 0..60),
+    ) {
+        let chain = ModelledChain::new(PERIOD);
+        let mut ledger = chain.ledger(account(0));
+        let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
+        let mut now = Timestamp::ZERO;
+        for (notice, later) in notices {
+            now = now + Duration::from_millis(later);
+            creator.handle(now, &notice);
+            creator.submit(now, &mut ledger);
+        }
+        creator.expire(now.max(Timestamp::ZERO + POLICY.patience));
+        prop_assert_eq!(creator.next_deadline(), None, "it no longer waits");
+        let used = matches!(creator.heard.seen(), Seen::InUse { .. });
+        let answered = std::iter::from_fn(|| creator.poll_step())
+            .any(|step| matches!(step, CreatorStep::Failed(_) | CreatorStep::InUse));
+        prop_assert!(answered || used);
+    }
+
+    #[test]
+    fn whatever_is_heard_a_provider_goes_on(notices in prop::collection::vec((any_notice(), 0..2_000u64), 0..60)) {
+        let chain = ModelledChain::new(PERIOD);
+        let mut ledger = chain.ledger(account(1));
+        let announced = Event::ServiceAnnounced {
+            id: ServiceId::of(account(0), Salt([1; 32])),
+            creator: account(0),
+            key: secret(0).public_key(Salt([1; 32])),
+            requirements: request().requirements,
+            terms: TERMS,
+            deadline: ChainTime(300),
+        };
+        let offer = Offer { price: Price::MAX, endpoint: String::new() };
+        let mut provider = Provider::new(account(1), secret(1), &announced, offer).unwrap().unwrap();
+        let mut now = Timestamp::ZERO;
+        for (notice, later) in notices {
+            now = now + Duration::from_millis(later);
+            provider.handle(now, &notice);
+            provider.expire(now);
+            prop_assert_eq!(provider.submit(now, &mut ledger), Ok(()));
+            if provider.poll_step() == Some(ProviderStep::Won) {
+                provider.deployed(attachment());
+            }
+        }
+        // Long after every deadline, it has told that what was deployed is to be taken down, or it is over.
+        let end = now + Duration::from_secs(10_000);
+        provider.expire(end);
+        prop_assert_eq!(provider.next_deadline(), None);
+    }
+}

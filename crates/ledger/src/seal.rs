@@ -1,0 +1,319 @@
+//! What others may not read, although everybody can see it: bids, and what is needed to attach, encrypted to the
+//! one-time key of an announcement by hybrid public-key encryption (RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305).
+//!
+//! All randomness is derived from the operator's secret and from what it is for, as deterministic signatures do
+//! (RFC 6979): an operator that is restarted has its keys again, says again what it said, and keeps nothing on disk.
+
+use std::fmt;
+
+use hpke::{
+    Deserializable, Kem as _, OpModeR, OpModeS, Serializable, aead::ChaCha20Poly1305, kdf::HkdfSha256,
+    kem::X25519HkdfSha256,
+};
+use rand::{SeedableRng, rngs::ChaCha20Rng};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use sha3::{Digest, Keccak256};
+
+use crate::{
+    message::MAX_SEALED,
+    values::{Account, Price, PublicKey, Salt, ServiceId},
+};
+
+type Kem = X25519HkdfSha256;
+
+/// Bytes in front of a sealed message: the sender's one-time public key.
+const HEAD: usize = 32;
+/// Bytes behind it: the authentication tag.
+const TAG: usize = 16;
+/// Messages are filled up to a multiple of this, so that their length says nothing.
+const BLOCK: usize = 256;
+
+/// A message that cannot be sealed or opened.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SealError {
+    /// The key is no point that can be encrypted to.
+    #[error("{0} is no X25519 public key")]
+    Key(PublicKey),
+    /// There is too much to say.
+    #[error("a message of {0} bytes does not fit: sealed messages have at most {MAX_SEALED}")]
+    TooLong(usize),
+    /// It was sealed to another key, for another service or purpose, or by another sender; or it was changed.
+    #[error("the message was not sealed to this key by this sender for this service")]
+    Broken,
+    /// What was sealed is not what it should be.
+    #[error("the sealed message says something else than it should: {0}")]
+    Content(String),
+}
+
+/// An operator's secret: all its keys and salts come from it.
+#[derive(Clone)]
+pub struct Secret([u8; 32]);
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Secret(…)")
+    }
+}
+
+/// What can be sealed.
+pub trait Sealable: Serialize + DeserializeOwned {
+    /// Keeps a message of one kind from being taken for another.
+    const PURPOSE: &'static str;
+}
+
+/// What a provider says to the creator alone.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bid {
+    /// Of the commitment.
+    price: u128,
+    /// Of the commitment.
+    salt: [u8; 32],
+    /// Where the provider's orchestrator is reached.
+    pub endpoint: String,
+}
+
+impl Bid {
+    /// A bid; `salt` comes from [`Secret::bid_salt`].
+    pub fn new(price: Price, salt: Salt, endpoint: String) -> Self {
+        Self { price: price.get(), salt: salt.0, endpoint }
+    }
+
+    /// The price; `None` if it is higher than any can be.
+    pub fn price(&self) -> Option<Price> {
+        Price::new(self.price)
+    }
+
+    /// What the commitment was made with.
+    pub fn salt(&self) -> Salt {
+        Salt(self.salt)
+    }
+}
+
+impl Sealable for Bid {
+    const PURPOSE: &'static str = "bid";
+}
+
+/// What is needed to attach to a deployed virtual access point.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attachment {
+    /// The radio unit that it runs on, as its domain calls it.
+    pub radio_unit: String,
+    /// The network's name.
+    pub ssid: String,
+    /// The access point's address, six bytes.
+    pub bssid: [u8; 6],
+    /// Of the channel's centre.
+    pub frequency_mhz: u16,
+    /// The pairwise master key of fast transition (IEEE 802.11-2020, 12.7.1.6.4: PMK-R1), for this robot and access
+    /// point alone.
+    pub pmk_r1: [u8; 32],
+}
+
+impl fmt::Debug for Attachment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { radio_unit, ssid, bssid, frequency_mhz, pmk_r1: _ } = self;
+        write!(f, "Attachment({ssid} on {radio_unit}, {bssid:02x?}, {frequency_mhz} MHz)")
+    }
+}
+
+impl Sealable for Attachment {
+    const PURPOSE: &'static str = "attachment";
+}
+
+impl Secret {
+    /// From 32 bytes that nobody else knows.
+    pub fn new(bytes: [u8; 32]) -> Self {
+        Self(bytes)
+    }
+
+    /// The public half of the one-time key of the service that is announced with `salt`.
+    pub fn public_key(&self, salt: Salt) -> PublicKey {
+        PublicKey(Kem::derive_keypair(&self.derive("one-time key", &[&salt.0])).1.to_bytes().into())
+    }
+
+    /// The salt of the operator's `number`th announcement.
+    pub fn announcement_salt(&self, number: u64) -> Salt {
+        Salt(self.derive("announcement", &[&number.to_be_bytes()]))
+    }
+
+    /// The salt of the operator's bid for a service.
+    pub fn bid_salt(&self, id: ServiceId) -> Salt {
+        Salt(self.derive("bid", &[&id.0]))
+    }
+
+    /// Seals what this operator, `sender`, says of a service to the holder of `key`.
+    ///
+    /// # Errors
+    /// [`SealError::Key`] if `key` is none; [`SealError::TooLong`].
+    pub fn seal<T: Sealable>(
+        &self,
+        key: PublicKey,
+        id: ServiceId,
+        sender: Account,
+        message: &T,
+    ) -> Result<Vec<u8>, SealError> {
+        let to = <Kem as hpke::Kem>::PublicKey::from_bytes(&key.0).map_err(|_| SealError::Key(key))?;
+        let mut text = serde_json::to_vec(message).expect("it has strings for keys");
+        // JSON ends by itself: blanks behind it change nothing.
+        text.resize(text.len().next_multiple_of(BLOCK), b' ');
+        let length = HEAD + text.len() + TAG;
+        if length > MAX_SEALED {
+            return Err(SealError::TooLong(length));
+        }
+        let seed = self.derive("sealing", &[&key.0, &info::<T>(id, sender), &text]);
+        let (head, body) = hpke::single_shot_seal_with_rng::<ChaCha20Poly1305, HkdfSha256, Kem>(
+            &OpModeS::Base,
+            &to,
+            &info::<T>(id, sender),
+            &text,
+            &[],
+            &mut ChaCha20Rng::from_seed(seed),
+        )
+        .map_err(|_| SealError::Key(key))?;
+        Ok([&head.to_bytes()[..], &body].concat())
+    }
+
+    /// Opens what `sender` sealed for the service that this operator announced with `salt`.
+    ///
+    /// # Errors
+    /// [`SealError::Broken`] or [`SealError::Content`].
+    pub fn open<T: Sealable>(
+        &self,
+        salt: Salt,
+        id: ServiceId,
+        sender: Account,
+        sealed: &[u8],
+    ) -> Result<T, SealError> {
+        let (key, _) = Kem::derive_keypair(&self.derive("one-time key", &[&salt.0]));
+        let (head, body) = sealed.split_at_checked(HEAD).ok_or(SealError::Broken)?;
+        let head = <Kem as hpke::Kem>::EncappedKey::from_bytes(head).map_err(|_| SealError::Broken)?;
+        let text = hpke::single_shot_open::<ChaCha20Poly1305, HkdfSha256, Kem>(
+            &OpModeR::Base,
+            &key,
+            &head,
+            &info::<T>(id, sender),
+            body,
+            &[],
+        )
+        .map_err(|_| SealError::Broken)?;
+        serde_json::from_slice(&text).map_err(|reason| SealError::Content(reason.to_string()))
+    }
+
+    /// Keccak-256 of the secret, a label and parts, each with its length: a sponge with its key in front is a
+    /// pseudo-random function (Bertoni and others, "Cryptographic sponge functions", 2011).
+    fn derive(&self, label: &str, parts: &[&[u8]]) -> [u8; 32] {
+        let mut hash = Keccak256::new().chain_update(self.0);
+        for part in [&[label.as_bytes()], parts].concat() {
+            hash.update((part.len() as u64).to_be_bytes());
+            hash.update(part);
+        }
+        hash.finalize().into()
+    }
+}
+
+/// What a message is bound to: a copy for another service, or by another sender, does not open.
+fn info<T: Sealable>(id: ServiceId, sender: Account) -> Vec<u8> {
+    [b"cotorra federation ", T::PURPOSE.as_bytes(), b"\0", &id.0, &sender.0].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const ID: ServiceId = ServiceId([3; 32]);
+    const SENDER: Account = Account([4; 20]);
+    const SALT: Salt = Salt([5; 32]);
+
+    fn creator() -> Secret {
+        Secret::new([1; 32])
+    }
+
+    fn provider() -> Secret {
+        Secret::new([2; 32])
+    }
+
+    fn bid() -> Bid {
+        Bid::new(Price::MAX, Salt([7; 32]), "http://domain-2:7700".to_owned())
+    }
+
+    fn sealed() -> Vec<u8> {
+        provider().seal(creator().public_key(SALT), ID, SENDER, &bid()).unwrap()
+    }
+
+    #[test]
+    fn the_holder_of_the_key_alone_reads_it() {
+        assert_eq!(creator().open(SALT, ID, SENDER, &sealed()), Ok(bid()));
+        assert_eq!(provider().open::<Bid>(SALT, ID, SENDER, &sealed()), Err(SealError::Broken));
+    }
+
+    #[test]
+    fn a_copy_for_another_service_key_purpose_or_sender_does_not_open() {
+        let creator = creator();
+        assert_eq!(creator.open::<Bid>(SALT, ServiceId([9; 32]), SENDER, &sealed()), Err(SealError::Broken));
+        assert_eq!(creator.open::<Bid>(SALT, ID, Account([9; 20]), &sealed()), Err(SealError::Broken));
+        assert_eq!(creator.open::<Bid>(Salt([9; 32]), ID, SENDER, &sealed()), Err(SealError::Broken));
+        assert_eq!(creator.open::<Attachment>(SALT, ID, SENDER, &sealed()), Err(SealError::Broken));
+    }
+
+    #[test]
+    fn the_length_says_nothing_of_the_endpoint() {
+        let length = |endpoint: &str| {
+            let bid = Bid::new(Price::MAX, Salt([7; 32]), endpoint.to_owned());
+            provider().seal(creator().public_key(SALT), ID, SENDER, &bid).unwrap().len()
+        };
+        assert_eq!(length("a"), length("http://b.example:1234"));
+    }
+
+    #[test]
+    fn too_much_is_refused_and_so_is_what_is_no_key() {
+        let bid = Bid::new(Price::MAX, SALT, "x".repeat(1000));
+        let key = creator().public_key(SALT);
+        assert!(matches!(provider().seal(key, ID, SENDER, &bid), Err(SealError::TooLong(_))));
+        // Of low order: whatever it is multiplied with, the shared secret is known (RFC 7748, 6.1).
+        let key = PublicKey([0; 32]);
+        assert_eq!(provider().seal(key, ID, SENDER, &self::bid()), Err(SealError::Key(key)));
+    }
+
+    #[test]
+    fn what_is_said_again_is_said_the_same_way_and_nothing_else_is() {
+        assert_eq!(sealed(), sealed());
+        let other = Bid::new(Price::new(1).unwrap(), Salt([7; 32]), bid().endpoint);
+        let other = provider().seal(creator().public_key(SALT), ID, SENDER, &other).unwrap();
+        assert_ne!(sealed()[..HEAD], other[..HEAD], "another one-time key of the sender");
+    }
+
+    #[test]
+    fn nothing_secret_is_printed() {
+        assert_eq!(format!("{:?}", Secret::new([0xab; 32])), "Secret(…)");
+        let attachment = Attachment {
+            radio_unit: "R4".to_owned(),
+            ssid: "robots".to_owned(),
+            bssid: [2, 0, 0, 0, 0, 4],
+            frequency_mhz: 5180,
+            pmk_r1: [0xab; 32],
+        };
+        let shown = format!("{attachment:?}");
+        assert!(!shown.contains("ab,") && !shown.contains("171"), "{shown}");
+        let sealed = provider().seal(creator().public_key(SALT), ID, SENDER, &attachment).unwrap();
+        assert_eq!(creator().open(SALT, ID, SENDER, &sealed), Ok(attachment));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn nothing_that_was_changed_opens(at in any::<prop::sample::Index>(), bit in 0..8u8) {
+            let mut sealed = sealed();
+            // Even the highest bit of the public key, which X25519 ignores (RFC 7748, 5): the key schedule does not.
+            *at.get_mut(&mut sealed) ^= 1u8 << bit;
+            prop_assert_eq!(creator().open::<Bid>(SALT, ID, SENDER, &sealed), Err(SealError::Broken));
+        }
+
+        #[test]
+        fn whatever_comes_is_opened_or_refused(sealed in prop::collection::vec(any::<u8>(), 0..400)) {
+            prop_assert!(creator().open::<Bid>(SALT, ID, SENDER, &sealed).is_err());
+        }
+    }
+}
