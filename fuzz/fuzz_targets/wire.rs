@@ -2,7 +2,7 @@
 #![no_main]
 
 use cotorra_plugin::{
-    messages::{LaserScan, Message, Odometry},
+    messages::{LaserScan, Message, OccupancyGrid, Odometry, TFMessage, TwistStamped},
     wire::{NavigationPacket, PositionPacket},
 };
 use libfuzzer_sys::fuzz_target;
@@ -23,4 +23,5 @@ fuzz_target!(|bytes: &[u8]| {
     }
     let _ = LaserScan::decode(bytes);
     let _ = Odometry::decode(bytes);
+    let _ = (TFMessage::decode(bytes), OccupancyGrid::decode(bytes), TwistStamped::decode(bytes));
 });

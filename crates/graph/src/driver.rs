@@ -1,6 +1,8 @@
 //! What moves a robot: the simulation, or a robot out there that is reached over ROS; and how a simulated one is offered
 //! to others.
 
+use std::net::IpAddr;
+
 use serde::{Deserialize, Serialize};
 
 use crate::id::NodeId;
@@ -17,6 +19,8 @@ pub enum Driver {
     },
     /// It is a robot that speaks ROS 1.
     Ros1(Box<Ros1>),
+    /// It is a robot that speaks ROS 2.
+    Ros2(Box<Ros2>),
 }
 
 impl Default for Driver {
@@ -33,6 +37,8 @@ impl Default for Driver {
 pub enum Offer {
     /// As a robot that speaks ROS 1.
     Ros1(Box<Ros1>),
+    /// As a robot that speaks ROS 2.
+    Ros2(Box<Ros2>),
 }
 
 /// Where a robot is in ROS 1.
@@ -50,9 +56,48 @@ pub struct Ros1 {
 impl Ros1 {
     /// The global name of a topic.
     pub fn resolved(&self, topic: &str) -> String {
-        let namespace = self.namespace.trim_end_matches('/');
-        if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") }
+        resolved(&self.namespace, topic)
     }
+}
+
+/// Where a robot is in ROS 2.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Ros2 {
+    /// In which network it is reached.
+    pub network: RosNetwork,
+    /// Its domain, 0 to 232; without one, that in `ROS_DOMAIN_ID`, or 0.
+    pub domain: Option<u16>,
+    /// The address of the one network interface to use; without one, all of them.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    pub interface: Option<IpAddr>,
+    /// The namespace in which its topics are.
+    pub namespace: String,
+    /// Its topics.
+    pub topics: RosTopics,
+}
+
+impl Ros2 {
+    /// The global name of a topic.
+    pub fn resolved(&self, topic: &str) -> String {
+        resolved(&self.namespace, topic)
+    }
+}
+
+/// In which network a robot speaks ROS 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RosNetwork {
+    /// In that of this machine.
+    Machine,
+    /// In the emulated one: the robot's ROS node is in the robot's own node.
+    Testbed,
+}
+
+fn resolved(namespace: &str, topic: &str) -> String {
+    let namespace = namespace.trim_end_matches('/');
+    if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") }
 }
 
 /// Where a ROS 1 master is.

@@ -92,7 +92,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        driver::{Driver, Offer, Ros1, RosMaster, RosTopics},
+        driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
         hardware::HostAddress,
         id::NodeId,
         yaml::decode::Node,
@@ -201,6 +201,35 @@ mod tests {
         assert_eq!(robot.capacity.memory_bytes, 8_000_000_000);
         assert_eq!(testbed.graph.domains, ["local"]);
         assert_eq!(testbed.seed, 1);
+    }
+
+    #[test]
+    fn a_robot_in_ros_2_is_described_by_a_word_or_at_length() {
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    a: { kind: robot, position: [0, 0], driver: ros2 }\n  \
+                    b: { kind: robot, position: [0, 0], driver: { kind: ros2, domain: 42, interface: 127.0.0.1, \
+                    namespace: tb2, topics: { scan: /lidar } } }\n  \
+                    c: { kind: robot, position: [0, 0], offer: ros2 }\n  \
+                    d: { kind: robot, position: [0, 0], offer: { kind: ros2, network: machine, domain: 0 } }\n";
+        let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let drivers: Vec<_> = testbed.graph.robots().map(|(_, robot)| robot.driver.clone()).collect();
+        let ros2 = |network, domain| Ros2 {
+            network,
+            domain,
+            interface: None,
+            namespace: "/".to_owned(),
+            topics: RosTopics::default(),
+        };
+        let mut tb2 = ros2(RosNetwork::Machine, Some(42));
+        (tb2.interface, tb2.namespace) = (Some([127, 0, 0, 1].into()), "/tb2".to_owned());
+        tb2.topics.scan = "/lidar".to_owned();
+        let offer = |ros2| Driver::Simulated { offer: Some(Offer::Ros2(Box::new(ros2))) };
+        assert_eq!(drivers[0], Driver::Ros2(Box::new(ros2(RosNetwork::Machine, None))));
+        assert_eq!(tb2.resolved("odom"), "/tb2/odom");
+        assert_eq!(drivers[1], Driver::Ros2(Box::new(tb2)));
+        assert_eq!(drivers[2], offer(ros2(RosNetwork::Testbed, None)));
+        assert_eq!(drivers[3], offer(ros2(RosNetwork::Machine, Some(0))));
+        assert_eq!(violation(&json_of(text), &schema(), "x"), None);
     }
 
     #[test]

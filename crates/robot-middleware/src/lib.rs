@@ -9,6 +9,7 @@
 mod driver;
 #[cfg(test)]
 mod fixtures;
+mod heard;
 mod kobuki;
 mod lidar;
 mod middleware;
@@ -16,6 +17,7 @@ mod planar;
 mod random;
 pub mod ros;
 mod ros1;
+mod ros2;
 mod ros_driver;
 mod ros_offer;
 mod ros_robot;
@@ -32,6 +34,7 @@ pub use ros_driver::{Clock, RosDriver, RosLink};
 pub use ros_offer::{OfferedRobot, RosOffer};
 pub use ros_robot::RosRobot;
 pub use ros1::{Ros1Link, Ros1Offer};
+pub use ros2::{Ros2Link, Ros2Offer};
 pub use service::{Answer, ServiceEndpoint};
 pub use simulated::{SimulatedRobot, SimulationError};
 pub use watch::Topic;

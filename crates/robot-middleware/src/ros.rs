@@ -1,9 +1,10 @@
 //! What a robot senses, as the ROS messages that a TurtleBot 2 publishes.
 
-use cotorra_graph::{SensorData, Timestamp};
+use cotorra_graph::{self as graph, Cell, SensorData, Timestamp};
 use cotorra_plugin::messages::{
-    Covariance, Header, LaserScan, Odometry, PoseWithCovarianceStamped, Quaternion, TFMessage, Transform,
-    TransformStamped, TwistWithCovariance, Vector3,
+    Covariance, Header, LaserScan, MapMetaData, OccupancyGrid, Odometry, Point, Pose,
+    PoseWithCovarianceStamped, Quaternion, TFMessage, Transform, TransformStamped, TwistWithCovariance,
+    Vector3,
 };
 
 use crate::{lidar::Scan, planar::Planar};
@@ -66,4 +67,25 @@ pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
         frame(BASE_FRAME, LASER_FRAME, Planar { x: 0.0, y: 0.0, heading: 0.0 }),
     ];
     TFMessage { transforms }
+}
+
+/// `nav_msgs/OccupancyGrid` of the map.
+pub fn map(map: &graph::OccupancyGrid) -> OccupancyGrid {
+    let cell = |place: usize| match map.cell(place % map.width(), place / map.width()) {
+        Cell::Free => 0,
+        Cell::Occupied => 100,
+        Cell::Unknown => -1,
+    };
+    let origin = Point { x: map.origin().x, y: map.origin().y, z: 0.0 };
+    OccupancyGrid {
+        header: Header::new(Timestamp::ZERO, MAP_FRAME),
+        info: MapMetaData {
+            resolution: map.resolution() as f32,
+            width: map.width() as u32,
+            height: map.height() as u32,
+            origin: Pose { position: origin, ..Pose::default() },
+            ..MapMetaData::default()
+        },
+        data: (0..map.width() * map.height()).map(cell).collect(),
+    }
 }

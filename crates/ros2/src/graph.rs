@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rustdds::DomainParticipantStatusEvent as Event;
 
-use crate::carried::shown;
+use crate::carried::{Kind, shown};
 
 /// Identifies an endpoint: twelve bytes of its participant, four of its own.
 pub type Gid = [u8; 16];
+/// How many of these are its participant's.
+const PARTICIPANT: usize = 12;
 
 /// A publisher or subscriber somewhere.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -78,7 +80,7 @@ impl Graph {
                 let gid = guid.to_bytes();
                 self.forget(|other| *other == gid);
             }
-            Event::ParticipantLost { id, .. } => self.forget(|other| &other[..12] == id.as_ref()),
+            Event::ParticipantLost { id, .. } => self.forget(|other| &other[..PARTICIPANT] == id.as_ref()),
             Event::RemoteReaderQosIncompatible { local_writer: local, .. }
             | Event::RemoteWriterQosIncompatible { local_reader: local, .. } => {
                 if let Some(Endpoint { topic, .. }) = self.own.get(&local.to_bytes()) {
@@ -118,10 +120,18 @@ impl Graph {
         self.matches.get(gid).map_or(0, |matched| matched.iter().filter(same).count())
     }
 
-    /// Whether someone else subscribes to a topic as that type.
-    pub fn is_subscribed(&self, topic: &str, kind: &str) -> bool {
-        let mut others = self.subscribers.iter().filter(|(gid, _)| !self.own.contains_key(*gid));
-        others.any(|(_, subscriber)| subscriber.topic == topic && subscriber.kind == kind)
+    /// The numbers of those types as which a topic is to be published: of each node elsewhere that subscribes to some
+    /// of them, the last one.
+    pub fn wanted(&self, topic: &str, kinds: &[Kind]) -> BTreeSet<usize> {
+        let mut wanted = BTreeMap::new();
+        for (gid, subscriber) in self.subscribers.iter().filter(|(gid, _)| !self.own.contains_key(*gid)) {
+            let number = kinds.iter().position(|kind| kind.dds_name == subscriber.kind);
+            if let Some(number) = number.filter(|_| subscriber.topic == topic) {
+                let last: &mut usize = wanted.entry(&gid[..PARTICIPANT]).or_default();
+                *last = number.max(*last);
+            }
+        }
+        wanted.into_values().collect()
     }
 
     /// Whether someone else subscribes to an endpoint's topic as another type.
@@ -167,6 +177,7 @@ mod tests {
     use rustdds::{EndpointDescription, GUID, LostReason, QosPolicyBuilder};
 
     use super::*;
+    use crate::carried::{Carried, Command};
 
     fn guid(participant: u8, entity: u8) -> GUID {
         let mut bytes = [participant; 16];
@@ -207,7 +218,9 @@ mod tests {
         let (graph, local, _) = graph();
         assert_eq!(graph.connected(&local.to_bytes()), 1);
         assert!(graph.meets_others(&local.to_bytes()) && graph.is_subscribed_otherwise(&own(TWIST)));
-        assert!(graph.is_subscribed("rt/cmd_vel", STAMPED) && !graph.is_subscribed("rt/scan", STAMPED));
+        let kinds = Command::kinds();
+        assert_eq!(graph.wanted("rt/cmd_vel", &kinds), [1].into(), "one node understands both");
+        assert!(graph.wanted("rt/scan", &kinds).is_empty());
         let kinds = ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"].map(str::to_owned);
         assert_eq!(graph.peers("rt/cmd_vel").subscribed, kinds.into());
         assert!(graph.peers("rt/cmd_vel").published.is_empty());
@@ -219,9 +232,18 @@ mod tests {
         let (mut one, local, remote) = graph();
         one.apply(Event::ReaderLost { guid: remote[0], reason: reason.clone() });
         assert_eq!(one.connected(&local.to_bytes()), 0);
-        assert!(one.is_subscribed("rt/cmd_vel", STAMPED));
+        assert_eq!(one.wanted("rt/cmd_vel", &Command::kinds()), [1].into());
         one.apply(Event::ParticipantLost { id: remote[0].prefix, reason });
         assert_eq!(one.peers("rt/cmd_vel"), Peers::default());
+    }
+
+    #[test]
+    fn each_node_is_told_as_it_understands() {
+        let mut graph = Graph::default();
+        for (guid, kind) in [(guid(2, 1), TWIST), (guid(3, 1), TWIST), (guid(3, 2), STAMPED)] {
+            graph.apply(Event::ReaderDetected { reader: description(guid, kind) });
+        }
+        assert_eq!(graph.wanted("rt/cmd_vel", &Command::kinds()), [0, 1].into());
     }
 
     #[test]

@@ -4,12 +4,15 @@
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_datapath::Datapath;
-use cotorra_graph::{Driver, Node, NodeId, NodeKind, Offer, Ros1, RosMaster, Testbed, Timestamp};
+use cotorra_graph::{
+    Driver, Node, NodeId, NodeKind, Offer, Ros1, Ros2, RosMaster, RosNetwork, Testbed, Timestamp,
+};
 use cotorra_robot_middleware::{
-    Clock, OfferedRobot, RobotDriver, Ros1Link, Ros1Offer, RosDriver, RosRobot, SimulatedRobot,
-    SimulationError,
+    Clock, OfferedRobot, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver, RosRobot,
+    SimulatedRobot, SimulationError,
 };
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
+use cotorra_ros2 as ros2;
 
 /// Where a master listens that cotorra runs, as every ROS master does.
 const MASTER_PORT: u16 = 11311;
@@ -27,6 +30,14 @@ pub enum RobotError {
         robot: NodeId,
         /// Why.
         reason: ConfigError,
+    },
+    /// Which is its domain.
+    #[error("robot `{robot}`: {reason}")]
+    Domain {
+        /// The robot.
+        robot: NodeId,
+        /// Why.
+        reason: ros2::ConfigError,
     },
     /// A master cannot listen, or there is no thread.
     #[error("robot `{robot}`: {source}")]
@@ -48,7 +59,7 @@ pub enum RobotError {
 pub(crate) fn simulated(node: &Node, robot: SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError> {
     match driver(node) {
         Driver::Simulated { offer: None } => Ok(Box::new(robot)),
-        Driver::Simulated { offer: Some(_) } | Driver::Ros1(_) => {
+        Driver::Simulated { offer: Some(_) } | Driver::Ros1(_) | Driver::Ros2(_) => {
             Err(RobotError::VirtualTime(node.id.clone()))
         }
     }
@@ -116,26 +127,46 @@ impl Robots {
                 let connect =
                     move || Ros1Offer::connect(config.clone(), &topics, testbed.map.as_ref(), epoch);
                 let start = || OfferedRobot::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, &ros1.master, start).map_err(system)?))
+                Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
+            }
+            Driver::Simulated { offer: Some(Offer::Ros2(ros2)) } => {
+                let config = ros2_config(&node.id, &ros2, "offer")?;
+                let (testbed, epoch) = (Arc::clone(&self.testbed), self.epoch);
+                let topics = ros2.topics;
+                let connect =
+                    move || Ros2Offer::connect(config.clone(), &topics, testbed.map.as_ref(), epoch);
+                let start = || OfferedRobot::start(robot, clock, connect);
+                Ok(Box::new(self.inside(node, ros2.network, start).map_err(system)?))
             }
             Driver::Ros1(ros1) => {
                 let config = self.config(node, &ros1, "driver")?;
                 let topics = ros1.topics;
                 let connect = move || Ros1Link::connect(config.clone(), &topics);
-                // It begins where a simulated one would.
-                let pose = robot.pose();
-                let walk = self.testbed.walk(&node.id);
-                let robot = RosRobot::new(node.id.clone(), pose.position(), pose.heading, walk);
+                let robot = self.out_there(node, &robot);
                 let start = || RosDriver::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, &ros1.master, start).map_err(system)?))
+                Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
+            }
+            Driver::Ros2(ros2) => {
+                let config = ros2_config(&node.id, &ros2, "driver")?;
+                let (topics, epoch) = (ros2.topics, self.epoch);
+                let connect = move || Ros2Link::connect(config.clone(), &topics, epoch);
+                let robot = self.out_there(node, &robot);
+                let start = || RosDriver::start(robot, clock, connect);
+                Ok(Box::new(self.inside(node, ros2.network, start).map_err(system)?))
             }
         }
     }
 
-    /// Starts something in the network from which the master is reached.
-    fn inside<R: Send>(&self, node: &Node, master: &RosMaster, start: impl FnOnce() -> R + Send) -> R {
-        match (master, self.datapath.namespace(&node.id)) {
-            (RosMaster::Testbed { .. } | RosMaster::Node { .. }, Ok(namespace)) => namespace.run(start),
+    /// A robot that begins where a simulated one would.
+    fn out_there(&self, node: &Node, simulated: &SimulatedRobot) -> RosRobot {
+        let pose = simulated.pose();
+        RosRobot::new(node.id.clone(), pose.position(), pose.heading, self.testbed.walk(&node.id))
+    }
+
+    /// Starts something in the network in which the robot speaks ROS.
+    fn inside<R: Send>(&self, node: &Node, network: RosNetwork, start: impl FnOnce() -> R + Send) -> R {
+        match (network, self.datapath.namespace(&node.id)) {
+            (RosNetwork::Testbed, Ok(namespace)) => namespace.run(start),
             _ => start(),
         }
     }
@@ -144,9 +175,7 @@ impl Robots {
     fn config(&mut self, node: &Node, ros1: &Ros1, what: &str) -> Result<NodeConfig, RobotError> {
         let robot = &node.id;
         let wrong = |reason: ConfigError| RobotError::Master { robot: robot.clone(), reason };
-        // No two nodes of a master have one name, and names of ROS's are letters, digits and underscores.
-        let letters = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let name = format!("cotorra_{what}_{}", robot.as_str().chars().map(letters).collect::<String>());
+        let name = node_name(robot, what);
         let namespace = ros1.namespace.clone();
         let address =
             |node: &NodeId| self.testbed.graph.address(node).map(|address| address.ipv4.to_string());
@@ -187,6 +216,39 @@ impl Robots {
         self.masters.insert(node.clone(), master);
         Ok(())
     }
+}
+
+/// What cotorra's node for a robot is called: no two have one name, and names of ROS's are letters, digits and
+/// underscores, in ROS 2 no two of these behind each other.
+fn node_name(robot: &NodeId, what: &str) -> String {
+    let parts = robot.as_str().split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
+    parts.fold(format!("cotorra_{what}"), |name, part| name + "_" + part)
+}
+
+/// In which network a master is reached.
+fn network(master: &RosMaster) -> RosNetwork {
+    match master {
+        RosMaster::Machine { .. } => RosNetwork::Machine,
+        RosMaster::Testbed { .. } | RosMaster::Node { .. } => RosNetwork::Testbed,
+    }
+}
+
+/// Where a robot's ROS 2 node is.
+fn ros2_config(robot: &NodeId, said: &Ros2, what: &str) -> Result<ros2::NodeConfig, RobotError> {
+    let name = node_name(robot, what);
+    let usual = match said.domain {
+        // What the environment says of it is no matter then.
+        Some(domain) => ros2::NodeConfig { domain, ..ros2::NodeConfig::new(&name) },
+        None => ros2::NodeConfig::from_env(&name)
+            .map_err(|reason| RobotError::Domain { robot: robot.clone(), reason })?,
+    };
+    // Of this machine's interfaces, the emulated network has none.
+    let usual = match said.network {
+        RosNetwork::Machine => usual,
+        RosNetwork::Testbed => ros2::NodeConfig { interface: None, ..usual },
+    };
+    let interface = said.interface.or(usual.interface);
+    Ok(ros2::NodeConfig { namespace: said.namespace.clone(), interface, ..usual })
 }
 
 #[allow(

@@ -77,7 +77,8 @@ pub struct Run {
     pub api: String,
     pub folder: PathBuf,
     out: TempDir,
-    _alone: Alone,
+    /// `None` if another run of the same test holds it.
+    _alone: Option<Alone>,
 }
 
 impl Run {
@@ -88,7 +89,20 @@ impl Run {
 
     /// The same, the command changed before.
     pub fn start_with(testbed: &Path, arguments: &[&str], change: impl FnOnce(&mut Command)) -> Self {
-        let alone = alone();
+        Self::launch(testbed, arguments, change, Some(alone()))
+    }
+
+    /// Starts `cotorra run` beside this run.
+    pub fn another(&self, testbed: &Path, arguments: &[&str]) -> Self {
+        Self::launch(testbed, arguments, |_| {}, None)
+    }
+
+    fn launch(
+        testbed: &Path,
+        arguments: &[&str],
+        change: impl FnOnce(&mut Command),
+        alone: Option<Alone>,
+    ) -> Self {
         let out = TempDir::new().unwrap();
         let mark = format!("{}-{:?}", std::process::id(), thread::current().id());
         let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);

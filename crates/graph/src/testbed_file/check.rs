@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
 use crate::{
-    driver::{Driver, Offer},
+    driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
     id::NodeId,
     map::Cell,
@@ -93,24 +93,38 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
 }
 
-/// Robots with one master have topics of their own.
+/// Robots in one place of ROS have topics of their own.
 fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    /// Where nodes of ROS hear each other.
+    #[derive(PartialEq, Eq, Hash)]
+    enum Place<'a> {
+        Master(&'a RosMaster),
+        Domain(RosNetwork, Option<u16>),
+    }
     let mut taken = HashMap::new();
     for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
         let NodeKind::Robot(robot) = &node.kind else { continue };
-        let (ros1, is_offer) = match &robot.driver {
-            Driver::Ros1(ros1) => (ros1, false),
-            Driver::Simulated { offer: Some(Offer::Ros1(ros1)) } => (ros1, true),
+        let ros1 = |ros1: &'_ Ros1| ros1.resolved(&ros1.topics.cmd_vel);
+        let ros2 = |ros2: &'_ Ros2| ros2.resolved(&ros2.topics.cmd_vel);
+        let (place, topic, is_offer) = match &robot.driver {
+            Driver::Ros1(its) => (Place::Master(&its.master), ros1(its), false),
+            Driver::Ros2(its) => (Place::Domain(its.network, its.domain), ros2(its), false),
+            Driver::Simulated { offer: Some(Offer::Ros1(its)) } => {
+                (Place::Master(&its.master), ros1(its), true)
+            }
+            Driver::Simulated { offer: Some(Offer::Ros2(its)) } => {
+                (Place::Domain(its.network, its.domain), ros2(its), true)
+            }
             Driver::Simulated { offer: None } => continue,
         };
+        let shared = match place {
+            Place::Master(_) => "of one ROS master",
+            Place::Domain(..) => "in one domain of ROS 2",
+        };
         // A robot that one node offers may be driven by another: only two of a kind are in each other's way.
-        let topic = ros1.resolved(&ros1.topics.cmd_vel);
-        if let Some(before) = taken.insert((is_offer, &ros1.master, topic.clone()), &node.id) {
-            sink.error(
-                &id.span,
-                format!("`{before}` and `{}` both hear `{topic}` of one ROS master", node.id),
-            )
-            .help("give one of them another `namespace`, such as `/tb2`");
+        if let Some(before) = taken.insert((is_offer, place, topic.clone()), &node.id) {
+            sink.error(&id.span, format!("`{before}` and `{}` both hear `{topic}` {shared}", node.id))
+                .help("give one of them another `namespace`, such as `/tb2`");
         }
     }
 }

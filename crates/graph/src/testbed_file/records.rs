@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use crate::{
     conditions::{JitterDistribution, QueueLimit, Rate},
+    driver::RosNetwork,
     hardware::{GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
     units::{BitRate, Dbm, Position, Probability},
@@ -183,6 +184,7 @@ record! {
 pub(crate) enum DriverWord {
     Simulated,
     Ros1,
+    Ros2,
 }
 
 tagged! {
@@ -190,6 +192,7 @@ tagged! {
     DriverRecord by kind {
         "simulated" => Simulated(SimulatedRecord),
         "ros1" => Ros1(Ros1Record),
+        "ros2" => Ros2(Ros2Record),
     }
 }
 
@@ -202,12 +205,14 @@ record! {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum OfferWord {
     Ros1,
+    Ros2,
 }
 
 tagged! {
     /// How a simulated robot is offered to others.
     OfferRecord by kind {
         "ros1" => Ros1(Ros1Record),
+        "ros2" => Ros2(Ros2Record),
     }
 }
 
@@ -227,11 +232,21 @@ record! {
     }
 }
 
-/// In which network a robot speaks ROS.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum RosNetwork {
-    Machine,
-    Testbed,
+record! {
+    /// A robot in ROS 2.
+    #[derive(Default)]
+    Ros2Record {
+        /// Its domain, 0 to 232. Without it: that in `ROS_DOMAIN_ID`, or 0.
+        domain: Option<Spanned<u64>>,
+        /// The address of the one network interface to use, such as `192.168.0.10`. Without it: all of them.
+        interface: Option<Spanned<String>>,
+        /// In which network the robot speaks ROS. Without it: a driver in the machine's, an offer in the testbed's.
+        network: Option<Spanned<RosNetwork>>,
+        /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
+        namespace: Option<Spanned<String>>,
+        /// Names of topics that are others than a TurtleBot's.
+        topics: RosTopicsRecord = {},
+    }
 }
 
 record! {
@@ -487,9 +502,11 @@ choice!(Roaming, "way of roaming", {
 choice!(DriverWord, "driver", {
     "simulated" => Self::Simulated, "cotorra simulates it";
     "ros1" => Self::Ros1, "a robot that speaks ROS 1";
+    "ros2" => Self::Ros2, "a robot that speaks ROS 2";
 });
 choice!(OfferWord, "way of offering a robot", {
     "ros1" => Self::Ros1, "as a robot that speaks ROS 1";
+    "ros2" => Self::Ros2, "as a robot that speaks ROS 2";
 });
 choice!(RosNetwork, "network for ROS", {
     "machine" => Self::Machine, "the network of this machine";

@@ -1,18 +1,30 @@
-//! What stands in a testbed file about robots in ROS: where their master is, and what their topics are called.
+//! What stands in a testbed file about robots in ROS: where their master or domain is, and what their topics are called.
 
 use std::net::IpAddr;
 
 use super::records::{
-    DriverRecord, DriverWord, OfferRecord, OfferWord, RobotRecord, Ros1Record, RosNetwork, RosTopicsRecord,
+    DriverRecord, DriverWord, OfferRecord, OfferWord, RobotRecord, Ros1Record, Ros2Record, RosTopicsRecord,
 };
 use crate::{
-    driver::{Driver, Offer, Ros1, RosMaster, RosTopics},
+    driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
     id::NodeId,
     yaml::{
         Sink,
         decode::{Either, Spanned},
     },
 };
+
+/// What a robot says that is in ROS, or the usual.
+enum Said<'a> {
+    Ros1(&'a Ros1Record),
+    Ros2(&'a Ros2Record),
+}
+
+/// Where a robot is.
+enum Place {
+    Ros1(Box<Ros1>),
+    Ros2(Box<Ros2>),
+}
 
 /// What moves a robot, and how it is offered. `host` finds a node that has a network namespace, or reports that there
 /// is none of that name.
@@ -22,26 +34,40 @@ pub(super) fn driver(
     host: &mut dyn FnMut(&Spanned<NodeId>, &mut Sink) -> Option<NodeId>,
     sink: &mut Sink,
 ) -> Option<Driver> {
-    let default = Ros1Record::default();
-    let ros1 = match &record.driver.value {
+    let (ros1, ros2) = (Ros1Record::default(), Ros2Record::default());
+    let driven = match &record.driver.value {
         Either::Short(DriverWord::Simulated) | Either::Long(DriverRecord::Simulated(_)) => None,
-        Either::Short(DriverWord::Ros1) => Some(&default),
-        Either::Long(DriverRecord::Ros1(ros1)) => Some(ros1),
+        Either::Short(DriverWord::Ros1) => Some(Said::Ros1(&ros1)),
+        Either::Short(DriverWord::Ros2) => Some(Said::Ros2(&ros2)),
+        Either::Long(DriverRecord::Ros1(ros1)) => Some(Said::Ros1(ros1)),
+        Either::Long(DriverRecord::Ros2(ros2)) => Some(Said::Ros2(ros2)),
     };
     let offered = record.offer.as_ref().map(|offer| match &offer.value {
-        Either::Short(OfferWord::Ros1) => (&default, &offer.span),
-        Either::Long(OfferRecord::Ros1(ros1)) => (ros1, &offer.span),
+        Either::Short(OfferWord::Ros1) => (Said::Ros1(&ros1), &offer.span),
+        Either::Short(OfferWord::Ros2) => (Said::Ros2(&ros2), &offer.span),
+        Either::Long(OfferRecord::Ros1(ros1)) => (Said::Ros1(ros1), &offer.span),
+        Either::Long(OfferRecord::Ros2(ros2)) => (Said::Ros2(ros2), &offer.span),
     });
-    match (ros1, offered) {
-        (Some(ros1), None) => Some(Driver::Ros1(build(ros1, RosNetwork::Machine, robot, host, sink)?)),
+    let mut place = |said: Said<'_>, usual: RosNetwork| match said {
+        Said::Ros1(ros1) => build(ros1, usual, robot, host, sink).map(Place::Ros1),
+        Said::Ros2(ros2) => build_ros2(ros2, usual, sink).map(Place::Ros2),
+    };
+    match (driven, offered) {
+        (Some(driven), None) => Some(match place(driven, RosNetwork::Machine)? {
+            Place::Ros1(ros1) => Driver::Ros1(ros1),
+            Place::Ros2(ros2) => Driver::Ros2(ros2),
+        }),
         (Some(_), Some((_, span))) => {
             sink.error(span, format!("`{robot}` is driven over ROS, and offered"))
                 .help("leave out `offer`: it is out there already; only a simulated robot can be offered");
             None
         }
         (None, None) => Some(Driver::default()),
-        (None, Some((ros1, _))) => {
-            let offer = Offer::Ros1(build(ros1, RosNetwork::Testbed, robot, host, sink)?);
+        (None, Some((offered, _))) => {
+            let offer = match place(offered, RosNetwork::Testbed)? {
+                Place::Ros1(ros1) => Offer::Ros1(ros1),
+                Place::Ros2(ros2) => Offer::Ros2(ros2),
+            };
             Some(Driver::Simulated { offer: Some(offer) })
         }
     }
@@ -55,14 +81,57 @@ fn build(
     sink: &mut Sink,
 ) -> Option<Box<Ros1>> {
     let master = master(record, usual, robot, host, sink);
-    let namespace = match &record.namespace {
-        None => Some("/".to_owned()),
-        Some(namespace) => {
-            name(namespace, "namespace", sink).map(|name| format!("/{}", name.trim_matches('/')))
-        }
-    };
+    let namespace = namespace(record.namespace.as_ref(), sink);
     let topics = topics(&record.topics, sink);
     Some(Box::new(Ros1 { master: master?, namespace: namespace?, topics: topics? }))
+}
+
+/// Beyond that, the UDP ports of a domain would be over 65535 (DDSI-RTPS 2.5, 9.6.2.3).
+const LAST_DOMAIN: u16 = 232;
+
+fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Box<Ros2>> {
+    let domain = match &record.domain {
+        None => Some(None),
+        Some(said) => {
+            let domain = u16::try_from(said.value).ok().filter(|domain| *domain <= LAST_DOMAIN);
+            if domain.is_none() {
+                sink.error(&said.span, format!("{} is no domain of ROS 2's", said.value))
+                    .help(format!("write a number from 0 to {LAST_DOMAIN}"));
+            }
+            domain.map(Some)
+        }
+    };
+    let interface = match &record.interface {
+        None => Some(None),
+        Some(said) => {
+            let address = said.value.parse().ok();
+            if address.is_none() {
+                sink.error(&said.span, format!("`{}` is no address", said.value))
+                    .help("write the address of one of this machine's interfaces, such as `192.168.0.10`");
+            }
+            address.map(Some)
+        }
+    };
+    let doubled = |said: &&Spanned<String>| said.value.contains("__");
+    let RosTopicsRecord { scan, odom, cmd_vel, tf, amcl_pose, map } = &record.topics;
+    let names = [&record.namespace, scan, odom, cmd_vel, tf, amcl_pose, map];
+    let doubled: Vec<_> = names.into_iter().flatten().filter(doubled).collect();
+    for said in &doubled {
+        sink.error(&said.span, format!("`{}` is no name in ROS 2", said.value))
+            .help("write no two `_` behind each other");
+    }
+    let namespace = namespace(record.namespace.as_ref(), sink);
+    let topics = topics(&record.topics, sink);
+    let network = record.network.as_ref().map_or(usual, |network| network.value);
+    let ros2 =
+        Ros2 { network, domain: domain?, interface: interface?, namespace: namespace?, topics: topics? };
+    doubled.is_empty().then(|| Box::new(ros2))
+}
+
+fn namespace(said: Option<&Spanned<String>>, sink: &mut Sink) -> Option<String> {
+    said.map_or(Some("/".to_owned()), |said| {
+        name(said, "namespace", sink).map(|name| format!("/{}", name.trim_matches('/')))
+    })
 }
 
 fn master(

@@ -240,6 +240,7 @@ proptest! {
             (payload[0], payload[1]) = (0, u8::from(!big));
         }
         let _ = (LaserScan::decode(&payload), Odometry::decode(&payload), Twist::decode(&payload));
+        let _ = (TFMessage::decode(&payload), OccupancyGrid::decode(&payload));
     }
 
     #[test]

@@ -91,10 +91,12 @@ pub(super) mod back {
     }
 
     fn pose(of: shared::PoseWithCovariance) -> ros1::PoseWithCovariance {
-        let shared::Point { x, y, z } = of.pose.position;
-        let orientation = rotation(&of.pose.orientation);
-        let pose = ros1::Pose { position: ros1::Point { x, y, z }, orientation };
-        ros1::PoseWithCovariance { pose, covariance: of.covariance.0 }
+        ros1::PoseWithCovariance { pose: bare_pose(&of.pose), covariance: of.covariance.0 }
+    }
+
+    fn bare_pose(of: &shared::Pose) -> ros1::Pose {
+        let shared::Point { x, y, z } = of.position;
+        ros1::Pose { position: ros1::Point { x, y, z }, orientation: rotation(&of.orientation) }
     }
 
     pub fn odometry(of: shared::Odometry) -> ros1::Odometry {
@@ -124,6 +126,20 @@ pub(super) mod back {
             child_frame_id: of.child_frame_id,
         };
         ros1::TFMessage { transforms: of.transforms.into_iter().map(frame).collect() }
+    }
+
+    pub fn grid(of: shared::OccupancyGrid) -> ros1::OccupancyGrid {
+        let info = ros1::MapMetaData {
+            map_load_time: Time {
+                sec: of.info.map_load_time.sec.cast_unsigned(),
+                nsec: of.info.map_load_time.nanosec,
+            },
+            resolution: of.info.resolution,
+            width: of.info.width,
+            height: of.info.height,
+            origin: bare_pose(&of.info.origin),
+        };
+        ros1::OccupancyGrid { header: header(of.header), info, data: of.data }
     }
 
     pub fn laser_scan(of: shared::LaserScan) -> ros1::LaserScan {

@@ -7,18 +7,20 @@ use cotorra_ros1::{
 };
 
 use super::convert::{frames, laser_scan, odometry, pose_stamped};
-use crate::{ros_driver::RosLink, ros_robot::RosRobot, watch::Topic};
-
-/// Messages of a topic that wait until they are taken in.
-const QUEUE: usize = 32;
+use crate::{
+    heard::{Heard, QUEUE, Source},
+    ros_driver::RosLink,
+    ros_robot::RosRobot,
+    watch::Topic,
+};
 
 /// A node that listens to a robot and says velocities to it.
 #[derive(Debug)]
 pub struct Ros1Link {
-    odometry: Heard<ros1::Odometry>,
-    scans: Heard<ros1::LaserScan>,
-    poses: Heard<ros1::PoseWithCovarianceStamped>,
-    frames: Heard<ros1::TFMessage>,
+    odometry: Heard<Subscriber<ros1::Odometry>>,
+    scans: Heard<Subscriber<ros1::LaserScan>>,
+    poses: Heard<Subscriber<ros1::PoseWithCovarianceStamped>>,
+    frames: Heard<Subscriber<ros1::TFMessage>>,
     velocities: Publisher<Twist>,
     /// Keeps all of it going.
     _node: Node,
@@ -31,11 +33,12 @@ impl Ros1Link {
     /// [`NodeError`] if a name is none, or the master is not there.
     pub fn connect(config: NodeConfig, topics: &RosTopics) -> Result<Self, NodeError> {
         let node = Node::new(config)?;
+        let queue = SubscribeOptions { queue: QUEUE };
         Ok(Self {
-            odometry: Heard::subscribe(&node, &topics.odom, Topic::Odometry)?,
-            scans: Heard::subscribe(&node, &topics.scan, Topic::Scan)?,
-            poses: Heard::subscribe(&node, &topics.amcl_pose, Topic::Localization)?,
-            frames: Heard::subscribe(&node, &topics.tf, Topic::Frames)?,
+            odometry: Heard::new(node.subscribe(&topics.odom, queue)?, Topic::Odometry),
+            scans: Heard::new(node.subscribe(&topics.scan, queue)?, Topic::Scan),
+            poses: Heard::new(node.subscribe(&topics.amcl_pose, queue)?, Topic::Localization),
+            frames: Heard::new(node.subscribe(&topics.tf, queue)?, Topic::Frames),
             velocities: node.publish(&topics.cmd_vel, PublishOptions::default())?,
             _node: node,
         })
@@ -58,36 +61,18 @@ impl RosLink for Ros1Link {
     }
 }
 
-/// A topic of the robot's, and what of it was lost so far.
-#[derive(Debug)]
-struct Heard<M> {
-    subscriber: Subscriber<M>,
-    topic: Topic,
-    dropped: u64,
-    malformed: u64,
-}
+impl<M: Message> Source for Subscriber<M> {
+    type Message = M;
 
-impl<M: Message> Heard<M> {
-    fn subscribe(node: &Node, name: &str, topic: Topic) -> Result<Self, NodeError> {
-        let subscriber = node.subscribe(name, SubscribeOptions { queue: QUEUE })?;
-        Ok(Self { subscriber, topic, dropped: 0, malformed: 0 })
+    fn next(&self) -> Option<M> {
+        self.try_recv()
     }
 
-    fn hear(&mut self, now: Timestamp, robot: &mut RosRobot, mut take: impl FnMut(&mut RosRobot, M)) {
-        let dropped = self.subscriber.dropped();
-        if dropped > self.dropped {
-            robot.missed(now, self.topic, dropped - self.dropped);
-            self.dropped = dropped;
-        }
-        // No more than can have waited: a flood does not keep anyone here.
-        for _ in 0..QUEUE {
-            let Some(message) = self.subscriber.try_recv() else { break };
-            take(robot, message);
-        }
-        let malformed = self.subscriber.malformed();
-        if malformed > self.malformed {
-            robot.malformed(now);
-            self.malformed = malformed;
-        }
+    fn dropped(&self) -> u64 {
+        self.dropped()
+    }
+
+    fn malformed(&self) -> u64 {
+        self.malformed()
     }
 }

@@ -1,6 +1,6 @@
 //! A simulated robot's topics in ROS 1: a node that tells what the robot senses, and takes velocities for it.
 
-use cotorra_graph::{Cell, OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
+use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
 use cotorra_ros1::{
     Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscriber,
     messages::{self as ros1, Twist},
@@ -41,7 +41,7 @@ impl Ros1Offer {
         let usual = PublishOptions::default();
         let map = map.map(|map| {
             let publisher = node.publish(&topics.map, PublishOptions { latch: true, ..usual })?;
-            publisher.publish(&grid(map));
+            publisher.publish(&back::grid(ros::map(map)));
             Ok::<_, NodeError>(publisher)
         });
         Ok(Self {
@@ -73,21 +73,4 @@ impl RosOffer for Ros1Offer {
             self.scans.publish(&back::laser_scan(ros::laser_scan(&scan)));
         }
     }
-}
-
-/// `nav_msgs/OccupancyGrid` of a map.
-fn grid(map: &OccupancyGrid) -> ros1::OccupancyGrid {
-    let mut grid = ros1::OccupancyGrid::default();
-    grid.header.frame_id = ros::MAP_FRAME.to_owned();
-    grid.info.resolution = map.resolution() as f32;
-    (grid.info.width, grid.info.height) = (map.width() as u32, map.height() as u32);
-    (grid.info.origin.position.x, grid.info.origin.position.y) = (map.origin().x, map.origin().y);
-    grid.info.origin.orientation.w = 1.0;
-    let cell = |place: usize| match map.cell(place % map.width(), place / map.width()) {
-        Cell::Free => 0,
-        Cell::Occupied => 100,
-        Cell::Unknown => -1,
-    };
-    grid.data = (0..map.width() * map.height()).map(cell).collect();
-    grid
 }

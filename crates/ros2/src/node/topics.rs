@@ -215,15 +215,17 @@ impl<M: Carried> Publisher<M> {
         if output.closed {
             return;
         }
-        for (number, kind) in publication.kinds.iter().enumerate() {
-            if output.writers[number].is_none() {
-                if !lock(&shared.graph).is_subscribed(&dds_topic(&publication.topic), &kind.dds_name) {
-                    continue;
-                }
-                if let Err(error) = publication.open(number, &mut output, shared) {
-                    tracing::warn!("{}: not published as {}: {error}", publication.topic, kind.name);
-                    continue;
-                }
+        let numbers = match &publication.kinds[..] {
+            [_] => [0].into(),
+            kinds => lock(&shared.graph).wanted(&dds_topic(&publication.topic), kinds),
+        };
+        for number in numbers {
+            if output.writers[number].is_none()
+                && let Err(error) = publication.open(number, &mut output, shared)
+            {
+                let kind = publication.kinds[number].name;
+                tracing::warn!("{}: not published as {kind}: {error}", publication.topic);
+                continue;
             }
             let mut encoded = Vec::new();
             message.encode_as(number, &mut encoded);

@@ -1,6 +1,7 @@
 """A peer that is Cyclone DDS: python3 cyclone.py DOMAIN ACTION TYPE TOPIC QOS
 
-ACTION: print (what comes, a line each), publish (the same, again and again), latch (once), echo (what comes, to TOPIC_back).
+ACTION: print (what comes, a line each), publish (the same, again and again), latch (once), echo (what comes, to TOPIC_back),
+pitch (2000 scans to an echo, 100 each second; prints how long they took).
 QOS: sensors, commands or latched, as ROS 2 has them.
 """
 
@@ -144,6 +145,30 @@ def received(reader):
         yield from reader.take_iter(timeout=3600 * 1_000_000_000)
 
 
+def pitch(there, back):
+    sample, took, warm_up, count = samples[LaserScan], [], 100, 2000
+    sample.ranges = [1 + beam / 100 for beam in range(360)]
+    coming = received(back)
+    deadline = time.monotonic() + 60
+    while not (there.get_matched_subscriptions() and back.get_matched_publications()):
+        assert time.monotonic() < deadline, "no echo"
+        time.sleep(0.01)
+    time.sleep(1)
+    due = time.perf_counter()
+    for number in range(warm_up + count):
+        due += 0.01
+        time.sleep(max(0, due - time.perf_counter()))
+        began = time.perf_counter()
+        sample.header.stamp.sec = number
+        there.write(sample)
+        while next(coming).header.stamp.sec != number:
+            pass
+        took.append((time.perf_counter() - began) * 1000)
+    took = sorted(took[warm_up:])
+    at = lambda share: took[min(count - 1, int(share * count))]
+    print(f"| from Cyclone DDS, in Python, to the same | {at(0.5):.3f} ms | {at(0.99):.3f} ms | {took[-1]:.3f} ms | 0 |", flush=True)
+
+
 def main(domain, action, kind, topic, qos):
     kind, qos = globals()[kind], profiles[qos]
     participant = DomainParticipant(int(domain))
@@ -156,6 +181,8 @@ def main(domain, action, kind, topic, qos):
         back = DataWriter(participant, topic_of(topic + "_back"), qos=qos)
         for sample in received(DataReader(participant, topic_of(topic), qos=qos)):
             back.write(sample)
+    elif action == "pitch":
+        pitch(DataWriter(participant, topic_of(topic), qos=qos), DataReader(participant, topic_of(topic + "_back"), qos=qos))
     else:
         writer = DataWriter(participant, topic_of(topic), qos=qos)
         while True:

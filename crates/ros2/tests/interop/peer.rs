@@ -3,7 +3,7 @@
 
 use std::{
     env,
-    fs::File,
+    fs::{self, File},
     io::{self, Read},
     net::Ipv4Addr,
     path::{Path, PathBuf},
@@ -75,6 +75,12 @@ impl Meeting {
         Self { domain, namespace: format!("/test_{process}_{count}") }
     }
 
+    /// The domain.
+    #[allow(dead_code, reason = "who else uses this file starts nodes elsewhere")]
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+
     /// The namespace.
     pub fn namespace(&self) -> &str {
         &self.namespace
@@ -95,13 +101,11 @@ impl Meeting {
     /// `None`, and a message, where it is not installed.
     pub fn cyclone(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         let python = cyclone_python()?;
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/cyclone.py");
         let mut command = Command::new(python);
         let only_loopback = "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
             </General><Discovery><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>";
         command
-            .arg("-u")
-            .arg(script)
+            .args(["-u", "-c", include_str!("cyclone.py")])
             .args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos])
             .env("CYCLONEDDS_URI", only_loopback);
         let process = Process::spawn(&mut command).unwrap();
@@ -130,19 +134,19 @@ fn cyclone_python() -> Option<PathBuf> {
     found(there.is_ok_and(|status| status.success()), "Cyclone DDS").then_some(python)
 }
 
-/// The program that is Fast DDS, compiled if it is older than its source.
+/// The program that is Fast DDS, compiled where it is not yet.
 fn fast_dds_program() -> Option<PathBuf> {
     if !found(Path::new("/usr/include/fastdds/dds/domain/DomainParticipant.hpp").exists(), "Fast DDS") {
         return None;
     }
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/interop/fastdds.cpp");
+    let wanted = include_str!("fastdds.cpp");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let program = folder.join("fastdds");
+    let (source, program) = (folder.join("fastdds.cpp"), folder.join("fastdds"));
     // One test compiles, the others wait for it.
     let lock = File::create(folder.join("fastdds.lock")).unwrap();
     lock.lock().unwrap();
-    let changed = |path: &Path| path.metadata().and_then(|metadata| metadata.modified()).ok();
-    if changed(&program) <= changed(&source) {
+    if !program.exists() || fs::read_to_string(&source).is_ok_and(|compiled| compiled != wanted) {
+        fs::write(&source, wanted).unwrap();
         let mut compiler = Command::new("c++");
         compiler.arg("-std=c++17").arg("-o").arg(&program).arg(source).args(["-lfastrtps", "-lfastcdr"]);
         assert!(compiler.status().unwrap().success(), "the compiler fails");

@@ -1,0 +1,115 @@
+//! Robots in ROS 2: one run offers a simulated robot, another drives it as if it were out there, and Cyclone DDS listens
+//! to it and drives it as well.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+#[path = "../../../ros2/tests/interop/peer.rs"]
+#[allow(dead_code, reason = "what the tests of the node itself use of it")]
+mod peer;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use self::peer::Meeting;
+use crate::harness::{Run, output, stderr, wait_until};
+
+const PLACE: &str = "
+wireless: { w: {} }
+nodes:
+  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
+  cloud: { kind: server, tier: cloud, cpus: 4, memory: 8 GB }
+  tb: ROBOT
+links:
+  - { ends: [R1, cloud], delay: 1 ms }
+";
+/// Longer than any test.
+const NAVIGATED: &str = "
+services:
+  navigation:
+    robot: tb
+    kpis: { service_time: 50 ms }
+    vnfs:
+      robot-driver: { program: robot_driver, pinned_to: tb }
+      navigation: { program: navigation, node: cloud }
+walks:
+  tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
+";
+
+fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
+    let file = folder.join(format!("{name}.yaml"));
+    fs::write(&file, format!("name: {name}\n{}{rest}", PLACE.replace("ROBOT", robot))).unwrap();
+    file
+}
+
+fn robot(run: &Run) -> Value {
+    let (status, context) = run.ask("/api/v1/robots/tb", None);
+    if status == 200 { context } else { Value::Null }
+}
+
+fn velocity(run: &Run) -> (f64, f64) {
+    let velocity = &robot(run)["sensors"]["velocity"];
+    (velocity["linear"].as_f64().unwrap_or(f64::NAN), velocity["angular"].as_f64().unwrap_or(f64::NAN))
+}
+
+#[test]
+fn a_robot_that_another_run_offers_is_driven_and_so_it_is_by_cyclone_dds() {
+    let meeting = Meeting::new();
+    let Some(listener) = meeting.cyclone("print", "LaserScan", "scan", "sensors") else { return };
+    let folder = TempDir::new().unwrap();
+    let place = format!(
+        "kind: ros2, domain: {}, interface: 127.0.0.1, namespace: {}",
+        meeting.domain(),
+        meeting.namespace()
+    );
+    let offered = format!("{{ kind: robot, position: [2, 3], offer: {{ {place}, network: machine }} }}");
+    let driven = format!("{{ kind: robot, driver: {{ {place} }} }}");
+    let offered = testbed(folder.path(), "offered", &offered, "");
+    let driven = testbed(folder.path(), "driven", &driven, NAVIGATED);
+
+    // The one that drives is there first: its robot is absent until it is offered.
+    let driver = Run::start(&driven, &[]);
+    wait_until(|| robot(&driver)["health"] == json!(["absent"]));
+    let mut offer = driver.another(&offered, &[]);
+    wait_until(|| robot(&driver)["sensors"]["pose"]["x"].as_f64().is_some_and(|x| x > 3.0));
+    assert_eq!(robot(&driver)["health"], json!([]));
+    let (theirs, ours) = (robot(&offer), robot(&driver));
+    assert!(theirs["sensors"]["pose"]["x"].as_f64().unwrap() > 2.9, "it is the same robot: {theirs}");
+    assert_eq!(theirs["sensors"]["pose"]["source"], "simulator");
+    assert_eq!(ours["sensors"]["pose"]["source"], "localization");
+    let sample = driver.wait_for_service().to_string();
+    assert!(sample.contains(r#""robot":"tb""#), "{sample}");
+    listener.prints("frame_id='laser'");
+
+    // A driver that is killed leaves no robot running, and whoever comes next drives it.
+    driver.signal("KILL");
+    wait_until(|| velocity(&offer).0 == 0.0);
+    let another = meeting.cyclone("publish", "TwistStamped", "cmd_vel", "commands").unwrap();
+    let is_near = |a: f64, b: f64| (a - b).abs() < 0.05;
+    wait_until(|| {
+        let (linear, angular) = velocity(&offer);
+        is_near(linear, 0.25) && is_near(angular, -0.5)
+    });
+    drop(another);
+    wait_until(|| velocity(&offer).0 == 0.0);
+    offer.signal("INT");
+    offer.wait();
+}
+
+#[test]
+fn virtual_time_refuses_robots_in_ros_2() {
+    let folder = TempDir::new().unwrap();
+    for robot in
+        ["{ kind: robot, position: [0, 0], driver: ros2 }", "{ kind: robot, position: [0, 0], offer: ros2 }"]
+    {
+        let file = testbed(folder.path(), "virtual", robot, "");
+        let out = folder.path().join("runs");
+        let arguments = ["run", "--simulate", "--headless", "--until", "1s", "--out"].map(Path::new);
+        let refused = output(arguments.into_iter().chain([&*out, &*file]));
+        assert!(!refused.status.success());
+        assert!(stderr(&refused).contains("robot `tb` speaks ROS"), "{}", stderr(&refused));
+    }
+}

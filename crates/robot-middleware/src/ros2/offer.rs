@@ -1,0 +1,72 @@
+//! A simulated robot's topics in ROS 2: a node that tells what the robot senses, and takes velocities for it.
+
+use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
+use cotorra_ros2::{
+    Command, Node, NodeConfig, NodeError, Publisher, Qos, Subscriber,
+    messages::{self, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage},
+};
+
+use crate::{lidar::Scan, ros, ros_offer::RosOffer};
+
+/// A node that has the topics of a TurtleBot, and those of localization and of a map server, which know exactly.
+#[derive(Debug)]
+pub struct Ros2Offer {
+    /// The beginning of the run, since 1970.
+    epoch: Timestamp,
+    odometry: Publisher<Odometry>,
+    scans: Publisher<LaserScan>,
+    poses: Publisher<PoseWithCovarianceStamped>,
+    frames: Publisher<TFMessage>,
+    velocities: Subscriber<Command>,
+    /// Latched, so only kept.
+    _map: Option<Publisher<messages::OccupancyGrid>>,
+    /// Keeps all of it going.
+    _node: Node,
+}
+
+impl Ros2Offer {
+    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count from 1970;
+    /// `epoch` is when the run began.
+    ///
+    /// # Errors
+    /// [`NodeError`] if a name is none, or DDS refuses.
+    pub fn connect(
+        config: NodeConfig,
+        topics: &RosTopics,
+        map: Option<&OccupancyGrid>,
+        epoch: Timestamp,
+    ) -> Result<Self, NodeError> {
+        let node = Node::new(config)?;
+        let map = map.map(|map| {
+            let publisher = node.publish(&topics.map, Qos::LATCHED)?;
+            publisher.publish(&ros::map(map));
+            Ok::<_, NodeError>(publisher)
+        });
+        Ok(Self {
+            epoch,
+            odometry: node.publish(&topics.odom, Qos::COMMANDS)?,
+            scans: node.publish(&topics.scan, Qos::SENSORS)?,
+            poses: node.publish(&topics.amcl_pose, Qos::LATCHED)?,
+            frames: node.publish(&topics.tf, Qos::COMMANDS)?,
+            velocities: node.subscribe(&topics.cmd_vel, Qos::COMMANDS)?,
+            _map: map.transpose()?,
+            _node: node,
+        })
+    }
+}
+
+impl RosOffer for Ros2Offer {
+    fn asked(&mut self) -> Option<Velocity> {
+        self.velocities.try_recv().map(|command| (&command.twist).into())
+    }
+
+    fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
+        let stamp = |at: Timestamp| at + self.epoch.since(Timestamp::ZERO);
+        self.odometry.publish(&ros::odometry(stamp(at), sensors));
+        self.frames.publish(&ros::frames(stamp(at), sensors));
+        if let Some(scan) = scan {
+            self.poses.publish(&ros::localized(stamp(at), sensors));
+            self.scans.publish(&ros::laser_scan(&Scan { at: stamp(scan.at), ..scan.clone() }));
+        }
+    }
+}
