@@ -44,6 +44,8 @@ pub struct RosRobot {
     odometry: Option<Odometer>,
     /// The odometry's frame on the map, as localization has it.
     correction: Option<Correction>,
+    /// Localization's pose from before the first odometry: it may be the only one until the robot moves.
+    waiting: Option<Pose>,
     velocity: Velocity,
     scan: Option<Scan>,
     motion: Motion,
@@ -91,6 +93,7 @@ impl RosRobot {
             watch,
             odometry: None,
             correction: None,
+            waiting: None,
             velocity: Velocity::default(),
             scan: None,
             motion: Motion::Standing,
@@ -158,6 +161,9 @@ impl RosRobot {
             self.odometry = Some(Odometer { pose, frame, origin });
             self.velocity = velocity;
             self.heard(now, Topic::Odometry, &message.header);
+            if let Some(pose) = self.waiting.take() {
+                self.correct(pose);
+            }
         }
         self.advance(now);
     }
@@ -194,18 +200,24 @@ impl RosRobot {
         self.watch.count(now, Topic::Localization, 1);
         if let Some(pose) = self.pose(now, &message.pose, PoseSource::Localization) {
             self.heard(now, Topic::Localization, &message.header);
-            let of_frames = self.correction.as_ref().filter(|correction| correction.of_frames);
-            // Without odometry, nobody knows how the robot moves from there; the next pose will do.
-            if let Some(odometer) = &self.odometry {
-                let origin = match of_frames {
-                    Some(correction) => correction.origin,
-                    None => Planar::of(&pose).then(Planar::of(&odometer.pose).inverse()),
-                };
-                let of_frames = of_frames.is_some();
-                self.correction = Some(Correction { origin, covariance: pose.covariance, of_frames });
-            }
+            self.correct(pose);
         }
         self.advance(now);
+    }
+
+    /// Localization has the robot at that pose. Without odometry, nobody knows what moves on from there: then it waits.
+    fn correct(&mut self, pose: Pose) {
+        let Some(odometer) = &self.odometry else {
+            self.waiting = Some(pose);
+            return;
+        };
+        let of_frames = self.correction.as_ref().filter(|correction| correction.of_frames);
+        let origin = match of_frames {
+            Some(correction) => correction.origin,
+            None => Planar::of(&pose).then(Planar::of(&odometer.pose).inverse()),
+        };
+        let of_frames = of_frames.is_some();
+        self.correction = Some(Correction { origin, covariance: pose.covariance, of_frames });
     }
 
     /// Coordinate frames came, of this robot or of others.

@@ -95,8 +95,12 @@ fn without_localization_a_robot_is_where_odometry_has_it_from_its_start() {
 
 #[test]
 fn amcl_pose_says_where_a_robot_is_and_odometry_takes_it_on_from_there() {
-    let mut robot = well();
     let message = PoseWithCovarianceStamped { header: header(5, "map"), pose: pose(1.0, 1.0, 0.0) };
+    let mut earlier = absent();
+    earlier.localized(at(0), &message);
+    earlier.odometry(at(1), &odometry(1, 3.0));
+    assert_eq!(place(&earlier), (1.0, 1.0, 0.0, PoseSource::Localization), "it may come only once");
+    let mut robot = well();
     robot.localized(at(5), &message);
     assert_eq!(place(&robot), (1.0, 1.0, 0.0, PoseSource::Localization));
     assert_eq!(robot.sensors().pose.covariance[0], 0.04);

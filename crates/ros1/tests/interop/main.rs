@@ -3,5 +3,6 @@
 #![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
 
 mod hostile;
+#[allow(dead_code, reason = "what other crates' tests use of it")]
 mod ros;
 mod tools;

@@ -133,6 +133,16 @@ impl Ros {
         installed
     }
 
+    /// The master's port.
+    pub fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// Ends the master.
+    pub fn stop(&mut self) {
+        self.core = None;
+    }
+
     /// Ends the master, and starts another that knows nothing. It is what roscore starts, without the processes
     /// around it, which would outlive a test that fails.
     pub fn restart(&mut self) {
