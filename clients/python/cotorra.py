@@ -73,7 +73,7 @@ class Client:
         return self._ask(f"network/nodes/{parse.quote(node)}")
 
     def robots(self) -> list[JSON]:
-        """κ of every robot."""
+        """κ of every robot; `health` lists what is wrong with it, and is empty for one that is well."""
         return self._ask("robots")
 
     def links(self) -> list[JSON]:

@@ -3,7 +3,7 @@
 use std::{convert::Infallible, io, net::SocketAddr, os::unix::process::CommandExt, process::Command};
 
 use cotorra_datapath::HostsFile;
-use cotorra_graph::NodeId;
+use cotorra_graph::{NodeId, ros1_environment};
 use cotorra_plugin::client::{Client, ClientError};
 
 use crate::{cli::ExecArgs, run::token_text};
@@ -44,6 +44,8 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     }
     let (program, arguments) =
         args.command.split_first().expect("the command line asks for one word or more");
-    let reason = Command::new(program).args(arguments).env("COTORRA_NODE", args.node.as_str()).exec();
+    let mut command = Command::new(program);
+    command.args(arguments).env("COTORRA_NODE", args.node.as_str());
+    let reason = command.envs(ros1_environment(&graph, &args.node)).exec();
     Err(Error::Program { program: program.clone(), reason })
 }

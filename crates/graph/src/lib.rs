@@ -26,7 +26,7 @@ pub use context::{
     Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource, RadioContext,
     RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
 };
-pub use driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics};
+pub use driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use hardware::{
     Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,

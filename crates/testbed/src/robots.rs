@@ -14,9 +14,6 @@ use cotorra_robot_middleware::{
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
 use cotorra_ros2 as ros2;
 
-/// Where a master listens that cotorra runs, as every ROS master does.
-const MASTER_PORT: u16 = 11311;
-
 /// Why a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
 pub enum RobotError {
@@ -199,7 +196,7 @@ impl Robots {
                 let its = address(robot);
                 self.run_master(node, &host)
                     .map_err(|source| RobotError::System { robot: robot.clone(), source })?;
-                (Endpoint { host, port: MASTER_PORT }, its)
+                (Endpoint { host, port: RosMaster::PORT }, its)
             }
         };
         Ok(NodeConfig { namespace, master, host, ..NodeConfig::new(&name) })
@@ -211,7 +208,7 @@ impl Robots {
             return Ok(());
         }
         let namespace = self.datapath.namespace(node).map_err(std::io::Error::other)?;
-        let server = Some(namespace.run(|| MasterServer::start(host, MASTER_PORT))?);
+        let server = Some(namespace.run(|| MasterServer::start(host, RosMaster::PORT))?);
         let master = NodeMaster { server, node: node.clone(), datapath: Arc::clone(&self.datapath) };
         self.masters.insert(node.clone(), master);
         Ok(())

@@ -16,7 +16,9 @@ use std::{
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, testbed_file::Setting};
+use cotorra_graph::{
+    Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
+};
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
@@ -211,6 +213,7 @@ impl Run {
 
         let sockets = open_sockets(&testbed, &datapath)?;
         let launcher = NodeLauncher {
+            testbed: Arc::clone(&testbed),
             datapath: Arc::clone(&datapath),
             testbed_file: absolute(file)?,
             settings: options.settings.iter().map(|setting| format!("{setting}\n")).collect(),
@@ -407,6 +410,7 @@ fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
 
 /// Starts VNFs in the nodes of a datapath.
 struct NodeLauncher {
+    testbed: Arc<Testbed>,
     datapath: Arc<Datapath>,
     testbed_file: PathBuf,
     /// One a line.
@@ -416,7 +420,13 @@ struct NodeLauncher {
 }
 
 impl Launcher for NodeLauncher {
-    fn launch(&self, node: &NodeId, command: Command, cgroups: Vec<PathBuf>) -> io::Result<Box<dyn Process>> {
+    fn launch(
+        &self,
+        node: &NodeId,
+        mut command: Command,
+        cgroups: Vec<PathBuf>,
+    ) -> io::Result<Box<dyn Process>> {
+        command.envs(ros1_environment(&self.testbed.graph, node));
         let options = SpawnOptions { cgroups, ..SpawnOptions::default() };
         let child = self.datapath.spawn(node, command, options).map_err(io::Error::other)?;
         Ok(Box::new(NodeProcess(child)))

@@ -14,6 +14,7 @@ mod mariadb;
 mod netem;
 mod plugin;
 mod recording;
+mod ros1;
 mod ros2;
 mod run;
 mod stamp;

@@ -1,0 +1,178 @@
+//! Robots in ROS 1: one run offers a simulated robot, another drives it as if it were out there; and programs of ROS,
+//! which nobody changed, speak to each other across the emulated network.
+
+#[path = "../../../ros1/tests/interop/ros.rs"]
+#[allow(dead_code, reason = "what the tests of the node itself use of it")]
+mod ros;
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use self::ros::Ros;
+use crate::harness::{Run, cotorra, output, project_file, stderr, stdout, wait_until};
+
+const PLACE: &str = "
+wireless: { w: {} }
+nodes:
+  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
+  cloud: { kind: server, tier: cloud, cpus: 4, memory: 8 GB }
+  tb: ROBOT
+links:
+  - { ends: [R1, cloud], delay: 1 ms }
+";
+/// Longer than any test.
+const NAVIGATED: &str = "
+services:
+  navigation:
+    robot: tb
+    kpis: { service_time: 50 ms }
+    vnfs:
+      robot-driver: { program: robot_driver, pinned_to: tb }
+      navigation: { program: navigation, node: cloud }
+walks:
+  tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
+";
+
+fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
+    let file = folder.join(format!("{name}.yaml"));
+    fs::write(&file, format!("name: {name}\n{}{rest}", PLACE.replace("ROBOT", robot))).unwrap();
+    file
+}
+
+/// All keys of a context, with the way to each.
+fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+    match value {
+        Value::Object(object) => object.iter().for_each(|(key, value)| {
+            found.insert(format!("{at}/{key}"));
+            keys(value, &format!("{at}/{key}"), found);
+        }),
+        Value::Array(all) => all.iter().for_each(|value| keys(value, &format!("{at}/*"), found)),
+        _ => {}
+    }
+}
+
+fn shape(value: &Value) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    keys(value, "", &mut found);
+    found
+}
+
+fn robot(run: &Run) -> Value {
+    let (status, context) = run.ask("/api/v1/robots/tb", None);
+    if status == 200 { context } else { Value::Null }
+}
+
+#[test]
+fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_is_killed() {
+    let Some(ros) = Ros::start() else { return };
+    let folder = TempDir::new().unwrap();
+    let place = format!("master: 'http://127.0.0.1:{}', namespace: /tb2", ros.port());
+    let offered =
+        format!("{{ kind: robot, position: [2, 3], offer: {{ kind: ros1, network: machine, {place} }} }}");
+    let driven = format!("{{ kind: robot, driver: {{ kind: ros1, {place} }} }}");
+    let offered = testbed(folder.path(), "offered", &offered, "");
+    let driven = testbed(folder.path(), "driven", &driven, NAVIGATED);
+
+    // The one that drives is there first: its robot is absent until it is offered.
+    let driver = Run::start(&driven, &[]);
+    wait_until(|| robot(&driver)["health"] == serde_json::json!(["absent"]));
+    let mut offer = driver.another(&offered, &[]);
+    wait_until(|| robot(&driver)["sensors"]["pose"]["x"].as_f64().is_some_and(|x| x > 3.0));
+    assert_eq!(robot(&driver)["health"], serde_json::json!([]));
+    let (theirs, ours) = (robot(&offer), robot(&driver));
+    assert_eq!(shape(&theirs), shape(&ours), "to a plug-in they look the same");
+    assert!(theirs["sensors"]["pose"]["x"].as_f64().unwrap() > 2.9, "it is the same robot: {theirs}");
+    assert_eq!(theirs["sensors"]["pose"]["source"], "simulator");
+    assert_eq!(ours["sensors"]["pose"]["source"], "localization");
+    let history = |run: &Run| run.get("/api/v1/measurements/robots/tb?limit=1")["items"][0].clone();
+    assert_eq!(shape(&history(&offer)), shape(&history(&driver)));
+    let sample = driver.wait_for_service().to_string();
+    assert!(sample.contains(r#""robot":"tb""#), "{sample}");
+
+    // An instruction moves it as any other.
+    let forward = |run: &Run| {
+        let velocity = r#"{ "linear": 0.1, "angular": 0.0 }"#;
+        let wanted =
+            format!(r#"{{ "instruction": "move", "robot": "tb", "velocity": {velocity}, "waypoint": 1 }}"#);
+        run.post("/api/v1/instructions", &format!(r#"{{ "instruction": {wanted} }}"#))
+    };
+    let (status, answer) = forward(&driver);
+    assert_eq!(status, 200, "{answer}");
+
+    // A driver that is killed leaves no robot running, and the next one finds it.
+    driver.signal("KILL");
+    let speed = |run: &Run| robot(run)["sensors"]["velocity"]["linear"].as_f64().unwrap();
+    wait_until(|| speed(&offer) == 0.0);
+    let driver = offer.another(&driven, &[]);
+    wait_until(|| speed(&offer) > 0.2);
+
+    // A robot that is gone is silent, and refuses.
+    offer.signal("KILL");
+    offer.wait();
+    wait_until(|| robot(&driver)["health"] == serde_json::json!(["silent"]));
+    let (status, answer) = forward(&driver);
+    assert_eq!(status, 409, "{answer}");
+    assert!(answer.to_string().contains("it is silent"), "{answer}");
+    let notices = || driver.get("/api/v1/measurements/events?kinds=notice")["items"].to_string();
+    wait_until(|| notices().contains("robot tb stands still: it is silent"));
+    assert!(notices().contains("robot tb is well"), "{}", notices());
+}
+
+#[test]
+fn programs_of_ros_that_nobody_changed_speak_across_the_emulated_network() {
+    if Ros::with_master(0).is_none() {
+        return;
+    }
+    let relay = Path::new("/usr/lib/topic_tools/relay");
+    if !relay.exists() {
+        assert!(std::env::var_os("CI").is_none(), "topic-tools is not installed: scripts/test says so");
+        eprintln!("skipped: topic-tools is not installed");
+        return;
+    }
+    let home = TempDir::new().unwrap();
+    let run = Run::start_with(&project_file("testbeds/ros1.yaml"), &["--until", "5min"], |command| {
+        command.env("ROS_HOME", home.path());
+    });
+    let script = project_file("examples/ros1_delay.py");
+    let words = ["exec", "--api", run.address(), "robot", "--", "/usr/bin/python3"];
+    let measured = cotorra(words).arg(script).args(["--scans", "20"]).env("ROS_HOME", home.path()).output();
+    let measured = measured.unwrap();
+    assert!(measured.status.success(), "{}", stderr(&measured));
+    let said = stdout(&measured);
+    let median = said.split_once("median ").and_then(|(_, rest)| rest.split_once(" ms")).unwrap().0;
+    // Both ways 1 ms over the air and 4.5 ms to the cloud: no scan is back before.
+    assert!(median.parse::<f64>().unwrap() > 11.0, "{said}");
+    let listed = cotorra(["exec", "--api", run.address(), "cloud", "--"])
+        .args(["/usr/bin/python3", "/usr/bin/rostopic", "list", "-v"])
+        .env("ROS_HOME", home.path())
+        .output()
+        .unwrap();
+    let listed = stdout(&listed);
+    for topic in
+        ["* /scan [sensor_msgs/LaserScan] 1 publisher", "* /scan_back [sensor_msgs/LaserScan]", "* /map"]
+    {
+        assert!(listed.contains(topic), "{listed}");
+    }
+}
+
+#[test]
+fn virtual_time_refuses_robots_in_ros() {
+    let folder = TempDir::new().unwrap();
+    for robot in
+        ["{ kind: robot, position: [0, 0], driver: ros1 }", "{ kind: robot, position: [0, 0], offer: ros1 }"]
+    {
+        let file = testbed(folder.path(), "virtual", robot, "");
+        let out = folder.path().join("runs");
+        let arguments = ["run", "--simulate", "--headless", "--until", "1s", "--out"].map(Path::new);
+        let refused = output(arguments.into_iter().chain([&*out, &*file]));
+        assert!(!refused.status.success());
+        assert!(stderr(&refused).contains("robot `tb` speaks ROS"), "{}", stderr(&refused));
+        assert!(!out.exists(), "nothing is left");
+    }
+}
