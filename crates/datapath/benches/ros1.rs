@@ -1,7 +1,7 @@
 //! How long a 360-beam scan takes to a peer and back through the emulated network, 100 times a second: two ROS 1 nodes
 //! in two network namespaces, 5 ms apart each way. A bare UDP packet beside it says what the path itself takes.
 //!
-//! `cargo bench -p cotorra-datapath --bench ros1`
+//! `cargo bench -p cotorra-datapath --bench ros1`; on a busy machine, `chrt -f 5` before what that says it runs.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cotorra_datapath::{Datapath, Namespace, Options, be_punctual, enter_user_namespace_if_needed};
+use cotorra_datapath::{Datapath, Namespace, Options, enter_user_namespace_if_needed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{NodeId, testbed_file};
 use cotorra_ros1::{
@@ -73,8 +73,6 @@ fn load_average() -> String {
 
 fn main() {
     enter_user_namespace_if_needed().unwrap();
-    // What else the machine does is not what is measured: real-time priority, where that is allowed, for all threads.
-    be_punctual();
     let graph = testbed_file::parse("path", TESTBED, Path::new("")).unwrap().graph;
     let fabric = Fabric::new(&graph, 1).unwrap();
     let datapath = Datapath::start(&graph, fabric, Options::default()).unwrap();
