@@ -45,7 +45,7 @@ fn update_of_1000_particles_with_120_beams(bencher: Bencher<'_, '_>, mode: &str)
     let world = World::new(&map);
     let seen: Vec<(Pose2, Vec<f32>)> = (0..150)
         .map(|step| {
-            let pose = Pose2::new(10.0 + 0.25 * f64::from(step), 20.0, 0.1 * (f64::from(step) * 0.3).sin());
+            let pose = Pose2::new(10.0 + 0.26 * f64::from(step), 20.0, 0.1 * (f64::from(step) * 0.3).sin());
             let from = Position::new(pose.x, pose.y);
             // 120 beams: three degrees from each to the next.
             let range = |beam: usize| {

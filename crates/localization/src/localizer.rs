@@ -8,7 +8,7 @@ use crate::{
     geometry::{Pose2, wrapped},
     motion::Motion,
     parameters::{Parameters, Weighing},
-    particles::Particles,
+    particles::{Elsewhere, Particles},
     random::Stream,
     relocate::Candidates,
     scan::{Beams, Scan},
@@ -61,6 +61,8 @@ pub struct Localizer {
     cluster: Cluster,
     recovery: Recovery,
     updates: u32,
+    /// How many updates in a row fitted badly.
+    unfit: u32,
     /// Nothing is known of where it is before the first scan.
     anywhere: bool,
 }
@@ -73,6 +75,11 @@ const STEPS: usize = 5;
 const MOST_CANDIDATES: [usize; 2] = [1_000_000, 20_000];
 /// Of the beams, as many are enough to find candidates.
 const CANDIDATE_BEAMS: usize = 40;
+/// For so many updates that fit badly, it is odometry that was off, and the robot is looked for near where it should be.
+const LOOK_NEAR: u32 = 4;
+/// How likely it is that a robot whose scans fit badly was carried away, rather than that somebody stands before it. A
+/// scan that fits elsewhere outweighs that at once; a place that only looks alike does not.
+const KIDNAPPED: f64 = 1e-8;
 /// Deviation of particles about a candidate, metres and radians.
 const ABOUT_CANDIDATE: [f64; 2] = [0.05, 0.02];
 
@@ -136,6 +143,7 @@ impl Localizer {
             odometry: None,
             recovery: Recovery::default(),
             updates: 0,
+            unfit: 0,
             anywhere: false,
             binning,
             field,
@@ -266,7 +274,8 @@ impl Localizer {
         let count = self.particles.len();
         let fixed = Parameters { min_particles: count, max_particles: count, ..self.parameters };
         let nobody = &mut |_: &mut Stream| Place::default();
-        self.particles.draw(&mut self.spare, &fixed, &self.binning, &mut self.random, (0.0, nobody));
+        let elsewhere = Elsewhere { probability: 0.0, mass: None, place: nobody };
+        self.particles.draw(&mut self.spare, &fixed, &self.binning, &mut self.random, elsewhere);
         std::mem::swap(&mut self.particles, &mut self.spare);
         // Silverman's bandwidth in three dimensions, (4 / 5n)^(1/7).
         let bandwidth = (0.8 / count as f64).powf(1.0 / 7.0);
@@ -304,6 +313,12 @@ impl Localizer {
         Candidates::find(&self.field, &self.beams.some(CANDIDATE_BEAMS), most, &mut self.random)
     }
 
+    fn near(&mut self) -> Candidates {
+        let Cluster { column, row, heading, .. } = self.cluster;
+        let place = Place { column: column as f32, row: row as f32, heading: heading as f32 };
+        Candidates::near(place, &self.field, &self.beams.some(CANDIDATE_BEAMS), &mut self.random)
+    }
+
     /// Draws particles anew when it is time: as many as KLD-sampling asks for, and some from elsewhere when scans fit
     /// worse than they used to.
     fn draw_anew(&mut self) {
@@ -315,9 +330,11 @@ impl Localizer {
         if !due && lost == 0.0 {
             return;
         }
+        self.unfit = if lost > 0.0 { self.unfit + 1 } else { 0 };
+        let far = self.unfit > LOOK_NEAR;
         let mut candidates = None;
         if lost > 0.0 && self.weighs_by_likelihood() {
-            candidates = self.candidates(MOST_CANDIDATES[1]);
+            candidates = if far { self.candidates(MOST_CANDIDATES[1]) } else { Some(self.near()) };
         }
         let field = &self.field;
         let mut anew = |random: &mut Stream| {
@@ -327,14 +344,9 @@ impl Localizer {
             };
             place.unwrap_or_default()
         };
-        let from_elsewhere = (lost, &mut anew as &mut dyn FnMut(&mut Stream) -> Place);
-        self.particles.draw(
-            &mut self.spare,
-            &self.parameters,
-            &self.binning,
-            &mut self.random,
-            from_elsewhere,
-        );
+        let mass = (self.weighs_by_likelihood() && far).then_some(KIDNAPPED);
+        let elsewhere = Elsewhere { probability: lost, mass, place: &mut anew };
+        self.particles.draw(&mut self.spare, &self.parameters, &self.binning, &mut self.random, elsewhere);
         std::mem::swap(&mut self.particles, &mut self.spare);
     }
 }

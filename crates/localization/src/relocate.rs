@@ -11,6 +11,9 @@ use crate::{
 
 /// Candidates per m² of free space: one for each 0.2 m × 0.2 m × 8°.
 const DENSITY: f64 = 25.0 * 45.0;
+/// So many places about one are looked at, and how far they are from it: deviations, metres and radians.
+const MOST_NEAR: usize = 4000;
+const NEAR: [f32; 2] = [0.7, 0.35];
 /// So many of the best are moved uphill.
 const KEPT: usize = 400;
 /// Steps uphill, and the deviation of the first, metres and radians; each next one is a little shorter.
@@ -29,11 +32,27 @@ impl Candidates {
     /// Looks for them among no more than `most` places of the map; `None` if it has no free space.
     pub fn find(field: &LikelihoodField, beams: &Beams, most: usize, random: &mut Stream) -> Option<Self> {
         let count = ((field.free_area() * DENSITY) as usize).clamp(KEPT, most.max(KEPT));
-        let mut pool: Vec<(f32, Place)> = Vec::with_capacity(count);
-        for _ in 0..count {
-            let place = field.anywhere(random)?;
-            pool.push((field.score(place, beams), place));
-        }
+        let pool: Option<Vec<Place>> = (0..count).map(|_| field.anywhere(random)).collect();
+        Some(Self::among(pool?, field, beams, random))
+    }
+
+    /// Looks for them about a place, to which odometry has led, but badly.
+    pub fn near(place: Place, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+        let [way, turn] = [NEAR[0] / field.resolution() as f32, NEAR[1]];
+        let mut off = |deviation: f32| deviation * random.bell();
+        let pool = (0..MOST_NEAR)
+            .map(|_| Place {
+                column: place.column + off(way),
+                row: place.row + off(way),
+                heading: place.heading + off(turn),
+            })
+            .collect();
+        Self::among(pool, field, beams, random)
+    }
+
+    fn among(pool: Vec<Place>, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+        let mut pool: Vec<(f32, Place)> =
+            pool.into_iter().map(|place| (field.score(place, beams), place)).collect();
         let best = |a: &(f32, Place), b: &(f32, Place)| b.0.total_cmp(&a.0);
         pool.select_nth_unstable_by(KEPT - 1, best);
         pool.truncate(KEPT);
@@ -67,7 +86,7 @@ impl Candidates {
                 sum
             })
             .collect();
-        Some(Self { places: pool.into_iter().map(|(_, place)| place).collect(), cumulative })
+        Self { places: pool.into_iter().map(|(_, place)| place).collect(), cumulative }
     }
 
     /// Draws one.

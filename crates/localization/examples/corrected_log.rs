@@ -4,9 +4,9 @@
 //! `ODOM` between two of them, raw odometry set onto the first one's corrected pose. From that follow the raw odometry
 //! of the whole run, a map, and where the robot was.
 //!
-//! `cargo run --release -p cotorra-localization --example from_corrected -- LOG FOLDER [FROM TO]` writes FOLDER/raw.log,
+//! `cargo run --release -p cotorra-localization --example corrected_log -- LOG FOLDER [FROM TO]` writes FOLDER/raw.log,
 //! FOLDER/map.yaml, FOLDER/map.pgm and FOLDER/reference.csv, of the scans from number FROM up to TO alone where a
-//! correction is not right all along.
+//! correction is not right all along. Then it localizes in both modes with several seeds, and tells the errors.
 
 use std::{
     env,
@@ -15,11 +15,14 @@ use std::{
     fs::{self, File},
     io::BufReader,
     path::Path,
+    sync::Arc,
 };
 
+use cotorra_graph::map_server;
 use cotorra_localization::{
-    Pose2,
+    LikelihoodField, Localizer, Parameters, Pose2,
     carmen::{Laser, Log, Message},
+    trajectory::{Errors, Trajectory},
 };
 
 /// Side of a cell, metres.
@@ -31,7 +34,7 @@ const OCCUPIED: f64 = 0.25;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = env::args().skip(1);
-    let usage = "usage: from_corrected LOG FOLDER [FROM TO]";
+    let usage = "usage: corrected_log LOG FOLDER [FROM TO]";
     let (log, folder) = (arguments.next().ok_or(usage)?, arguments.next().ok_or(usage)?);
     let from: usize = arguments.next().map_or(Ok(0), |text| text.parse())?;
     let to: usize = arguments.next().map_or(Ok(usize::MAX), |text| text.parse())?;
@@ -74,6 +77,38 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     fs::write(folder.join("raw.log"), log)?;
     fs::write(folder.join("reference.csv"), reference)?;
+    evaluate(folder)
+}
+
+/// Seeds with which a log is localized.
+const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
+
+/// Localizes what was written, as `cotorra localize` does.
+fn evaluate(folder: &Path) -> Result<(), Box<dyn Error>> {
+    let map = map_server::load(folder.join("map.yaml")).map_err(|wrong| format!("{wrong:?}"))?;
+    let reference = Trajectory::read(BufReader::new(File::open(folder.join("reference.csv"))?))?;
+    let mut scans = Vec::new();
+    for message in Log::new(BufReader::new(File::open(folder.join("raw.log"))?)) {
+        if let Message::Laser(laser) = message? {
+            scans.push(laser);
+        }
+    }
+    for (mode, parameters) in [("likelihood", Parameters::default()), ("amcl", Parameters::amcl())] {
+        let field = Arc::new(LikelihoodField::new(&map, &parameters));
+        for seed in SEEDS {
+            let start = reference.first().ok_or("the log has no scan")?;
+            let about = [0.25, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0685];
+            let mut localizer = Localizer::at(Arc::clone(&field), parameters, seed, start, &about)?;
+            let mut errors = Errors::default();
+            for (nth, scan) in scans.iter().enumerate() {
+                let estimate = localizer.observe(scan.robot, &scan.scan())?;
+                if let Some(truth) = reference.at(nth, scans.len(), scan.at) {
+                    errors.push(&estimate, truth);
+                }
+            }
+            println!("{mode:10}  seed {seed}  {errors}");
+        }
+    }
     Ok(())
 }
 
