@@ -12,6 +12,8 @@ mod ledger;
 mod message;
 mod modelled;
 pub mod negotiation;
+#[cfg(feature = "ethereum")]
+mod outbox;
 mod seal;
 mod values;
 

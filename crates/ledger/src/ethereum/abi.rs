@@ -220,3 +220,50 @@ fn outcome(outcome: Federation::Outcome) -> Result<message::Outcome, DecodeError
         O::__Invalid => return Err(DecodeError("an outcome that does not exist".to_owned())),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use alloy::sol_types::{SolError, SolEvent};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn whatever_a_node_says_is_read_or_refused(
+            kind in 0..9usize,
+            mut topics in prop::collection::vec(any::<[u8; 32]>(), 0..4),
+            mut data in prop::collection::vec(any::<u8>(), 0..600),
+        ) {
+            // Of the contract's own kinds, as far as their names go.
+            let kinds = [
+                Federation::OperatorRegistered::SIGNATURE_HASH,
+                Federation::ServiceAnnounced::SIGNATURE_HASH,
+                Federation::BidPlaced::SIGNATURE_HASH,
+                Federation::ProviderChosen::SIGNATURE_HASH,
+                Federation::ServiceDeployed::SIGNATURE_HASH,
+                Federation::ServiceAccepted::SIGNATURE_HASH,
+                Federation::ServiceEnded::SIGNATURE_HASH,
+                Federation::Withdrawn::SIGNATURE_HASH,
+            ];
+            if let (Some(first), Some(kind)) = (topics.first_mut(), kinds.get(kind)) {
+                *first = kind.0;
+            }
+            let _ = decode_event(&topics, &data);
+            if let Some(head) = data.get_mut(..4) {
+                head.copy_from_slice(&Federation::WrongState::SELECTOR);
+            }
+            let _ = decode_refusal(&data);
+        }
+    }
+
+    #[test]
+    fn amounts_and_states_that_cannot_be_are_refused() {
+        let due = Federation::BadDeposit { due: U256::MAX }.abi_encode();
+        assert!(decode_refusal(&due).unwrap_err().to_string().contains("more than there can be"));
+        let mut state = Federation::WrongState { state: Federation::State::Ended }.abi_encode();
+        assert_eq!(decode_refusal(&state), Ok(Refusal::WrongState(message::State::Ended)));
+        *state.last_mut().unwrap() = 77;
+        assert!(decode_refusal(&state).is_err());
+    }
+}

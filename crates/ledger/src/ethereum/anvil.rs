@@ -110,6 +110,15 @@ impl Anvil {
         env::var_os(PROGRAM).map_or_else(|| Path::new("anvil").to_owned(), |name: OsString| name.into())
     }
 
+    /// Ends the node, and lets it write its state first.
+    pub fn stop(mut self) {
+        // Its own way to end is an interrupt; whoever cannot send one loses what came since it was last written.
+        let interrupt = ["-s", "INT", &self.child.id().to_string()];
+        if Command::new("kill").args(interrupt).status().is_ok_and(|status| status.success()) {
+            let _ = self.child.wait();
+        }
+    }
+
     /// Where it listens, for both HTTP and WebSocket.
     pub fn address(&self) -> SocketAddr {
         self.address

@@ -2,5 +2,12 @@
 
 mod abi;
 pub mod anvil;
+mod blocks;
+mod client;
+mod key;
+mod node;
 
 pub use abi::{DecodeError, bytecode, decode_event, decode_refusal, encode};
+pub use client::{EthereumLedger, Settings};
+pub use key::{Key, KeyError, Password};
+pub use node::{EthereumError, deploy};

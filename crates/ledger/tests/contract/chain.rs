@@ -1,9 +1,6 @@
 //! A chain for tests: an anvil node that makes a block for each transaction, at a time that the test says.
 
-use std::{
-    env, fs,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::Path};
 
 use cotorra_ledger::{
     Account, Call, ChainTime, Event, Refusal,
@@ -37,23 +34,11 @@ pub struct Receipt {
     pub gas: u64,
 }
 
-/// The node's program; `None`, and a message, where it is not installed.
-fn program() -> Option<PathBuf> {
-    let installed = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../contracts/node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
-    let program = env::var_os(anvil::PROGRAM).map_or(installed, PathBuf::from);
-    if program.exists() {
-        return Some(program);
-    }
-    assert!(env::var_os("CI").is_none(), "anvil is missing: npm ci --prefix contracts");
-    eprintln!("skipped: anvil is not installed (npm ci --prefix contracts)");
-    None
-}
-
 impl Chain {
     /// A new chain; `None` where there is no anvil.
     pub fn new() -> Option<Self> {
-        let settings = anvil::Settings { program: Some(program()?), ..anvil::Settings::default() };
+        let settings =
+            anvil::Settings { program: Some(crate::common::program()?), ..anvil::Settings::default() };
         let node = Anvil::start(&settings).unwrap();
         let mut chain = Self {
             node,

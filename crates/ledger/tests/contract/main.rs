@@ -5,6 +5,8 @@
 mod adversaries;
 mod both;
 mod chain;
+#[path = "../common/mod.rs"]
+mod common;
 mod gas;
 mod guards;
 mod random;

@@ -1,0 +1,410 @@
+//! An operator's connection to a network of Ethereum nodes, by JSON-RPC over WebSocket, in a thread of its own.
+#![allow(clippy::disallowed_types, reason = "the shell that owns the clock of transactions")]
+
+use std::{
+    sync::mpsc as std_mpsc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use alloy::{
+    consensus::TxEip1559,
+    eips::{BlockNumberOrTag, eip2718::Encodable2718},
+    primitives::{Address, Bytes, TxKind, U256},
+    providers::{Provider, RootProvider},
+    rpc::types::{BlockId, Filter, Header, Log, TransactionInput, TransactionRequest},
+};
+use cotorra_graph::Timestamp;
+use tokio::sync::mpsc;
+
+use super::{
+    abi,
+    blocks::{Block, Blocks, DEEPEST},
+    key::Key,
+    node::{self, ANSWER, EthereumError, Failed, Heads},
+};
+use crate::{
+    ledger::{Ledger, Notice, Rejection, Ticket},
+    message::{Call, Event},
+    outbox::{Action, Outbox, Status, Told},
+    values::{Account, BlockHash, ChainTime, TransactionHash},
+};
+
+/// How a network is reached.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// A node's WebSocket, `ws://…` or `wss://…`.
+    pub url: String,
+    /// Where the contract is.
+    pub contract: Account,
+    /// The block that it was deployed in, or any before: events are heard from there on.
+    pub from_block: u64,
+    /// How many blocks on top of its own make a transaction final: 0 where consensus is final at once.
+    pub depth: u64,
+}
+
+/// How often [`Ledger::poll`] is worth it: what a step of a negotiation waits at most for being heard.
+const POLL: Duration = Duration::from_millis(5);
+/// Between two attempts to connect.
+const RECONNECT: Duration = Duration::from_millis(500);
+/// Nodes answer for so many blocks at once.
+const RANGE: u64 = 1000;
+/// What a call may take more than when it was tried, in percent and on top: what it writes depends on the time of its block, as with
+/// a charge that is still zero when it is tried. What is not used is not paid.
+const GAS_PERCENT: u64 = 130;
+const GAS_ON_TOP: u64 = 50_000;
+
+/// An operator's access to the contract on an Ethereum network.
+#[derive(Debug)]
+pub struct EthereumLedger {
+    account: Account,
+    submitted: u64,
+    polled: Timestamp,
+    calls: mpsc::UnboundedSender<(Ticket, Call)>,
+    notices: std_mpsc::Receiver<Notice>,
+}
+
+impl EthereumLedger {
+    /// Connects in the background, and again whenever the connection breaks; [`Notice::Up`] and [`Notice::Down`] tell.
+    ///
+    /// # Errors
+    /// [`EthereumError::Thread`].
+    pub fn connect(settings: Settings, key: Key) -> Result<Self, EthereumError> {
+        let (calls, submitted) = mpsc::unbounded_channel();
+        let (tell, notices) = std_mpsc::channel();
+        let account = key.account();
+        let runtime = node::runtime()?;
+        let client = Client {
+            outbox: Outbox::new(settings.depth),
+            settings,
+            key,
+            calls: submitted,
+            tell,
+            blocks: Blocks::default(),
+            next_block: None,
+            is_connected: false,
+            began: Instant::now(),
+        };
+        thread::Builder::new()
+            .name("ledger".to_owned())
+            .spawn(move || runtime.block_on(client.run()))
+            .map_err(EthereumError::Thread)?;
+        Ok(Self { account, submitted: 0, polled: Timestamp::ZERO, calls, notices })
+    }
+}
+
+impl Ledger for EthereumLedger {
+    fn account(&self) -> Account {
+        self.account
+    }
+
+    fn submit(&mut self, _now: Timestamp, call: Call) -> Ticket {
+        self.submitted += 1;
+        let ticket = Ticket(self.submitted);
+        self.calls.send((ticket, call)).expect("the client ends when this does");
+        ticket
+    }
+
+    fn poll(&mut self, now: Timestamp) -> Option<Notice> {
+        self.polled = now;
+        self.notices.try_recv().ok()
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        Some(self.polled + POLL)
+    }
+}
+
+/// What runs in the thread.
+struct Client {
+    settings: Settings,
+    key: Key,
+    calls: mpsc::UnboundedReceiver<(Ticket, Call)>,
+    tell: std_mpsc::Sender<Notice>,
+    outbox: Outbox,
+    blocks: Blocks,
+    /// The first block that was not heard.
+    next_block: Option<u64>,
+    /// Whether the transactions have heard of a head since the connection was made.
+    is_connected: bool,
+    began: Instant,
+}
+
+/// Why a session with a node is over.
+enum Over {
+    /// Nobody listens any more.
+    Ledger,
+    Connection(String),
+}
+
+impl From<Failed> for Over {
+    fn from(reason: Failed) -> Self {
+        Self::Connection(reason.to_string())
+    }
+}
+
+impl Client {
+    async fn run(mut self) {
+        let mut was_up = true;
+        loop {
+            match self.session(&mut was_up).await {
+                Err(Over::Ledger) => return,
+                Err(Over::Connection(reason)) if was_up => {
+                    was_up = false;
+                    if self.tell(Notice::Down(reason)).is_err() {
+                        return;
+                    }
+                }
+                Ok(()) | Err(Over::Connection(_)) => {}
+            }
+            // Calls are kept while there is no node.
+            let until = tokio::time::Instant::now() + RECONNECT;
+            while let Ok(call) = tokio::time::timeout_at(until, self.calls.recv()).await {
+                match call {
+                    Some((ticket, call)) => self.outbox.submit(ticket, call),
+                    None => return,
+                }
+            }
+        }
+    }
+
+    fn tell(&self, notice: Notice) -> Result<(), Over> {
+        self.tell.send(notice).map_err(|_| Over::Ledger)
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::ZERO + self.began.elapsed()
+    }
+
+    /// From a connection to its end.
+    async fn session(&mut self, was_up: &mut bool) -> Result<(), Over> {
+        let late = |_| Over::Connection(format!("{} did not answer within {ANSWER:?}", self.settings.url));
+        let provider =
+            tokio::time::timeout(ANSWER, node::connect(&self.settings.url)).await.map_err(late)??;
+        let chain = provider.get_chain_id().await?;
+        let contract = Address::from(self.settings.contract.0);
+        if provider.get_code_at(contract).await?.is_empty() {
+            let reason = format!("there is no contract at {contract} on the chain {chain}");
+            return Err(Over::Connection(reason));
+        }
+        let mut heads = Heads::of(&provider).await?;
+        let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
+        let head = head.ok_or_else(|| Over::Connection("the node has no block".to_owned()))?.header;
+        self.tell(Notice::Up)?;
+        *was_up = true;
+        self.outbox.on_connected();
+        self.is_connected = false;
+        self.on_head(&provider, head).await?;
+        loop {
+            self.act(&provider, chain).await?;
+            let deadline = self.outbox.next_deadline().map_or(ANSWER, |at| at.since(self.now()));
+            tokio::select! {
+                head = heads.next(&provider) => {
+                    let head = head?.ok_or_else(|| Over::Connection("the connection broke".to_owned()))?;
+                    self.on_head(&provider, head).await?;
+                }
+                call = self.calls.recv() => {
+                    let (ticket, call) = call.ok_or(Over::Ledger)?;
+                    self.outbox.submit(ticket, call);
+                }
+                () = tokio::time::sleep(deadline) => {}
+            }
+        }
+    }
+
+    /// Tells what a new head adds, and what it takes back.
+    async fn on_head(&mut self, provider: &RootProvider, head: Header) -> Result<(), Over> {
+        let is_known = self.blocks.knows(BlockHash(head.hash.0));
+        if !is_known {
+            self.take_in(provider, head).await?;
+        } else if self.is_connected {
+            return Ok(());
+        }
+        self.is_connected = true;
+        let number = self.blocks.head().map_or(0, |block| block.number);
+        let mined = provider.get_transaction_count(self.key.signer.address()).await?;
+        self.outbox.on_head(number, mined);
+        Ok(())
+    }
+
+    async fn take_in(&mut self, provider: &RootProvider, head: Header) -> Result<(), Over> {
+        self.catch_up(provider, head.number).await?;
+        // From the head back to a block that is known: usually its parent. At the start, back to the first to be heard.
+        let first = self.next_block.unwrap_or(self.settings.from_block);
+        let mut news = vec![head];
+        loop {
+            let oldest = news.last().expect("it begins with the head");
+            let is_first = self.blocks.head().is_none() && oldest.number <= first;
+            if is_first || self.blocks.knows(BlockHash(oldest.parent_hash.0)) {
+                break;
+            }
+            if news.len() == DEEPEST || oldest.number == 0 {
+                let reason = "the node is on another chain than before".to_owned();
+                return Err(Over::Connection(reason));
+            }
+            let parent = provider.get_block_by_hash(oldest.parent_hash).await?;
+            let parent = parent.ok_or_else(|| Over::Connection("a block is gone".to_owned()))?;
+            news.push(parent.header);
+        }
+        let oldest = news.last().expect("it begins with the head");
+        for event in self.blocks.retract_to(BlockHash(oldest.parent_hash.0)) {
+            self.tell(Notice::Retracted(event))?;
+        }
+        for header in news.into_iter().rev() {
+            let filter =
+                Filter::new().address(Address::from(self.settings.contract.0)).at_block_hash(header.hash);
+            let events = self.events(provider, &filter).await?;
+            for event in &events {
+                self.tell(Notice::Event(event.clone()))?;
+            }
+            let time = ChainTime(header.timestamp);
+            self.tell(Notice::Head { number: header.number, time })?;
+            self.next_block = Some(header.number + 1);
+            self.blocks.push(Block { number: header.number, hash: BlockHash(header.hash.0), events });
+        }
+        Ok(())
+    }
+
+    /// Tells what was said before the blocks that can be taken back.
+    async fn catch_up(&mut self, provider: &RootProvider, head: u64) -> Result<(), Over> {
+        let contract = Address::from(self.settings.contract.0);
+        let mut from = self.next_block.unwrap_or(self.settings.from_block);
+        // The last ones are heard block by block. Behind a gap deeper than that, nothing that is known can be compared.
+        let until = head.saturating_sub(DEEPEST as u64 / 2);
+        if from >= until {
+            return Ok(());
+        }
+        self.blocks = Blocks::default();
+        while from < until {
+            let to = (from + RANGE - 1).min(until - 1);
+            let filter = Filter::new().address(contract).from_block(from).to_block(to);
+            for event in self.events(provider, &filter).await? {
+                self.tell(Notice::Event(event))?;
+            }
+            from = to + 1;
+            self.next_block = Some(from);
+        }
+        Ok(())
+    }
+
+    async fn events(&self, provider: &RootProvider, filter: &Filter) -> Result<Vec<Event>, Over> {
+        let logs = provider.get_logs(filter).await?;
+        let decode = |log: &Log| {
+            let topics: Vec<[u8; 32]> = log.topics().iter().map(|topic| topic.0).collect();
+            abi::decode_event(&topics, &log.data().data)
+        };
+        // Another contract at the address, or a node that lies: it is as good as none.
+        logs.iter()
+            .map(decode)
+            .collect::<Result<_, _>>()
+            .map_err(|reason| Over::Connection(reason.to_string()))
+    }
+
+    /// Does what the transactions need.
+    async fn act(&mut self, provider: &RootProvider, chain: u64) -> Result<(), Over> {
+        while let Some(action) = self.outbox.next(self.now()) {
+            let told = match action {
+                Action::Estimate { ticket, call } => {
+                    let result = match node::estimate(provider, self.request(&call)).await {
+                        Ok(gas) => Ok(gas * GAS_PERCENT / 100 + GAS_ON_TOP),
+                        Err(error) => Err(rejection(error)?),
+                    };
+                    self.outbox.estimated(ticket, result)
+                }
+                Action::Send { ticket, call, nonce, gas, bumps } => {
+                    self.send(provider, chain, ticket, &call, (nonce, gas, bumps)).await?
+                }
+                Action::Check { ticket, hashes } => {
+                    let status = self.status(provider, hashes).await?;
+                    self.outbox.checked(ticket, status)
+                }
+            };
+            match told {
+                Some(Told::Included(ticket)) => self.tell(Notice::Included(ticket))?,
+                Some(Told::Refused(ticket, rejection)) => self.tell(Notice::Refused(ticket, rejection))?,
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    async fn send(
+        &mut self,
+        provider: &RootProvider,
+        chain: u64,
+        ticket: Ticket,
+        call: &Call,
+        (nonce, gas, bumps): (u64, u64, u32),
+    ) -> Result<Option<Told>, Over> {
+        let (fee, tip) = node::fees(provider, bumps).await?;
+        let transaction = self.key.sign(TxEip1559 {
+            chain_id: chain,
+            nonce,
+            gas_limit: gas,
+            max_fee_per_gas: fee,
+            max_priority_fee_per_gas: tip,
+            to: TxKind::Call(Address::from(self.settings.contract.0)),
+            value: U256::from(call.value().0),
+            input: Bytes::from(abi::encode(call)),
+            ..TxEip1559::default()
+        });
+        let hash = TransactionHash(transaction.tx_hash().0);
+        self.outbox.sent(ticket, hash);
+        let Err(error) = provider.send_raw_transaction(&transaction.encoded_2718()).await else {
+            return Ok(None);
+        };
+        let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
+        let reason = payload.message.to_lowercase();
+        // Nodes have no codes for these, only words, which differ little.
+        if ["already known", "already imported", "underpriced"].iter().any(|known| reason.contains(known)) {
+            return Ok(None);
+        }
+        if reason.contains("nonce too low") {
+            self.outbox.nonce_is_used(ticket);
+            return Ok(None);
+        }
+        Ok(self.outbox.not_sent(ticket, hash, payload.message.to_string()))
+    }
+
+    async fn status(&self, provider: &RootProvider, hashes: Vec<TransactionHash>) -> Result<Status, Over> {
+        for hash in hashes {
+            let Some(receipt) = provider.get_transaction_receipt(hash.0.into()).await? else { continue };
+            let Some(block) = receipt.block_number else { continue };
+            if receipt.status() {
+                return Ok(Status::Included { block });
+            }
+            // What the contract said of it: the same call, in the block's state.
+            let transaction = provider.get_transaction_by_hash(hash.0.into()).await?;
+            let answer = match transaction.map(|t| TransactionRequest::from_recovered_transaction(t.inner)) {
+                Some(TransactionRequest { from, to, value, input, .. }) => {
+                    let request =
+                        TransactionRequest { from, to, value, input, ..TransactionRequest::default() };
+                    provider.call(request).block(BlockId::number(block)).await
+                }
+                None => Ok(Bytes::new()),
+            };
+            let unknown = || Rejection::Node(format!("the transaction {hash} was reverted"));
+            let reason = match answer {
+                Ok(_) => unknown(),
+                Err(error) => rejection(error)?,
+            };
+            return Ok(Status::Reverted(reason));
+        }
+        Ok(Status::Absent)
+    }
+
+    fn request(&self, call: &Call) -> TransactionRequest {
+        TransactionRequest::default()
+            .from(self.key.signer.address())
+            .to(Address::from(self.settings.contract.0))
+            .value(U256::from(call.value().0))
+            .input(TransactionInput::both(Bytes::from(abi::encode(call))))
+    }
+}
+
+/// Why a node does not do a call; an error of the connection is passed on.
+fn rejection(error: Failed) -> Result<Rejection, Over> {
+    let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
+    let refusal = payload.as_revert_data().and_then(|data| abi::decode_refusal(&data).ok());
+    Ok(refusal.map_or_else(|| Rejection::Node(payload.message.to_string()), Rejection::Contract))
+}

@@ -1,0 +1,154 @@
+//! An operator's key: kept encrypted in a key store (Web3 Secret Storage, version 3), never in a testbed file.
+
+use std::{
+    env, fmt, fs, io,
+    path::{Path, PathBuf},
+};
+
+use alloy::{
+    consensus::{SignableTransaction, TxEip1559, TxEnvelope},
+    network::TxSignerSync,
+    signers::local::PrivateKeySigner,
+};
+use sha3::{Digest, Keccak256};
+
+use crate::{seal::Secret, values::Account};
+
+/// Where a key store's password comes from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Password {
+    /// The environment variable with this name.
+    Environment(String),
+    /// The first line of this file.
+    File(PathBuf),
+}
+
+/// Why there is no key.
+#[derive(Debug, thiserror::Error)]
+pub enum KeyError {
+    /// The environment has no password.
+    #[error("the password of the key store is to be in the environment variable {0}, which is not set")]
+    NoVariable(String),
+    /// The file with the password cannot be read.
+    #[error("the file with the key store's password, {}, cannot be read: {reason}", path.display())]
+    NoFile {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: io::Error,
+    },
+    /// The key store cannot be read or decrypted.
+    #[error(
+        "the key store {} cannot be opened: {reason}; it is to be a Web3 Secret Storage file (version 3), and the \
+         password its own",
+        path.display()
+    )]
+    Store {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        reason: String,
+    },
+}
+
+/// An operator's key, and with it all its secrets.
+#[derive(Clone)]
+pub struct Key {
+    pub(super) signer: PrivateKeySigner,
+}
+
+impl fmt::Debug for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Key({})", self.account())
+    }
+}
+
+impl Password {
+    fn read(&self) -> Result<String, KeyError> {
+        match self {
+            Self::Environment(name) => env::var(name).map_err(|_| KeyError::NoVariable(name.clone())),
+            Self::File(path) => {
+                let text = fs::read_to_string(path)
+                    .map_err(|reason| KeyError::NoFile { path: path.clone(), reason })?;
+                Ok(text.lines().next().unwrap_or_default().to_owned())
+            }
+        }
+    }
+}
+
+impl Key {
+    /// Opens a key store.
+    ///
+    /// # Errors
+    /// [`KeyError`] if it cannot be read, or the password is another.
+    pub fn open(path: &Path, password: &Password) -> Result<Self, KeyError> {
+        let signer = PrivateKeySigner::decrypt_keystore(path, password.read()?)
+            .map_err(|reason| KeyError::Store { path: path.to_owned(), reason: reason.to_string() })?;
+        Ok(Self { signer })
+    }
+
+    /// A key from 32 bytes that nobody else knows; `None` for zero, and for more than the curve's order.
+    pub fn from_bytes(bytes: [u8; 32]) -> Option<Self> {
+        PrivateKeySigner::from_slice(&bytes).ok().map(|signer| Self { signer })
+    }
+
+    pub(super) fn sign(&self, mut transaction: TxEip1559) -> TxEnvelope {
+        let signature = self.signer.sign_transaction_sync(&mut transaction).expect("the key is in memory");
+        transaction.into_signed(signature).into()
+    }
+
+    /// The operator's address.
+    pub fn account(&self) -> Account {
+        Account(self.signer.address().into())
+    }
+
+    /// The secret that the operator's other keys and salts come from.
+    pub fn secret(&self) -> Secret {
+        // Apart from the key itself, which signs: neither says anything of the other.
+        let key = self.signer.to_bytes();
+        Secret::new(
+            Keccak256::new().chain_update(key).chain_update(b"cotorra federation secret").finalize().into(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The test vector of the Web3 Secret Storage definition with PBKDF2.
+    const STORE: &str = r#"{
+        "crypto": {
+            "cipher": "aes-128-ctr",
+            "cipherparams": { "iv": "6087dab2f9fdbbfaddc31a909735c1e6" },
+            "ciphertext": "5318b4d5bcd28de64ee5559e671353e16f075ecae9f99c7a79a38af5f869aa46",
+            "kdf": "pbkdf2",
+            "kdfparams": {
+                "c": 262144,
+                "dklen": 32,
+                "prf": "hmac-sha256",
+                "salt": "ae3cd4e7013836a3df6bd7241b12db061dbe2c6785853cce422d148a624ce0bd"
+            },
+            "mac": "517ead924a9d0dc3124507e3393d175ce3ff7c1e96529c6c555ce9e51205e9b2"
+        },
+        "id": "3198bc9c-6672-5ab3-d995-4942343ae5b6",
+        "version": 3
+    }"#;
+
+    #[test]
+    fn a_key_store_is_opened_with_its_password_and_with_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, password) = (folder.path().join("store.json"), folder.path().join("password"));
+        fs::write(&store, STORE).unwrap();
+        fs::write(&password, "testpassword\n").unwrap();
+        let key = Key::open(&store, &Password::File(password.clone())).unwrap();
+        assert_eq!(key.account(), "0x008aeeda4d805471df9b2a5b0f38a0c3bcba786b".parse().unwrap());
+        assert_eq!(format!("{key:?}"), "Key(0x008aeeda4d805471df9b2a5b0f38a0c3bcba786b)");
+        fs::write(&password, "another\n").unwrap();
+        let refused = Key::open(&store, &Password::File(password)).unwrap_err().to_string();
+        assert!(refused.contains("store.json cannot be opened"), "{refused}");
+        let missing =
+            Key::open(&store, &Password::Environment("COTORRA_TEST_NO_SUCH".to_owned())).unwrap_err();
+        assert!(missing.to_string().contains("COTORRA_TEST_NO_SUCH, which is not set"), "{missing}");
+    }
+}

@@ -1,0 +1,159 @@
+//! What is asked of an Ethereum node, whoever asks: a connection, fees, and a place for the contract.
+
+use std::time::Duration;
+
+use alloy::{
+    consensus::TxEip1559,
+    eips::{BlockId, BlockNumberOrTag, eip2718::Encodable2718},
+    primitives::{Bytes, TxKind},
+    providers::{Provider, ProviderBuilder, RootProvider, WsConnect},
+    pubsub::Subscription,
+    rpc::types::{Header, TransactionInput, TransactionReceipt, TransactionRequest},
+    transports::{RpcError, TransportErrorKind},
+};
+use tokio::{
+    runtime::{Builder, Runtime},
+    time::Interval,
+};
+
+use super::{abi, key::Key};
+use crate::values::Account;
+
+/// Why a network cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum EthereumError {
+    /// The node does not answer, or answers with an error.
+    #[error("the ledger's node at {url} does not do as asked: {reason}")]
+    Node {
+        /// The node.
+        url: String,
+        /// Why not.
+        reason: String,
+    },
+    /// No thread for it.
+    #[error("there is no thread for the ledger's client: {0}")]
+    Thread(std::io::Error),
+}
+
+/// So long a node may take for an answer.
+pub(super) const ANSWER: Duration = Duration::from_secs(10);
+
+pub(super) type Failed = RpcError<TransportErrorKind>;
+
+/// Deploys the contract, and waits until it is in a block. Returns where it is, and the block.
+///
+/// # Errors
+/// [`EthereumError`].
+pub fn deploy(url: &str, key: &Key) -> Result<(Account, u64), EthereumError> {
+    let node = |reason: String| EthereumError::Node { url: url.to_owned(), reason };
+    let receipt = runtime()?.block_on(create(url, key)).map_err(|reason| node(reason.to_string()))?;
+    match (receipt.status(), receipt.contract_address, receipt.block_number) {
+        (true, Some(address), Some(block)) => Ok((Account(address.into()), block)),
+        _ => Err(node("it did not deploy the contract".to_owned())),
+    }
+}
+
+async fn create(url: &str, key: &Key) -> Result<TransactionReceipt, Failed> {
+    let provider = connect(url).await?;
+    let from = key.signer.address();
+    let input = Bytes::from(abi::bytecode());
+    // By both names: nodes know the one or the other.
+    let input_of = TransactionInput::both(input.clone());
+    let request = TransactionRequest { from: Some(from), input: input_of, ..Default::default() };
+    let (fee, tip) = fees(&provider, 0).await?;
+    let transaction = key.sign(TxEip1559 {
+        chain_id: provider.get_chain_id().await?,
+        nonce: provider.get_transaction_count(from).pending().await?,
+        gas_limit: estimate(&provider, request).await?,
+        max_fee_per_gas: fee,
+        max_priority_fee_per_gas: tip,
+        to: TxKind::Create,
+        input,
+        ..TxEip1559::default()
+    });
+    let hash = *provider.send_raw_transaction(&transaction.encoded_2718()).await?.tx_hash();
+    let asks = DEPLOYMENT.as_millis() / ASK.as_millis();
+    for _ in 0..asks {
+        if let Some(receipt) = provider.get_transaction_receipt(hash).await? {
+            return Ok(receipt);
+        }
+        tokio::time::sleep(ASK).await;
+    }
+    Err(TransportErrorKind::custom_str(&format!(
+        "the transaction {hash} is in no block after {DEPLOYMENT:?}"
+    )))
+}
+
+pub(super) fn runtime() -> Result<Runtime, EthereumError> {
+    Builder::new_current_thread().enable_all().build().map_err(EthereumError::Thread)
+}
+
+pub(super) async fn connect(url: &str) -> Result<RootProvider, Failed> {
+    // Whoever uses the connection reconnects: only it knows what is to be asked again.
+    ProviderBuilder::default().connect_ws(WsConnect::new(url).with_max_retries(0)).await
+}
+
+/// So long a network may take to have the contract in a block.
+const DEPLOYMENT: Duration = Duration::from_secs(120);
+/// Where a node cannot say what tip is usual: 1 Gwei.
+const TIP: u128 = 1_000_000_000;
+
+/// Fee and tip for a unit of gas (EIP-1559): the base fee may double until the transaction is in a block. Nodes take a transaction in
+/// place of one with the same nonce if both are a tenth higher.
+pub(super) async fn fees(provider: &RootProvider, bumps: u32) -> Result<(u128, u128), Failed> {
+    let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
+    let base = head.and_then(|block| block.header.base_fee_per_gas).unwrap_or_default();
+    // Not all nodes have this one.
+    let tip = match provider.get_max_priority_fee_per_gas().await {
+        Err(error) if error.as_error_resp().is_some() => TIP,
+        tip => tip?.max(1),
+    };
+    let bumped = |fee: u128| (0..bumps.min(20)).fold(fee, |fee, _| fee + fee / 4 + 1);
+    Ok((bumped(2 * u128::from(base) + tip), bumped(tip)))
+}
+
+/// The gas that a call takes, behind those that wait, where the node knows of such.
+pub(super) async fn estimate(provider: &RootProvider, request: TransactionRequest) -> Result<u64, Failed> {
+    match provider.estimate_gas(request.clone()).pending().await {
+        Err(error) if error.as_error_resp().is_some_and(|e| e.message.contains("not yet supported")) => {
+            provider.estimate_gas(request).block(BlockId::latest()).await
+        }
+        gas => gas,
+    }
+}
+
+/// The heads of the chain as they come.
+pub(super) enum Heads {
+    /// The node tells.
+    Told(Subscription<Header>),
+    /// The node has no subscriptions, and is asked.
+    Asked(Interval),
+}
+
+/// Between two questions for the head.
+const ASK: Duration = Duration::from_millis(50);
+
+impl Heads {
+    pub(super) async fn of(provider: &RootProvider) -> Result<Self, Failed> {
+        /// JSON-RPC 2.0, 5.1.
+        const METHOD_NOT_FOUND: i64 = -32601;
+        match provider.subscribe_blocks().await {
+            Err(error) if error.as_error_resp().is_some_and(|e| e.code == METHOD_NOT_FOUND) => {
+                Ok(Self::Asked(tokio::time::interval(ASK)))
+            }
+            heads => heads.map(Self::Told),
+        }
+    }
+
+    /// The next head, or the same again; `None`: the connection is broken. Can be dropped and asked anew at any time.
+    pub(super) async fn next(&mut self, provider: &RootProvider) -> Result<Option<Header>, Failed> {
+        match self {
+            Self::Told(heads) => Ok(heads.recv().await.ok()),
+            Self::Asked(interval) => {
+                interval.tick().await;
+                let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
+                Ok(head.map(|block| block.header))
+            }
+        }
+    }
+}

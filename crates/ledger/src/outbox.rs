@@ -1,0 +1,438 @@
+//! The life of an operator's transactions, without a network and without a clock: each gets a nonce, is sent, sent again
+//! with a higher fee while nobody includes it, and again after a reorganisation took it back.
+//!
+//! Sent again, a transaction has the nonce that it had, so that no chain has both. Should the nonce be used by something
+//! else, it gets another: what was done already, the contract refuses, for its ids are unique and its states are passed once.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::Timestamp;
+
+use crate::{
+    ledger::{Rejection, Ticket},
+    message::Call,
+    values::TransactionHash,
+};
+
+/// So long nobody may include a transaction before it is sent again with a higher fee, in blocks.
+const PATIENCE_BLOCKS: u64 = 3;
+/// And in time: blocks may be far apart, or not come at all.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// What is to be done for a transaction.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Action {
+    /// Try the call on the node, and say what gas it takes: [`Outbox::estimated`].
+    Estimate { ticket: Ticket, call: Call },
+    /// Sign it, say [`Outbox::sent`], and send it.
+    Send { ticket: Ticket, call: Call, nonce: u64, gas: u64, bumps: u32 },
+    /// Ask in which block one of these is: [`Outbox::checked`].
+    Check { ticket: Ticket, hashes: Vec<TransactionHash> },
+}
+
+/// What became of a transaction, by the chain's present head.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Status {
+    /// No block has it.
+    Absent,
+    /// A block has it.
+    Included { block: u64 },
+    /// A block has it, and the contract refused it there.
+    Reverted(Rejection),
+}
+
+/// What the operator is to know.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Told {
+    Included(Ticket),
+    Refused(Ticket, Rejection),
+}
+
+#[derive(Debug)]
+struct Entry {
+    ticket: Ticket,
+    call: Call,
+    stage: Stage,
+}
+
+#[derive(Debug)]
+enum Stage {
+    Queued,
+    Estimating,
+    Ready { gas: u64 },
+    Sent(Sent),
+}
+
+#[derive(Debug)]
+struct Sent {
+    gas: u64,
+    nonce: u64,
+    bumps: u32,
+    hashes: Vec<TransactionHash>,
+    /// When it was sent last.
+    at: Timestamp,
+    at_block: u64,
+    is_due: bool,
+    /// The head by which it was looked for last.
+    checked: Option<u64>,
+    included: Option<u64>,
+}
+
+/// An operator's transactions that are not final.
+#[derive(Debug)]
+pub(crate) struct Outbox {
+    entries: VecDeque<Entry>,
+    /// How many blocks on top make one final.
+    depth: u64,
+    head: u64,
+    /// How many of the operator's transactions the chain has.
+    on_chain: Option<u64>,
+}
+
+impl Outbox {
+    /// An empty one. A transaction with `depth` blocks on top of its own is never taken back.
+    pub(crate) fn new(depth: u64) -> Self {
+        Self { entries: VecDeque::new(), depth, head: 0, on_chain: None }
+    }
+
+    pub(crate) fn submit(&mut self, ticket: Ticket, call: Call) {
+        self.entries.push_back(Entry { ticket, call, stage: Stage::Queued });
+    }
+
+    /// The chain has a head, and by it that many transactions of the operator.
+    pub(crate) fn on_head(&mut self, number: u64, on_chain: u64) {
+        self.head = number;
+        self.on_chain = Some(on_chain);
+        for entry in &mut self.entries {
+            if let Stage::Sent(sent) = &mut entry.stage {
+                sent.checked = None;
+            }
+        }
+    }
+
+    /// The connection is a new one: what the node was asked before is forgotten.
+    pub(crate) fn on_connected(&mut self) {
+        self.on_chain = None;
+        for entry in &mut self.entries {
+            match &mut entry.stage {
+                Stage::Estimating => entry.stage = Stage::Queued,
+                // The node may be another one, which never saw it.
+                Stage::Sent(sent) if sent.included.is_none() => sent.is_due = true,
+                _ => {}
+            }
+        }
+    }
+
+    /// What is to be done next; `None`: to wait for a head, or until [`Outbox::next_deadline`].
+    pub(crate) fn next(&mut self, now: Timestamp) -> Option<Action> {
+        let head = self.head;
+        let on_chain = self.on_chain?;
+        let nonce = self.next_nonce(on_chain);
+        for entry in &mut self.entries {
+            let (ticket, call) = (entry.ticket, &entry.call);
+            match &mut entry.stage {
+                Stage::Queued => {
+                    entry.stage = Stage::Estimating;
+                    return Some(Action::Estimate { ticket, call: call.clone() });
+                }
+                // Later calls may build on this one.
+                Stage::Estimating => return None,
+                Stage::Ready { gas } => {
+                    let (gas, hashes) = (*gas, Vec::new());
+                    let sent = Sent {
+                        gas,
+                        nonce,
+                        bumps: 0,
+                        hashes,
+                        at: now,
+                        at_block: head,
+                        is_due: false,
+                        checked: Some(head),
+                        included: None,
+                    };
+                    entry.stage = Stage::Sent(sent);
+                    return Some(Action::Send { ticket, call: call.clone(), nonce, gas, bumps: 0 });
+                }
+                Stage::Sent(sent) => {
+                    if sent.checked != Some(head) && !sent.hashes.is_empty() {
+                        sent.checked = Some(head);
+                        return Some(Action::Check { ticket, hashes: sent.hashes.clone() });
+                    }
+                    let is_late = sent.included.is_none()
+                        && head >= sent.at_block + PATIENCE_BLOCKS
+                        && now >= sent.at + PATIENCE;
+                    if is_late {
+                        sent.bumps += 1;
+                    }
+                    if sent.is_due || is_late {
+                        (sent.is_due, sent.at, sent.at_block) = (false, now, head);
+                        let Sent { nonce, gas, bumps, .. } = *sent;
+                        return Some(Action::Send { ticket, call: call.clone(), nonce, gas, bumps });
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// When [`Outbox::next`] may have something although no head came.
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        let due = |entry: &Entry| match &entry.stage {
+            Stage::Sent(sent) if sent.included.is_none() && self.head >= sent.at_block + PATIENCE_BLOCKS => {
+                Some(sent.at + PATIENCE)
+            }
+            _ => None,
+        };
+        self.entries.iter().filter_map(due).min()
+    }
+
+    /// The first nonce that neither the chain nor a transaction under way has.
+    fn next_nonce(&self, on_chain: u64) -> u64 {
+        let used = |entry: &Entry| match &entry.stage {
+            Stage::Sent(sent) => Some(sent.nonce),
+            _ => None,
+        };
+        let mut used: Vec<u64> = self.entries.iter().filter_map(used).collect();
+        used.sort_unstable();
+        // A nonce that fell free is taken first: nodes include nothing behind a gap.
+        used.into_iter().fold(on_chain, |next, nonce| if nonce == next { next + 1 } else { next })
+    }
+
+    /// The node tried a call.
+    pub(crate) fn estimated(&mut self, ticket: Ticket, result: Result<u64, Rejection>) -> Option<Told> {
+        let entry = self.entries.iter_mut().find(|entry| entry.ticket == ticket)?;
+        match result {
+            Ok(gas) => {
+                entry.stage = Stage::Ready { gas };
+                None
+            }
+            Err(rejection) => {
+                self.remove(ticket);
+                Some(Told::Refused(ticket, rejection))
+            }
+        }
+    }
+
+    /// A transaction is being sent: from now on it may be in a block, whatever the connection does.
+    pub(crate) fn sent(&mut self, ticket: Ticket, hash: TransactionHash) {
+        if let Some(sent) = self.sent_mut(ticket)
+            && !sent.hashes.contains(&hash)
+        {
+            sent.hashes.push(hash);
+        }
+    }
+
+    /// The node does not take a transaction, for a reason that will not pass.
+    pub(crate) fn not_sent(&mut self, ticket: Ticket, hash: TransactionHash, reason: String) -> Option<Told> {
+        let sent = self.sent_mut(ticket)?;
+        sent.hashes.retain(|other| *other != hash);
+        // One that the node took before is still under way.
+        if !sent.hashes.is_empty() {
+            return None;
+        }
+        self.remove(ticket);
+        Some(Told::Refused(ticket, Rejection::Node(reason)))
+    }
+
+    /// The node says that the nonce is used.
+    pub(crate) fn nonce_is_used(&mut self, ticket: Ticket) {
+        // Either this transaction used it, which a check shows, or something else did.
+        match self.sent_mut(ticket) {
+            Some(sent) if !sent.hashes.is_empty() => sent.checked = None,
+            _ => self.requeue(ticket),
+        }
+    }
+
+    /// What became of a transaction, by the head.
+    pub(crate) fn checked(&mut self, ticket: Ticket, status: Status) -> Option<Told> {
+        let (head, depth, on_chain) = (self.head, self.depth, self.on_chain);
+        let sent = self.sent_mut(ticket)?;
+        match status {
+            Status::Included { block } => {
+                let is_news = sent.included.replace(block) != Some(block);
+                if head >= block + depth {
+                    self.remove(ticket);
+                }
+                is_news.then_some(Told::Included(ticket))
+            }
+            Status::Reverted(rejection) => {
+                self.remove(ticket);
+                Some(Told::Refused(ticket, rejection))
+            }
+            Status::Absent => {
+                // Taken back: the node may no longer have it.
+                sent.is_due |= sent.included.take().is_some();
+                if on_chain.is_some_and(|count| count > sent.nonce) {
+                    self.requeue(ticket);
+                }
+                None
+            }
+        }
+    }
+
+    fn requeue(&mut self, ticket: Ticket) {
+        if let Some(entry) = self.entries.iter_mut().find(|entry| entry.ticket == ticket) {
+            entry.stage = Stage::Queued;
+        }
+    }
+
+    fn sent_mut(&mut self, ticket: Ticket) -> Option<&mut Sent> {
+        self.entries.iter_mut().find(|entry| entry.ticket == ticket).and_then(|entry| {
+            match &mut entry.stage {
+                Stage::Sent(sent) => Some(sent),
+                _ => None,
+            }
+        })
+    }
+
+    fn remove(&mut self, ticket: Ticket) {
+        self.entries.retain(|entry| entry.ticket != ticket);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashMap;
+
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::values::ServiceId;
+
+    /// A chain with one operator, whose node loses transactions and whose blocks are taken back.
+    #[derive(Default)]
+    struct Node {
+        /// Transactions that wait, by nonce: hash, bumps and what they say.
+        pool: HashMap<u64, (TransactionHash, u32, Call)>,
+        blocks: Vec<Vec<(u64, TransactionHash, Call)>>,
+    }
+
+    impl Node {
+        fn count(&self) -> u64 {
+            self.blocks.iter().flatten().count() as u64
+        }
+
+        fn block_of(&self, hashes: &[TransactionHash]) -> Option<u64> {
+            let has = |block: &Vec<(u64, TransactionHash, Call)>| {
+                block.iter().any(|(_, hash, _)| hashes.contains(hash))
+            };
+            self.blocks.iter().position(has).map(|at| at as u64 + 1)
+        }
+
+        fn mine(&mut self) {
+            let mut block = Vec::new();
+            while let Some((hash, _, call)) = self.pool.remove(&(self.count() + block.len() as u64)) {
+                block.push((self.count() + block.len() as u64, hash, call));
+            }
+            self.blocks.push(block);
+        }
+
+        fn act(&mut self, outbox: &mut Outbox, action: Action) -> Option<Told> {
+            match action {
+                Action::Estimate { ticket, .. } => outbox.estimated(ticket, Ok(100_000)),
+                Action::Send { ticket, call, nonce, bumps, .. } => {
+                    // The same transaction has the same hash.
+                    let mut hash = TransactionHash::default();
+                    hash.0[..8].copy_from_slice(&(1000 * ticket.0 + nonce).to_be_bytes());
+                    hash.0[8] = u8::try_from(bumps).unwrap();
+                    outbox.sent(ticket, hash);
+                    if nonce < self.count() {
+                        outbox.nonce_is_used(ticket);
+                    } else {
+                        let is_better = self.pool.get(&nonce).is_none_or(|(_, other, _)| bumps > *other);
+                        if is_better {
+                            self.pool.insert(nonce, (hash, bumps, call));
+                        }
+                    }
+                    None
+                }
+                Action::Check { ticket, hashes } => outbox.checked(
+                    ticket,
+                    self.block_of(&hashes).map_or(Status::Absent, |block| Status::Included { block }),
+                ),
+            }
+        }
+    }
+
+    #[derive(Debug, Clone, Copy)]
+    enum Happening {
+        Submit,
+        Mine,
+        /// The node forgets what waits.
+        Drop,
+        /// The last block is taken back, and what was in it forgotten.
+        Reorganise,
+        Reconnect,
+    }
+
+    fn happening() -> impl Strategy<Value = Happening> {
+        use Happening::*;
+        prop_oneof![3 => Just(Submit), 4 => Just(Mine), 1 => Just(Drop), 1 => Just(Reorganise), 1 => Just(Reconnect)]
+    }
+
+    fn call(number: u64) -> Call {
+        let mut id = ServiceId::default();
+        id.0[..8].copy_from_slice(&number.to_be_bytes());
+        Call::Accept { id }
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_gets_lost_every_call_is_on_the_chain_once(
+            happenings in prop::collection::vec(happening(), 1..60),
+        ) {
+            let (mut node, mut outbox) = (Node::default(), Outbox::new(3));
+            let (mut now, mut submitted) = (Timestamp::ZERO, 0);
+            let after = vec![Happening::Mine; 40];
+            for happening in happenings.into_iter().chain(after) {
+                now = now + Duration::from_secs(1);
+                match happening {
+                    Happening::Submit => {
+                        submitted += 1;
+                        outbox.submit(Ticket(submitted), call(submitted));
+                    }
+                    Happening::Mine => node.mine(),
+                    Happening::Drop => node.pool.clear(),
+                    Happening::Reorganise => {
+                        // No deeper than what the outbox is told is possible: the block that replaces it comes at once.
+                        if node.blocks.pop().is_some() {
+                            node.pool.clear();
+                            node.blocks.push(Vec::new());
+                        }
+                    }
+                    Happening::Reconnect => outbox.on_connected(),
+                }
+                outbox.on_head(node.blocks.len() as u64, node.count());
+                for _ in 0..1000 {
+                    let Some(action) = outbox.next(now) else { break };
+                    node.act(&mut outbox, action);
+                }
+            }
+            let mut calls: Vec<&Call> = node.blocks.iter().flatten().map(|(_, _, call)| call).collect();
+            calls.sort_by_key(|call| format!("{call:?}"));
+            let mut wanted: Vec<Call> = (1..=submitted).map(call).collect();
+            wanted.sort_by_key(|call| format!("{call:?}"));
+            prop_assert_eq!(calls, wanted.iter().collect::<Vec<_>>());
+            prop_assert!(outbox.entries.is_empty(), "{:?}", outbox.entries);
+        }
+    }
+
+    #[test]
+    fn what_the_node_refuses_is_told_and_uses_no_nonce() {
+        let mut outbox = Outbox::new(0);
+        outbox.on_head(1, 5);
+        outbox.submit(Ticket(1), call(1));
+        outbox.submit(Ticket(2), call(2));
+        assert!(matches!(outbox.next(Timestamp::ZERO), Some(Action::Estimate { ticket: Ticket(1), .. })));
+        assert_eq!(outbox.next(Timestamp::ZERO), None, "the second may build on the first");
+        let rejection = Rejection::from(crate::Refusal::OnlyCreator);
+        assert_eq!(
+            outbox.estimated(Ticket(1), Err(rejection.clone())),
+            Some(Told::Refused(Ticket(1), rejection))
+        );
+        outbox.next(Timestamp::ZERO);
+        outbox.estimated(Ticket(2), Ok(7));
+        let sent = Action::Send { ticket: Ticket(2), call: call(2), nonce: 5, gas: 7, bumps: 0 };
+        assert_eq!(outbox.next(Timestamp::ZERO), Some(sent));
+    }
+}

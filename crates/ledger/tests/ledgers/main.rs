@@ -1,0 +1,189 @@
+//! Operators on a real ledger, with all that can happen to its node and to their transactions.
+#![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
+#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
+
+#[path = "../common/mod.rs"]
+mod common;
+mod node;
+mod operator;
+
+use std::{
+    env,
+    time::{Duration, Instant},
+};
+
+use cotorra_ledger::{
+    Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Wei,
+    negotiation::{CreatorStep, Failure, ProviderStep},
+};
+use node::Node;
+use operator::{CreatorSide, ProviderSide, announcements, attachment, policy, until_all};
+
+#[test]
+fn a_service_is_negotiated_used_and_paid() {
+    let Some(node) = Node::start() else { return };
+    negotiate(&node);
+}
+
+/// On the network that `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546`, whose genesis gives money to the operators
+/// of tests: the keys 0101…01, 0202…02, 0303…03 and 6363…63.
+#[test]
+fn a_service_is_negotiated_used_and_paid_on_an_existing_network() {
+    match env::var("COTORRA_TEST_LEDGER") {
+        Ok(url) => negotiate(&Node::existing(&url)),
+        Err(_) => eprintln!("skipped: COTORRA_TEST_LEDGER names no network"),
+    }
+}
+
+fn negotiate(node: &Node) {
+    let began = Instant::now();
+    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut providers = [
+        ProviderSide::new(node.operator(2), Price::new(9).unwrap()),
+        ProviderSide::new(node.operator(3), Price::new(7).unwrap()),
+    ];
+    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+    println!("from the registrations to the use: {:?}", began.elapsed());
+    creator.negotiation.release();
+    until_all(&mut creator, &mut providers, |creator| creator.negotiation.is_over());
+    assert!(creator.has(|step| *step == CreatorStep::Deployed(attachment())));
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Released)));
+    assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
+    let [loser, winner] = &providers;
+    assert!(loser.steps.contains(&ProviderStep::Lost));
+    assert!(winner.steps.contains(&ProviderStep::InUse));
+}
+
+#[test]
+fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.operator(1);
+    let ticket = operator.ledger.submit(operator.now(), Call::Withdraw);
+    let refused = Notice::Refused(ticket, Rejection::Contract(Refusal::NothingToWithdraw));
+    operator.until("the refusal", |notices| notices.contains(&refused));
+    assert_eq!(node.transactions(&operator), 1, "the registration");
+}
+
+#[test]
+fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.poor_operator(9);
+    let ticket = operator.ledger.submit(operator.now(), Call::Register { name: "poor".to_owned() });
+    operator.until("the refusal", |notices| {
+        notices
+            .iter()
+            .any(|notice| matches!(notice, Notice::Refused(of, Rejection::Node(_)) if *of == ticket))
+    });
+}
+
+#[test]
+fn a_transaction_that_the_node_drops_is_sent_again() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.operator(1);
+    node.rpc("evm_setAutomine", "[false]");
+    let announced = operator.announce();
+    node.until("it waits", || node.rpc("txpool_status", "[]")["pending"] == "0x1");
+    node.rpc("anvil_dropAllTransactions", "[]");
+    node.until("it is dropped", || node.rpc("txpool_status", "[]")["pending"] == "0x0");
+    operator.until("it is included", |notices| {
+        node.rpc("evm_mine", "[]");
+        notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
+    });
+}
+
+#[test]
+fn a_transaction_whose_fee_is_too_low_is_sent_again_with_a_higher_one() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.operator(1);
+    node.rpc("evm_setAutomine", "[false]");
+    let announced = operator.announce();
+    node.until("it waits", || node.rpc("txpool_status", "[]")["pending"] == "0x1");
+    // Blocks go by that are too dear for it.
+    for _ in 0..8 {
+        node.rpc("anvil_setNextBlockBaseFeePerGas", "[\"0x2540be400000\"]");
+        node.rpc("evm_mine", "[]");
+    }
+    operator.until("it is included", |notices| {
+        node.rpc("evm_mine", "[]");
+        notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
+    });
+}
+
+#[test]
+fn what_is_reorganised_away_is_taken_back_and_sent_again() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.operator(1);
+    let announced = operator.announce();
+    operator.until("it is announced", |notices| {
+        notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
+    });
+    // The last block is replaced by an empty one.
+    node.rpc("anvil_reorg", "[1, []]");
+    operator.until("it is taken back", |notices| notices.iter().any(|n| matches!(n, Notice::Retracted(_))));
+    operator.until("it is told again", |notices| {
+        node.rpc("evm_mine", "[]");
+        let told = |notice: &&Notice| matches!(notice, Notice::Event(Event::ServiceAnnounced { .. }));
+        notices.iter().filter(told).count() == 2
+    });
+    assert_eq!(announcements(&operator.notices), 1);
+}
+
+#[test]
+fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
+    let Some(mut node) = Node::start() else { return };
+    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
+    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::Announced));
+    node.stop();
+    creator
+        .operator
+        .until("the node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
+    node.restart();
+    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+}
+
+#[test]
+fn an_operator_that_is_restarted_hears_all_that_was_said() {
+    let Some(node) = Node::start() else { return };
+    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
+    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::Chosen));
+    // The creator's process ends, and a new one has its key and the salt.
+    let mut again = CreatorSide::new(node.reconnect(1), policy());
+    drop(creator);
+    until_all(&mut again, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+    again.negotiation.release();
+    until_all(&mut again, &mut providers, |creator| creator.negotiation.is_over());
+}
+
+#[test]
+fn nobody_answers_and_the_creator_hears_it_in_time() {
+    let Some(node) = Node::start() else { return };
+    let mut creator = CreatorSide::new(node.operator(1), policy());
+    until_all(&mut creator, &mut [], |creator| creator.negotiation.is_over());
+    assert!(creator.has(|step| *step == CreatorStep::Failed(Failure::NoBid)));
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
+}
+
+/// Prints what a transaction takes, from the call to the news that it is in a block.
+#[test]
+fn transactions_are_timed() {
+    let Some(node) = Node::start() else { return };
+    let mut operator = node.operator(1);
+    let mut times: Vec<Duration> = (0..50)
+        .map(|_| {
+            let began = Instant::now();
+            let ticket = operator.announce();
+            operator.until_closely(|notices| notices.contains(&Notice::Included(ticket)));
+            began.elapsed()
+        })
+        .collect();
+    times.sort();
+    println!(
+        "a transaction on anvil, from the call to its inclusion: median {:?}, 95 % {:?}",
+        times[25], times[47]
+    );
+    operator.until("all are heard", |notices| announcements(notices) == 50);
+    assert_eq!(node.transactions(&operator), 51);
+    assert!(node.holds() == Wei(0));
+}

@@ -1,0 +1,220 @@
+//! Operators of tests, and the two sides of a negotiation on the wall clock.
+
+use std::{
+    thread,
+    time::{Duration, Instant},
+};
+
+use cotorra_graph::Timestamp;
+use cotorra_ledger::{
+    Attachment, Call, Event, Ledger, Notice, Price, Requirements, Terms, Ticket,
+    ethereum::{EthereumLedger, Key},
+    negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Request},
+};
+
+use crate::node::PATIENCE;
+
+pub struct Operator {
+    pub ledger: EthereumLedger,
+    pub key: Key,
+    /// All that was heard.
+    pub notices: Vec<Notice>,
+    began: Instant,
+    announced: u64,
+}
+
+impl Operator {
+    pub fn new(ledger: EthereumLedger, key: Key) -> Self {
+        Self { ledger, key, notices: Vec::new(), began: Instant::now(), announced: 0 }
+    }
+
+    pub fn now(&self) -> Timestamp {
+        Timestamp::ZERO + self.began.elapsed()
+    }
+
+    pub fn register(&mut self) {
+        let name = format!("operator {}", self.key.account());
+        let ticket = self.ledger.submit(self.now(), Call::Register { name });
+        self.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
+    }
+
+    /// Announces another service.
+    pub fn announce(&mut self) -> Ticket {
+        self.announced += 1;
+        let salt = self.key.secret().announcement_salt(1000 + self.announced);
+        let key = self.key.secret().public_key(salt);
+        let Request { requirements, terms, .. } = request(policy());
+        self.ledger.submit(self.now(), Call::Announce { salt, key, requirements, terms })
+    }
+
+    /// Listens until the condition holds.
+    pub fn until(&mut self, what: &str, mut condition: impl FnMut(&[Notice]) -> bool) {
+        let began = Instant::now();
+        loop {
+            self.listen();
+            if condition(&self.notices) {
+                return;
+            }
+            assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}; heard {:?}", self.notices);
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// The same, without sleeping: for what is timed.
+    pub fn until_closely(&mut self, mut condition: impl FnMut(&[Notice]) -> bool) {
+        while !condition(&self.notices) {
+            self.listen();
+            thread::yield_now();
+        }
+    }
+
+    fn listen(&mut self) -> Vec<Notice> {
+        let now = self.now();
+        let heard: Vec<Notice> = std::iter::from_fn(|| self.ledger.poll(now)).collect();
+        self.notices.extend(heard.iter().cloned());
+        heard
+    }
+}
+
+/// How many announcements stand, of all that was said and taken back.
+pub fn announcements(notices: &[Notice]) -> usize {
+    let is = |notice: &&Notice, said: bool| match notice {
+        Notice::Event(Event::ServiceAnnounced { .. }) => said,
+        Notice::Retracted(Event::ServiceAnnounced { .. }) => !said,
+        _ => false,
+    };
+    let count = |said| notices.iter().filter(|notice| is(notice, said)).count();
+    count(true) - count(false)
+}
+
+pub fn policy() -> Policy {
+    Policy {
+        highest: Price::new(100).unwrap(),
+        collect: Duration::from_secs(3),
+        enough: 2,
+        patience: Duration::from_secs(50),
+    }
+}
+
+fn request(policy: Policy) -> Request {
+    let requirements = Requirements {
+        vnf: "vAP".to_owned(),
+        map: "corridor".to_owned(),
+        x_mm: 25_500,
+        y_mm: -24_300,
+        radius_mm: 5_000,
+        ssid: "robots".to_owned(),
+        mobility_domain: 0xa1b2,
+        frequency_mhz: 0,
+        width_mhz: 20,
+        signal_dbm: -70,
+    };
+    let terms = Terms { open_for: 300, deploy_within: 300, accept_within: 300, use_for: 600 };
+    Request { requirements, terms, policy }
+}
+
+pub fn attachment() -> Attachment {
+    Attachment {
+        radio_unit: "R4".to_owned(),
+        ssid: "robots".to_owned(),
+        bssid: [2, 0, 0, 0, 0, 4],
+        frequency_mhz: 5180,
+        pmk_r1: [8; 32],
+    }
+}
+
+/// A robot's domain.
+pub struct CreatorSide {
+    pub operator: Operator,
+    pub negotiation: Creator,
+    pub steps: Vec<CreatorStep>,
+    heard: usize,
+}
+
+impl CreatorSide {
+    pub fn new(operator: Operator, policy: Policy) -> Self {
+        let secret = operator.key.secret();
+        let salt = secret.announcement_salt(1);
+        let negotiation = Creator::new(operator.now(), operator.key.account(), secret, salt, request(policy));
+        Self { operator, negotiation, steps: Vec::new(), heard: 0 }
+    }
+
+    /// Whether it came to a step.
+    pub fn has(&self, step: impl Fn(&CreatorStep) -> bool) -> bool {
+        self.steps.iter().any(step)
+    }
+
+    fn go_on(&mut self) {
+        self.operator.listen();
+        let now = self.operator.now();
+        for notice in &self.operator.notices[self.heard..] {
+            self.negotiation.handle(now, notice);
+        }
+        self.heard = self.operator.notices.len();
+        // One that was restarted hears first where it was.
+        if !self.operator.notices.iter().any(|notice| matches!(notice, Notice::Head { .. })) {
+            return;
+        }
+        self.negotiation.expire(now);
+        self.negotiation.submit(now, &mut self.operator.ledger);
+        while let Some(step) = self.negotiation.poll_step() {
+            if matches!(step, CreatorStep::Deployed(_)) {
+                self.negotiation.attached();
+            }
+            self.steps.push(step);
+        }
+        self.negotiation.submit(now, &mut self.operator.ledger);
+    }
+}
+
+/// Another domain.
+pub struct ProviderSide {
+    operator: Operator,
+    price: Price,
+    negotiation: Option<Provider>,
+    pub steps: Vec<ProviderStep>,
+}
+
+impl ProviderSide {
+    pub fn new(operator: Operator, price: Price) -> Self {
+        Self { operator, price, negotiation: None, steps: Vec::new() }
+    }
+
+    fn go_on(&mut self) {
+        let now = self.operator.now();
+        for notice in self.operator.listen() {
+            if let (Notice::Event(event), None) = (&notice, &self.negotiation) {
+                let offer = Offer { price: self.price, endpoint: "http://domain-2:7700".to_owned() };
+                let key = &self.operator.key;
+                self.negotiation = Provider::new(key.account(), key.secret(), event, offer).unwrap();
+            }
+            if let Some(negotiation) = &mut self.negotiation {
+                negotiation.handle(now, &notice);
+            }
+        }
+        let Some(negotiation) = &mut self.negotiation else { return };
+        negotiation.submit(now, &mut self.operator.ledger).unwrap();
+        while let Some(step) = negotiation.poll_step() {
+            if step == ProviderStep::Won {
+                negotiation.deployed(attachment());
+            }
+            self.steps.push(step);
+        }
+        negotiation.submit(now, &mut self.operator.ledger).unwrap();
+    }
+}
+
+/// Lets all take part until the condition holds.
+pub fn until_all(
+    creator: &mut CreatorSide,
+    providers: &mut [ProviderSide],
+    condition: impl Fn(&CreatorSide) -> bool,
+) {
+    let began = Instant::now();
+    while !condition(creator) {
+        creator.go_on();
+        providers.iter_mut().for_each(ProviderSide::go_on);
+        assert!(began.elapsed() < PATIENCE, "{:?} {:?}", creator.steps, creator.negotiation);
+        thread::sleep(Duration::from_millis(2));
+    }
+}
