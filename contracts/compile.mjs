@@ -1,7 +1,7 @@
 // Compiles with the solc that package-lock.json pins: Federation.sol to Federation.json, its ABI and bytecode, and what
 // the tests attack it with.
 //
-//   npm ci --prefix contracts                 once
+//   npm install --prefix contracts --no-save   once
 //   node contracts/compile.mjs                writes the artefacts
 //   node contracts/compile.mjs --check        fails if an artefact is not what its source compiles to
 import { readFileSync, writeFileSync } from "node:fs";

@@ -15,7 +15,7 @@ pub fn program() -> Option<PathBuf> {
     if program.exists() {
         return Some(program);
     }
-    assert!(env::var_os("CI").is_none(), "anvil is missing: npm ci --prefix contracts");
-    eprintln!("skipped: anvil is not installed (npm ci --prefix contracts)");
+    assert!(env::var_os("CI").is_none(), "anvil is missing: npm install --prefix contracts --no-save");
+    eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
     None
 }
