@@ -6,6 +6,7 @@ pub mod conditions;
 pub mod context;
 pub mod driver;
 pub mod event;
+pub mod exposure;
 pub mod hardware;
 pub mod id;
 pub mod map;
@@ -28,6 +29,7 @@ pub use context::{
 };
 pub use driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
+pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use hardware::{
     Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,
     PathLoss, RadioUnit, Roaming, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,

@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    exposure::WaisSettings,
     hardware::HardwareGraph,
     id::{NodeId, PluginId},
     map::OccupancyGrid,
@@ -34,6 +35,8 @@ pub struct Testbed {
     pub plugins: Vec<PluginSpec>,
     /// The run's seed unless another is given.
     pub seed: u64,
+    /// Its WLAN Access Information Service.
+    pub wais: WaisSettings,
 }
 
 impl Testbed {

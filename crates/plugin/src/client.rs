@@ -10,8 +10,8 @@ use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
     HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId, PluginSpec,
-    RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, Walk,
-    id::InvalidId,
+    RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, WaisSettings,
+    Walk, id::InvalidId,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -240,14 +240,15 @@ impl Client {
         Self { plugin: Some(plugin), ..self }
     }
 
-    /// The testbed, without its map, which the API does not give.
+    /// The testbed, without its map and the settings of its WAIS, which the API does not give.
     ///
     /// # Errors
     /// [`ClientError`].
     pub fn testbed(&self) -> Result<Testbed, ClientError> {
         let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
-        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, seed })
+        let wais = WaisSettings::default();
+        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, wais, seed })
     }
 
     /// How a node is reached.

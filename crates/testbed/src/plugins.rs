@@ -433,6 +433,7 @@ mod tests {
             map: None,
             walks: Vec::new(),
             plugins: Vec::new(),
+            wais: Default::default(),
             seed: 1,
         })
     }

@@ -11,12 +11,13 @@ use super::{
     check,
     records::{
         ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProgramWord, ServiceRecord,
-        TestbedRecord, VnfRecord, WalkRecord, WirelessRecord,
+        TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
     },
     ros,
 };
 use crate::{
     conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
+    exposure::{GeoOrigin, WaisSettings},
     hardware::{
         Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit,
         Robot, Server, Shadowing, WirelessNetwork,
@@ -55,6 +56,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
     let services: Option<Vec<_>> = each(&record.services.0, |(id, service)| builder.service(id, service));
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let plugins = builder.plugins();
+    let wais = builder.wais(&record.wais);
     let domains = builder.domains;
     let testbed = Testbed {
         graph: HardwareGraph { domains, nodes: nodes?, links: links?, wireless: wireless? },
@@ -62,6 +64,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
         map: map?,
         walks: walks?,
         plugins: plugins?,
+        wais: wais?,
         seed: record.seed,
         description: record.description.clone(),
         name: record.name.value.clone(),
@@ -629,6 +632,23 @@ impl Builder<'_> {
             speed_limit: record.speed_limit.value.0,
             position_interval: record.position_interval.value,
         })
+    }
+
+    fn wais(&mut self, record: &WaisRecord) -> Option<WaisSettings> {
+        let mut degrees = |figure: &Spanned<f64>, most: f64| {
+            let well = figure.value.abs() <= most;
+            if !well {
+                self.sink
+                    .error(&figure.span, format!("{} degrees are too many", figure.value))
+                    .help(format!("write degrees from -{most} to {most}"));
+            }
+            well.then_some(figure.value)
+        };
+        let callbacks = record.callbacks.clone();
+        let Some(origin) = &record.origin else { return Some(WaisSettings { callbacks, origin: None }) };
+        let (latitude, longitude) = (degrees(&origin.latitude, 90.0), degrees(&origin.longitude, 180.0));
+        let origin = GeoOrigin { latitude: latitude?, longitude: longitude?, bearing: origin.bearing.0 };
+        Some(WaisSettings { callbacks, origin: Some(origin) })
     }
 
     fn plugins(&mut self) -> Option<Vec<PluginSpec>> {

@@ -5,6 +5,7 @@ use std::time::Duration;
 use crate::{
     conditions::{JitterDistribution, QueueLimit, Rate},
     driver::RosNetwork,
+    exposure::IpNetwork,
     hardware::{GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
     units::{BitRate, Dbm, Position, Probability},
@@ -40,6 +41,8 @@ record! {
         walks: Table<NodeId, WalkRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
+        /// The WLAN Access Information Service (ETSI GS MEC 028).
+        wais: WaisRecord = {},
     }
 }
 
@@ -479,6 +482,28 @@ record! {
         enabled: bool = true,
         /// Its own settings.
         settings: serde_json::Map<String, serde_json::Value> = {},
+    }
+}
+
+record! {
+    /// The WLAN Access Information Service: docs/wais.md.
+    WaisRecord {
+        /// Networks that notifications may be sent to beside this machine's loopback addresses, such as `10.1.0.0/16`.
+        callbacks: Vec<IpNetwork> = [],
+        /// Where the map's origin is on Earth. Without it, no location is told.
+        origin: Option<OriginRecord>,
+    }
+}
+
+record! {
+    /// Where the map's origin is on Earth (WGS 84).
+    OriginRecord {
+        /// Degrees to the north.
+        latitude: Spanned<f64>,
+        /// Degrees to the east.
+        longitude: Spanned<f64>,
+        /// Where the map's y axis points, clockwise from north.
+        bearing: Angle = "0 deg",
     }
 }
 

@@ -5,6 +5,7 @@ use serde_json::{Value as Json, json};
 pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
 use crate::{
+    exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
     units::Position,
 };
@@ -624,6 +625,26 @@ impl Decode for Position {
             }
             _ => {
                 expected(node, "a place", "write `[x, y]` in metres, such as `[2.5, -1]`", sink);
+                None
+            }
+        }
+    }
+}
+
+impl Decode for IpNetwork {
+    fn schema() -> Json {
+        json!({ "type": "string", "examples": ["10.1.0.0/16"] })
+    }
+    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+        match node.text().unwrap_or_default().parse() {
+            Ok(network) => Some(network),
+            Err(_) => {
+                expected(
+                    node,
+                    "a network of IP addresses",
+                    "write it like `10.1.0.0/16` or `10.1.2.3`",
+                    sink,
+                );
                 None
             }
         }

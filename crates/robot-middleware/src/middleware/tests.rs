@@ -49,6 +49,7 @@ fn testbed() -> Testbed {
         map: Some(room(6.0, 4.0)),
         walks: vec![walk("robot1", &[(1.0, 1.0), (3.0, 1.0), (5.0, 1.0)])],
         plugins: Vec::new(),
+        wais: Default::default(),
         seed: 1,
     }
 }

@@ -58,6 +58,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
             position_interval: Duration::from_millis(200),
         }],
         plugins: Vec::new(),
+        wais: Default::default(),
         seed: 1,
     }
 }

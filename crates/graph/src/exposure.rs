@@ -1,0 +1,123 @@
+//! What a testbed tells the world about itself beyond its own API, and whom it may call: settings of the WLAN Access
+//! Information Service (ETSI GS MEC 028).
+
+use std::{
+    fmt,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr},
+    str::FromStr,
+};
+
+/// What a testbed file says about its WLAN Access Information Service.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct WaisSettings {
+    /// Networks that notifications may be sent to beside this machine's loopback addresses.
+    pub callbacks: Vec<IpNetwork>,
+    /// Where the map's origin is on Earth; without it no location is told.
+    pub origin: Option<GeoOrigin>,
+}
+
+/// Where the map's origin is on Earth (WGS 84), and how the map is turned.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GeoOrigin {
+    /// Degrees to the north, -90 to 90.
+    pub latitude: f64,
+    /// Degrees to the east, -180 to 180.
+    pub longitude: f64,
+    /// Where the map's y axis points: radians from north, clockwise.
+    pub bearing: f64,
+}
+
+/// A network of IP addresses, such as `10.1.0.0/16` or `fd00::/8`; an address alone is a network of one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct IpNetwork {
+    address: IpAddr,
+    prefix: u8,
+}
+
+/// Why a text is no network.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a network of IP addresses: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
+pub struct InvalidIpNetwork(String);
+
+impl IpNetwork {
+    /// This machine's own addresses: 127.0.0.0/8 and ::1.
+    pub const LOOPBACK: [Self; 2] = [
+        Self { address: IpAddr::V4(Ipv4Addr::new(127, 0, 0, 0)), prefix: 8 },
+        Self { address: IpAddr::V6(Ipv6Addr::LOCALHOST), prefix: 128 },
+    ];
+
+    /// Whether an address is in it. An IPv4 address that is written as an IPv6 one counts as IPv4.
+    pub fn contains(&self, address: IpAddr) -> bool {
+        let same = |a: u128, b: u128, bits: u32| {
+            let shift = bits - u32::from(self.prefix);
+            a.checked_shr(shift) == b.checked_shr(shift)
+        };
+        match (self.address, address.to_canonical()) {
+            (IpAddr::V4(own), IpAddr::V4(other)) => same(own.to_bits().into(), other.to_bits().into(), 32),
+            (IpAddr::V6(own), IpAddr::V6(other)) => same(own.to_bits(), other.to_bits(), 128),
+            _ => false,
+        }
+    }
+}
+
+impl FromStr for IpNetwork {
+    type Err = InvalidIpNetwork;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let invalid = || InvalidIpNetwork(text.to_owned());
+        let (address, prefix) = text.split_once('/').map_or((text, None), |(a, p)| (a, Some(p)));
+        let address: IpAddr = address.parse().map_err(|_| invalid())?;
+        let longest = if address.is_ipv4() { 32 } else { 128 };
+        let prefix = match prefix {
+            Some(digits) => digits.parse().ok().filter(|p| *p <= longest).ok_or_else(invalid)?,
+            None => longest,
+        };
+        Ok(Self { address, prefix })
+    }
+}
+
+impl fmt::Display for IpNetwork {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.address, self.prefix)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn network(text: &str) -> IpNetwork {
+        text.parse().unwrap()
+    }
+
+    #[test]
+    fn a_network_holds_its_addresses_and_no_others() {
+        for (net, inside, outside) in [
+            ("10.1.0.0/16", "10.1.255.1", "10.2.0.1"),
+            ("10.1.2.3", "10.1.2.3", "10.1.2.4"),
+            ("fd00::/8", "fd12::1", "fe80::1"),
+            ("127.0.0.0/8", "::ffff:127.0.0.1", "::7f00:1"),
+            ("0.0.0.0/0", "192.0.2.1", "2001:db8::1"),
+        ] {
+            assert!(network(net).contains(inside.parse().unwrap()), "{net} {inside}");
+            assert!(!network(net).contains(outside.parse().unwrap()), "{net} {outside}");
+        }
+        assert_eq!(network("10.1.2.3").to_string(), "10.1.2.3/32");
+        for wrong in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "lab", "10.0.0.0/", "10.0.0.0/-1"] {
+            assert!(wrong.parse::<IpNetwork>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn loopback_is_what_the_machine_says_it_is() {
+        for address in ["127.0.0.1", "127.1.2.3", "::1", "::ffff:127.0.0.1"] {
+            let address: IpAddr = address.parse().unwrap();
+            assert!(IpNetwork::LOOPBACK.iter().any(|net| net.contains(address)), "{address}");
+        }
+        // Connecting to the unspecified address leads to this machine, too.
+        for address in ["0.0.0.0", "::", "10.0.0.1", "169.254.169.254"] {
+            let address: IpAddr = address.parse().unwrap();
+            assert!(!IpNetwork::LOOPBACK.iter().any(|net| net.contains(address)), "{address}");
+        }
+    }
+}
