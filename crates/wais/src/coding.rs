@@ -1,0 +1,113 @@
+//! How figures are coded on the way out: IEEE 802.11-2016 for the radio, RFC 6225 for places.
+
+use cotorra_graph::{Dbm, GeoOrigin, Position, WifiStandard};
+
+use crate::types::GeoLocation;
+
+/// RCPI of a received power (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110) rounded, P in dBm, from 0 (-110 dBm or less) to
+/// 220 (0 dBm or more).
+pub(crate) fn rcpi(power: Dbm) -> u8 {
+    ((power.0 + 110.0) * 2.0).round().clamp(0.0, 220.0) as u8
+}
+
+/// RSNI of a power over the noise floor (IEEE 802.11-2016, 9.4.2.41): 2·(SNR + 10) rounded, SNR in dB, from 0 to 254.
+pub(crate) fn rsni(power: Dbm, noise_floor: Dbm) -> u8 {
+    ((power.0 - noise_floor.0 + 10.0) * 2.0).round().clamp(0.0, 254.0) as u8
+}
+
+/// A share of the time, 255 being all of it.
+pub(crate) fn share(share: f64) -> u8 {
+    (share * 255.0).round().clamp(0.0, 255.0) as u8
+}
+
+/// The global operating class of a 20 MHz channel (IEEE 802.11-2016, Table E-4); `None` for a channel of none.
+pub(crate) fn operating_class(standard: WifiStandard, channel: u8) -> Option<u8> {
+    match (standard, channel) {
+        (WifiStandard::G | WifiStandard::N, 1..=13) => Some(81),
+        (WifiStandard::G | WifiStandard::N, 14) => Some(82),
+        (WifiStandard::A | WifiStandard::Ac, 36..=48) => Some(115),
+        (WifiStandard::A | WifiStandard::Ac, 52..=64) => Some(118),
+        (WifiStandard::A | WifiStandard::Ac, 100..=144) => Some(121),
+        (WifiStandard::A | WifiStandard::Ac, 149..=177) => Some(125),
+        _ => None,
+    }
+}
+
+/// `dot11PHYType` (IEEE 802.11-2016, Annex C).
+pub(crate) fn phy_type(standard: WifiStandard) -> u8 {
+    match standard {
+        WifiStandard::A => 4,
+        WifiStandard::G => 6,
+        WifiStandard::N => 7,
+        WifiStandard::Ac => 9,
+    }
+}
+
+/// Metres of a degree of latitude: the mean meridian of WGS 84.
+const METRES_A_DEGREE: f64 = 111_195.0;
+
+/// Where a place on the map is on Earth: on the plane that touches Earth at the map's origin, which over the size of a
+/// campus is right to centimetres.
+pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
+    let (sin, cos) = origin.bearing.sin_cos();
+    let north_m = place.y * cos - place.x * sin;
+    let east_m = place.y * sin + place.x * cos;
+    let latitude = origin.latitude + north_m / METRES_A_DEGREE;
+    let longitude = origin.longitude + east_m / (METRES_A_DEGREE * origin.latitude.to_radians().cos());
+    GeoLocation {
+        lat_uncertainty: 0,
+        lat: fixed_point(latitude.clamp(-90.0, 90.0)),
+        long_uncertainty: 0,
+        // At a pole every longitude is as good.
+        long: fixed_point(if longitude.is_finite() { longitude.clamp(-180.0, 180.0) } else { 0.0 }),
+        datum: 1,
+    }
+}
+
+/// RFC 6225, 2.3: two's complement in 34 bits, 25 of them fraction.
+fn fixed_point(degrees: f64) -> u64 {
+    ((degrees * f64::from(1 << 25)).round() as i64 as u64) & ((1 << 34) - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powers_are_coded_in_half_decibels() {
+        for (dbm, code) in [(-110.0, 0), (-109.5, 1), (-60.0, 100), (0.0, 220), (5.0, 220), (-200.0, 0)] {
+            assert_eq!(rcpi(Dbm(dbm)), code, "{dbm}");
+        }
+        assert_eq!(rsni(Dbm(-65.0), Dbm(-95.0)), 80);
+        assert_eq!((rcpi(Dbm(f64::NEG_INFINITY)), rsni(Dbm(-200.0), Dbm(-95.0))), (0, 0));
+        assert_eq!([0.0, 0.5, 1.0, 1.2, -0.1].map(share), [0, 128, 255, 255, 0]);
+    }
+
+    #[test]
+    fn channels_have_the_classes_of_their_bands() {
+        assert_eq!(operating_class(WifiStandard::N, 6), Some(81));
+        assert_eq!(operating_class(WifiStandard::Ac, 36), Some(115));
+        assert_eq!(operating_class(WifiStandard::A, 157), Some(125));
+        assert_eq!(operating_class(WifiStandard::G, 36), None);
+    }
+
+    fn degrees(fixed: u64) -> f64 {
+        let signed = (fixed << 30) as i64 >> 30;
+        signed as f64 / f64::from(1 << 25)
+    }
+
+    #[test]
+    fn places_on_the_map_are_places_on_earth() {
+        let origin = GeoOrigin { latitude: -33.5, longitude: 151.25, bearing: 0.0 };
+        let there = geolocation(&origin, Position::new(0.0, 0.0));
+        assert_eq!((degrees(there.lat), degrees(there.long), there.datum), (-33.5, 151.25, 1));
+        let north = geolocation(&origin, Position::new(0.0, METRES_A_DEGREE / 100.0));
+        assert!((degrees(north.lat) + 33.49).abs() < 1e-6);
+        // With the y axis to the east, what is up on the map is in the east.
+        let turned = GeoOrigin { bearing: std::f64::consts::FRAC_PI_2, ..origin };
+        let east = geolocation(&turned, Position::new(0.0, 1000.0));
+        assert!((degrees(east.lat) + 33.5).abs() < 1e-6 && degrees(east.long) > 151.26);
+        let pole = GeoOrigin { latitude: 90.0, ..origin };
+        assert!(degrees(geolocation(&pole, Position::new(5.0, 5.0)).lat) <= 90.0);
+    }
+}

@@ -1,0 +1,39 @@
+//! Conditional requests (RFC 9110, clause 13): entity tags, and what `If-Match` and `If-None-Match` say about them.
+
+/// Whether `If-Match` lets a change pass: no header, `*`, or a tag that is the resource's. Weak tags match nothing.
+pub(crate) fn may_change(if_match: Option<&str>, etag: &str) -> bool {
+    if_match.is_none_or(|header| tags(header).any(|tag| tag == "*" || tag == etag))
+}
+
+/// Whether `If-None-Match` says that the requester has it already: `*`, or a tag that is the resource's, weak or not.
+pub(crate) fn is_known(if_none_match: Option<&str>, etag: &str) -> bool {
+    let strong = |tag: &str| tag.strip_prefix("W/").unwrap_or(tag) == etag;
+    if_none_match.is_some_and(|header| tags(header).any(|tag| tag == "*" || strong(tag)))
+}
+
+/// Tags with commas between. The tags of this service have none in them.
+fn tags(header: &str) -> impl Iterator<Item = &str> {
+    header.split(',').map(str::trim)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tags_decide() {
+        let etag = "\"1-2\"";
+        for (header, changes, known) in [
+            (None, true, false),
+            (Some("*"), true, true),
+            (Some("\"1-2\""), true, true),
+            (Some("\"1-1\", \"1-2\""), true, true),
+            (Some("W/\"1-2\""), false, true),
+            (Some("\"1-1\""), false, false),
+            (Some("1-2"), false, false),
+            (Some(""), false, false),
+        ] {
+            assert_eq!((may_change(header, etag), is_known(header, etag)), (changes, known), "{header:?}");
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The thread that sends notifications: waits for what is due, and posts it. It asks nothing of the thread that serves
+//! requests, so that a consumer that hangs holds up nobody.
+
+use std::{io, net::SocketAddr, sync::Arc, time::Duration};
+
+use axum::{
+    body::Body,
+    http::{Request, StatusCode, header},
+};
+use hyper_util::rt::TokioIo;
+use tokio::{net::TcpStream, sync::oneshot, task::JoinSet};
+
+use super::Service;
+use crate::{
+    callback::{Allowed, Callback, CallbackError},
+    outbox::Outcome,
+    wais::{Dispatch, Target},
+};
+
+/// An attempt takes no longer than this.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// A callback's name is looked up within this, when somebody subscribes.
+const LOOK_UP: Duration = Duration::from_secs(2);
+
+/// Sends the notifications of services until it is dropped.
+pub struct Delivery {
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Delivery {
+    /// Sends what these services have to say.
+    ///
+    /// # Errors
+    /// The system refuses a thread or a runtime.
+    pub fn start(services: Vec<Service>) -> io::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (stop, stopped) = oneshot::channel::<()>();
+        let thread = std::thread::Builder::new().name("wais".to_owned()).spawn(move || {
+            runtime.block_on(async move {
+                let mut tasks: JoinSet<()> = services.into_iter().map(deliver).collect();
+                tokio::select! {
+                    _ = tasks.join_next() => {}
+                    _ = stopped => {}
+                }
+            });
+            // A name that is being looked up must not keep a finished run alive.
+            runtime.shutdown_background();
+        })?;
+        Ok(Self { stop: Some(stop), thread: Some(thread) })
+    }
+}
+
+impl Drop for Delivery {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+async fn deliver(service: Service) {
+    loop {
+        let (dispatches, wait) = service.poll();
+        for dispatch in dispatches {
+            tokio::spawn(send(service.clone(), dispatch));
+        }
+        let woken = service.woken();
+        match wait {
+            Some(wait) => drop(tokio::time::timeout(wait, woken).await),
+            None => woken.await,
+        }
+    }
+}
+
+async fn send(service: Service, dispatch: Dispatch) {
+    let Dispatch { subscription, attempt, target, body } = dispatch;
+    let sending = async {
+        match target {
+            Target::WebSocket => service.send_over_websocket(subscription, body).await,
+            Target::Callback(callback) => post(&callback, service.allowed(), body).await,
+        }
+    };
+    let outcome = tokio::time::timeout(PATIENCE, sending).await;
+    let outcome = outcome.unwrap_or_else(|_| Outcome::Failed(format!("no answer within {PATIENCE:?}")));
+    service.done(subscription, attempt, outcome);
+}
+
+/// Where a callback leads: looked up, and allowed.
+pub(super) async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<SocketAddr, CallbackError> {
+    let host = (callback.host.as_str(), callback.port);
+    match tokio::time::timeout(LOOK_UP, tokio::net::lookup_host(host)).await {
+        Ok(Ok(addresses)) => allowed.choose(&callback.host, addresses),
+        _ => Err(CallbackError::Unknown(callback.host.clone())),
+    }
+}
+
+/// Posts a notification to the very address that was checked. Redirections are not followed.
+async fn post(callback: &Callback, allowed: &Allowed, body: Arc<str>) -> Outcome {
+    let address = match resolve(callback, allowed).await {
+        Ok(address) => address,
+        Err(error @ CallbackError::Unknown(_)) => return Outcome::Failed(error.to_string()),
+        Err(error) => return Outcome::Refused(error.to_string()),
+    };
+    match exchange(callback, address, body).await {
+        Ok(status) if status.is_success() => Outcome::Delivered,
+        Ok(status) if status.is_server_error() || matches!(status.as_u16(), 408 | 429) => {
+            Outcome::Failed(format!("{} answered {status}", callback.uri))
+        }
+        Ok(status) => Outcome::Refused(format!("{} answered {status}", callback.uri)),
+        Err(error) => Outcome::Failed(format!("{}: {error}", callback.uri)),
+    }
+}
+
+type AnyError = Box<dyn std::error::Error + Send + Sync>;
+
+async fn exchange(callback: &Callback, address: SocketAddr, body: Arc<str>) -> Result<StatusCode, AnyError> {
+    let stream = TcpStream::connect(address).await?;
+    let (mut sender, connection) = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await?;
+    let request = Request::post(&callback.target)
+        .header(header::HOST, &callback.authority)
+        .header(header::CONTENT_TYPE, "application/json")
+        .header(header::CONNECTION, "close")
+        .body(Body::from(body.to_string()))?;
+    let answer = sender.send_request(request);
+    tokio::pin!(connection);
+    tokio::pin!(answer);
+    // The connection is driven until the answer's head is there; its body is nobody's concern.
+    tokio::select! {
+        answer = &mut answer => Ok(answer?.status()),
+        ended = &mut connection => {
+            ended?;
+            Ok(answer.await?.status())
+        }
+    }
+}

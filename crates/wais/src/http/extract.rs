@@ -1,0 +1,146 @@
+//! What requests carry, taken out so that each mistake is a problem of the standard's: addresses, bodies, conditions.
+
+use axum::{
+    extract::{FromRequest, FromRequestParts, Path, Query, Request},
+    http::{HeaderMap, HeaderName, StatusCode, header, request::Parts, uri::Authority},
+    middleware::Next,
+    response::{IntoResponse, Response},
+};
+use bytes::Bytes;
+
+use super::{Service, problem::Problem};
+
+/// Bytes of the longest body.
+const LONGEST_BODY: usize = 64 * 1024;
+/// Bytes of the longest path and query.
+const LONGEST_URI: usize = 8000;
+
+/// What is asked of every request: a URI of reasonable length, and that JSON is taken.
+pub(super) async fn check(request: Request, next: Next) -> Response {
+    let uri = request.uri();
+    if uri.path_and_query().is_some_and(|asked| asked.as_str().len() > LONGEST_URI) {
+        let detail = format!("path and query have at most {LONGEST_URI} bytes");
+        return Problem::new(StatusCode::URI_TOO_LONG, detail).into_response();
+    }
+    if !takes_json(request.headers()) {
+        let detail = "this service gives application/json, and problems as application/problem+json";
+        return Problem::new(StatusCode::NOT_ACCEPTABLE, detail).into_response();
+    }
+    next.run(request).await
+}
+
+/// Whether `Accept` has JSON in it (RFC 9110, 12.5.1).
+fn takes_json(headers: &HeaderMap) -> bool {
+    let mut accepted = headers.get_all(header::ACCEPT).iter().peekable();
+    if accepted.peek().is_none() {
+        return true;
+    }
+    accepted.filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(',')).any(|range| {
+        let mut parts = range.split(';').map(str::trim);
+        let media = parts.next().unwrap_or_default().to_ascii_lowercase();
+        let weight = parts.find_map(|part| part.strip_prefix("q=")?.parse::<f32>().ok());
+        matches!(&*media, "" | "*/*" | "application/*" | "application/json") && weight != Some(0.0)
+    })
+}
+
+/// The URI under which the requester sees the service.
+pub(super) struct Base(pub(super) String);
+
+impl FromRequestParts<Service> for Base {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
+        let host = parts.headers.get(header::HOST).map(|host| Authority::try_from(host.as_bytes()));
+        let authority = match host.or_else(|| parts.uri.authority().cloned().map(Ok)) {
+            Some(Ok(authority)) => authority,
+            _ => {
+                return Err(Problem::bad_request(
+                    "the header `Host` says under which name this service is seen",
+                ));
+            }
+        };
+        Ok(Self(format!("http://{authority}{}", service.prefix())))
+    }
+}
+
+/// The last part of a path.
+pub(super) struct Id(pub(super) String);
+
+impl FromRequestParts<Service> for Id {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
+        match Path::from_request_parts(parts, service).await {
+            Ok(Path(id)) => Ok(Self(id)),
+            Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
+        }
+    }
+}
+
+/// The parameters of a query, in order.
+pub(super) struct Parameters(pub(super) Vec<(String, String)>);
+
+impl FromRequestParts<Service> for Parameters {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, service: &Service) -> Result<Self, Problem> {
+        match Query::from_request_parts(parts, service).await {
+            Ok(Query(parameters)) => Ok(Self(parameters)),
+            Err(rejection) => Err(Problem::bad_request(rejection.body_text())),
+        }
+    }
+}
+
+/// A body that says that it is JSON.
+pub(super) struct Json(pub(super) Bytes);
+
+impl FromRequest<Service> for Json {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _: &Service) -> Result<Self, Problem> {
+        let media = text(request.headers(), header::CONTENT_TYPE).unwrap_or_default();
+        let media = media.split(';').next().unwrap_or_default().trim();
+        if !media.eq_ignore_ascii_case("application/json") {
+            let detail = "a body is JSON, and says so: Content-Type: application/json";
+            return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail));
+        }
+        match axum::body::to_bytes(request.into_body(), LONGEST_BODY).await {
+            Ok(body) => Ok(Self(body)),
+            Err(_) => {
+                let detail = format!("a body has at most {LONGEST_BODY} bytes");
+                Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, detail))
+            }
+        }
+    }
+}
+
+/// What a header says, if it says one thing in ASCII.
+pub(super) fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name)?.to_str().ok()
+}
+
+/// `If-Match`; where it cannot be read, it matches nothing.
+pub(super) fn if_match(headers: &HeaderMap) -> Option<&str> {
+    headers.get(header::IF_MATCH).map(|value| value.to_str().unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_is_taken_by_those_who_say_nothing_else() {
+        for (accept, expected) in [
+            ("application/json", true),
+            ("text/html, */*;q=0.1", true),
+            ("application/*", true),
+            ("text/html", false),
+            ("application/json;q=0", false),
+            ("application/xml, text/plain", false),
+        ] {
+            let headers = HeaderMap::from_iter([(header::ACCEPT, accept.parse().unwrap())]);
+            assert_eq!(takes_json(&headers), expected, "{accept}");
+        }
+        assert!(takes_json(&HeaderMap::new()));
+    }
+}

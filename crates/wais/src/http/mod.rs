@@ -1,0 +1,210 @@
+//! The shell: HTTP resources and WebSockets around a [`Wais`], and the thread that delivers its notifications.
+
+mod delivery;
+mod extract;
+mod problem;
+mod routes;
+mod websocket;
+
+use std::{
+    future::Future,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use axum::{Router, http::StatusCode, middleware, routing::get};
+use cotorra_graph::Timestamp;
+use tokio::sync::Notify;
+use utoipa::OpenApi as _;
+use utoipa_axum::{router::OpenApiRouter, routes as paths};
+
+pub use delivery::Delivery;
+pub use problem::{ProblemDetails, problem};
+
+use self::{problem::Problem, websocket::Sockets};
+use crate::{
+    callback::Allowed,
+    outbox::Outcome,
+    requests::Subscription,
+    survey::{Site, Survey},
+    types::Epoch,
+    wais::{Dispatch, Refused, Target, Wais},
+};
+
+/// What is known changes without notice: while anybody has subscribed, it is looked at this often.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// The testbed that a service is about.
+pub trait Testbed: Send + Sync + 'static {
+    /// The time of the run.
+    fn now(&self) -> Timestamp;
+
+    /// What is known of a site now.
+    fn survey(&self, site: &Arc<Site>) -> Survey;
+
+    /// How old what is known may be when a query is answered from it.
+    fn freshness(&self) -> Duration;
+
+    /// Tells the operator something.
+    fn tell(&self, message: String);
+}
+
+/// A service that is ready to be served.
+#[derive(Clone)]
+pub struct Service(Arc<Shared>);
+
+struct Shared {
+    testbed: Arc<dyn Testbed>,
+    /// What is known, and since when.
+    state: Mutex<(Wais, Option<Timestamp>)>,
+    allowed: Allowed,
+    prefix: String,
+    wake: Notify,
+    sockets: Sockets,
+}
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "cotorra's WLAN Access Information Service",
+        description = "ETSI GS MEC 028 v2.3.1, as far as a testbed can give it. Where a token is set, every request but \
+            this document's needs it as `Authorization: Bearer`. Beside this, a domain's own service is under \
+            `/domains/{name}/wai/v2`.",
+        license(name = "MIT OR Apache-2.0"),
+        version = "2.3.1"
+    ),
+    servers((url = "/wai/v2")),
+    components(schemas(crate::notification::Notification, ProblemDetails))
+)]
+struct Document;
+
+fn resources() -> (Router<Service>, utoipa::openapi::OpenApi) {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(paths!(routes::ap_information))
+        .routes(paths!(routes::sta_information))
+        .routes(paths!(routes::subscriptions, routes::subscribe))
+        .routes(paths!(routes::subscription, routes::resubscribe, routes::unsubscribe))
+        .routes(paths!(routes::measurements, routes::configure))
+        .routes(paths!(routes::measurement, routes::reconfigure, routes::unconfigure))
+        .split_for_parts()
+}
+
+/// The OpenAPI document of the service.
+pub fn openapi() -> String {
+    resources().1.to_pretty_json().expect("the document holds only what JSON can") + "\n"
+}
+
+impl Service {
+    /// The service of a site. `prefix` is the path under which [`Service::router`] is put, such as `/wai/v2`.
+    pub fn new(
+        testbed: Arc<dyn Testbed>,
+        site: Site,
+        epoch: Epoch,
+        allowed: Allowed,
+        prefix: String,
+    ) -> Self {
+        let state = Mutex::new((Wais::new(Arc::new(site), epoch), None));
+        let (wake, sockets) = (Notify::new(), Sockets::default());
+        Self(Arc::new(Shared { testbed, state, allowed, prefix, wake, sockets }))
+    }
+
+    /// Its resources. Every answer is the standard's, also where there is no such path or method.
+    pub fn router(&self) -> Router {
+        let no_path = || async { Problem::new(StatusCode::NOT_FOUND, "there is no such path here") };
+        let no_method = || async {
+            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "see `Allow` for what is possible here")
+        };
+        resources()
+            .0
+            .route("/subscriptions/{subscriptionId}/websocket", get(websocket::open))
+            .fallback(no_path)
+            .method_not_allowed_fallback(no_method)
+            .layer(middleware::from_fn(extract::check))
+            .with_state(self.clone())
+    }
+
+    /// The path under which it is found.
+    pub fn prefix(&self) -> &str {
+        &self.0.prefix
+    }
+
+    fn now(&self) -> Timestamp {
+        self.0.testbed.now()
+    }
+
+    /// Does something with the service, which knows what is fresh enough then.
+    fn with<R>(&self, act: impl FnOnce(&mut Wais) -> R) -> R {
+        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let (wais, known) = &mut *state;
+        let now = self.now();
+        let freshness = self.0.testbed.freshness();
+        let is_fresh = known.is_some_and(|known| known <= now && now.since(known) < freshness);
+        if !is_fresh {
+            wais.observe(self.0.testbed.survey(wais.site()));
+            *known = Some(now);
+        }
+        let result = act(wais);
+        let complaints = wais.take_complaints();
+        drop(state);
+        for complaint in complaints {
+            self.0.testbed.tell(complaint);
+        }
+        result
+    }
+
+    /// What is to be sent now, and how long there is nothing more to do; `None` until it is woken.
+    fn poll(&self) -> (Vec<Dispatch>, Option<Duration>) {
+        let now = self.now();
+        self.with(|wais| {
+            let dispatches = wais.poll(now);
+            self.0.sockets.keep(|subscription| wais.has_websocket(subscription));
+            let wait = wais.next_deadline().map_or(LOOK, |deadline| deadline.since(now).min(LOOK));
+            // In virtual time a deadline may stay where it is: that must not become a busy loop.
+            let wait = wait.max(Duration::from_millis(1));
+            (dispatches, wais.has_subscriptions().then_some(wait))
+        })
+    }
+
+    fn done(&self, subscription: u64, attempt: u64, outcome: Outcome) {
+        let now = self.now();
+        self.with(|wais| wais.done(now, subscription, attempt, outcome));
+        self.wake();
+    }
+
+    fn wake(&self) {
+        self.0.wake.notify_one();
+    }
+
+    fn woken(&self) -> impl Future<Output = ()> {
+        self.0.wake.notified()
+    }
+
+    fn allowed(&self) -> &Allowed {
+        &self.0.allowed
+    }
+
+    fn sockets(&self) -> &Sockets {
+        &self.0.sockets
+    }
+
+    /// A callback that could never be called is refused when it is given.
+    async fn check_callback(&self, subscription: &Subscription) -> Result<(), Problem> {
+        subscription.check()?;
+        if let Target::Callback(callback) = Target::of(subscription)? {
+            delivery::resolve(&callback, self.allowed()).await.map_err(Refused::from)?;
+        }
+        Ok(())
+    }
+
+    async fn send_over_websocket(&self, subscription: u64, body: Arc<str>) -> Outcome {
+        self.0.sockets.send(subscription, body).await
+    }
+
+    fn set_websocket_open(&self, subscription: u64, open: bool) {
+        self.with(|wais| wais.set_websocket_open(subscription, open));
+        self.wake();
+    }
+}
+
+#[cfg(test)]
+mod tests;

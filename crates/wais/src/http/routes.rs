@@ -1,0 +1,259 @@
+//! The resources of the service (ETSI GS MEC 028 v2.3.1, clause 7).
+
+use axum::{
+    extract::State,
+    http::{HeaderMap, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+
+use super::{
+    Service,
+    extract::{Base, Id, Json, Parameters, if_match, text},
+    problem::{Asked, Changing, Problem},
+};
+use crate::{
+    conditional::is_known,
+    requests::{MeasurementConfig, MeasurementConfigLinkList, Subscription, SubscriptionLinkList},
+    types::{ApInfo, StaInfo},
+    view::{Kind, Query},
+    wais::Resource,
+};
+
+type Answer = Result<Response, Problem>;
+
+/// What of which things (ETSI GS MEC 009, 6.18 and 6.19).
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[expect(dead_code, reason = "it is there for the OpenAPI document")]
+struct Selecting {
+    /// Expressions `(op,attribute/attribute,value)` with `;` between, all of which hold; op is one of eq, neq, gt, lt, gte,
+    /// lte, in, nin, cont, ncont.
+    #[param(example = "(eq,channel,6);(gt,bssLoad/staCount,0)")]
+    filter: Option<String>,
+    /// All attributes, as without any of these.
+    all_fields: Option<String>,
+    /// Of structures and arrays only these, with commas between.
+    fields: Option<String>,
+    /// All but these structures and arrays, with commas between.
+    exclude_fields: Option<String>,
+    /// All attributes: the standard excludes none by default.
+    exclude_default: Option<String>,
+}
+
+fn query(of: Kind, service: &Service, headers: &HeaderMap, parameters: &[(String, String)]) -> Answer {
+    let query = Query::read(of, parameters)?;
+    let answer = service.with(|wais| wais.query(of, &query));
+    Ok(tagged(headers, answer.etag, answer.body))
+}
+
+/// JSON with its entity tag, or that the requester has it already.
+fn tagged(headers: &HeaderMap, etag: String, body: impl Into<axum::body::Body>) -> Response {
+    if is_known(text(headers, header::IF_NONE_MATCH), &etag) {
+        return (StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response();
+    }
+    let head = [(header::ETAG, etag), (header::CONTENT_TYPE, "application/json".to_owned())];
+    (head, body.into()).into_response()
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("these types hold only what JSON can")
+}
+
+fn created<T: Serialize>(resource: &Resource<T>) -> Response {
+    let head = [
+        (header::LOCATION, resource.href.clone()),
+        (header::ETAG, resource.etag.clone()),
+        (header::CONTENT_TYPE, "application/json".to_owned()),
+    ];
+    (StatusCode::CREATED, head, json(&resource.value)).into_response()
+}
+
+fn shown<T: Serialize>(headers: &HeaderMap, resource: &Resource<T>) -> Response {
+    tagged(headers, resource.etag.clone(), json(&resource.value))
+}
+
+fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
+    shown(&HeaderMap::new(), resource)
+}
+
+/// Access points and what is known of them.
+#[utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
+    params(Selecting, ("If-None-Match" = Option<String>, Header)),
+    responses((status = 200, body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked))]
+pub(super) async fn ap_information(
+    State(service): State<Service>,
+    headers: HeaderMap,
+    Parameters(parameters): Parameters,
+) -> Answer {
+    query(Kind::AccessPoints, &service, &headers, &parameters)
+}
+
+/// Stations that are associated, and what is known of them.
+#[utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
+    params(Selecting, ("If-None-Match" = Option<String>, Header)),
+    responses((status = 200, body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked))]
+pub(super) async fn sta_information(
+    State(service): State<Service>,
+    headers: HeaderMap,
+    Parameters(parameters): Parameters,
+) -> Answer {
+    query(Kind::Stations, &service, &headers, &parameters)
+}
+
+/// Types as `subscription_type` names them.
+const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
+    ("assoc_sta", "AssocStaSubscription"),
+    ("sta_data_rate", "StaDataRateSubscription"),
+    ("measure_report", "MeasurementReportSubscription"),
+];
+
+/// Links to subscriptions.
+#[utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
+    params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
+    responses((status = 200, body = SubscriptionLinkList), Asked))]
+pub(super) async fn subscriptions(
+    State(service): State<Service>,
+    Base(base): Base,
+    Parameters(parameters): Parameters,
+) -> Answer {
+    let type_name = match &parameters[..] {
+        [] => None,
+        [(name, value)] if name == "subscription_type" => {
+            let known = SUBSCRIPTION_TYPES.iter().find(|(name, _)| name == value);
+            let unknown =
+                || Problem::bad_request("subscription_type is assoc_sta, sta_data_rate or measure_report");
+            Some(known.ok_or_else(unknown)?.1)
+        }
+        _ => return Err(Problem::bad_request("the only parameter is `subscription_type`, given once")),
+    };
+    let list = service.with(|wais| wais.subscriptions(&base, type_name));
+    Ok(([(header::CONTENT_TYPE, "application/json")], json(&list)).into_response())
+}
+
+/// Subscribe to notifications.
+#[utoipa::path(post, path = "/subscriptions", tag = "subscriptions", request_body = Subscription,
+    responses((status = 201, body = Subscription, headers(("Location" = String), ("ETag" = String))),
+        Asked, Changing))]
+pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
+    let subscription = Subscription::read(&body)?;
+    service.check_callback(&subscription).await?;
+    let now = service.now();
+    let resource = service.with(|wais| wais.subscribe(now, &base, subscription))?;
+    service.wake();
+    Ok(created(&resource))
+}
+
+/// A subscription.
+#[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+    params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
+    responses((status = 200, body = Subscription, headers(("ETag" = String))),
+        (status = 304, description = "as known already"), Asked))]
+pub(super) async fn subscription(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+) -> Answer {
+    Ok(shown(&headers, &service.with(|wais| wais.subscription(&base, &id))?))
+}
+
+/// Replace a subscription by another of its type.
+#[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions", request_body = Subscription,
+    params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
+    responses((status = 200, body = Subscription, headers(("ETag" = String))), Asked, Changing))]
+pub(super) async fn resubscribe(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+    Json(body): Json,
+) -> Answer {
+    service.with(|wais| wais.subscription(&base, &id))?;
+    let subscription = Subscription::read(&body)?;
+    service.check_callback(&subscription).await?;
+    let now = service.now();
+    let resource =
+        service.with(|wais| wais.resubscribe(now, &base, &id, if_match(&headers), subscription))?;
+    service.wake();
+    Ok(changed(&resource))
+}
+
+/// End a subscription.
+#[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+    params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
+    responses((status = 204, description = "it has ended"), Asked, Changing))]
+pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
+    let now = service.now();
+    service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
+    service.wake();
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// Links to measurement configurations.
+#[utoipa::path(get, path = "/measurements", tag = "measurements",
+    responses((status = 200, body = MeasurementConfigLinkList), Asked))]
+pub(super) async fn measurements(
+    State(service): State<Service>,
+    Base(base): Base,
+    Parameters(parameters): Parameters,
+) -> Answer {
+    if !parameters.is_empty() {
+        return Err(Problem::bad_request("there are no parameters"));
+    }
+    let list = service.with(|wais| wais.measurements(&base));
+    Ok(([(header::CONTENT_TYPE, "application/json")], json(&list)).into_response())
+}
+
+/// Configure a measurement, whose reports are told with stations' information from then on.
+#[utoipa::path(post, path = "/measurements", tag = "measurements", request_body = MeasurementConfig,
+    responses((status = 201, body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
+        Asked, Changing))]
+pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
+    let config = MeasurementConfig::read(&body)?;
+    let now = service.now();
+    Ok(created(&service.with(|wais| wais.configure(now, &base, config))?))
+}
+
+/// A measurement configuration.
+#[utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
+    params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
+    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))),
+        (status = 304, description = "as known already"), Asked))]
+pub(super) async fn measurement(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+) -> Answer {
+    Ok(shown(&headers, &service.with(|wais| wais.measurement(&base, &id))?))
+}
+
+/// Replace a measurement configuration.
+#[utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
+    request_body = MeasurementConfig,
+    params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
+    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing))]
+pub(super) async fn reconfigure(
+    State(service): State<Service>,
+    Base(base): Base,
+    Id(id): Id,
+    headers: HeaderMap,
+    Json(body): Json,
+) -> Answer {
+    service.with(|wais| wais.measurement(&base, &id))?;
+    let config = MeasurementConfig::read(&body)?;
+    let now = service.now();
+    let resource = service.with(|wais| wais.reconfigure(now, &base, &id, if_match(&headers), config))?;
+    Ok(changed(&resource))
+}
+
+/// End a measurement.
+#[utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
+    params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
+    responses((status = 204, description = "it has ended"), Asked, Changing))]
+pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
+    let now = service.now();
+    service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}

@@ -1,0 +1,224 @@
+//! Notifications (ETSI GS MEC 028 v2.3.1, clause 6.4): what each says, and when a subscription's is due.
+
+use std::{collections::BTreeSet, sync::Arc, time::Duration};
+
+use cotorra_graph::Timestamp;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::{
+    measurement::{Measured, Reports},
+    requests::{
+        AssocStaSubscription, MeasurementReportSubscription, StaDataRateSubscription, Subscription,
+        ToSubscription,
+    },
+    survey::Survey,
+    types::{
+        ApIdentity, BeaconReport, ChannelLoad, Epoch, LinkType, Mac, NeighborReport, StaDataRate,
+        StaIdentity, TimeStamp,
+    },
+    view::data_rate,
+};
+
+/// Radio units tell what they know once a second: no measurement is newer.
+const MEASUREMENT: Duration = Duration::from_secs(1);
+/// IEEE 802.11's unit of time.
+const TIME_UNIT: Duration = Duration::from_micros(1024);
+
+/// What consumers are told.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(tag = "notificationType")]
+pub enum Notification {
+    /// Who is associated with an access point (6.4.2).
+    #[serde(rename_all = "camelCase")]
+    AssocStaNotification {
+        /// When that was known.
+        time_stamp: TimeStamp,
+        /// The access point.
+        ap_id: ApIdentity,
+        /// Its stations.
+        sta_id: Vec<StaIdentity>,
+    },
+    /// Rates of stations (6.4.3).
+    #[serde(rename_all = "camelCase")]
+    StaDataRateNotification {
+        /// When they were known.
+        time_stamp: TimeStamp,
+        /// Those of stations that are associated, and meet the threshold if there is one.
+        sta_data_rate: Vec<StaDataRate>,
+    },
+    /// A subscription is about to expire (6.4.4).
+    #[serde(rename_all = "camelCase")]
+    ExpiryNotification {
+        /// Which.
+        #[serde(rename = "_links")]
+        links: ToSubscription,
+        /// When.
+        expiry_deadline: TimeStamp,
+    },
+    /// Reports of a measurement, of one kind (6.4.5).
+    #[serde(rename_all = "camelCase")]
+    MeasurementReportNotification {
+        /// When that was known.
+        time_stamp: TimeStamp,
+        /// What stations hear.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        #[schema(required = false)]
+        beacon_report: Vec<BeaconReport>,
+        /// Access points that they could go to.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        #[schema(required = false)]
+        neighbor_report: Vec<NeighborReport>,
+        /// How busy channels are.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        #[schema(required = false)]
+        channel_load: Vec<ChannelLoad>,
+    },
+    /// Tests that notifications arrive (6.4.6).
+    TestNotification {
+        /// The subscription.
+        #[serde(rename = "_links")]
+        links: ToSubscription,
+    },
+}
+
+impl Notification {
+    pub(crate) fn test(href: &str) -> Self {
+        Self::TestNotification { links: to(href) }
+    }
+
+    pub(crate) fn expiry(href: &str, expiry_deadline: TimeStamp) -> Self {
+        Self::ExpiryNotification { links: to(href), expiry_deadline }
+    }
+
+    /// As it is sent.
+    pub(crate) fn to_json(&self) -> Arc<str> {
+        serde_json::to_string(self).expect("a notification holds only what JSON can").into()
+    }
+}
+
+fn to(href: &str) -> ToSubscription {
+    ToSubscription { subscription: LinkType { href: href.to_owned() } }
+}
+
+/// When a subscription's notifications are due, and what it takes.
+#[derive(Debug, Default)]
+pub(crate) struct Schedule {
+    /// Between notifications; without one, they go out when a threshold is reached.
+    period: Option<Duration>,
+    next: Timestamp,
+    /// Of the stations, or of all of them under no name, those that met the threshold when last looked at.
+    met: BTreeSet<Option<Mac>>,
+}
+
+impl Schedule {
+    pub(crate) fn new(now: Timestamp, subscription: &Subscription) -> Self {
+        let seconds = |period: Option<u8>| period.map(|seconds| Duration::from_secs(seconds.into()));
+        let period = match subscription {
+            Subscription::AssocStaSubscription(s) => seconds(s.notification_period),
+            Subscription::StaDataRateSubscription(s) => seconds(s.notification_period),
+            Subscription::MeasurementReportSubscription(s) => {
+                let units = s.measurement_info.measurement_duration.unwrap_or_default();
+                Some(MEASUREMENT.max(TIME_UNIT * units.into()))
+            }
+        };
+        Self { period, next: period.map_or(now, |period| now + period), met: BTreeSet::new() }
+    }
+
+    /// When there may be something to say even if nothing changed.
+    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+        self.period.map(|_| self.next)
+    }
+
+    /// What a subscription has to say now.
+    pub(crate) fn poll(
+        &mut self,
+        now: Timestamp,
+        of: &Subscription,
+        survey: &Survey,
+        epoch: Epoch,
+    ) -> Option<Notification> {
+        if let Some(period) = self.period {
+            if now < self.next {
+                return None;
+            }
+            // Periods that nobody looked at are gone.
+            while self.next <= now {
+                self.next = self.next + period;
+            }
+        }
+        let time_stamp = epoch.at(survey.at);
+        match of {
+            Subscription::AssocStaSubscription(s) => self.associated(s, survey, time_stamp),
+            Subscription::StaDataRateSubscription(s) => self.rates(s, survey, time_stamp),
+            Subscription::MeasurementReportSubscription(s) => reports(s, survey, time_stamp),
+        }
+    }
+
+    /// Keeps of what meets a threshold what is to be told: all of it periodically, otherwise what did not meet it before.
+    fn news(&mut self, met: BTreeSet<Option<Mac>>) -> BTreeSet<Option<Mac>> {
+        let news = if self.period.is_some() { met.clone() } else { &met - &self.met };
+        self.met = met;
+        news
+    }
+
+    fn associated(
+        &mut self,
+        of: &AssocStaSubscription,
+        survey: &Survey,
+        time_stamp: TimeStamp,
+    ) -> Option<Notification> {
+        let ap = survey.access_point(of.ap_id.bssid)?;
+        if let Some(event) = of.notification_event {
+            let (count, threshold) = (ap.associated.len(), usize::from(event.threshold));
+            let is_met = if event.trigger == 1 { count >= threshold } else { count <= threshold };
+            if self.news(is_met.then_some(None).into_iter().collect()).is_empty() {
+                return None;
+            }
+        }
+        let stations = ap.associated.iter().map(|place| survey.stations[*place].identity.clone());
+        let (ap_id, sta_id) = (survey.unit(ap).identity.clone(), stations.collect());
+        Some(Notification::AssocStaNotification { time_stamp, ap_id, sta_id })
+    }
+
+    fn rates(
+        &mut self,
+        of: &StaDataRateSubscription,
+        survey: &Survey,
+        time_stamp: TimeStamp,
+    ) -> Option<Notification> {
+        let stations = of.sta_id.iter().filter_map(|wanted| survey.station(wanted.mac_id));
+        let mut rates: Vec<_> =
+            stations.filter_map(|station| data_rate(station, Some(station.identity.clone()))).collect();
+        if let Some(event) = of.notification_event {
+            let mac = |rate: &StaDataRate| rate.sta_id.as_ref().map(|station| station.mac_id);
+            rates.retain(|r| event.is_met(r.sta_last_data_downlink_rate, r.sta_last_data_uplink_rate));
+            let news = self.news(rates.iter().map(mac).collect());
+            rates.retain(|rate| news.contains(&mac(rate)));
+            if rates.is_empty() {
+                return None;
+            }
+        }
+        Some(Notification::StaDataRateNotification { time_stamp, sta_data_rate: rates })
+    }
+}
+
+fn reports(
+    of: &MeasurementReportSubscription,
+    survey: &Survey,
+    time_stamp: TimeStamp,
+) -> Option<Notification> {
+    let mut reports = Reports::default();
+    for station in of.sta_id.iter().filter_map(|wanted| survey.station(wanted.mac_id)) {
+        let measured = Measured { survey, station, id: &of.measurement_id, named: true };
+        measured.report(&of.measurement_info, &mut reports);
+    }
+    let Reports { beacon_report, neighbor_report, channel_load } = reports;
+    let nothing = beacon_report.is_empty() && neighbor_report.is_empty() && channel_load.is_empty();
+    (!nothing).then_some(Notification::MeasurementReportNotification {
+        time_stamp,
+        beacon_report,
+        neighbor_report,
+        channel_load,
+    })
+}

@@ -1,0 +1,525 @@
+//! What service consumers ask for: subscriptions (ETSI GS MEC 028 v2.3.1, clause 6.3) and measurement configurations
+//! (6.2.4), as they are written, and the checks of each by itself.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity, TimeStamp};
+
+/// A subscription.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(tag = "subscriptionType")]
+pub enum Subscription {
+    /// Who is associated with an access point.
+    AssocStaSubscription(AssocStaSubscription),
+    /// Rates of stations.
+    StaDataRateSubscription(StaDataRateSubscription),
+    /// Reports of a measurement.
+    MeasurementReportSubscription(MeasurementReportSubscription),
+}
+
+/// Where notifications go, and until when.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct Notifying {
+    /// Where notifications are posted: `http://host:port/path`, on a network that the operator allows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(format = "uri", nullable = false)]
+    pub callback_reference: Option<String>,
+    /// Ask for a `TestNotification` first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub request_test_notification: Option<bool>,
+    /// Ask for a WebSocket in place of a callback; wins where both are given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub websock_notif_config: Option<WebsockNotifConfig>,
+    /// Set by the service.
+    #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub links: Option<SelfLink>,
+    /// When the subscription ends: what is asked for, but a day at most. Without it, with the run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub expiry_deadline: Option<TimeStamp>,
+}
+
+/// A WebSocket for notifications (6.5.42).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct WebsockNotifConfig {
+    /// Set by the service: where to connect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(format = "uri", nullable = false)]
+    pub websocket_uri: Option<String>,
+    /// True asks for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub request_websocket_uri: Option<bool>,
+}
+
+/// Asks who is associated with an access point (6.3.2): periodically, at a threshold, or periodically beyond it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct AssocStaSubscription {
+    /// Where to, and until when.
+    #[serde(flatten)]
+    pub notifying: Notifying,
+    /// The access point.
+    pub ap_id: ApIdentity,
+    /// Seconds between notifications; one of this and `notificationEvent` is needed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 255, nullable = false)]
+    pub notification_period: Option<u8>,
+    /// The threshold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub notification_event: Option<AssocStaEvent>,
+}
+
+/// A number of stations (6.3.2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct AssocStaEvent {
+    /// 1: at the threshold or more; 2: at the threshold or fewer.
+    #[schema(minimum = 1, maximum = 2)]
+    pub trigger: u8,
+    /// Stations.
+    #[schema(maximum = 255)]
+    pub threshold: u8,
+}
+
+/// Asks for rates of stations (6.3.3).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaDataRateSubscription {
+    /// Where to, and until when.
+    #[serde(flatten)]
+    pub notifying: Notifying,
+    /// The stations.
+    #[schema(min_items = 1)]
+    pub sta_id: Vec<StaIdentity>,
+    /// Seconds between notifications; one of this and `notificationEvent` is needed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = 1, maximum = 255, nullable = false)]
+    pub notification_period: Option<u8>,
+    /// The threshold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub notification_event: Option<StaDataRateEvent>,
+}
+
+/// Rates to compare with (6.3.3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaDataRateEvent {
+    /// 1 and 2: downlink at its threshold or more, or less; 3 and 4: uplink; 5 and 6: both; 7 and 8: either.
+    #[schema(minimum = 1, maximum = 8)]
+    pub trigger: u8,
+    /// kbit/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub downlink_rate_threshold: Option<u32>,
+    /// kbit/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub uplink_rate_threshold: Option<u32>,
+}
+
+impl StaDataRateEvent {
+    /// Whether rates meet the trigger.
+    pub(crate) fn is_met(&self, downlink: u32, uplink: u32) -> bool {
+        let (down, up) = (self.downlink_rate_threshold, self.uplink_rate_threshold);
+        let compare = |rate: u32, threshold: Option<u32>| {
+            let more = self.trigger % 2 == 1;
+            threshold.is_some_and(|threshold| if more { rate >= threshold } else { rate <= threshold })
+        };
+        match self.trigger {
+            1 | 2 => compare(downlink, down),
+            3 | 4 => compare(uplink, up),
+            5 | 6 => compare(downlink, down) && compare(uplink, up),
+            _ => compare(downlink, down) || compare(uplink, up),
+        }
+    }
+}
+
+/// Asks for reports of a measurement (6.3.5).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeasurementReportSubscription {
+    /// Where to, and until when.
+    #[serde(flatten)]
+    pub notifying: Notifying,
+    /// The stations.
+    #[schema(min_items = 1)]
+    pub sta_id: Vec<StaIdentity>,
+    /// What the consumer calls it.
+    #[schema(value_type = String)]
+    pub measurement_id: Arc<str>,
+    /// What is measured.
+    pub measurement_info: MeasurementInfo,
+}
+
+/// A measurement whose reports are told with stations' information (6.2.4).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeasurementConfig {
+    /// Set by the service.
+    #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub links: Option<SelfLink>,
+    /// What the consumer calls it; no other configuration may be called so.
+    #[schema(value_type = String)]
+    pub measurement_id: Arc<str>,
+    /// The stations.
+    #[schema(min_items = 1)]
+    pub sta_id: Vec<StaIdentity>,
+    /// What is measured.
+    pub measurement_info: MeasurementInfo,
+}
+
+/// What is measured (6.5.41): exactly one of the four.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeasurementInfo {
+    /// Units of 1024 µs between reports of a subscription, where that is more than a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 65535, nullable = false)]
+    pub measurement_duration: Option<u16>,
+    /// Accepted, and of no effect: nothing is put on the air that would have to be spread.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 65535, nullable = false)]
+    pub random_interval: Option<u16>,
+    /// How busy a channel is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub channel_load_conf: Option<ChannelLoadConfig>,
+    /// What stations hear.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub beacon_request_conf: Option<BeaconRequestConfig>,
+    /// Counters of a station, which this service does not have: refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub sta_statistics_conf: Option<StaStatisticsConfig>,
+    /// Access points that stations could go to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub neighbor_report_conf: Option<NeighborReportConfig>,
+}
+
+/// How busy a channel is (6.5.24).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ChannelLoadConfig {
+    /// Global operating class (IEEE 802.11-2016, Table E-4).
+    #[schema(maximum = 255)]
+    pub operating_class: u8,
+    /// The channel.
+    #[schema(maximum = 255)]
+    pub channel: u8,
+    /// 0, or left out: always; 1: at the threshold or more; 2: at the threshold or less.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 2, nullable = false)]
+    pub reporting_condition: Option<u8>,
+    /// 255 is busy all the time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(maximum = 255, nullable = false)]
+    pub threshold: Option<u8>,
+}
+
+/// What stations hear (6.5.25).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BeaconRequestConfig {
+    /// Global operating class (IEEE 802.11-2016, Table E-4).
+    #[schema(maximum = 255)]
+    pub operating_class: u8,
+    /// A channel of that class; 0 or 255: all of them.
+    #[schema(maximum = 255)]
+    pub channel_id: u8,
+    /// 0: passive, 1: active, 2: the beacon table. Whichever it is, what the station heard last is told: this service
+    /// takes no radio off its channel.
+    #[schema(maximum = 2)]
+    pub measurement_mode: u8,
+    /// Only this access point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub bssid: Option<Mac>,
+    /// Only this network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub ssid: Option<String>,
+    /// Which of what is heard is reported.
+    pub beacon_reporting_conf: BeaconReportingConfig,
+}
+
+/// Which beacons are reported (6.5.28).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BeaconReportingConfig {
+    /// 0: all; 1 and 2: RCPI above or below the threshold; 3 and 4: RSNI; 5 to 8: the same beside the serving access
+    /// point's with an offset; 9 and 10: RCPI or RSNI between the serving access point's and that with the offset.
+    #[schema(maximum = 10)]
+    pub reporting_condition: u8,
+    /// The threshold, or the offset: an 8-bit two's complement number in units of 0.5 dB.
+    #[schema(maximum = 255)]
+    pub threshold: u8,
+}
+
+/// Counters of a station (6.5.26), as far as they are named: nothing of it is known here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaStatisticsConfig {
+    /// Which counters.
+    #[schema(maximum = 255)]
+    pub group_identity: u8,
+    /// When.
+    pub triggered_report: bool,
+}
+
+/// Access points that stations could go to (6.5.32).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct NeighborReportConfig {
+    /// Of this network; without it, of the station's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub ssid: Option<String>,
+    /// Only this one; ignored without `ssid`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub bssid: Option<Mac>,
+}
+
+/// Links to subscriptions (6.3.4).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct SubscriptionLinkList {
+    /// To this list.
+    #[serde(rename = "_links")]
+    pub links: SelfLink,
+    /// To each.
+    pub subscription: Vec<SubscriptionLink>,
+}
+
+/// A link to a subscription (6.3.4).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct SubscriptionLink {
+    /// Its URI.
+    #[schema(format = "uri")]
+    pub href: String,
+    /// Its type.
+    pub subscription_type: &'static str,
+}
+
+/// Links to measurement configurations (6.2.5).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeasurementConfigLinkList {
+    /// To this list.
+    #[serde(rename = "_links")]
+    pub links: SelfLink,
+    /// To each.
+    pub measurement_config: Vec<MeasurementConfigLink>,
+}
+
+/// A link to a measurement configuration (6.2.5).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct MeasurementConfigLink {
+    /// Its URI.
+    #[schema(format = "uri")]
+    pub href: String,
+    /// What the consumer calls it.
+    #[schema(value_type = String)]
+    pub measurement_id: Arc<str>,
+}
+
+/// Tells that a subscription is about to expire, or tests it: its link (6.4.4, 6.4.6).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ToSubscription {
+    /// The subscription.
+    pub subscription: LinkType,
+}
+
+/// Why a request cannot be met.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidRequest {
+    /// It says nothing, or two things.
+    #[error("{0}")]
+    Malformed(String),
+    /// It is understood, but the testbed does not have what it asks for.
+    #[error("{0}")]
+    Unsupported(&'static str),
+}
+
+fn malformed<T>(what: impl Into<String>) -> Result<T, InvalidRequest> {
+    Err(InvalidRequest::Malformed(what.into()))
+}
+
+impl Subscription {
+    /// Reads one, as the standard writes it: the plain object.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Malformed`] with the place.
+    pub fn read(body: &[u8]) -> Result<Self, InvalidRequest> {
+        #[derive(Deserialize)]
+        #[serde(rename_all = "camelCase")]
+        struct Typed {
+            subscription_type: String,
+        }
+        let Typed { subscription_type } = read(body)?;
+        match subscription_type.as_str() {
+            "AssocStaSubscription" => read(body).map(Self::AssocStaSubscription),
+            "StaDataRateSubscription" => read(body).map(Self::StaDataRateSubscription),
+            "MeasurementReportSubscription" => read(body).map(Self::MeasurementReportSubscription),
+            other => malformed(format!(
+                "there is no subscriptionType `{other}`; there are AssocStaSubscription, StaDataRateSubscription, \
+                 MeasurementReportSubscription"
+            )),
+        }
+    }
+
+    /// Its type's name.
+    pub fn type_name(&self) -> &'static str {
+        match self {
+            Self::AssocStaSubscription(_) => "AssocStaSubscription",
+            Self::StaDataRateSubscription(_) => "StaDataRateSubscription",
+            Self::MeasurementReportSubscription(_) => "MeasurementReportSubscription",
+        }
+    }
+
+    /// Where its notifications go.
+    pub fn notifying(&self) -> &Notifying {
+        match self {
+            Self::AssocStaSubscription(s) => &s.notifying,
+            Self::StaDataRateSubscription(s) => &s.notifying,
+            Self::MeasurementReportSubscription(s) => &s.notifying,
+        }
+    }
+
+    pub(crate) fn notifying_mut(&mut self) -> &mut Notifying {
+        match self {
+            Self::AssocStaSubscription(s) => &mut s.notifying,
+            Self::StaDataRateSubscription(s) => &mut s.notifying,
+            Self::MeasurementReportSubscription(s) => &mut s.notifying,
+        }
+    }
+
+    /// Checks what its type alone does not say.
+    ///
+    /// # Errors
+    /// [`InvalidRequest`].
+    pub fn check(&self) -> Result<(), InvalidRequest> {
+        let when = |period: Option<u8>, event: bool| match (period, event) {
+            (Some(0), _) => malformed("notificationPeriod is at least 1 second"),
+            (None, false) => malformed("one of notificationPeriod and notificationEvent is needed"),
+            _ => Ok(()),
+        };
+        match self {
+            Self::AssocStaSubscription(s) => {
+                when(s.notification_period, s.notification_event.is_some())?;
+                match s.notification_event {
+                    Some(AssocStaEvent { trigger: 1 | 2, .. }) | None => Ok(()),
+                    Some(_) => malformed("notificationEvent.trigger is 1 or 2"),
+                }
+            }
+            Self::StaDataRateSubscription(s) => {
+                when(s.notification_period, s.notification_event.is_some())?;
+                check_stations(&s.sta_id)?;
+                s.notification_event.map_or(Ok(()), |event| event.check())
+            }
+            Self::MeasurementReportSubscription(s) => {
+                check_stations(&s.sta_id)?;
+                s.measurement_info.check()
+            }
+        }
+    }
+}
+
+impl StaDataRateEvent {
+    fn check(&self) -> Result<(), InvalidRequest> {
+        let (down, up) = (self.downlink_rate_threshold.is_some(), self.uplink_rate_threshold.is_some());
+        match (self.trigger, down, up) {
+            (1 | 2, true, _) | (3 | 4, _, true) | (5..=8, true, true) => Ok(()),
+            (1 | 2, false, _) => malformed("triggers 1 and 2 need downlinkRateThreshold"),
+            (3 | 4, _, false) => malformed("triggers 3 and 4 need uplinkRateThreshold"),
+            (5..=8, ..) => malformed("triggers 5 to 8 need downlinkRateThreshold and uplinkRateThreshold"),
+            _ => malformed("notificationEvent.trigger is from 1 to 8"),
+        }
+    }
+}
+
+impl MeasurementConfig {
+    /// Reads one.
+    ///
+    /// # Errors
+    /// [`InvalidRequest::Malformed`] with the place.
+    pub fn read(body: &[u8]) -> Result<Self, InvalidRequest> {
+        read(body)
+    }
+
+    /// Checks what its type alone does not say.
+    ///
+    /// # Errors
+    /// [`InvalidRequest`].
+    pub fn check(&self) -> Result<(), InvalidRequest> {
+        check_stations(&self.sta_id)?;
+        self.measurement_info.check()
+    }
+}
+
+impl MeasurementInfo {
+    fn check(&self) -> Result<(), InvalidRequest> {
+        let given = [
+            self.channel_load_conf.is_some(),
+            self.beacon_request_conf.is_some(),
+            self.sta_statistics_conf.is_some(),
+            self.neighbor_report_conf.is_some(),
+        ];
+        if given.iter().filter(|given| **given).count() != 1 {
+            return malformed(
+                "measurementInfo has exactly one of channelLoadConf, beaconRequestConf, staStatisticsConf and \
+                 neighborReportConf",
+            );
+        }
+        if self.sta_statistics_conf.is_some() {
+            return Err(InvalidRequest::Unsupported(
+                "the testbed does not know the counters of IEEE 802.11 that staStatistics reports",
+            ));
+        }
+        match self.channel_load_conf {
+            Some(ChannelLoadConfig { reporting_condition: Some(1 | 2), threshold: None, .. }) => {
+                malformed("reportingCondition 1 and 2 need a threshold")
+            }
+            Some(ChannelLoadConfig { reporting_condition: Some(3..), .. }) => {
+                malformed("channelLoadConf.reportingCondition is from 0 to 2")
+            }
+            _ => match &self.beacon_request_conf {
+                Some(request) if request.measurement_mode > 2 => malformed("measurementMode is from 0 to 2"),
+                Some(request) if request.beacon_reporting_conf.reporting_condition > 10 => {
+                    malformed("beaconReportingConf.reportingCondition is from 0 to 10")
+                }
+                _ => Ok(()),
+            },
+        }
+    }
+}
+
+fn check_stations(stations: &[StaIdentity]) -> Result<(), InvalidRequest> {
+    if stations.is_empty() { malformed("staId names at least one station") } else { Ok(()) }
+}
+
+fn read<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, InvalidRequest> {
+    let mut json = serde_json::Deserializer::from_slice(body);
+    let read = serde_path_to_error::deserialize(&mut json);
+    read.or_else(|error| match error.path().to_string() {
+        path if path == "." => malformed(error.inner().to_string()),
+        path => malformed(format!("{path}: {}", error.inner())),
+    })
+    .and_then(|value| json.end().map(|()| value).or_else(|error| malformed(error.to_string())))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,417 @@
+//! The data types of ETSI GS MEC 028 v2.3.1 as far as this service gives them, with the standard's names. What the
+//! testbed does not know is left out here, not sent as zero.
+
+use std::{fmt, str::FromStr, sync::Arc};
+
+use cotorra_graph::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Time since 1970-01-01 UTC (6.5.2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct TimeStamp {
+    /// Whole seconds.
+    pub seconds: u32,
+    /// The rest.
+    #[schema(maximum = 999_999_999)]
+    pub nano_seconds: u32,
+}
+
+/// When a run began, for times of the run as times of the calendar.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Epoch {
+    /// Nanoseconds since 1970-01-01 UTC; 0 in virtual time, which has no calendar.
+    pub unix_ns: u64,
+}
+
+impl Epoch {
+    /// The calendar's time at a time of the run.
+    pub fn at(self, now: Timestamp) -> TimeStamp {
+        let ns = self.unix_ns.saturating_add(now.as_nanos());
+        let seconds = u32::try_from(ns / 1_000_000_000).unwrap_or(u32::MAX);
+        TimeStamp { seconds, nano_seconds: (ns % 1_000_000_000) as u32 }
+    }
+
+    /// The time of the run at the calendar's; its beginning for what was before.
+    pub fn run_time(self, stamp: TimeStamp) -> Timestamp {
+        let ns = u64::from(stamp.seconds) * 1_000_000_000 + u64::from(stamp.nano_seconds);
+        Timestamp::from_nanos(ns.saturating_sub(self.unix_ns))
+    }
+}
+
+/// A MAC address, written in lower case with colons.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
+#[schema(value_type = String, pattern = "^([0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}$", examples("02:77:00:00:00:01"))]
+#[serde(try_from = "String", into = "String")]
+pub struct Mac(pub [u8; 6]);
+
+/// Why a text is no MAC address.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a MAC address: write it like 02:77:00:00:00:01")]
+pub struct InvalidMac(String);
+
+impl FromStr for Mac {
+    type Err = InvalidMac;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let mut octets = text.split([':', '-']).map(|octet| {
+            let digits = octet.len() == 2 && octet.bytes().all(|digit| digit.is_ascii_hexdigit());
+            digits.then(|| u8::from_str_radix(octet, 16).ok()).flatten()
+        });
+        let mut mac = [0; 6];
+        let complete = mac.iter_mut().all(|slot| {
+            let octet = octets.next().flatten();
+            octet.map(|octet| *slot = octet).is_some()
+        });
+        if complete && octets.next().is_none() { Ok(Self(mac)) } else { Err(InvalidMac(text.to_owned())) }
+    }
+}
+
+impl TryFrom<String> for Mac {
+    type Error = InvalidMac;
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<Mac> for String {
+    fn from(mac: Mac) -> Self {
+        mac.to_string()
+    }
+}
+
+impl fmt::Display for Mac {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d, e, g] = self.0;
+        write!(f, "{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{g:02x}")
+    }
+}
+
+/// A link to a resource (6.5.23).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LinkType {
+    /// Its URI.
+    #[schema(format = "uri")]
+    pub href: String,
+}
+
+/// The link to the resource itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SelfLink {
+    /// Its URI.
+    #[serde(rename = "self")]
+    pub itself: LinkType,
+}
+
+impl SelfLink {
+    pub(crate) fn to(href: String) -> Self {
+        Self { itself: LinkType { href } }
+    }
+}
+
+/// Which access point (6.5.3).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ApIdentity {
+    /// Its MAC address.
+    pub bssid: Mac,
+    /// The networks that it serves.
+    #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub ssid: Arc<[String]>,
+    /// Its addresses.
+    #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub ip_address: Arc<[String]>,
+}
+
+/// Which station (6.5.11).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaIdentity {
+    /// Its MAC address.
+    pub mac_id: Mac,
+    /// The network that it joins.
+    #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub ssid: Arc<[String]>,
+    /// Its addresses.
+    #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
+    #[schema(value_type = Vec<String>)]
+    pub ip_address: Arc<[String]>,
+}
+
+/// An access point and what is known of it (6.2.2).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ApInfo {
+    /// When that was known; left out with `fields`.
+    #[schema(required = false)]
+    pub time_stamp: TimeStamp,
+    /// Which.
+    pub ap_id: ApIdentity,
+    /// Its channel.
+    pub channel: u32,
+    /// The wired link behind it, where it has one and no more.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wan_metrics: Option<WanMetrics>,
+    /// Its stations and its channel.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bss_load: Option<BssLoad>,
+    /// Where it is, if the testbed file says where its map is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ap_location: Option<ApLocation>,
+}
+
+/// The BSS Load element (6.5.7; IEEE 802.11-2016, 9.4.2.28).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BssLoad {
+    /// Stations associated now.
+    pub sta_count: u16,
+    /// Share of the last second in which the channel was busy; 255 is all of it.
+    pub channel_utilization: u8,
+    /// Medium time left by admission control, 32 µs/s: 0, there is none.
+    pub avail_adm_cap: u16,
+}
+
+/// The wired link behind an access point (6.5.6; Hotspot 2.0).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct WanMetrics {
+    /// 1: the link is up; 5: and it is as fast in both directions.
+    pub wan_info: u8,
+    /// Rate to the access point, kbit/s.
+    pub downlink_speed: u32,
+    /// Rate from it, kbit/s.
+    pub uplink_speed: u32,
+    /// Share of the downlink that was used over the last second; 255 is all of it.
+    pub downlink_load: u8,
+    /// The same of the uplink.
+    pub uplink_load: u8,
+    /// Over how long that was measured, tenths of a second.
+    pub lmd: u16,
+}
+
+/// Where an access point is (6.5.9).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ApLocation {
+    /// On Earth.
+    pub geolocation: GeoLocation,
+}
+
+/// A place on Earth (6.5.19; RFC 6225): fixed point with 25 bits of fraction, two's complement in 34 bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct GeoLocation {
+    /// 0: unknown.
+    pub lat_uncertainty: u8,
+    /// Degrees to the north.
+    pub lat: u64,
+    /// 0: unknown.
+    pub long_uncertainty: u8,
+    /// Degrees to the east.
+    pub long: u64,
+    /// 1: WGS 84.
+    pub datum: u8,
+}
+
+/// A station and what is known of it (6.2.3).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaInfo {
+    /// When that was known; left out with `fields`.
+    #[schema(required = false)]
+    pub time_stamp: TimeStamp,
+    /// Which.
+    pub sta_id: StaIdentity,
+    /// The channel of its access point.
+    pub channel: u32,
+    /// Its access point; left out with `fields`.
+    #[schema(required = false)]
+    pub ap_associated: ApIdentity,
+    /// What its access point receives of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rssi: Option<Rssi>,
+    /// Its rates.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sta_data_rate: Option<StaDataRate>,
+    /// What it hears, for measurement configurations that ask for it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(required = false)]
+    pub beacon_report: Vec<BeaconReport>,
+    /// Access points that it could go to, for measurement configurations that ask for it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(required = false)]
+    pub neighbor_report: Vec<NeighborReport>,
+    /// How busy channels are, for measurement configurations that ask for it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(required = false)]
+    pub channel_load: Vec<ChannelLoad>,
+}
+
+/// Received signal (6.5.21).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+pub struct Rssi {
+    /// Coded as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110), P in dBm.
+    #[schema(maximum = 220)]
+    pub rssi: u8,
+}
+
+/// Rates of a station (6.5.22).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct StaDataRate {
+    /// Which; left out where the station is told around it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sta_id: Option<StaIdentity>,
+    /// PHY rate to it, kbit/s.
+    pub sta_last_data_downlink_rate: u32,
+    /// PHY rate from it, kbit/s.
+    pub sta_last_data_uplink_rate: u32,
+}
+
+/// What a station hears of an access point (6.5.27).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BeaconReport {
+    /// Which station; left out where it is told around it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sta_id: Option<StaIdentity>,
+    /// The measurement that asked.
+    pub measurement_id: Arc<str>,
+    /// Global operating class (IEEE 802.11-2016, Table E-4).
+    pub operating_class: u8,
+    /// Its channel.
+    pub channel: u8,
+    /// What was heard.
+    pub reported_frame_info: ReportedBeaconFrameInfo,
+    /// Whose.
+    pub bssid: Mac,
+    /// The network.
+    pub ssid: String,
+    /// Received power: 2·(P + 110), P in dBm.
+    #[schema(maximum = 220)]
+    pub rcpi: u8,
+    /// Over the noise floor: 2·(SNR + 10), SNR in dB (IEEE 802.11-2016, 9.4.2.41).
+    pub rsni: u8,
+}
+
+/// A frame that was heard (6.5.29).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ReportedBeaconFrameInfo {
+    /// `dot11PHYType`: 4 OFDM, 6 ERP, 7 HT, 9 VHT.
+    pub phy_type: u8,
+    /// 0: a Beacon or Probe Response.
+    pub frame_type: u8,
+}
+
+/// An access point that a station could go to (6.5.10).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct NeighborReport {
+    /// Which station; left out where it is told around it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sta_id: Option<StaIdentity>,
+    /// The measurement that asked.
+    pub measurement_id: Arc<str>,
+    /// Which access point.
+    pub bssid: Mac,
+    /// What it can do.
+    pub bssid_info: BssidInfo,
+    /// Global operating class (IEEE 802.11-2016, Table E-4).
+    pub operating_class: u8,
+    /// Its channel.
+    pub channel: u8,
+    /// `dot11PHYType`: 4 OFDM, 6 ERP, 7 HT, 9 VHT.
+    pub phy_type: u8,
+}
+
+/// What a neighbor can do (6.5.30).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BssidInfo {
+    /// 3: reachable.
+    pub ap_reachability: u8,
+    /// As in the station's association: yes, it is one network.
+    pub security: bool,
+    /// What the emulated access points have of it.
+    pub capabilities: BssCapabilities,
+    /// Fast transition (IEEE 802.11r) from one to the other.
+    pub mobility_domain: bool,
+    /// IEEE 802.11n or ac.
+    pub high_throughput: bool,
+    /// IEEE 802.11ac.
+    pub very_high_throughput: bool,
+    /// Fine timing measurement: none.
+    pub ftm: bool,
+}
+
+/// Options of an access point (6.5.31).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct BssCapabilities {
+    /// Not emulated.
+    pub spectrum_management: bool,
+    /// Not emulated.
+    pub qos: bool,
+    /// Not emulated.
+    pub apsd: bool,
+    /// Reports are given.
+    pub radio_measurements: bool,
+    /// Not emulated.
+    #[serde(rename = "delayedBACK")]
+    pub delayed_back: bool,
+    /// Not emulated.
+    #[serde(rename = "immediateBACK")]
+    pub immediate_back: bool,
+}
+
+/// How busy a channel is (6.5.39).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "camelCase")]
+pub struct ChannelLoad {
+    /// Which station; left out where it is told around it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sta_id: Option<StaIdentity>,
+    /// The measurement that asked.
+    pub measurement_id: Arc<str>,
+    /// Global operating class (IEEE 802.11-2016, Table E-4).
+    pub operating_class: u8,
+    /// The channel.
+    pub channel: u8,
+    /// In units of 1024 µs: the last second, and so 255, the most that the standard's type holds.
+    pub measurement_duration: u8,
+    /// Share of that in which it was busy; 255 is all of it.
+    pub channel_load: u8,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_however_they_are_written() {
+        let mac = Mac([2, 0x77, 0, 0, 1, 0xfe]);
+        for text in ["02:77:00:00:01:fe", "02-77-00-00-01-FE"] {
+            assert_eq!(text.parse(), Ok(mac));
+        }
+        assert_eq!(mac.to_string(), "02:77:00:00:01:fe");
+        for wrong in
+            ["", "02:77:00:00:01", "02:77:00:00:01:fe:00", "02:77:00:00:01:+e", "2:77:0:0:1:fe", "hello"]
+        {
+            assert!(wrong.parse::<Mac>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_calendar_and_the_run_agree() {
+        let epoch = Epoch { unix_ns: 1_700_000_000_250_000_000 };
+        let stamp = epoch.at(Timestamp::from_nanos(1_900_000_000));
+        assert_eq!(stamp, TimeStamp { seconds: 1_700_000_002, nano_seconds: 150_000_000 });
+        assert_eq!(epoch.run_time(stamp), Timestamp::from_nanos(1_900_000_000));
+        assert_eq!(epoch.run_time(TimeStamp { seconds: 1, nano_seconds: 0 }), Timestamp::ZERO);
+    }
+}

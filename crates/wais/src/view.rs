@@ -1,0 +1,231 @@
+//! What queries are answered from: the last survey as the standard's data types, written once and searched often.
+
+use std::{
+    hash::{DefaultHasher, Hash, Hasher},
+    sync::Arc,
+};
+
+use bytes::Bytes;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::{
+    attributes::{AP_INFO, Attribute, STA_INFO},
+    coding::{rcpi, share},
+    filter::Filter,
+    measurement::{Measured, Reports},
+    requests::MeasurementConfig,
+    selector::{Selection, SelectorError, Selectors},
+    survey::{Station, Survey},
+    types::{ApInfo, BssLoad, Epoch, Rssi, StaDataRate, StaIdentity, StaInfo},
+};
+
+/// What is asked for.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Query {
+    filter: Option<Filter>,
+    selection: Selection,
+}
+
+/// What can be asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `ApInfo`.
+    AccessPoints,
+    /// `StaInfo`.
+    Stations,
+}
+
+/// Why a query is none.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum QueryError {
+    /// The filter.
+    #[error(transparent)]
+    Filter(#[from] crate::filter::FilterError),
+    /// The selectors.
+    #[error(transparent)]
+    Selector(#[from] SelectorError),
+    /// No parameter of a query.
+    #[error(
+        "there is no parameter `{0}`; there are filter, all_fields, fields, exclude_fields, exclude_default"
+    )]
+    Unknown(String),
+    /// Said twice.
+    #[error("`{0}` is given twice")]
+    Twice(String),
+}
+
+impl Query {
+    /// Reads the parameters of a query.
+    ///
+    /// # Errors
+    /// [`QueryError`].
+    pub fn read(of: Kind, parameters: &[(String, String)]) -> Result<Self, QueryError> {
+        let attributes: &'static [Attribute] = match of {
+            Kind::AccessPoints => AP_INFO,
+            Kind::Stations => STA_INFO,
+        };
+        let (mut selectors, mut filter) = (Selectors::default(), None);
+        for (i, (name, value)) in parameters.iter().enumerate() {
+            if parameters[..i].iter().any(|(other, _)| other == name) {
+                return Err(QueryError::Twice(name.clone()));
+            }
+            match name.as_str() {
+                "filter" => filter = Some(Filter::parse(value, attributes)?),
+                "all_fields" => selectors.all_fields = true,
+                "fields" => selectors.fields = Some(value.clone()),
+                "exclude_fields" => selectors.exclude_fields = Some(value.clone()),
+                "exclude_default" => selectors.exclude_default = true,
+                _ => return Err(QueryError::Unknown(name.clone())),
+            }
+        }
+        Ok(Self { filter, selection: Selection::new(&selectors, attributes)? })
+    }
+}
+
+/// An answer: an array in JSON, and its entity tag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Answer {
+    /// The array.
+    pub body: Bytes,
+    /// Changes when the body does; in quotes.
+    pub etag: String,
+}
+
+impl Answer {
+    fn new(body: Vec<u8>) -> Self {
+        let mut hasher = DefaultHasher::new();
+        body.hash(&mut hasher);
+        Self { body: body.into(), etag: format!("\"{:016x}\"", hasher.finish()) }
+    }
+}
+
+/// Things of one kind as JSON.
+#[derive(Debug)]
+pub(crate) struct Listing {
+    items: Vec<(Value, String)>,
+    whole: Answer,
+}
+
+impl Listing {
+    fn new<T: Serialize>(things: impl Iterator<Item = T>) -> Self {
+        let items: Vec<_> = things
+            .map(|thing| {
+                let value = serde_json::to_value(&thing).expect("these types hold only what JSON can");
+                let text = serde_json::to_string(&thing).expect("these types hold only what JSON can");
+                (value, text)
+            })
+            .collect();
+        let whole = Answer::new(array(items.iter().map(|(_, text)| text.as_str())));
+        Self { items, whole }
+    }
+
+    /// The answer to a query.
+    pub(crate) fn answer(&self, query: &Query) -> Answer {
+        let matching = || {
+            let filter = query.filter.as_ref();
+            self.items.iter().filter(move |(value, _)| filter.is_none_or(|filter| filter.matches(value)))
+        };
+        match (&query.filter, &query.selection) {
+            (None, Selection::All) => self.whole.clone(),
+            (_, Selection::All) => Answer::new(array(matching().map(|(_, text)| text.as_str()))),
+            (_, selection) => {
+                Answer::new(array(matching().map(|(value, _)| selection.apply(value).to_string())))
+            }
+        }
+    }
+}
+
+fn array<T: AsRef<str>>(items: impl Iterator<Item = T>) -> Vec<u8> {
+    let mut text = b"[".to_vec();
+    for (i, item) in items.enumerate() {
+        text.extend_from_slice(if i == 0 { b"" } else { b"," });
+        text.extend_from_slice(item.as_ref().as_bytes());
+    }
+    text.push(b']');
+    text
+}
+
+/// Access points as they are told.
+pub(crate) fn access_points(survey: &Survey, epoch: Epoch) -> Listing {
+    Listing::new(survey.access_points.iter().map(|ap| {
+        let unit = survey.unit(ap);
+        ApInfo {
+            time_stamp: epoch.at(survey.at),
+            ap_id: unit.identity.clone(),
+            channel: unit.channel.into(),
+            wan_metrics: ap.wan,
+            bss_load: ap.load.map(|load| BssLoad {
+                sta_count: u16::try_from(ap.associated.len()).unwrap_or(u16::MAX),
+                channel_utilization: share(load),
+                avail_adm_cap: 0,
+            }),
+            ap_location: unit.location,
+        }
+    }))
+}
+
+/// Stations as they are told, with the reports of measurements that are configured.
+pub(crate) fn stations<'a>(
+    survey: &Survey,
+    epoch: Epoch,
+    configured: impl Iterator<Item = &'a MeasurementConfig> + Clone,
+) -> Listing {
+    Listing::new(survey.stations.iter().map(|station| {
+        let unit = survey.unit_of(station);
+        let mut reports = Reports::default();
+        for config in configured.clone() {
+            if config.sta_id.iter().any(|wanted| wanted.mac_id == station.identity.mac_id) {
+                let measured = Measured { survey, station, id: &config.measurement_id, named: false };
+                measured.report(&config.measurement_info, &mut reports);
+            }
+        }
+        StaInfo {
+            time_stamp: epoch.at(survey.at),
+            sta_id: station.identity.clone(),
+            channel: unit.channel.into(),
+            ap_associated: unit.identity.clone(),
+            rssi: station.reception.map(|reception| Rssi { rssi: rcpi(reception.signal) }),
+            sta_data_rate: data_rate(station, None),
+            beacon_report: reports.beacon_report,
+            neighbor_report: reports.neighbor_report,
+            channel_load: reports.channel_load,
+        }
+    }))
+}
+
+/// Rates of a station, as its access point knows them.
+pub(crate) fn data_rate(station: &Station, named: Option<StaIdentity>) -> Option<StaDataRate> {
+    station.reception.map(|reception| StaDataRate {
+        sta_id: named,
+        sta_last_data_downlink_rate: reception.downlink_kbps,
+        sta_last_data_uplink_rate: reception.uplink_kbps,
+    })
+}
+
+/// Listings that are made when somebody asks, and kept until something changes.
+#[derive(Debug, Default)]
+pub(crate) struct Listings {
+    access_points: Option<Arc<Listing>>,
+    stations: Option<Arc<Listing>>,
+}
+
+impl Listings {
+    /// What is known changed.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// What is measured changed.
+    pub(crate) fn forget_stations(&mut self) {
+        self.stations = None;
+    }
+
+    pub(crate) fn access_points(&mut self, make: impl FnOnce() -> Listing) -> Arc<Listing> {
+        Arc::clone(self.access_points.get_or_insert_with(|| Arc::new(make())))
+    }
+
+    pub(crate) fn stations(&mut self, make: impl FnOnce() -> Listing) -> Arc<Listing> {
+        Arc::clone(self.stations.get_or_insert_with(|| Arc::new(make())))
+    }
+}

@@ -1,0 +1,444 @@
+//! The service as a state machine, without a clock or a socket: surveys and requests go in with the time, answers and
+//! notifications to be sent come out.
+
+mod configured;
+
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
+use cotorra_graph::Timestamp;
+
+use self::configured::Configured;
+use crate::{
+    callback::{Callback, CallbackError},
+    conditional::may_change,
+    limiter::Limiter,
+    notification::{Notification, Schedule},
+    outbox::{Outbox, Outcome},
+    requests::{InvalidRequest, Subscription, SubscriptionLink, SubscriptionLinkList, WebsockNotifConfig},
+    survey::{Site, Survey},
+    types::{Epoch, SelfLink},
+    view::{self, Answer, Kind, Listings, Query},
+};
+
+/// Subscriptions, and measurement configurations, at the most.
+const MOST: usize = 256;
+/// No subscription lasts longer than this without being renewed, if it has a deadline.
+const LONGEST_LIFE: Duration = Duration::from_secs(24 * 3600);
+/// So long before its end a subscription's consumer is told, or half of its life if that is less.
+const NOTICE: Duration = Duration::from_secs(30);
+
+/// Why a request is not met.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// It cannot be.
+    #[error(transparent)]
+    Invalid(#[from] InvalidRequest),
+    /// Its callback.
+    #[error(transparent)]
+    Callback(#[from] CallbackError),
+    /// No such resource.
+    #[error("there is no {what} `{id}`")]
+    NotFound {
+        /// What was looked for.
+        what: &'static str,
+        /// By which name.
+        id: String,
+    },
+    /// Another changed it meanwhile.
+    #[error("the resource is not the one that `If-Match` names: it was changed, and is {0} now")]
+    Changed(String),
+    /// There are too many already.
+    #[error("there are {MOST} already: delete some first")]
+    Full,
+    /// Too often.
+    #[error("resources change at most 200 times a second: try again later")]
+    TooOften(Duration),
+}
+
+/// A resource as it is answered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Resource<T> {
+    /// It.
+    pub value: T,
+    /// Its URI.
+    pub href: String,
+    /// Changes when it does; in quotes.
+    pub etag: String,
+}
+
+/// A notification that is to be sent now.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Dispatch {
+    /// The subscription.
+    pub subscription: u64,
+    /// Names the attempt.
+    pub attempt: u64,
+    /// Where to.
+    pub target: Target,
+    /// A JSON object.
+    pub body: Arc<str>,
+}
+
+/// Where notifications of a subscription go.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Target {
+    /// To a server of the consumer's.
+    Callback(Callback),
+    /// To whoever opened the subscription's WebSocket.
+    WebSocket,
+}
+
+impl Target {
+    /// Where a subscription wants its notifications; the WebSocket if it asks for both.
+    ///
+    /// # Errors
+    /// [`Refused::Invalid`] if it asks for neither, [`Refused::Callback`] for what is no callback.
+    pub fn of(subscription: &Subscription) -> Result<Self, Refused> {
+        let notifying = subscription.notifying();
+        let socket = notifying.websock_notif_config.as_ref();
+        if socket.is_some_and(|socket| socket.request_websocket_uri == Some(true)) {
+            return Ok(Self::WebSocket);
+        }
+        let callback = notifying.callback_reference.as_ref().ok_or_else(|| {
+            let what = "one of callbackReference and websockNotifConfig.requestWebsocketUri is needed";
+            InvalidRequest::Malformed(what.to_owned())
+        })?;
+        Ok(Self::Callback(Callback::read(callback)?))
+    }
+}
+
+#[derive(Debug)]
+struct Held {
+    subscription: Subscription,
+    target: Target,
+    /// As the consumer that made it sees it.
+    href: String,
+    version: u64,
+    schedule: Schedule,
+    outbox: Outbox,
+    expiry: Option<Expiry>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Expiry {
+    at: Timestamp,
+    /// When it is told; `None` once it was.
+    notice: Option<Timestamp>,
+}
+
+/// The WLAN Access Information Service of one scope.
+#[derive(Debug)]
+pub struct Wais {
+    site: Arc<Site>,
+    epoch: Epoch,
+    survey: Survey,
+    listings: Listings,
+    subscriptions: BTreeMap<u64, Held>,
+    configured: BTreeMap<u64, Configured>,
+    /// The last number given to a resource, a version or an attempt.
+    numbers: u64,
+    limiter: Limiter,
+    complaints: Vec<String>,
+}
+
+impl Wais {
+    /// The service of a site, of which nothing is known yet.
+    pub fn new(site: Arc<Site>, epoch: Epoch) -> Self {
+        Self {
+            survey: Survey::empty(&site),
+            site,
+            epoch,
+            listings: Listings::default(),
+            subscriptions: BTreeMap::new(),
+            configured: BTreeMap::new(),
+            numbers: 0,
+            limiter: Limiter::default(),
+            complaints: Vec::new(),
+        }
+    }
+
+    /// The site that it is of.
+    pub fn site(&self) -> &Arc<Site> {
+        &self.site
+    }
+
+    /// This is known now.
+    pub fn observe(&mut self, survey: Survey) {
+        self.survey = survey;
+        self.listings.forget();
+    }
+
+    /// Answers a query.
+    pub fn query(&mut self, of: Kind, query: &Query) -> Answer {
+        let (survey, epoch) = (&self.survey, self.epoch);
+        let listing = match of {
+            Kind::AccessPoints => self.listings.access_points(|| view::access_points(survey, epoch)),
+            Kind::Stations => {
+                let configured = self.configured.values().map(|configured| &configured.config);
+                self.listings.stations(|| view::stations(survey, epoch, configured))
+            }
+        };
+        listing.answer(query)
+    }
+
+    fn number(&mut self) -> u64 {
+        self.numbers += 1;
+        self.numbers
+    }
+
+    fn admit(&mut self, now: Timestamp) -> Result<(), Refused> {
+        self.limiter.admit(now).map_err(Refused::TooOften)
+    }
+
+    /// Makes a subscription. `base` is the URI under which the consumer sees the service.
+    ///
+    /// # Errors
+    /// [`Refused`]; then there is none.
+    pub fn subscribe(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        subscription: Subscription,
+    ) -> Result<Resource<Subscription>, Refused> {
+        self.admit(now)?;
+        let (target, expiry) = self.check(now, &subscription)?;
+        if self.subscriptions.len() >= MOST {
+            return Err(Refused::Full);
+        }
+        let (id, version) = (self.number(), self.number());
+        let outbox = Outbox::new(target != Target::WebSocket);
+        self.hold(
+            id,
+            Held {
+                schedule: Schedule::new(now, &subscription),
+                href: subscription_uri(base, id),
+                subscription,
+                target,
+                version,
+                outbox,
+                expiry,
+            },
+        );
+        self.subscription(base, &id.to_string())
+    }
+
+    /// Replaces a subscription by another of its type. Notifications that wait are kept if they go to the same place.
+    ///
+    /// # Errors
+    /// [`Refused`]; then it is as it was.
+    pub fn resubscribe(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        id: &str,
+        if_match: Option<&str>,
+        subscription: Subscription,
+    ) -> Result<Resource<Subscription>, Refused> {
+        self.admit(now)?;
+        let (number, held) = self.find(id)?;
+        let type_name = held.subscription.type_name();
+        let etag = etag(number, held.version);
+        let (target, expiry) = self.check(now, &subscription)?;
+        if type_name != subscription.type_name() {
+            let what = format!("the subscription is a {type_name}, and stays one");
+            return Err(InvalidRequest::Malformed(what).into());
+        }
+        if let Some(links) = &subscription.notifying().links
+            && !links.itself.href.ends_with(&format!("/subscriptions/{number}"))
+        {
+            let what = format!("_links.self is {}", subscription_uri(base, number));
+            return Err(InvalidRequest::Malformed(what).into());
+        }
+        if !may_change(if_match, &etag) {
+            return Err(Refused::Changed(etag));
+        }
+        let old = self.subscriptions.remove(&number);
+        let kept = old.filter(|old| old.target == target).map(|old| old.outbox);
+        let outbox = kept.unwrap_or_else(|| Outbox::new(target != Target::WebSocket));
+        let version = self.number();
+        self.hold(
+            number,
+            Held {
+                schedule: Schedule::new(now, &subscription),
+                href: subscription_uri(base, number),
+                subscription,
+                target,
+                version,
+                outbox,
+                expiry,
+            },
+        );
+        self.subscription(base, id)
+    }
+
+    fn hold(&mut self, id: u64, mut held: Held) {
+        let complaint = match held.subscription.notifying().request_test_notification {
+            Some(true) => held.outbox.push(Notification::test(&held.href).to_json()),
+            _ => None,
+        };
+        self.complaints.extend(complaint);
+        self.subscriptions.insert(id, held);
+    }
+
+    /// What is wrong with a subscription; else where it goes, and when it ends.
+    fn check(
+        &self,
+        now: Timestamp,
+        subscription: &Subscription,
+    ) -> Result<(Target, Option<Expiry>), Refused> {
+        subscription.check()?;
+        let target = Target::of(subscription)?;
+        if let Subscription::AssocStaSubscription(s) = subscription
+            && !self.site.serves(s.ap_id.bssid)
+        {
+            return Err(InvalidRequest::Unsupported("there is no access point with this bssid here").into());
+        }
+        let Some(deadline) = subscription.notifying().expiry_deadline else { return Ok((target, None)) };
+        let at = self.epoch.run_time(deadline).min(now + LONGEST_LIFE);
+        if at <= now {
+            return Err(InvalidRequest::Malformed("expiryDeadline is in the past".to_owned()).into());
+        }
+        let notice = NOTICE.min(at.since(now) / 2);
+        Ok((target, Some(Expiry { at, notice: Some(at - notice) })))
+    }
+
+    fn find(&self, id: &str) -> Result<(u64, &Held), Refused> {
+        let number = id.parse().ok();
+        let found = number.and_then(|number| Some((number, self.subscriptions.get(&number)?)));
+        found.ok_or_else(|| Refused::NotFound { what: "subscription", id: id.to_owned() })
+    }
+
+    /// A subscription.
+    ///
+    /// # Errors
+    /// [`Refused::NotFound`].
+    pub fn subscription(&self, base: &str, id: &str) -> Result<Resource<Subscription>, Refused> {
+        let (number, held) = self.find(id)?;
+        let mut value = held.subscription.clone();
+        let href = subscription_uri(base, number);
+        let notifying = value.notifying_mut();
+        notifying.links = Some(SelfLink::to(href.clone()));
+        notifying.expiry_deadline = held.expiry.map(|expiry| self.epoch.at(expiry.at));
+        match held.target {
+            Target::Callback(_) => notifying.websock_notif_config = None,
+            Target::WebSocket => {
+                notifying.callback_reference = None;
+                let (_, rest) = href.split_once("://").unwrap_or(("", &href));
+                notifying.websock_notif_config = Some(WebsockNotifConfig {
+                    websocket_uri: Some(format!("ws://{rest}/websocket")),
+                    request_websocket_uri: Some(true),
+                });
+            }
+        }
+        Ok(Resource { value, href, etag: etag(number, held.version) })
+    }
+
+    /// Links to all subscriptions, or those of one type.
+    pub fn subscriptions(&self, base: &str, type_name: Option<&str>) -> SubscriptionLinkList {
+        let wanted = |held: &Held| type_name.is_none_or(|name| held.subscription.type_name() == name);
+        let held = self.subscriptions.iter().filter(|(_, held)| wanted(held));
+        let link = |(id, held): (&u64, &Held)| SubscriptionLink {
+            href: subscription_uri(base, *id),
+            subscription_type: held.subscription.type_name(),
+        };
+        SubscriptionLinkList {
+            links: SelfLink::to(format!("{base}/subscriptions")),
+            subscription: held.map(link).collect(),
+        }
+    }
+
+    /// Ends a subscription; what still waits is not sent.
+    ///
+    /// # Errors
+    /// [`Refused`].
+    pub fn unsubscribe(&mut self, now: Timestamp, id: &str, if_match: Option<&str>) -> Result<(), Refused> {
+        self.admit(now)?;
+        let (number, held) = self.find(id)?;
+        let etag = etag(number, held.version);
+        if !may_change(if_match, &etag) {
+            return Err(Refused::Changed(etag));
+        }
+        self.subscriptions.remove(&number);
+        Ok(())
+    }
+
+    /// Whether anybody is to be told anything, now or later.
+    pub fn has_subscriptions(&self) -> bool {
+        !self.subscriptions.is_empty()
+    }
+
+    /// Ends what expired, composes what is due, and gives what is to be sent now. Whoever sends it says what came of it
+    /// by [`Wais::done`].
+    pub fn poll(&mut self, now: Timestamp) -> Vec<Dispatch> {
+        self.subscriptions.retain(|_, held| held.expiry.is_none_or(|expiry| now < expiry.at));
+        let mut dispatches = Vec::new();
+        for (id, held) in &mut self.subscriptions {
+            let mut notifications = Vec::new();
+            if let Some(expiry) = &mut held.expiry
+                && expiry.notice.take_if(|notice| *notice <= now).is_some()
+            {
+                notifications.push(Notification::expiry(&held.href, self.epoch.at(expiry.at)));
+            }
+            notifications.extend(held.schedule.poll(now, &held.subscription, &self.survey, self.epoch));
+            for notification in notifications {
+                let complaint = held.outbox.push(notification.to_json());
+                self.complaints.extend(complaint.map(|what| about(&held.href, &what)));
+            }
+            if let Some(body) = held.outbox.poll(now, self.numbers + 1) {
+                self.numbers += 1;
+                let (attempt, target) = (self.numbers, held.target.clone());
+                dispatches.push(Dispatch { subscription: *id, attempt, target, body });
+            }
+        }
+        dispatches
+    }
+
+    /// When [`Wais::poll`] has something to do, even if nothing is observed until then.
+    pub fn next_deadline(&self) -> Option<Timestamp> {
+        let of = |held: &Held| {
+            let expiry = held.expiry.map(|expiry| expiry.notice.unwrap_or(expiry.at));
+            [expiry, held.schedule.deadline(), held.outbox.deadline()].into_iter().flatten().min()
+        };
+        self.subscriptions.values().filter_map(of).min()
+    }
+
+    /// An attempt to send a notification is over.
+    pub fn done(&mut self, now: Timestamp, subscription: u64, attempt: u64, outcome: Outcome) {
+        let Some(held) = self.subscriptions.get_mut(&subscription) else { return };
+        let complaint = held.outbox.done(now, attempt, outcome);
+        self.complaints.extend(complaint.map(|what| about(&held.href, &what)));
+    }
+
+    /// Whether there is such a subscription, and it is notified over a WebSocket.
+    pub fn has_websocket(&self, subscription: u64) -> bool {
+        self.subscriptions.get(&subscription).is_some_and(|held| held.target == Target::WebSocket)
+    }
+
+    /// Somebody opened a subscription's WebSocket, or it was closed; nothing happens where it has none.
+    pub fn set_websocket_open(&mut self, subscription: u64, open: bool) {
+        let held = self.subscriptions.get_mut(&subscription);
+        if let Some(held) = held.filter(|held| held.target == Target::WebSocket) {
+            held.outbox.set_open(open);
+        }
+    }
+
+    /// What the operator should know since the last call: notifications that were dropped, and why.
+    pub fn take_complaints(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.complaints)
+    }
+}
+
+fn about(href: &str, what: &str) -> String {
+    format!("WAIS, {href}: {what}")
+}
+
+fn subscription_uri(base: &str, id: u64) -> String {
+    format!("{base}/subscriptions/{id}")
+}
+
+fn etag(id: u64, version: u64) -> String {
+    format!("\"{id}-{version}\"")
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,124 @@
+//! Measurement configurations: measurements whose reports are told with stations' information.
+
+use std::sync::Arc;
+
+use cotorra_graph::Timestamp;
+
+use super::{MOST, Refused, Resource, Wais, etag};
+use crate::{
+    conditional::may_change,
+    requests::{InvalidRequest, MeasurementConfig, MeasurementConfigLink, MeasurementConfigLinkList},
+    types::SelfLink,
+};
+
+#[derive(Debug)]
+pub(super) struct Configured {
+    pub(super) config: MeasurementConfig,
+    version: u64,
+}
+
+impl Wais {
+    /// Makes a measurement configuration.
+    ///
+    /// # Errors
+    /// [`Refused`]; then there is none.
+    pub fn configure(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        config: MeasurementConfig,
+    ) -> Result<Resource<MeasurementConfig>, Refused> {
+        self.admit(now)?;
+        self.check_config(None, &config)?;
+        if self.configured.len() >= MOST {
+            return Err(Refused::Full);
+        }
+        let (id, version) = (self.number(), self.number());
+        self.configured.insert(id, Configured { config, version });
+        self.listings.forget_stations();
+        self.measurement(base, &id.to_string())
+    }
+
+    /// Replaces a measurement configuration.
+    ///
+    /// # Errors
+    /// [`Refused`]; then it is as it was.
+    pub fn reconfigure(
+        &mut self,
+        now: Timestamp,
+        base: &str,
+        id: &str,
+        if_match: Option<&str>,
+        config: MeasurementConfig,
+    ) -> Result<Resource<MeasurementConfig>, Refused> {
+        self.admit(now)?;
+        let (number, configured) = self.find_config(id)?;
+        let etag = etag(number, configured.version);
+        self.check_config(Some(number), &config)?;
+        if !may_change(if_match, &etag) {
+            return Err(Refused::Changed(etag));
+        }
+        let version = self.number();
+        self.configured.insert(number, Configured { config, version });
+        self.listings.forget_stations();
+        self.measurement(base, id)
+    }
+
+    fn check_config(&self, own: Option<u64>, config: &MeasurementConfig) -> Result<(), Refused> {
+        config.check()?;
+        let same = |(id, other): (&u64, &Configured)| {
+            Some(*id) != own && other.config.measurement_id == config.measurement_id
+        };
+        if self.configured.iter().any(same) {
+            let what = format!("another configuration is called `{}`", config.measurement_id);
+            return Err(InvalidRequest::Malformed(what).into());
+        }
+        Ok(())
+    }
+
+    fn find_config(&self, id: &str) -> Result<(u64, &Configured), Refused> {
+        let number = id.parse().ok();
+        let found = number.and_then(|number| Some((number, self.configured.get(&number)?)));
+        found.ok_or_else(|| Refused::NotFound { what: "measurement configuration", id: id.to_owned() })
+    }
+
+    /// A measurement configuration.
+    ///
+    /// # Errors
+    /// [`Refused::NotFound`].
+    pub fn measurement(&self, base: &str, id: &str) -> Result<Resource<MeasurementConfig>, Refused> {
+        let (number, configured) = self.find_config(id)?;
+        let href = format!("{base}/measurements/{number}");
+        let links = Some(SelfLink::to(href.clone()));
+        let value = MeasurementConfig { links, ..configured.config.clone() };
+        Ok(Resource { value, href, etag: etag(number, configured.version) })
+    }
+
+    /// Links to all measurement configurations.
+    pub fn measurements(&self, base: &str) -> MeasurementConfigLinkList {
+        let link = |(id, configured): (&u64, &Configured)| MeasurementConfigLink {
+            href: format!("{base}/measurements/{id}"),
+            measurement_id: Arc::clone(&configured.config.measurement_id),
+        };
+        MeasurementConfigLinkList {
+            links: SelfLink::to(format!("{base}/measurements")),
+            measurement_config: self.configured.iter().map(link).collect(),
+        }
+    }
+
+    /// Ends a measurement configuration.
+    ///
+    /// # Errors
+    /// [`Refused`].
+    pub fn unconfigure(&mut self, now: Timestamp, id: &str, if_match: Option<&str>) -> Result<(), Refused> {
+        self.admit(now)?;
+        let (number, configured) = self.find_config(id)?;
+        let etag = etag(number, configured.version);
+        if !may_change(if_match, &etag) {
+            return Err(Refused::Changed(etag));
+        }
+        self.configured.remove(&number);
+        self.listings.forget_stations();
+        Ok(())
+    }
+}
