@@ -9,7 +9,7 @@ use std::{
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use cotorra_graph::{NodeId, testbed_file::Setting};
+use cotorra_graph::{IpNetwork, NodeId, testbed_file::Setting};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 use cotorra_testbed::sweep::Axis;
 
@@ -87,7 +87,11 @@ Examples:
     ///
     /// The same that a run serves at /openapi.json.
     #[command(name = "openapi")]
-    OpenApi,
+    OpenApi {
+        /// That of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
+        #[arg(long)]
+        wais: bool,
+    },
     /// Say what this machine can do, and what to do about the rest
     ///
     /// Everything is tried, nothing is left behind. What is missing comes with the reason and a remedy; most of it
@@ -217,6 +221,11 @@ pub struct RunArgs {
     /// of 16 characters or more in COTORRA_TOKEN.
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
+    /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
+    ///
+    /// Beside this machine's loopback addresses and what the testbed file names. Can be given several times.
+    #[arg(long, value_name = "NETWORK")]
+    pub wais_callbacks: Vec<IpNetwork>,
     /// Run in virtual time: as fast as this machine can, and the same to the byte each time
     ///
     /// The same network, robots, VNFs and plug-ins, without namespaces or packets of the kernel's. For plug-ins that are

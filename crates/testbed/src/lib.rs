@@ -19,6 +19,7 @@ mod simulate;
 pub mod sweep;
 
 pub use api::{ApiError, Token, openapi};
+pub use cotorra_wais::http::openapi as wais_openapi;
 pub use live::{Live, Snapshot};
 pub use navigation::{NavigationError, navigation};
 pub use plugins::PluginError;

@@ -20,6 +20,8 @@ pub struct Snapshot {
     pub robots: BTreeMap<NodeId, RobotContext>,
     /// ι of every radio unit.
     pub radio_units: BTreeMap<NodeId, RadioContext>,
+    /// When ι was told last.
+    pub radio_units_at: Timestamp,
     /// d, λ and conditions of every link and direction.
     #[serde(skip)]
     pub links: BTreeMap<(LinkId, Direction), LinkContext>,
@@ -58,6 +60,7 @@ impl Live {
                 now.robots.insert(context.robot.clone(), context);
             }
             Event::Radio(context) => {
+                now.radio_units_at = *at;
                 now.radio_units.insert(context.radio_unit.clone(), context);
             }
             Event::Link(context) => {

@@ -17,12 +17,13 @@ use std::{
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
+    IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
 };
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::SimulatedRobot;
+use cotorra_wais::types::Epoch;
 use tokio::sync::broadcast;
 
 use crate::{
@@ -61,6 +62,8 @@ pub struct Options {
     pub save_power: bool,
     /// With which the testbed file was read.
     pub settings: Vec<Setting>,
+    /// Networks that the WLAN Access Information Service may send notifications to, beside those of the testbed file.
+    pub wais_callbacks: Vec<IpNetwork>,
     /// Where the history is kept, in place of `history.sqlite` in the run's folder.
     pub history: Option<Location>,
     /// How the run is recorded and watched besides.
@@ -241,6 +244,11 @@ impl Run {
             namespaces: Arc::new(namespaces.collect()),
             lockstep: None,
             replay: false,
+            wais: api::WaisOptions {
+                clock: Some(Arc::clone(&now)),
+                epoch: epoch(&info),
+                callbacks: options.wais_callbacks.clone(),
+            },
         };
         let server = Server::start(listener, context, options.token)?;
         plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;
@@ -385,6 +393,11 @@ fn run_info(testbed: &Testbed, seed: u64, text: &str) -> RunInfo {
 pub fn about(info: &RunInfo) -> About<'_> {
     let RunInfo { name, seed, started_at_unix_ns, testbed } = info;
     About { name, seed: *seed, started_at_unix_ns: *started_at_unix_ns, testbed_file: testbed }
+}
+
+/// When a run began, on the calendar.
+pub(crate) fn epoch(info: &RunInfo) -> Epoch {
+    Epoch { unix_ns: u64::try_from(info.started_at_unix_ns).unwrap_or_default() }
 }
 
 fn absolute(file: &Path) -> Result<PathBuf, RunError> {

@@ -73,6 +73,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         token: token()?,
         save_power: args.save_power,
         settings: args.settings.clone(),
+        wais_callbacks: args.wais_callbacks.clone(),
         history: history.clone(),
         recording: wanted(&args),
     };

@@ -273,3 +273,14 @@ pub fn wait_until(mut done: impl FnMut() -> bool) {
 pub fn corridor() -> PathBuf {
     project_file("testbeds/corridor.yaml")
 }
+
+/// A copy of it in a folder, with this in place of its plug-ins.
+pub fn corridor_ending_in(end: &str, folder: &Path) -> PathBuf {
+    let text = fs::read_to_string(corridor()).unwrap();
+    let map = project_file("testbeds/maps/corridor.yaml");
+    let (before, _) = text.split_once("\nplugins:").unwrap();
+    let before = before.replace("maps/corridor.yaml", map.to_str().unwrap());
+    let file = folder.join("testbed.yaml");
+    fs::write(&file, format!("{before}\n{end}")).unwrap();
+    file
+}

@@ -19,3 +19,4 @@ mod ros2;
 mod run;
 mod stamp;
 mod sweep;
+mod wais;

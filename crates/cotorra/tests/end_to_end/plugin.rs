@@ -9,7 +9,7 @@ use std::{
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::harness::{Run, corridor, cotorra, output, project_file, stderr, wait_until};
+use crate::harness::{Run, corridor, corridor_ending_in, cotorra, output, project_file, stderr, wait_until};
 
 #[test]
 fn the_python_example_runs_against_a_live_testbed() {
@@ -39,17 +39,10 @@ fn the_python_example_runs_against_a_live_testbed() {
 }
 
 /// The corridor with a script as its only plug-in.
-#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 fn corridor_with(script: &str, folder: &Path) -> PathBuf {
-    let text = fs::read_to_string(corridor()).unwrap();
-    let map = project_file("testbeds/maps/corridor.yaml");
     let script = project_file(script);
-    let (before, _) = text.split_once("\nplugins:").unwrap();
-    let before = before.replace("maps/corridor.yaml", map.to_str().unwrap());
-    let plugins = format!("\nplugins:\n  - id: mine\n    command: [python3, {}]\n", script.display());
-    let file = folder.join("testbed.yaml");
-    fs::write(&file, before + &plugins).unwrap();
-    file
+    let plugins = format!("plugins:\n  - id: mine\n    command: [python3, {}]\n", script.display());
+    corridor_ending_in(&plugins, folder)
 }
 
 #[test]

@@ -2,7 +2,10 @@
 
 use axum::{
     extract::{Request, State},
-    http::header::{AUTHORIZATION, HOST, ORIGIN},
+    http::{
+        HeaderMap,
+        header::{AUTHORIZATION, HOST, ORIGIN},
+    },
     middleware::Next,
     response::{IntoResponse, Response},
 };
@@ -35,25 +38,35 @@ impl std::fmt::Debug for Token {
 }
 
 pub(super) async fn check(State(token): State<Option<Token>>, request: Request, next: Next) -> Response {
-    let headers = request.headers();
+    match refusal(token.as_ref(), request.headers()) {
+        Some(refusal) => refusal.into_response(),
+        None => next.run(request).await,
+    }
+}
+
+/// The same for the WLAN Access Information Service, which tells problems as its standard does.
+pub(super) async fn check_wais(State(token): State<Option<Token>>, request: Request, next: Next) -> Response {
+    match refusal(token.as_ref(), request.headers()) {
+        Some(refusal) => refusal.into_problem(),
+        None => next.run(request).await,
+    }
+}
+
+/// Why whoever sends these headers is not let in.
+fn refusal(token: Option<&Token>, headers: &HeaderMap) -> Option<Failure> {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
-    match &token {
+    match token {
         Some(token) => {
             let shown = text(AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
-            if !shown.is_some_and(|shown| token.is(shown)) {
-                return Failure::unauthorized().into_response();
-            }
+            (!shown.is_some_and(|shown| token.is(shown))).then(Failure::unauthorized)
         }
         // Without a token a page that a browser loaded from elsewhere could reach a loopback address, by its own name
         // (Origin) or by one that it lets point there (Host).
         None => {
             let foreign = text(ORIGIN).is_some() || text(HOST).is_some_and(|host| !is_loopback(host));
-            if foreign {
-                return Failure::forbidden().into_response();
-            }
+            foreign.then(Failure::forbidden)
         }
     }
-    next.run(request).await
 }
 
 fn is_loopback(host: &str) -> bool {

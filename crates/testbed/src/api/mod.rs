@@ -6,6 +6,7 @@ mod measurements;
 mod routes;
 mod stream;
 mod types;
+mod wais;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -25,6 +26,7 @@ use crate::{core_loop::Message, live::Live};
 
 pub use auth::Token;
 pub(crate) use stream::{Follower, Told};
+pub(crate) use wais::WaisOptions;
 
 #[cfg(test)]
 mod tests;
@@ -43,6 +45,7 @@ pub(crate) struct Context {
     pub(crate) lockstep: Option<Lockstep>,
     /// What is told was recorded before: the history knows more than the present of the run.
     pub(crate) replay: bool,
+    pub(crate) wais: WaisOptions,
 }
 
 /// What is different in virtual time, which stands still while a plug-in answers.
@@ -90,7 +93,7 @@ pub enum ApiError {
 struct Document;
 
 fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
-    OpenApiRouter::with_openapi(Document::openapi())
+    let (router, mut document) = OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(routes::testbed))
         .routes(routes!(routes::node))
         .routes(routes!(routes::robots))
@@ -111,7 +114,9 @@ fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
         .routes(routes!(measurements::difference))
         .routes(routes!(stream::events))
         .routes(routes!(stream::done))
-        .split_for_parts()
+        .split_for_parts();
+    types::document_failures(&mut document);
+    (router, document)
 }
 
 /// The OpenAPI document, as `/openapi.json` serves it.
@@ -124,6 +129,7 @@ pub(crate) struct Server {
     address: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
+    _delivery: cotorra_wais::http::Delivery,
 }
 
 /// An address that is reserved; nothing is served there yet.
@@ -161,6 +167,7 @@ impl Server {
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (router, _) = router();
+        let (wais, delivery) = wais::serve(&context, token.clone()).map_err(ApiError::Start)?;
         let app = router
             .layer(middleware::from_fn_with_state(token, auth::check))
             .route(
@@ -168,7 +175,8 @@ impl Server {
                 get(move || async move { ([("content-type", "application/json")], document) }),
             )
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
-            .with_state(context);
+            .with_state(context)
+            .merge(wais);
         let thread = std::thread::Builder::new()
             .name("api".to_owned())
             .spawn(move || {
@@ -190,7 +198,7 @@ impl Server {
                 });
             })
             .map_err(ApiError::Start)?;
-        Ok(Self { address, stop: Some(stop), thread: Some(thread) })
+        Ok(Self { address, stop: Some(stop), thread: Some(thread), _delivery: delivery })
     }
 
     pub(crate) fn address(&self) -> SocketAddr {

@@ -65,6 +65,7 @@ fn serve(replay: bool) -> Served {
         namespaces: Arc::default(),
         lockstep: None,
         replay,
+        wais: WaisOptions::default(),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, None).unwrap();
     Served { server: Server::start(listener, context, None).unwrap(), history, events, runs, live }

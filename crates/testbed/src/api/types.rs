@@ -127,6 +127,37 @@ pub(super) struct FailureBody {
     refused: Option<String>,
 }
 
+/// Adds to every operation of a document what can go wrong with any: a request that cannot be, a caller who is not let
+/// in, something that is not there, a body that cannot be read, an API whose run has ended.
+pub(super) fn document_failures(document: &mut utoipa::openapi::OpenApi) {
+    use utoipa::openapi::{Ref, RefOr, ResponseBuilder, content::ContentBuilder};
+    let always = [
+        ("400", "the request cannot be"),
+        ("401", "the API needs its token"),
+        ("403", "web pages from elsewhere may not use the API"),
+        ("404", "there is no such thing"),
+        ("503", "the run has ended, or its history cannot answer"),
+    ];
+    let with_body = [
+        ("413", "the body is too long"),
+        ("415", "the body does not say that it is JSON"),
+        ("422", "the body is not what it should be"),
+    ];
+    let operations =
+        document.paths.paths.values_mut().flat_map(|item| {
+            [&mut item.get, &mut item.post, &mut item.put, &mut item.delete, &mut item.patch]
+        });
+    for operation in operations.flatten() {
+        let bodies = with_body.into_iter().filter(|_| operation.request_body.is_some());
+        for (status, description) in always.into_iter().chain(bodies) {
+            let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("FailureBody"))).build();
+            let response =
+                ResponseBuilder::new().description(description).content("application/json", content).build();
+            operation.responses.responses.entry(status.to_owned()).or_insert(RefOr::T(response));
+        }
+    }
+}
+
 impl Failure {
     fn new(status: StatusCode, reason: impl Into<String>) -> Self {
         Self { status, key: "error", reason: reason.into() }
@@ -154,6 +185,11 @@ impl Failure {
 
     pub(super) fn ended() -> Self {
         Self::unavailable("the run has ended")
+    }
+
+    /// As the standards of ETSI MEC tell it.
+    pub(super) fn into_problem(self) -> Response {
+        cotorra_wais::http::problem(self.status, self.reason)
     }
 
     pub(super) fn refused(reason: impl Into<String>) -> Self {

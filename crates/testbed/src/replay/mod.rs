@@ -20,7 +20,7 @@ use crate::{
     api::{self, ApiError, Follower, Listener, Lockstep, Server, Token, Told},
     core_loop::Message,
     live::Live,
-    run::about,
+    run::{about, epoch},
 };
 
 /// Events that wait for a reader that nobody waits for; one that is further behind misses the oldest.
@@ -135,6 +135,7 @@ impl Replay {
         }
         let (core, inbox) = mpsc::channel();
         let (stream, _) = broadcast::channel(STREAM);
+        let epoch = epoch(&history.run(run)?.info);
         let waits = matches!(options.speed, Speed::Max { .. });
         let context = api::Context {
             testbed,
@@ -146,6 +147,7 @@ impl Replay {
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Lockstep { plugins: None, recorder: None }),
             replay: true,
+            wais: api::WaisOptions { epoch, ..Default::default() },
         };
         let server = Server::start(listener, context, options.token.clone())?;
         let (followers, now) = (Vec::new(), options.from);

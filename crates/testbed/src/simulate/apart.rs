@@ -135,6 +135,7 @@ impl Apart {
                 recorder: Some(asked.recorder.clone()),
             }),
             replay: false,
+            wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
         let server = Server::start(listener, context, options.token.clone())?;
         let mut host = PluginHost::new();

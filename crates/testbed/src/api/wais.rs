@@ -1,0 +1,88 @@
+//! The WLAN Access Information Service (ETSI GS MEC 028): `/wai/v2` for all of the testbed, `/domains/{name}/wai/v2` for
+//! the radio units of one domain.
+
+use std::{io, sync::Arc, time::Duration};
+
+use axum::{Router, http::StatusCode, middleware, routing::get};
+use cotorra_graph::{Event, IpNetwork, Stamped, Timestamp};
+use cotorra_wais::{
+    Allowed, Scope, Site, Survey,
+    http::{Delivery, Service, Testbed, openapi, problem},
+    types::Epoch,
+};
+
+use super::{Context, Token, auth};
+use crate::{core_loop::Message, plugins::Now};
+
+/// Answers are this old at the most where time goes on by itself.
+const FRESHNESS: Duration = Duration::from_millis(20);
+
+/// What the service needs beside what the API knows.
+#[derive(Clone, Default)]
+pub(crate) struct WaisOptions {
+    /// The run's clock; without one it is the time of the last event.
+    pub(crate) clock: Option<Now>,
+    /// When the run began; 0 in virtual time.
+    pub(crate) epoch: Epoch,
+    /// Networks that notifications may be sent to, beside those of the testbed file.
+    pub(crate) callbacks: Vec<IpNetwork>,
+}
+
+/// The services' paths, and what delivers their notifications.
+pub(super) fn serve(context: &Context, token: Option<Token>) -> io::Result<(Router, Delivery)> {
+    let graph = &context.testbed.graph;
+    let settings = &context.testbed.wais;
+    let WaisOptions { epoch, callbacks, .. } = &context.wais;
+    let allowed = Allowed::new(settings.callbacks.iter().chain(callbacks).copied());
+    let testbed: Arc<dyn Testbed> = Arc::new(Known(context.clone()));
+    let service = |scope: Scope, prefix: String| {
+        let site = Site::new(graph, settings, &scope);
+        Service::new(Arc::clone(&testbed), site, *epoch, allowed.clone(), prefix)
+    };
+    let of_domain = |domain: &cotorra_graph::DomainId| {
+        service(Scope::Domain(domain.clone()), format!("/domains/{domain}/wai/v2"))
+    };
+    let mut services = vec![service(Scope::Testbed, "/wai/v2".to_owned())];
+    services.extend(graph.domains.iter().map(of_domain));
+    let no_domain =
+        || async { problem(StatusCode::NOT_FOUND, "there is no such domain; see /api/v1/testbed") };
+    let document = openapi();
+    let router = services
+        .iter()
+        .fold(Router::new(), |router, service| router.nest(service.prefix(), service.router()))
+        .route("/domains/{*rest}", axum::routing::any(no_domain))
+        .layer(middleware::from_fn_with_state(token, auth::check_wais))
+        .route(
+            "/wai/v2/openapi.json",
+            get(move || async move { ([("content-type", "application/json")], document) }),
+        );
+    Ok((router, Delivery::start(services)?))
+}
+
+/// What the API knows, as the service asks for it.
+struct Known(Context);
+
+impl Testbed for Known {
+    fn now(&self) -> Timestamp {
+        match &self.0.wais.clock {
+            Some(clock) => clock(),
+            None => self.0.live.read(|now| now.at),
+        }
+    }
+
+    fn survey(&self, site: &Arc<Site>) -> Survey {
+        self.0.live.read(|now| site.survey(now.radio_units_at, &now.radio_units, &now.robots, &now.links))
+    }
+
+    fn freshness(&self) -> Duration {
+        // Where time stands still while an answer is awaited, the same question always has the same answer.
+        if self.0.wais.clock.is_some() { FRESHNESS } else { Duration::ZERO }
+    }
+
+    fn tell(&self, message: String) {
+        tracing::warn!("{message}");
+        let event = Event::Notice { message };
+        // The run may have ended already.
+        let _ = self.0.core.send(Message::Network(Stamped { at: self.now(), event }));
+    }
+}
