@@ -2,6 +2,8 @@
 //! public interface and real sockets, as a user's traffic would.
 #![allow(clippy::disallowed_methods, reason = "a benchmark waits for the kernel on the wall clock")]
 
+pub mod compare;
+
 use std::{
     fs,
     io::{self, Read, Write},

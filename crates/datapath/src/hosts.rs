@@ -83,7 +83,8 @@ fn enter_new_namespace() -> Result<Namespace, Error> {
     Namespace::enter_new().action("make a network namespace")
 }
 
-fn configure(netlink: &Netlink, place: usize) -> Result<(), Error> {
+/// Gives `eth0` of the calling thread's namespace its addresses.
+pub(crate) fn configure(netlink: &Netlink, place: usize) -> Result<(), Error> {
     let eth0 = sys::interface_index(c"eth0").action("find a host's interface")?;
     // There is no router in the fabric to ask for; without IPv6 there is no such file.
     let _ = fs::write("/proc/sys/net/ipv6/conf/eth0/router_solicitations", "0");

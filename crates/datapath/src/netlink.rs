@@ -106,6 +106,32 @@ pub(crate) fn veth(name: &str, peer: &str, index: u32, peer_space: BorrowedFd<'_
     ))
 }
 
+/// The same with both ends here, each with its name and index.
+pub(crate) fn veth_here([(name, index), (peer, peer_index)]: [(&str, u32); 2]) -> RouteNetlinkMessage {
+    let peer = link(peer_index, vec![LinkAttribute::IfName(peer.into())]);
+    RouteNetlinkMessage::NewLink(link(
+        index,
+        vec![
+            LinkAttribute::IfName(name.into()),
+            LinkAttribute::LinkInfo(vec![
+                LinkInfo::Kind(InfoKind::Veth),
+                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
+            ]),
+        ],
+    ))
+}
+
+/// Makes a bridge.
+pub(crate) fn bridge(name: &str, index: u32) -> RouteNetlinkMessage {
+    let kind = LinkAttribute::LinkInfo(vec![LinkInfo::Kind(InfoKind::Bridge)]);
+    RouteNetlinkMessage::NewLink(link(index, vec![LinkAttribute::IfName(name.into()), kind]))
+}
+
+/// Makes an interface a port of a bridge.
+pub(crate) fn in_bridge(bridge: u32) -> LinkAttribute {
+    LinkAttribute::Controller(bridge)
+}
+
 fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> RouteNetlinkMessage {
     let mut message = AddressMessage::default();
     message.header.family = if address.is_ipv4() { AddressFamily::Inet } else { AddressFamily::Inet6 };

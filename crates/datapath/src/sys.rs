@@ -262,7 +262,8 @@ pub(crate) fn restrict_offloads(socket: BorrowedFd<'_>, interface: &CStr, keep: 
     for (i, name) in names[3..].chunks_exact(NAME / 4).enumerate() {
         let bytes: Vec<u8> = name.iter().flat_map(|word| word.to_ne_bytes()).collect();
         let name = CStr::from_bytes_until_nul(&bytes).unwrap_or_default().to_string_lossy();
-        if name.starts_with("tx-") && !keep.contains(&name.as_ref()) {
+        // Before Linux 6.12 this was among the features, and refused to be changed.
+        if name.starts_with("tx-") && name != "tx-lockless" && !keep.contains(&name.as_ref()) {
             change[2 + i / 32 * 2] |= 1 << (i % 32);
         }
     }

@@ -17,6 +17,7 @@
 #![forbid(unsafe_code)]
 
 mod attributes;
+mod conditions;
 mod device;
 mod distribution;
 mod filter;
@@ -29,6 +30,7 @@ mod rule;
 mod tree;
 
 pub use attributes::Malformed;
+pub use conditions::NotByNetem;
 #[doc(hidden)]
 pub use device::read_anything;
 pub use device::{Device, Interface, Plan};

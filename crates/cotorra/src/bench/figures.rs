@@ -40,6 +40,11 @@ pub const ALL: &[Benchmark] = &[
         about: "50 hosts in a line, up and down, against Mininet",
         measure: mininet,
     },
+    Benchmark {
+        name: "netem",
+        about: "the fabric beside the kernel's NetEm, in one kernel (this one's, or scripts/uml's)",
+        measure: super::netem::compare,
+    },
 ];
 
 /// How often a throughput is measured: an odd number has a median.

@@ -3,6 +3,7 @@
 
 mod figures;
 mod load;
+mod netem;
 mod peers;
 
 use std::{collections::BTreeSet, path::PathBuf, time::Duration};

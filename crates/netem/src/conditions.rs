@@ -1,0 +1,93 @@
+//! What a testbed's link is asked to do, as NetEm does it.
+
+use cotorra_graph::{Conditions, QueueLimit, Rate};
+
+use crate::{
+    loss::Loss,
+    netem::{Jitter, Netem},
+};
+
+/// Why NetEm cannot do what a link is asked to.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NotByNetem {
+    /// It knows fixed rates only.
+    #[error("NetEm plays no packet-delivery traces: give a fixed rate, or let the fabric emulate")]
+    Trace,
+    /// There is no such model.
+    #[error("a share of {rate} cannot be lost in bursts of {mean_burst} packets")]
+    Burst {
+        /// Long-run share that is lost.
+        rate: f64,
+        /// Mean length of a burst.
+        mean_burst: f64,
+    },
+}
+
+/// A full Ethernet frame.
+const FRAME: u64 = 1514;
+
+impl TryFrom<&Conditions> for Netem {
+    type Error = NotByNetem;
+
+    /// Packets stay in order. A queue of bytes is counted in full frames, because NetEm counts packets.
+    fn try_from(conditions: &Conditions) -> Result<Self, NotByNetem> {
+        let loss = match conditions.loss {
+            cotorra_graph::Loss::None => Loss::None,
+            cotorra_graph::Loss::Independent { rate } => Loss::Independent { rate },
+            cotorra_graph::Loss::Bursty { rate, mean_burst } => {
+                Loss::bursty(rate, mean_burst).ok_or(NotByNetem::Burst { rate: rate.get(), mean_burst })?
+            }
+        };
+        let rate = match conditions.rate {
+            Rate::Unlimited => None,
+            Rate::Fixed { bits_per_second } => Some(bits_per_second),
+            Rate::Trace { .. } => return Err(NotByNetem::Trace),
+        };
+        let netem = Self {
+            delay: conditions.delay,
+            jitter: conditions.jitter.map(|jitter| Jitter {
+                deviation: jitter.deviation,
+                distribution: Some(jitter.distribution.into()),
+            }),
+            loss,
+            duplication: conditions.duplication,
+            corruption: conditions.corruption,
+            reordering: conditions.reordering,
+            rate,
+            ..Self::default()
+        };
+        let queue = match conditions.queue {
+            QueueLimit::Packets(packets) => packets,
+            QueueLimit::Bytes(bytes) => u32::try_from(bytes.div_ceil(FRAME)).unwrap_or(u32::MAX),
+        };
+        Ok(Self { limit: Some(netem.limit_for(queue)), ..netem })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use cotorra_graph::{BitRate, Probability, Trace};
+
+    use super::*;
+
+    #[test]
+    fn a_links_conditions_are_netems() {
+        let bits_per_second = BitRate::from_mbps(10.0).unwrap();
+        let conditions = Conditions {
+            delay: Duration::from_millis(100),
+            rate: Rate::Fixed { bits_per_second },
+            loss: cotorra_graph::Loss::Bursty { rate: Probability::new(0.1).unwrap(), mean_burst: 4.0 },
+            queue: QueueLimit::Bytes(15_140),
+            ..Conditions::default()
+        };
+        let netem = Netem::try_from(&conditions).unwrap();
+        // 1 Mbit in flight are 83 full frames, and 10 may queue.
+        assert_eq!(netem.limit(), 93);
+        assert!((netem.loss.share() - 0.1).abs() < 1e-9);
+        assert_eq!((netem.delay, netem.rate), (conditions.delay, Some(bits_per_second)));
+        let trace = Rate::Trace { trace: Trace::parse("1").unwrap().into() };
+        assert_eq!(Netem::try_from(&Conditions { rate: trace, ..conditions }), Err(NotByNetem::Trace));
+    }
+}
