@@ -48,7 +48,7 @@ pub struct Setting {
 impl Setting {
     fn start(self, graph: &HardwareGraph) -> Result<Datapath, Error> {
         let Self { port, busy_poll, let_cores_sleep } = self;
-        let options = Options { port, busy_poll, let_cores_sleep, events: None };
+        let options = Options { port, busy_poll, let_cores_sleep, ..Options::default() };
         let fabric = Fabric::new(graph, 1).expect("the graphs of benchmarks are sound");
         Datapath::start(graph, fabric, options)
     }

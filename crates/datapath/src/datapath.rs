@@ -18,6 +18,7 @@ use crate::{
     engine::{Engine, EventSink, Handle, Shared},
     error::{Action, Error},
     hosts::{self, Host},
+    kernel_network::KernelNetwork,
     namespace::Namespace,
     port::Port,
     process::{Child, HostsFile, SpawnOptions},
@@ -48,12 +49,15 @@ pub struct Options {
     pub let_cores_sleep: bool,
     /// Who gets the fabric's events.
     pub events: Option<EventSink>,
+    /// The kernel carries the packets, between hosts that it has brought up; the fabric then only keeps the books.
+    pub kernel: Option<KernelNetwork>,
 }
 
 /// A fabric that carries real packets between hosts that are network namespaces. Dropping it ends all: programs
 /// started by [`Self::spawn`] are the caller's to drop before.
 pub struct Datapath {
     hosts: Vec<Namespace>,
+    kernel: Option<Arc<KernelNetwork>>,
     places: HashMap<NodeId, usize>,
     hosts_file: Option<HostsFile>,
     kind: PortKind,
@@ -73,10 +77,12 @@ impl Datapath {
         sys::raise_open_files();
         let places: HashMap<_, _> = graph.hosts().enumerate().map(|(i, node)| (node.id.clone(), i)).collect();
         let kind = hosts::resolve(options.port);
-        let (hosts, ports): (Vec<_>, Vec<_>) = hosts::bring_up(places.len(), kind)?
-            .into_iter()
-            .map(|Host { namespace, port }| (namespace, Port::new(port)))
-            .unzip();
+        let kernel = options.kernel.map(Arc::new);
+        let (hosts, ports): (Vec<_>, Vec<_>) =
+            hosts::bring_up(if kernel.is_some() { 0 } else { places.len() }, kind)?
+                .into_iter()
+                .map(|Host { namespace, port }| (namespace, Port::new(port)))
+                .unzip();
         let hosts_file = HostsFile::new(&names(graph))
             .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
             .ok();
@@ -91,7 +97,7 @@ impl Datapath {
             .action("start the fabric's thread")?;
         let awake = (!options.let_cores_sleep).then(Awake::keep);
         let (handle, thread) = (Handle(shared), Some(thread));
-        Ok(Self { hosts, places, hosts_file, kind, clock, handle, thread, _awake: awake })
+        Ok(Self { hosts, kernel, places, hosts_file, kind, clock, handle, thread, _awake: awake })
     }
 
     /// The run's clock.
@@ -114,8 +120,16 @@ impl Datapath {
     /// # Errors
     /// [`Error::NoSuchHost`].
     pub fn namespace(&self, host: &NodeId) -> Result<&Namespace, Error> {
+        if let Some(kernel) = &self.kernel {
+            return kernel.namespace(host);
+        }
         let place = self.places.get(host).ok_or_else(|| Error::NoSuchHost(host.clone()))?;
         Ok(&self.hosts[*place])
+    }
+
+    /// The kernel's network, if that carries the packets.
+    pub fn kernel(&self) -> Option<Arc<KernelNetwork>> {
+        self.kernel.clone()
     }
 
     /// Starts a program in a host, in which it can use the names of all others; see [`Namespace::spawn`].

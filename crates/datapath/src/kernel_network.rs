@@ -5,12 +5,18 @@
 //! Bridges and links are in a namespace of their own, where no firewall of the machine reaches them. NetEm is never on a
 //! sender's own interface, where a drop would come back to it as an error.
 
-use std::{collections::HashMap, fs, net::Ipv4Addr, os::fd::AsFd};
+use std::{
+    collections::HashMap,
+    fs,
+    net::Ipv4Addr,
+    os::fd::AsFd,
+    sync::{Mutex, MutexGuard, PoisonError},
+};
 
 use cotorra_graph::{
     Conditions, Direction, HardwareGraph, HostAddress, Jitter, LinkId, Loss, NodeId, Probability, Rate,
 };
-use cotorra_netem::{Counters, Kernel, Netem, NotByNetem, Rule};
+use cotorra_netem::{Counters, Device, Kernel, Netem, NotByNetem, Rule};
 
 use crate::{
     error::{Action, Error},
@@ -54,7 +60,7 @@ pub struct KernelNetwork {
     places: HashMap<NodeId, usize>,
     links: Vec<LinkId>,
     /// In the namespace of all bridges and links, which it holds.
-    kernel: Kernel,
+    kernel: Mutex<Kernel>,
     _wiring: Namespace,
 }
 
@@ -130,7 +136,7 @@ impl KernelNetwork {
             hosts,
             places,
             links: graph.links.iter().map(|link| link.id.clone()).collect(),
-            kernel: wiring.run(Kernel::open)?,
+            kernel: Mutex::new(wiring.run(Kernel::open)?),
             _wiring: wiring,
         };
         for (link, [forward, backward]) in settings.into_iter().enumerate() {
@@ -175,18 +181,32 @@ impl KernelNetwork {
         if packets {
             self.segment()?;
         }
-        let device = self.kernel.device(&end(link, direction))?;
+        let kernel = self.kernel();
+        let device = kernel.device(&end(link, direction))?;
         let plan = device.set(&Rule { netem, ..Rule::default() }, false);
-        Ok(self.kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
+        Ok(kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
     }
 
-    /// What one direction of a link did so far.
+    /// What each direction of each link did so far.
     ///
     /// # Errors
     /// [`NoKernelNetwork::Netem`].
-    pub fn counters(&self, link: usize, direction: Direction) -> Result<Counters, NoKernelNetwork> {
-        let device = self.kernel.device(&end(link, direction))?;
-        Ok(device.rules().next().map(|(_, counters)| counters).unwrap_or_default())
+    pub fn counters(&self) -> Result<HashMap<(LinkId, Direction), Counters>, NoKernelNetwork> {
+        let directions = |(place, link): (usize, &LinkId)| {
+            let link = link.clone();
+            [Direction::Forward, Direction::Backward].map(|d| (end(place, d), (link.clone(), d)))
+        };
+        let mut names: HashMap<_, _> = self.links.iter().enumerate().flat_map(directions).collect();
+        let devices = self.kernel().devices()?;
+        let of = |device: Device| {
+            let direction = names.remove(&device.interface().name)?;
+            Some((direction, device.rules().next()?.1))
+        };
+        Ok(devices.into_iter().filter_map(of).collect())
+    }
+
+    fn kernel(&self) -> MutexGuard<'_, Kernel> {
+        self.kernel.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Lets hosts send packets one by one: NetEm would lose, delay or serialise a super-packet as a whole.

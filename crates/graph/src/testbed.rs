@@ -37,6 +37,18 @@ pub struct Testbed {
     pub seed: u64,
     /// Its WLAN Access Information Service.
     pub wais: WaisSettings,
+    /// Who emulates the wired links in real time.
+    pub emulation: Emulation,
+}
+
+/// Who emulates links.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Emulation {
+    /// cotorra's own fabric: everything, on every kernel.
+    #[default]
+    Fabric,
+    /// The kernel: bridges, and NetEm on each link. No radio, no traces, no circles; where it cannot, the fabric does.
+    NetEm,
 }
 
 impl Testbed {

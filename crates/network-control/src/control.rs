@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Attachment, Event, Instruction, NodeId, Placement, Position, Service, Testbed, Timestamp,
-    VirtualLinkMapping, VnfId,
+    Attachment, ConditionChange, Direction, Event, Instruction, LinkContext, LinkId, NodeId, Placement,
+    Position, Service, Testbed, Timestamp, VirtualLinkMapping, VnfId,
 };
 
 use crate::vim::{Engine, Vim};
@@ -20,6 +20,42 @@ pub trait Network {
         &self,
         action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
     ) -> Result<R, NetworkGone>;
+
+    /// Changes what a link does, in one direction or both, and gives its contexts; it does so when this returns.
+    ///
+    /// # Errors
+    /// [`Refused`] with the reason; then nothing changed.
+    fn change(
+        &self,
+        link: &LinkId,
+        direction: Option<Direction>,
+        change: &ConditionChange,
+    ) -> Result<Vec<LinkContext>, Refused> {
+        change_fabric(self, link, direction, change)
+    }
+
+    /// Completes what the fabric knows of links, where not only the fabric carries packets.
+    fn complete(&self, _now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+        contexts
+    }
+}
+
+/// [`Network::change`] in the fabric alone.
+///
+/// # Errors
+/// As there.
+pub fn change_fabric<N: Network + ?Sized>(
+    network: &N,
+    link: &LinkId,
+    direction: Option<Direction>,
+    change: &ConditionChange,
+) -> Result<Vec<LinkContext>, Refused> {
+    let (link, change) = (link.clone(), change.clone());
+    let apply = move |fabric: &mut Fabric, now| {
+        fabric.change(now, &link, direction, &change).map_err(refused)?;
+        Ok(fabric.link_contexts(now).into_iter().filter(|context| context.link == link).collect())
+    };
+    network.with(apply).map_err(refused)?
 }
 
 /// The emulated network was stopped.
@@ -118,18 +154,18 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Some(((link.from.clone(), link.to.clone()), ends))
             })
             .collect();
-        let (mut events, routes) = self.network.with(move |fabric, now| {
-            let radios = fabric.radio_contexts(now).into_iter().map(Event::Radio);
-            let events: Vec<_> = radios.collect();
-            let links: Vec<_> = fabric.link_contexts(now).into_iter().map(Event::Link).collect();
-            let lateness = Event::Lateness(fabric.lateness());
-            let events: Vec<_> = events.into_iter().chain(links).chain([lateness]).collect();
+        let (now, radios, links, lateness, routes) = self.network.with(move |fabric, now| {
+            let (radios, links) = (fabric.radio_contexts(now), fabric.link_contexts(now));
             let routes: Vec<_> = wanted
                 .into_iter()
                 .map(|(key, (from, to))| (key, fabric.route(&from, &to).unwrap_or_default()))
                 .collect();
-            (events, routes)
+            (now, radios, links, fabric.lateness(), routes)
         })?;
+        let links = self.network.complete(now, links);
+        let radios = radios.into_iter().map(Event::Radio);
+        let mut events: Vec<_> =
+            radios.chain(links.into_iter().map(Event::Link)).chain([Event::Lateness(lateness)]).collect();
         for ((from, to), links) in routes {
             let mapping = VirtualLinkMapping { from: from.clone(), to: to.clone(), links };
             if self.mappings.get(&(from.clone(), to.clone())) != Some(&mapping) {
@@ -160,13 +196,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             }
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(refused),
             Instruction::Condition { link, direction, change } => {
-                let apply = move |fabric: &mut Fabric, now| {
-                    fabric.change(now, &link, direction, &change).map_err(refused)?;
-                    let of_link =
-                        fabric.link_contexts(now).into_iter().filter(|context| context.link == link);
-                    Ok(of_link.map(Event::Link).collect())
-                };
-                self.network.with(apply).map_err(refused)?
+                let contexts = self.network.change(&link, direction, &change)?;
+                Ok(self.network.complete(now, contexts).into_iter().map(Event::Link).collect())
             }
             Instruction::Move { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
         }

@@ -8,4 +8,4 @@
 mod control;
 pub mod vim;
 
-pub use control::{Network, NetworkControl, NetworkGone, Refused};
+pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric};

@@ -9,9 +9,9 @@ mod run;
 use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
-    HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId, PluginSpec,
-    RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping, WaisSettings,
-    Walk, id::InvalidId,
+    Emulation, HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId,
+    PluginSpec, RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping,
+    WaisSettings, Walk, id::InvalidId,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -240,7 +240,7 @@ impl Client {
         Self { plugin: Some(plugin), ..self }
     }
 
-    /// The testbed, without its map and the settings of its WAIS, which the API does not give.
+    /// The testbed, without its map, its emulation and the settings of its WAIS, which the API does not give.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -248,7 +248,8 @@ impl Client {
         let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
         let wais = WaisSettings::default();
-        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, wais, seed })
+        let emulation = Emulation::default();
+        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, wais, seed, emulation })
     }
 
     /// How a node is reached.

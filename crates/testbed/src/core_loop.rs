@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{Event, Instruction, NodeId, PluginId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
-use cotorra_network_control::{Network, NetworkGone, Refused, vim::Engine};
+use cotorra_network_control::{Network, Refused, vim::Engine};
 use cotorra_recording::Tap;
 use tokio::sync::broadcast;
 
@@ -259,18 +259,5 @@ pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc
                 _ => return tracing::error!("{robot} can receive nothing any more: {error}"),
             },
         }
-    }
-}
-
-/// The emulated network on the datapath's thread.
-#[derive(Clone)]
-pub(crate) struct RealNetwork(pub(crate) cotorra_datapath::Handle);
-
-impl Network for RealNetwork {
-    fn with<R: Send + 'static>(
-        &self,
-        action: impl FnOnce(&mut cotorra_fabric::Fabric, Timestamp) -> R + Send + 'static,
-    ) -> Result<R, NetworkGone> {
-        self.0.with(action).map_err(|_| NetworkGone)
     }
 }

@@ -10,6 +10,7 @@ pub mod experiment;
 mod live;
 mod navigation;
 mod plugins;
+mod real_network;
 mod recorded;
 pub mod replay;
 mod report;

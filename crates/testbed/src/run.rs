@@ -29,10 +29,11 @@ use tokio::sync::broadcast;
 use crate::{
     api::{self, ApiError, Listener, Server, Token},
     core::Core,
-    core_loop::{CoreLoop, End, Message, Readers, RealNetwork, receive},
+    core_loop::{CoreLoop, End, Message, Readers, receive},
     live::Live,
     navigation,
     plugins::{Now, PluginError, PluginHost, Said},
+    real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
     robots::{Masters, RobotError, Robots},
@@ -194,8 +195,9 @@ impl Run {
             let _ = from_network.send(Message::Network(event));
         });
         let let_cores_sleep = options.save_power;
+        let kernel = kernel_network(&testbed)?;
         let with_events =
-            cotorra_datapath::Options { events: Some(events), let_cores_sleep, ..Default::default() };
+            cotorra_datapath::Options { events: Some(events), let_cores_sleep, kernel, ..Default::default() };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);
         let clock = datapath.clock();
         let now: Now = Arc::new(move || clock.now());
@@ -225,7 +227,7 @@ impl Run {
         };
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let engine = ProcessEngine::new(Arc::new(launcher), folder.logs(), cgroups);
-        let network = RealNetwork(datapath.handle());
+        let network = RealNetwork::new(&datapath);
         let mut robots = Robots::new(Arc::clone(&testbed), Arc::clone(&datapath), now.clone());
         let drive = |node: &Node, robot: SimulatedRobot| robots.drive(node, robot);
         let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, drive)?;

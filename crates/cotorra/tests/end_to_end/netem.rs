@@ -2,9 +2,9 @@
 
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::harness::{cotorra, stderr, stdout};
+use crate::harness::{Run, cotorra, project_file, stderr, stdout, wait_until};
 
 /// Runs a script in a network namespace of its own; `$COTORRA` is the program.
 fn script(lines: &str) -> Output {
@@ -102,4 +102,60 @@ fn conditions_are_set_shown_and_cleared() {
     assert_eq!(rules[2]["side"], "ingress");
     assert_eq!(rules[2]["network"], "fd00::/8");
     assert!(rest.starts_with("va: cleared; pfifo is back\nno conditions\nqdisc pfifo 9: root"), "{rest}");
+}
+
+/// Two hosts 2 ms apart each way and no radio: what the kernel can emulate, where it has NetEm.
+#[test]
+fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("kernel.yaml");
+    let text = std::fs::read_to_string(project_file("testbeds/two-hosts.yaml")).unwrap();
+    std::fs::write(&file, text.replace("name: two-hosts", "name: kernel\nemulation: netem")).unwrap();
+    let run = Run::start(&file, &["--until", "600s"]);
+    let ping = |count: u32| {
+        let count = count.to_string();
+        let done = cotorra([
+            "exec",
+            "--api",
+            run.address(),
+            "left",
+            "--",
+            "ping",
+            "-q",
+            "-c",
+            &count,
+            "-i",
+            "0.2",
+            "right",
+        ])
+        .output()
+        .unwrap();
+        assert!(done.status.success(), "{}{}", stdout(&done), stderr(&done));
+        let text = stdout(&done);
+        let fastest = text.split("min/avg/max/mdev = ").nth(1).unwrap().split('/').next().unwrap();
+        fastest.parse::<f64>().unwrap()
+    };
+    let change = |change: Value| {
+        let instruction = json!({ "instruction": "condition", "link": "left-lan", "change": change });
+        run.post("/api/v1/instructions", &json!({ "instruction": instruction }).to_string())
+    };
+    assert!(ping(3) >= 4.0);
+    let (status, body) = change(json!({ "delay_ms": 5.0, "delay_scale": 4.0 }));
+    assert_eq!(status, 200, "{body}");
+    // Twice 20 ms and twice 1 ms.
+    assert!(ping(3) >= 42.0);
+    let trace = json!({ "rate": { "kind": "trace", "trace": [1] } });
+    let (status, body) = change(trace);
+    if !has_netem() {
+        assert_eq!(status, 200, "the fabric carries it: {body}");
+        return;
+    }
+    assert_eq!(status, 409, "{body}");
+    assert!(body["refused"].as_str().unwrap().contains("NetEm plays no packet-delivery traces"), "{body}");
+    assert!(ping(3) >= 42.0, "what was refused changed nothing");
+    // Told once a second.
+    wait_until(|| {
+        let links = run.get("/api/v1/network/links");
+        links[0]["counters"]["packets"].as_u64().is_some_and(|packets| packets > 0)
+    });
 }

@@ -66,6 +66,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
         plugins: plugins?,
         wais: wais?,
         seed: record.seed,
+        emulation: record.emulation,
         description: record.description.clone(),
         name: record.name.value.clone(),
     };

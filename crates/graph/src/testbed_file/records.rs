@@ -8,6 +8,7 @@ use crate::{
     exposure::IpNetwork,
     hardware::{GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
     yaml::{
         Angle, Bytes, Decibels, Metres, Speed,
@@ -24,6 +25,8 @@ record! {
         description: String = "",
         /// Seed of everything random; a run with the same seed is the same run.
         seed: u64 = 1,
+        /// Who emulates the links of a run in real time.
+        emulation: Emulation = "fabric",
         /// Administrative domains. Without them there is one, `local`.
         domains: Vec<Spanned<DomainId>> = [],
         /// The map that robots move on: path of a ROS map_server YAML file, from this file's folder. Without one
@@ -513,6 +516,11 @@ choice!(WifiStandard, "Wi-Fi standard", {
     "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
     "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
 });
+choice!(Emulation, "emulation", {
+    "fabric" => Self::Fabric, "cotorra itself, on every kernel";
+    "netem" => Self::NetEm, "the kernel, with bridges and NetEm, where it has them and there is no radio; else the fabric";
+});
+
 choice!(GapPolicy, "gap policy", {
     "hold" => Self::Hold, "both sides buffer, and send afterwards";
     "drop" => Self::Drop, "they are lost";

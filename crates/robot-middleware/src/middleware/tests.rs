@@ -50,6 +50,7 @@ fn testbed() -> Testbed {
         walks: vec![walk("robot1", &[(1.0, 1.0), (3.0, 1.0), (5.0, 1.0)])],
         plugins: Vec::new(),
         wais: Default::default(),
+        emulation: Default::default(),
         seed: 1,
     }
 }

@@ -1,0 +1,137 @@
+//! The emulated network in real time: the fabric on the datapath's thread, and the kernel's NetEm where that carries the
+//! packets. Then the fabric keeps the books - what was asked, scaled and refused is the same for both - and the kernel is
+//! told what follows.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork};
+use cotorra_fabric::Fabric;
+use cotorra_graph::{
+    ConditionChange, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed, Timestamp,
+};
+use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric};
+
+/// The network that a datapath carries.
+pub(crate) struct RealNetwork {
+    handle: Handle,
+    kernel: Option<Arc<KernelNetwork>>,
+    /// When links were looked at last, and the bytes that each had carried.
+    seen: Mutex<(Timestamp, HashMap<(LinkId, Direction), u64>)>,
+}
+
+/// The kernel's network, if the testbed wants it; where the kernel cannot, it says why, and the fabric does.
+///
+/// # Errors
+/// What the fabric could not do without, either.
+pub(crate) fn kernel_network(testbed: &Testbed) -> Result<Option<KernelNetwork>, cotorra_datapath::Error> {
+    if testbed.emulation == Emulation::Fabric {
+        return Ok(None);
+    }
+    match KernelNetwork::start(&testbed.graph) {
+        Ok(network) => Ok(Some(network)),
+        Err(NoKernelNetwork::Datapath(error)) => Err(error),
+        Err(reason) => {
+            tracing::warn!("the kernel cannot emulate this testbed, so the fabric does: {reason}");
+            Ok(None)
+        }
+    }
+}
+
+impl RealNetwork {
+    pub(crate) fn new(datapath: &Datapath) -> Self {
+        Self { handle: datapath.handle(), kernel: datapath.kernel(), seen: Mutex::default() }
+    }
+}
+
+impl Network for RealNetwork {
+    fn with<R: Send + 'static>(
+        &self,
+        action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
+    ) -> Result<R, NetworkGone> {
+        self.handle.with(action).map_err(|_| NetworkGone)
+    }
+
+    fn change(
+        &self,
+        link: &LinkId,
+        direction: Option<Direction>,
+        change: &ConditionChange,
+    ) -> Result<Vec<LinkContext>, Refused> {
+        let Some(kernel) = &self.kernel else { return change_fabric(self, link, direction, change) };
+        // Changes nothing, and tells what is.
+        let before = change_fabric(self, link, None, &ConditionChange::default())?;
+        let after = change_fabric(self, link, direction, change)?;
+        let mut told: Vec<&LinkContext> = Vec::new();
+        for (before, after) in
+            before.iter().zip(&after).filter(|(before, after)| before.effective != after.effective)
+        {
+            if let Err(reason) = kernel.set(link, after.direction, &after.effective) {
+                for context in told.into_iter().chain([before]) {
+                    // What was in force can be in force again.
+                    let _ = change_fabric(self, link, Some(context.direction), &back_to(context));
+                    let _ = kernel.set(link, context.direction, &context.effective);
+                }
+                return Err(Refused(reason.to_string()));
+            }
+            told.push(before);
+        }
+        Ok(after)
+    }
+
+    /// The kernel counts what the fabric does not see. What packets take nobody measures then: it is left out.
+    fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+        let Some(kernel) = &self.kernel else { return contexts };
+        let counted = match kernel.counters() {
+            Ok(counted) => counted,
+            Err(error) => {
+                tracing::warn!("the kernel does not tell what links carried: {error}");
+                return contexts;
+            }
+        };
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let seconds = now.since(seen.0).as_secs_f64();
+        for context in &mut contexts {
+            let key = (context.link.clone(), context.direction);
+            let Some(counters) = counted.get(&key) else { continue };
+            let before = seen.1.get(&key).copied().unwrap_or(0);
+            if seconds > 0.0 {
+                context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
+            }
+            context.counters = LinkCounters {
+                packets: counters.packets,
+                bytes: counters.bytes,
+                // NetEm counts both as one.
+                lost: counters.dropped,
+                ..LinkCounters::default()
+            };
+        }
+        // One link that is asked for alone does not begin a new interval for all.
+        if contexts.len() >= counted.len() {
+            *seen = (now, counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect());
+        }
+        contexts
+    }
+}
+
+/// What brings a direction of a link back to what it was.
+fn back_to(context: &LinkContext) -> ConditionChange {
+    let asked = context.asked.clone();
+    ConditionChange {
+        delay_ms: Some(asked.delay.as_secs_f64() * 1e3),
+        jitter: Some(asked.jitter.unwrap_or(cotorra_graph::Jitter {
+            deviation: std::time::Duration::ZERO,
+            distribution: Default::default(),
+        })),
+        loss: Some(asked.loss),
+        duplication: Some(asked.duplication),
+        corruption: Some(asked.corruption),
+        reordering: Some(asked.reordering),
+        rate: Some(asked.rate),
+        queue: Some(asked.queue),
+        delay_scale: Some(context.scale.delay_scale),
+        drop_scale: Some(context.scale.drop_scale),
+    }
+}
