@@ -435,6 +435,7 @@ mod tests {
             plugins: Vec::new(),
             wais: Default::default(),
             seed: 1,
+            emulation: Default::default(),
         })
     }
 

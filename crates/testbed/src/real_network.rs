@@ -18,8 +18,14 @@ use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric};
 pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
-    /// When links were looked at last, and the bytes that each had carried.
-    seen: Mutex<(Timestamp, HashMap<(LinkId, Direction), u64>)>,
+    seen: Mutex<Seen>,
+}
+
+/// When links were looked at last, and the bytes that each had carried.
+#[derive(Debug, Default)]
+struct Seen {
+    at: Timestamp,
+    bytes: HashMap<(LinkId, Direction), u64>,
 }
 
 /// The kernel's network, if the testbed wants it; where the kernel cannot, it says why, and the fabric does.
@@ -92,11 +98,11 @@ impl Network for RealNetwork {
             }
         };
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let seconds = now.since(seen.0).as_secs_f64();
+        let seconds = now.since(seen.at).as_secs_f64();
         for context in &mut contexts {
             let key = (context.link.clone(), context.direction);
             let Some(counters) = counted.get(&key) else { continue };
-            let before = seen.1.get(&key).copied().unwrap_or(0);
+            let before = seen.bytes.get(&key).copied().unwrap_or(0);
             if seconds > 0.0 {
                 context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
             }
@@ -110,7 +116,8 @@ impl Network for RealNetwork {
         }
         // One link that is asked for alone does not begin a new interval for all.
         if contexts.len() >= counted.len() {
-            *seen = (now, counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect());
+            let bytes = counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect();
+            *seen = Seen { at: now, bytes };
         }
         contexts
     }

@@ -49,6 +49,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
             links: Vec::new(),
             wireless: BTreeMap::new(),
         },
+        emulation: Default::default(),
         services: Vec::new(),
         map,
         walks: vec![Walk {
