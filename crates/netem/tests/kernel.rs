@@ -190,6 +190,19 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
+/// Measures anew until it is as expected: a busy machine makes packets late now and then, a wrong condition always.
+fn soon<T: std::fmt::Debug>(mut measure: impl FnMut() -> T, is_expected: impl Fn(&T) -> bool) {
+    let mut measured = Vec::new();
+    while measured.len() < 20 {
+        let value = measure();
+        if is_expected(&value) {
+            return;
+        }
+        measured.push(value);
+    }
+    panic!("never as expected: {measured:?}");
+}
+
 fn fastest(arrived: &[(u32, Duration)]) -> Duration {
     arrived.iter().map(|(_, took)| *took).min().expect("something arrived")
 }
@@ -197,12 +210,16 @@ fn fastest(arrived: &[(u32, Duration)]) -> Duration {
 #[test]
 fn a_delay_is_what_packets_take() {
     let Some(wire) = Wire::new() else { return };
-    assert!(fastest(&wire.send("10.0.0.2", 20, 64, ms(1))) < ms(20));
+    soon(|| fastest(&wire.send("10.0.0.2", 20, 64, ms(1))), |took| *took < ms(20));
     wire.set(Netem { delay: ms(20), ..Netem::default() });
-    let arrived = wire.send("10.0.0.2", 20, 64, ms(1));
-    assert_eq!(arrived.len(), 20);
-    let fastest = fastest(&arrived);
-    assert!((ms(20)..ms(40)).contains(&fastest), "{fastest:?}");
+    let measure = || {
+        let arrived = wire.send("10.0.0.2", 20, 64, ms(1));
+        assert_eq!(arrived.len(), 20);
+        let fastest = fastest(&arrived);
+        assert!(fastest >= ms(20), "{fastest:?}");
+        fastest
+    };
+    soon(measure, |took| *took < ms(40));
     let witness = sh(&wire.a, "tc qdisc show dev va");
     assert!(witness.contains("qdisc netem c070: root") && witness.contains("delay 20ms"), "{witness}");
 }
@@ -220,13 +237,15 @@ fn jitter_has_its_deviation_and_keeps_order() {
     let free =
         Netem { delay: ms(30), jitter: jitter(Distribution::Normal), in_order: false, ..Netem::default() };
     wire.set(free);
-    let arrived = wire.send("10.0.0.2", 200, 64, Duration::ZERO);
-    assert!(!arrived.is_sorted_by_key(|(number, _)| *number), "nobody asked for order");
-    // All were sent at once, so that what each took tells the jitter.
-    let took: Vec<_> = arrived.iter().map(|(_, took)| took.as_secs_f64() * 1e3).collect();
-    let mean = took.iter().sum::<f64>() / took.len() as f64;
-    let deviation = (took.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / took.len() as f64).sqrt();
-    assert!(deviation > 3.0, "{deviation}; a machine that is busy adds to it");
+    let deviation = || {
+        let arrived = wire.send("10.0.0.2", 200, 64, Duration::ZERO);
+        assert!(!arrived.is_sorted_by_key(|(number, _)| *number), "nobody asked for order");
+        // All were sent at once, so that what each took tells the jitter.
+        let took: Vec<_> = arrived.iter().map(|(_, took)| took.as_secs_f64() * 1e3).collect();
+        let mean = took.iter().sum::<f64>() / took.len() as f64;
+        (took.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / took.len() as f64).sqrt()
+    };
+    soon(deviation, |deviation| (4.0..6.0).contains(deviation));
     let witness = sh(&wire.a, "tc qdisc show dev va");
     assert!(witness.contains("delay 30ms  5ms"), "{witness}");
 }
@@ -313,10 +332,12 @@ fn a_rate_is_kept() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { rate: BitRate::from_mbps(0.8), ..Netem::default() });
     // 20 packets of 958 + 42 bytes at 0.8 Mbit/s: 10 ms each. A token bucket's burst would let them pass.
-    let arrived = wire.send("10.0.0.2", 20, 958, Duration::ZERO);
-    assert_eq!(arrived.len(), 20);
-    let last = arrived.last().unwrap().1;
-    assert!((ms(150)..ms(600)).contains(&last), "{last:?}");
+    let measure = || {
+        let arrived = wire.send("10.0.0.2", 20, 958, Duration::ZERO);
+        assert_eq!(arrived.len(), 20);
+        arrived.last().unwrap().1
+    };
+    soon(measure, |last| (ms(150)..ms(600)).contains(last));
     assert!(sh(&wire.a, "tc qdisc show dev va").contains("rate 800Kbit"));
 }
 
@@ -324,9 +345,8 @@ fn a_rate_is_kept() {
 fn a_limit_counts_what_is_in_flight() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { delay: ms(300), limit: Some(50), ..Netem::default() });
-    let arrived = wire.send_without_last("10.0.0.2", 100, 64).len();
     // The kernel's own packets, of IPv6's routers and groups, take a place, too.
-    assert!((40..=50).contains(&arrived), "{arrived}");
+    soon(|| wire.send_without_last("10.0.0.2", 100, 64).len(), |arrived| (40..=50).contains(arrived));
 }
 
 #[test]
@@ -336,10 +356,12 @@ fn packets_double_break_and_overtake() {
     assert_eq!(wire.send("10.0.0.2", 10, 64, Duration::ZERO).len(), 20);
     wire.set(Netem { reordering: p(0.5), delay: ms(50), ..Netem::default() });
     // The last would overtake others, too.
-    let arrived = wire.send_without_last("10.0.0.2", 100, 64);
-    assert_eq!(arrived.len(), 100);
-    let fast = arrived.iter().filter(|(_, took)| *took < ms(40)).count();
-    assert!((20..=80).contains(&fast), "{fast} were not delayed");
+    let not_delayed = || {
+        let arrived = wire.send_without_last("10.0.0.2", 100, 64);
+        assert_eq!(arrived.len(), 100);
+        arrived.iter().filter(|(_, took)| *took < ms(40)).count()
+    };
+    soon(not_delayed, |fast| (20..=80).contains(fast));
     wire.set(Netem { corruption: Probability::ONE, ..Netem::default() });
     // A flipped bit fails a checksum, or is in an address that nobody has; but who sent the frame does not matter.
     let arrived = wire.send_without_last("10.0.0.2", 50, 500).len();
@@ -358,27 +380,29 @@ fn each_destination_has_conditions_of_its_own() {
     let delays = |wire: &Wire| {
         ["10.0.0.2", "10.0.0.3", "fd00::2"].map(|address| {
             let fastest = fastest(&wire.send(address, 10, 64, Duration::ZERO));
-            // Tens of milliseconds, which no load of the machine blurs in the best of ten.
+            // Tens of milliseconds, which the load of a machine blurs seldom in the best of ten.
             fastest.as_millis() / 40 * 40
         })
     };
     wire.try_set(&to("10.0.0.3", 80)).unwrap();
-    assert_eq!(delays(&wire), [0, 80, 0]);
+    soon(|| delays(&wire), |delays| *delays == [0, 80, 0]);
     wire.try_set(&to("fd00::/16", 120)).unwrap();
-    assert_eq!(delays(&wire), [0, 80, 120]);
+    soon(|| delays(&wire), |delays| *delays == [0, 80, 120]);
     wire.try_set(&to("10.0.0.0/24", 160)).unwrap();
-    assert_eq!(delays(&wire), [160, 80, 120], "the longest prefix counts");
+    // The longest prefix counts.
+    soon(|| delays(&wire), |delays| *delays == [160, 80, 120]);
     wire.try_set(&to("10.0.0.3", 200)).unwrap();
-    assert_eq!(delays(&wire), [160, 200, 120], "changed in place");
+    // Changed in place.
+    soon(|| delays(&wire), |delays| *delays == [160, 200, 120]);
     let asked = [to("10.0.0.3", 200), to("10.0.0.0/24", 160), to("fd00::/16", 120)];
     let kept: BTreeMap<_, _> = wire.rules().into_iter().map(|rule| (rule.network, rule.netem)).collect();
     assert_eq!(kept, asked.into_iter().map(|rule| (rule.network, rule.netem.as_kept())).collect());
     let plan = wire.device().remove(Side::Egress, Some("10.0.0.3".parse().unwrap()), None);
     wire.a.run(|| Kernel::open().unwrap().apply(&plan).unwrap());
-    assert_eq!(delays(&wire), [160, 160, 120]);
+    soon(|| delays(&wire), |delays| *delays == [160, 160, 120]);
     let plan = wire.device().clear(Side::Egress, None);
     wire.a.run(|| Kernel::open().unwrap().apply(&plan).unwrap());
-    assert_eq!(delays(&wire), [0, 0, 0]);
+    soon(|| delays(&wire), |delays| *delays == [0, 0, 0]);
     assert!(!sh(&wire.a, "tc qdisc show dev va").contains("netem"));
 }
 
@@ -410,13 +434,13 @@ fn what_arrives_is_conditioned_too() {
     assert!(fastest(&wire.send("10.0.0.2", 5, 64, ms(1))) >= ms(40));
     at_b(&Rule { side: Side::Ingress, network: Some("10.0.0.1".parse().unwrap()), netem: netem(80) });
     assert!(fastest(&wire.send("10.0.0.2", 5, 64, ms(1))) >= ms(80));
-    let v6 = fastest(&wire.send("fd00::2", 5, 64, ms(1)));
-    assert!((ms(40)..ms(80)).contains(&v6), "{v6:?}");
+    let v6 = || fastest(&wire.send("fd00::2", 5, 64, ms(1)));
+    soon(v6, |took| (ms(40)..ms(80)).contains(took));
     wire.b.run(|| {
         let kernel = Kernel::open().unwrap();
         kernel.apply(&kernel.device("vb").unwrap().clear(Side::Ingress, None)).unwrap();
     });
-    assert!(fastest(&wire.send("10.0.0.2", 5, 64, ms(1))) < ms(40));
+    soon(|| fastest(&wire.send("10.0.0.2", 5, 64, ms(1))), |took| *took < ms(40));
     assert!(!sh(&wire.b, "ip link; tc qdisc show dev vb").contains("ingress"), "the detour is gone");
 }
 
