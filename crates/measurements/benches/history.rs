@@ -1,9 +1,13 @@
 //! What recording costs those who record, how fast it is written beside the engines' own limits, how fast questions
 //! are answered in a long history, and how big it is. `cargo bench -p cotorra-measurements`; behind `--`, words that
-//! name the parts that are wanted: record, sqlite, mariadb, long. `COTORRA_BENCH_MILLIONS` is how many million samples
+//! name the parts that are wanted: record, sqlite, mariadb, sizes, long. `COTORRA_BENCH_MILLIONS` is how many million samples
 //! the long history has, 10 if it is not set; `COTORRA_BENCH_FOLDER` is where it is made.
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot run says so by failing")]
-#![allow(clippy::disallowed_types, reason = "a benchmark reads the clock")]
+#![allow(
+    clippy::disallowed_types,
+    clippy::disallowed_methods,
+    reason = "a benchmark reads the clock and waits"
+)]
 
 #[path = "../src/testing/mariadb.rs"]
 mod mariadb;
@@ -19,7 +23,7 @@ use cotorra_graph::{
     PoseSource, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
 };
 use cotorra_measurements::{
-    CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo,
+    CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo, export::Format,
 };
 use mariadb::MariaDb;
 use mysql::prelude::Queryable;
@@ -27,8 +31,8 @@ use rusqlite::{Connection, params};
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
-    let parts: [(&str, fn()); 4] =
-        [("record", recording), ("sqlite", sqlite), ("mariadb", mariadb), ("long", long)];
+    let parts: [(&str, fn()); 5] =
+        [("record", recording), ("sqlite", sqlite), ("mariadb", mariadb), ("sizes", sizes), ("long", long)];
     for (name, part) in parts {
         if words.is_empty() || words.iter().any(|word| name.contains(word.as_str())) {
             part();
@@ -158,17 +162,24 @@ fn side_by_side(what: &str, bare: impl Fn() -> Duration, ours: impl Fn() -> Dura
     );
 }
 
-/// Times a history that takes the same samples through a recorder, from its queue to the disk.
+/// Times a history that takes the same samples through a recorder, from the first until the last is on the disk. They
+/// come as fast as they are taken: there is always something to write.
 fn through_a_recorder(history: &History, sample: impl Fn(u64) -> Stamped) -> Duration {
+    through_a_recorder_of(history, BATCH * BATCHES, sample)
+}
+
+fn through_a_recorder_of(history: &History, samples: u64, sample: impl Fn(u64) -> Stamped) -> Duration {
     let recorder = history.recorder(history.begin_run(&info()).unwrap()).unwrap();
-    let samples: Vec<Stamped> = (0..BATCH * BATCHES).map(sample).collect();
+    let samples: Vec<Stamped> = (0..samples).map(sample).collect();
     let began = Instant::now();
-    for (n, stamped) in samples.into_iter().enumerate() {
-        recorder.record(stamped);
-        if (n + 1) % BATCH as usize == 0 {
-            recorder.flush().unwrap();
+    for (n, stamped) in (0_u64..).zip(samples) {
+        // The queue holds 32,768.
+        while n.is_multiple_of(1000) && n - recorder.stats().written > 30_000 {
+            std::thread::sleep(Duration::from_micros(200));
         }
+        recorder.record(stamped);
     }
+    recorder.flush().unwrap();
     let took = began.elapsed();
     assert_eq!(recorder.stats().dropped, 0);
     took
@@ -324,7 +335,7 @@ fn long() {
     // Closed, so that the log is in the file.
     history.end_run(run, Timestamp::from_secs_f64(end)).unwrap();
     drop(history);
-    sizes(&path, written);
+    file_size(&path, written);
 
     let history = History::open(&path).unwrap();
     let time = |what: &str, ask: &dyn Fn(f64)| {
@@ -370,38 +381,42 @@ fn long() {
     });
 }
 
-/// Bytes a sample, beside the same columns as text with commas between, and that packed.
-fn sizes(path: &Path, written: u64) {
+/// The whole file, and what of it is the links' tables.
+fn file_size(path: &Path, written: u64) {
     let bytes = std::fs::metadata(path).unwrap().len();
     let connection = Connection::open(path).unwrap();
-    let of = |table: &str| -> u64 {
-        let sql = "SELECT sum(pgsize) FROM dbstat WHERE name = ?1";
-        connection.query_row(sql, [table], |row| row.get::<_, i64>(0)).unwrap_or(0) as u64
-    };
     println!("  file: {} MB, {:.1} bytes a sample", bytes / 1_000_000, bytes as f64 / written as f64);
+    if written > 20_000_000 {
+        // Counting the pages takes as long as reading them.
+        return;
+    }
+    let of = |table: &str| -> f64 {
+        let sql = "SELECT sum(pgsize) FROM dbstat WHERE name = ?1";
+        connection.query_row(sql, [table], |row| row.get::<_, i64>(0)).unwrap_or(0) as f64
+    };
     let links: i64 = connection.query_row("SELECT count(*) FROM link", [], |row| row.get(0)).unwrap();
-    let mut statement = connection.prepare(&format!("SELECT {COLUMNS} FROM link LIMIT 1000000")).unwrap();
-    let mut rows = statement.query([]).unwrap();
-    let (mut csv, mut counted) = (0, 0);
-    while let Some(row) = rows.next().unwrap() {
-        counted += 1;
-        for column in 0..17 {
-            use rusqlite::types::ValueRef;
-            // With the comma or the end of the line. A text has names instead of numbers.
-            csv += 1 + match row.get_ref(column).unwrap() {
-                ValueRef::Null => 0,
-                ValueRef::Integer(n) if column == 3 => LINK_IDS[(n - 1) as usize % 100].as_str().len(),
-                ValueRef::Integer(n) => n.to_string().len(),
-                ValueRef::Real(x) => x.to_string().len(),
-                _ => unreachable!("a link has numbers only"),
-            };
+    let each = |table| of(table) / links as f64;
+    println!("  bytes a link's sample: rows {:.1}, chunks (with robots') {:.1}", each("link"), each("chunk"));
+}
+
+/// Bytes that a sample of a link takes, beside the tables that the same run is exported to.
+fn sizes() {
+    const SAMPLES: u64 = 1_000_000;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    let history = History::open(&path).unwrap();
+    through_a_recorder_of(&history, SAMPLES, link);
+    let run = history.runs(None, 1).unwrap()[0].id;
+    for format in Format::ALL {
+        let tables = folder.path().join(format.as_str());
+        match history.export(run, format, &tables, |_| true) {
+            Ok(_) => {
+                let bytes = std::fs::metadata(tables.join(format!("link.{format}"))).unwrap().len();
+                println!("  exported as {format}: {:.1} bytes a sample", bytes as f64 / SAMPLES as f64);
+            }
+            Err(error) => println!("  {error}"),
         }
     }
-    let each = |bytes: u64| bytes as f64 / links as f64;
-    println!(
-        "  bytes a link's sample: table {:.1} and chunks {:.1} of the file; CSV {:.1}",
-        each(of("link")),
-        each(of("chunk")),
-        csv as f64 / f64::from(counted)
-    );
+    drop(history);
+    file_size(&path, SAMPLES);
 }

@@ -2,9 +2,12 @@
 //! a series lie among those of all others. A chunk is written when its stretch is over, holds all samples of it or is
 //! not there, and is never needed: what it says is in the rows as well.
 //!
-//! The count, the times and then each column. Times are differences of differences; figures are the bits of 64-bit
+//! The count, the times, each column, and then figures of child rows by what they are of: the signals that a robot hears.
+//! Times are differences of differences; figures are the bits of 64-bit
 //! floats, those equal to the figure before taken away (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1)
 //! and the rest, trailing zeros first, a varint.
+
+use std::collections::BTreeMap;
 
 use crate::{
     Kind,
@@ -28,14 +31,34 @@ const fn places(kind: Kind) -> &'static [usize] {
     }
 }
 
+/// Columns of the one kind whose chunks hold figures of child rows.
+const WIDTH_WITH_CHILDREN: usize = places(Kind::Robot).len();
+
 /// Whether a kind has chunks.
 pub(crate) const fn has_chunks(kind: Kind) -> bool {
     !places(kind).is_empty()
 }
 
+/// What is read of a chunk.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Part {
+    /// A column of its rows.
+    Column(usize),
+    /// The figures of child rows that are of what has this id.
+    Children(i64),
+}
+
 /// The place of a column in the chunks of a kind.
-pub(crate) fn place(kind: Kind, column: &str) -> Option<usize> {
-    places(kind).iter().position(|place| table(kind).columns[*place] == column)
+pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
+    places(kind).iter().position(|place| table(kind).columns[*place] == column).map(Part::Column)
+}
+
+/// Of a child row, the name of what it is of, and the figure that chunks hold.
+pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f64)> {
+    match (kind, row) {
+        (Kind::Robot, [Value::Name(radio_unit), _, Value::Real(signal)]) => Some((radio_unit, *signal)),
+        _ => None,
+    }
 }
 
 /// A chunk that is being filled.
@@ -43,6 +66,8 @@ pub(crate) fn place(kind: Kind, column: &str) -> Option<usize> {
 pub(crate) struct Chunk {
     times: Vec<i64>,
     figures: Vec<f64>,
+    /// What it is of, the place of its sample, and the figure.
+    children: Vec<(i64, usize, f64)>,
 }
 
 impl Chunk {
@@ -59,10 +84,15 @@ impl Chunk {
         }));
     }
 
+    /// Adds the figure of a child row to the last sample.
+    pub fn push_child(&mut self, of: i64, figure: f64) {
+        self.children.push((of, self.times.len().saturating_sub(1), figure));
+    }
+
     /// The chunk in bytes; `None` if there are too many samples for one.
     pub fn finish(self, kind: Kind) -> Option<Vec<u8>> {
-        let Self { times, figures } = self;
-        if times.len() > MOST {
+        let Self { times, figures, children } = self;
+        if times.len() > MOST || children.len() > 8 * MOST {
             return None;
         }
         let mut bytes = Vec::with_capacity(times.len() * 16);
@@ -85,6 +115,24 @@ impl Chunk {
                 before = bits;
             }
         }
+        let mut place = vec![0; order.len()];
+        order.iter().zip(0..).for_each(|(i, sorted)| place[*i] = sorted);
+        let mut by: BTreeMap<i64, Vec<(i64, f64)>> = BTreeMap::new();
+        for (of, sample, figure) in children {
+            by.entry(of).or_default().push((place[sample], figure));
+        }
+        write_integer(by.len() as i64, &mut bytes);
+        for (of, mut its) in by {
+            its.sort_by_key(|(place, _)| *place);
+            write_integer(of, &mut bytes);
+            write_integer(its.len() as i64, &mut bytes);
+            let (mut place, mut before) = (0, 0);
+            for (next, figure) in its {
+                write_integer(next - place, &mut bytes);
+                write_unsigned((figure.to_bits() ^ before).swap_bytes(), &mut bytes);
+                (place, before) = (next, figure.to_bits());
+            }
+        }
         Some(bytes)
     }
 }
@@ -99,8 +147,9 @@ fn read_unsigned(bytes: &mut Bytes<'_>) -> Result<u64, ReadError> {
     Ok(((n << 1) ^ (n >> 63)).cast_unsigned())
 }
 
-/// Calls `each` with the times and figures of one column.
-pub(crate) fn read(chunk: &[u8], place: usize, mut each: impl FnMut(i64, f64)) -> Result<(), ReadError> {
+/// Calls `each` with the times and figures of a part. Gives whether the chunk says anything of that: those that an
+/// older cotorra wrote say nothing of child rows.
+pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> Result<bool, ReadError> {
     let mut bytes = Bytes(chunk);
     let count = usize::try_from(bytes.plain_integer()?).unwrap_or(usize::MAX);
     if count > MOST {
@@ -113,15 +162,40 @@ pub(crate) fn read(chunk: &[u8], place: usize, mut each: impl FnMut(i64, f64)) -
         before = before.wrapping_add(step);
         times.push(before);
     }
-    for _ in 0..place * count {
-        bytes.plain_integer()?;
+    match part {
+        Part::Column(place) => {
+            bytes.skip(place * count)?;
+            let mut bits = 0_u64;
+            for t in times {
+                bits ^= read_unsigned(&mut bytes)?.swap_bytes();
+                each(t, f64::from_bits(bits));
+            }
+        }
+        Part::Children(wanted) => {
+            bytes.skip(WIDTH_WITH_CHILDREN * count)?;
+            if bytes.0.is_empty() {
+                return Ok(false);
+            }
+            for _ in 0..bytes.plain_integer()? {
+                let of = bytes.plain_integer()?;
+                let its = usize::try_from(bytes.plain_integer()?).unwrap_or(usize::MAX);
+                if of != wanted {
+                    bytes.skip(its.saturating_mul(2))?;
+                    continue;
+                }
+                let (mut place, mut bits) = (0_i64, 0_u64);
+                for _ in 0..its {
+                    place = place.wrapping_add(bytes.plain_integer()?);
+                    bits ^= read_unsigned(&mut bytes)?.swap_bytes();
+                    let t = usize::try_from(place).ok().and_then(|place| times.get(place));
+                    let t =
+                        t.ok_or_else(|| ReadError::Unreadable(format!("a chunk has no sample {place}")))?;
+                    each(*t, f64::from_bits(bits));
+                }
+            }
+        }
     }
-    let mut bits = 0_u64;
-    for t in times {
-        bits ^= read_unsigned(&mut bytes)?.swap_bytes();
-        each(t, f64::from_bits(bits));
-    }
-    Ok(())
+    Ok(true)
 }
 
 #[cfg(test)]
@@ -146,19 +220,45 @@ mod tests {
             sorted.sort_by_key(|(t, _)| *t);
             for column in 0..4 {
                 let mut found = Vec::new();
-                read(&bytes, column, |t, x| found.push((t, x.to_bits()))).unwrap();
+                read(&bytes, Part::Column(column), |t, x| found.push((t, x.to_bits()))).unwrap();
                 prop_assert_eq!(found, sorted.iter().map(|(t, bits)| (*t, bits[column])).collect::<Vec<_>>());
             }
         }
 
         #[test]
         fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
-            let _ = read(&bytes, place, |_, _| ());
+            let _ = read(&bytes, Part::Column(place), |_, _| ());
+            let _ = read(&bytes, Part::Children(place as i64), |_, _| ());
+        }
+
+        #[test]
+        fn child_rows_are_read_by_what_they_are_of(
+            samples in vec((0..50_i64, vec((1..4_i64, any::<u64>()), 0..4)), 0..30), of in 1..5_i64,
+        ) {
+            let mut chunk = Chunk::default();
+            for (t, children) in &samples {
+                chunk.push(Kind::Robot, *t, &vec![Value::Null; 32]);
+                children.iter().for_each(|(of, bits)| chunk.push_child(*of, f64::from_bits(*bits)));
+            }
+            let bytes = chunk.finish(Kind::Robot).unwrap();
+            let mut sorted = samples;
+            sorted.sort_by_key(|(t, _)| *t);
+            let its = |(t, children): (i64, Vec<(i64, u64)>)| {
+                children.into_iter().filter(|child| child.0 == of).map(move |(_, bits)| (t, bits))
+            };
+            let wanted: Vec<_> = sorted.into_iter().flat_map(its).collect();
+            let mut found = Vec::new();
+            prop_assert!(read(&bytes, Part::Children(of), |t, x| found.push((t, x.to_bits()))).unwrap());
+            prop_assert_eq!(found, wanted);
         }
     }
 
     #[test]
     fn knows_its_columns() {
+        let place = |kind, name| match column(kind, name) {
+            Some(Part::Column(place)) => Some(place),
+            _ => None,
+        };
         assert_eq!(place(Kind::Link, "delay_ns"), Some(0));
         assert_eq!(place(Kind::Link, "drop_scale"), Some(3));
         assert_eq!(place(Kind::Robot, "heading_rad"), Some(2));

@@ -119,6 +119,22 @@ impl Series {
         })
     }
 
+    /// Whether an event belongs to it.
+    pub fn holds(&self, event: &Event) -> bool {
+        match (self, event) {
+            (Self::Robot(node), Event::Robot(context)) => *node == context.robot,
+            (Self::Radio(node), Event::Radio(context)) => *node == context.radio_unit,
+            (Self::Link(link, direction), Event::Link(context)) => {
+                *link == context.link && *direction == context.direction
+            }
+            (Self::Placement(vnf), Event::Placement(placement)) => *vnf == placement.vnf,
+            (Self::VirtualLink(from, to), Event::VirtualLink(mapping)) => {
+                *from == mapping.from && *to == mapping.to
+            }
+            _ => false,
+        }
+    }
+
     pub const fn kind(&self) -> Kind {
         match self {
             Self::Robot(_) => Kind::Robot,
@@ -145,6 +161,14 @@ mod tests {
             prop_assert_eq!(&json["event"], kind.as_str());
             prop_assert_eq!(kind.as_str().parse(), Ok(kind));
             prop_assert_eq!(serde_json::to_value(kind).unwrap(), kind.as_str());
+        }
+
+        #[test]
+        fn a_series_holds_what_it_is_of(a in stamped(), b in stamped()) {
+            let [of_a, of_b] = [&a, &b].map(|stamped| Series::of(&stamped.event));
+            let Some(series) = &of_a else { return Ok(()) };
+            prop_assert!(series.holds(&a.event));
+            prop_assert_eq!(series.holds(&b.event), of_a == of_b);
         }
     }
 

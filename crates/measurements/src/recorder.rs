@@ -25,7 +25,7 @@ use crate::{
 const QUEUE: usize = 32_768;
 
 /// The writer is woken early when so many wait. Below that, recording makes no system call.
-const WAKE_AT: isize = QUEUE as isize / 2;
+const WAKE_AT: isize = QUEUE as isize / 4;
 
 /// How often the writer looks at the queue.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -285,11 +285,12 @@ impl Writer {
         self.store.append(&self.batch, &gaps)?;
         self.gaps.clear();
         let tallies = lock(&self.shared.tallies);
-        for entry in self.batch.drain(..) {
-            if let Some(tally) = tallies.get(&entry.run) {
-                tally.written.fetch_add(1, Ordering::Relaxed);
+        for entries in self.batch.chunk_by(|a, b| a.run == b.run) {
+            if let Some(tally) = tallies.get(&entries[0].run) {
+                tally.written.fetch_add(entries.len() as u64, Ordering::Relaxed);
             }
         }
+        self.batch.clear();
         Ok(())
     }
 

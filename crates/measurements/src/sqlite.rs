@@ -2,6 +2,7 @@
 //! SQLite call fsync at every commit, so that a committed batch survives both kill -9 and a loss of power.
 
 mod read;
+mod rows;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -30,6 +31,12 @@ const APPLICATION_ID: i32 = 0x636f_746f;
 
 /// How long to wait for another process that holds the file.
 const BUSY: Duration = Duration::from_secs(5);
+
+/// Memory for pages of the connection that writes, KiB.
+const CACHE_KIB: i32 = 8192;
+
+/// Pages of 4 KiB in the log when it is folded into the file.
+const LOG_PAGES: i32 = 4096;
 
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
@@ -103,6 +110,9 @@ fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
             tracing::warn!(%history, mode, "the file system has no write-ahead log: readers wait");
         }
         connection.pragma_update(None, "synchronous", "FULL")?;
+        // A batch fits, and is written once: to the log at its commit, and from there when the log has some of them.
+        connection.pragma_update(None, "cache_size", -CACHE_KIB)?;
+        connection.pragma_update(None, "wal_autocheckpoint", LOG_PAGES)?;
         connection.set_prepared_statement_cache_capacity(64);
 
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;

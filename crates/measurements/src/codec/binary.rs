@@ -95,6 +95,20 @@ impl Bytes<'_> {
         Err(unreadable("an integer has no end"))
     }
 
+    /// Passes so many integers.
+    pub fn skip(&mut self, integers: usize) -> Answer<()> {
+        let mut left = integers;
+        let end = self.0.iter().position(|byte| {
+            left -= usize::from(*byte < 0x80 && left > 0);
+            left == 0
+        });
+        if integers > 0 {
+            let end = end.ok_or_else(|| unreadable("it ends early"))?;
+            self.0 = &self.0[end + 1..];
+        }
+        Ok(())
+    }
+
     fn byte(&mut self) -> Answer<u8> {
         Ok(self.take(1)?[0])
     }

@@ -12,7 +12,7 @@ use mysql::{Conn, Params, Row, Value as Sql, prelude::Queryable};
 
 use super::connection::{Fallible, columns, engine_error, quoted};
 use crate::{
-    chunk,
+    chunk::{self, Part},
     codec::{self, ReadError, Source},
     error::{Error, Result},
     figure::Figure,
@@ -233,7 +233,10 @@ impl Reader {
             };
             let Some(ids) = self.ids(series)? else { return Ok(()) };
             let named = [&ids[..codec::table(kept.kind).series.len()], &named].concat();
-            let place = kept.child.is_none().then(|| chunk::place(kept.kind, kept.column)).flatten();
+            let part = match kept.child {
+                None => chunk::column(kept.kind, kept.column),
+                Some(_) => named.last().map(|id| Part::Children(*id)),
+            };
             let mut next = span.from / STRETCH;
             loop {
                 let stretches = self.rows(
@@ -246,13 +249,14 @@ impl Reader {
                 for row in &stretches {
                     let stretch = integer(row, 0)?;
                     next = stretch + 1;
-                    match (place, row.as_ref(1)) {
-                        (Some(place), Some(Sql::Bytes(samples))) => chunk::read(samples, place, &mut each)?,
-                        _ => {
-                            let from = span.from.max(stretch * STRETCH);
-                            let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
-                            self.rows_of(&sql, [run.0, from, until], &named, &mut each)?;
-                        }
+                    let told = match (part, row.as_ref(1)) {
+                        (Some(part), Some(Sql::Bytes(samples))) => chunk::read(samples, part, &mut each)?,
+                        _ => false,
+                    };
+                    if !told {
+                        let from = span.from.max(stretch * STRETCH);
+                        let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
+                        self.rows_of(&sql, [run.0, from, until], &named, &mut each)?;
                     }
                 }
                 if (stretches.len() as u64) < STRETCHES {

@@ -9,7 +9,7 @@ use mysql::{Conn, Params, TxOpts, Value as Sql, prelude::Queryable};
 
 use super::connection::{Fallible, columns, quoted};
 use crate::{
-    chunk::{Chunk, has_chunks},
+    chunk::{self, Chunk, has_chunks},
     codec::{self, Fields, Role, Value},
     kind::{Kind, Series},
     schema::STRETCH,
@@ -227,6 +227,13 @@ impl Writer {
                 for value in child {
                     let value = self.value(value, None)?;
                     self.children[kind as usize].push(value);
+                }
+                if let Some((name, figure)) = chunk::of_child(kind, child) {
+                    let of = self.name(name)?;
+                    if let Some(chunk) = series.and_then(|series| self.known.of_series[series].chunk.as_mut())
+                    {
+                        chunk.push_child(of, figure);
+                    }
                 }
             }
         }

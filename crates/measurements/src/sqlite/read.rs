@@ -18,7 +18,7 @@ use rusqlite::{
 
 use super::{BUSY, Fallible, engine_error};
 use crate::{
-    chunk,
+    chunk::{self, Part},
     codec::{self, ReadError, Source},
     error::{Error, Result},
     figure::Figure,
@@ -350,7 +350,10 @@ impl Reader {
             let Some(ids) = self.ids(series)? else { return Ok(()) };
             let width = codec::table(kept.kind).series.len();
             let named = [&ids[..width], &named].concat();
-            let place = kept.child.is_none().then(|| chunk::place(kept.kind, kept.column)).flatten();
+            let part = match kept.child {
+                None => chunk::column(kept.kind, kept.column),
+                Some(_) => named.last().map(|id| Part::Children(*id)),
+            };
             let mut stretches = self.engine(self.connection.prepare_cached(
                 "SELECT p.stretch, c.samples FROM presence p LEFT JOIN chunk c
                  ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
@@ -363,13 +366,14 @@ impl Reader {
             while let Some(row) = self.engine(rows.next())? {
                 let stretch: i64 = self.engine(row.get(0))?;
                 let samples = self.engine(row.get_ref(1))?;
-                match (place, samples) {
-                    (Some(place), ValueRef::Blob(samples)) => chunk::read(samples, place, &mut each)?,
-                    _ => {
-                        let from = span.from.max(stretch * STRETCH);
-                        let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
-                        self.rows_of(&mut statement, [run.0, from, until], &named, &mut each)?;
-                    }
+                let told = match (part, samples) {
+                    (Some(part), ValueRef::Blob(samples)) => chunk::read(samples, part, &mut each)?,
+                    _ => false,
+                };
+                if !told {
+                    let from = span.from.max(stretch * STRETCH);
+                    let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
+                    self.rows_of(&mut statement, [run.0, from, until], &named, &mut each)?;
                 }
             }
             Ok(())

@@ -1,19 +1,19 @@
 //! Batches into SQLite: one transaction each, prepared statements, names and conditions written once and then
 //! referred to.
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    fmt::Write as _,
-};
+use std::collections::{BTreeMap, HashMap};
 
-use cotorra_graph::Conditions;
+use cotorra_graph::{Conditions, Event};
 use rusqlite::{
-    CachedStatement, Connection, OptionalExtension, Transaction, TransactionBehavior, params, types::Null,
+    Connection, OptionalExtension, Transaction, TransactionBehavior, params, types::Value as Sql,
 };
 
-use super::Fallible;
+use super::{
+    Fallible,
+    rows::{Rows, insert_into},
+};
 use crate::{
-    chunk::{Chunk, has_chunks},
+    chunk::{self, Chunk, has_chunks},
     codec::{self, Fields, Role, Value},
     kind::{Kind, Series},
     schema::STRETCH,
@@ -36,6 +36,8 @@ struct Known {
     /// Places in `of_series`.
     series: HashMap<Series, usize>,
     of_series: Vec<KnownSeries>,
+    /// The place behind that of the last series that was met.
+    after_last: usize,
     /// The next place in the order of recording that this process left, by run. If it is another one, another process
     /// records the same run.
     next_seq: BTreeMap<RunId, i64>,
@@ -44,6 +46,7 @@ struct Known {
 /// What is known of a series.
 #[derive(Debug)]
 struct KnownSeries {
+    series: Series,
     /// As `presence` has them.
     ids: [i64; 2],
     /// The last stretch that was noted.
@@ -89,8 +92,9 @@ impl Writer {
 struct Batch<'t> {
     transaction: &'t Transaction<'t>,
     known: &'t mut Known,
-    rows: [Option<CachedStatement<'t>>; Kind::ALL.len()],
-    children: [Option<CachedStatement<'t>>; Kind::ALL.len()],
+    /// By kind.
+    rows: [Option<Rows<'t>>; Kind::ALL.len()],
+    children: [Option<Rows<'t>>; Kind::ALL.len()],
     /// The next place in the order of recording, by run.
     next_seq: BTreeMap<RunId, i64>,
 }
@@ -115,22 +119,15 @@ impl<'t> Batch<'t> {
             let kind = Kind::of(&stamped.event);
             let t = stamped.at.as_nanos().cast_signed();
             let key = [run.0, t, self.seq(*run)?];
-            match Series::of(&stamped.event) {
-                None => self.row(kind, &key, None, &row.0)?,
-                Some(series) => {
-                    let (series, ids) = self.series(series)?;
-                    self.presence(kind, *run, t, series)?;
-                    // The ids are the row's first columns.
-                    let width = codec::table(kind).series.len();
-                    let [run, t, seq] = key;
-                    let key_and_ids = [run, t, seq, ids[0], ids[1]];
-                    self.row(kind, &key_and_ids[..3 + width], Some(series), &row.0[width..])?;
-                    if let Some(chunk) = &mut self.known.of_series[series].chunk {
-                        chunk.push(kind, t, &row.0);
-                    }
+            let series = self.series(&stamped.event)?;
+            if let Some(series) = series {
+                self.presence(kind, *run, t, series)?;
+                if let Some(chunk) = &mut self.known.of_series[series].chunk {
+                    chunk.push(kind, t, &row.0);
                 }
             }
-            self.child_rows(kind, key, &children)?;
+            self.row(kind, key, series, &row.0)?;
+            self.child_rows(kind, key, series, &children.0)?;
         }
         Ok(())
     }
@@ -144,7 +141,10 @@ impl<'t> Batch<'t> {
         Ok(())
     }
 
-    fn finish(self) -> Fallible<()> {
+    fn finish(mut self) -> Fallible<()> {
+        for rows in self.rows.iter_mut().chain(&mut self.children).flatten() {
+            rows.write(self.transaction)?;
+        }
         self.known.next_seq.extend(&self.next_seq);
         for (run, next) in self.next_seq {
             self.transaction
@@ -173,63 +173,59 @@ impl<'t> Batch<'t> {
         Ok(*next - 1)
     }
 
-    fn row(&mut self, kind: Kind, key: &[i64], series: Option<usize>, row: &[Value<'_>]) -> Fallible<()> {
-        let mut statement = match self.rows[kind as usize].take() {
-            Some(statement) => statement,
-            None => {
-                self.transaction.prepare_cached(&insert(kind.as_str(), &[], codec::table(kind).columns))?
-            }
-        };
-        self.execute(&mut statement, key, series, row)?;
-        self.rows[kind as usize] = Some(statement);
-        Ok(())
-    }
-
-    fn child_rows(&mut self, kind: Kind, [run, t, seq]: [i64; 3], rows: &Fields<'_>) -> Fallible<()> {
-        let Some((table, columns)) = codec::table(kind).children else { return Ok(()) };
-        let mut statement = match self.children[kind as usize].take() {
-            Some(statement) => statement,
-            None => self.transaction.prepare_cached(&insert(table, &["place"], columns))?,
-        };
-        for (row, place) in rows.0.chunks(columns.len()).zip(0..) {
-            self.execute(&mut statement, &[run, t, seq, place], None, row)?;
-        }
-        self.children[kind as usize] = Some(statement);
-        Ok(())
-    }
-
-    fn execute(
-        &mut self,
-        statement: &mut CachedStatement<'t>,
-        key: &[i64],
-        series: Option<usize>,
-        row: &[Value<'_>],
-    ) -> Fallible<()> {
-        let mut parameter = 1;
-        for part in key {
-            statement.raw_bind_parameter(parameter, part)?;
-            parameter += 1;
-        }
+    fn row(&mut self, kind: Kind, key: [i64; 3], series: Option<usize>, row: &[Value<'_>]) -> Fallible<()> {
+        let mut rows = self.rows[kind as usize]
+            .take()
+            .unwrap_or_else(|| Rows::new(kind.as_str(), &["run", "t_ns", "seq"], codec::table(kind).columns));
+        key.into_iter().for_each(|part| rows.push(part.into()));
         for value in row {
-            match value {
-                Value::Null => statement.raw_bind_parameter(parameter, Null)?,
-                Value::Integer(n) => statement.raw_bind_parameter(parameter, n)?,
-                Value::Real(x) => statement.raw_bind_parameter(parameter, x)?,
-                Value::Text(text) => statement.raw_bind_parameter(parameter, &**text)?,
-                Value::Name(name) => {
-                    let id = self.name(name)?;
-                    statement.raw_bind_parameter(parameter, id)?;
-                }
-                Value::Conditions(role, conditions) => {
-                    let series = series.expect("conditions are those of a link, which makes a series");
-                    let id = self.conditions(series, *role, conditions)?;
-                    statement.raw_bind_parameter(parameter, id)?;
+            rows.push(self.value(series, value)?);
+        }
+        rows.write_if_many(self.transaction)?;
+        self.rows[kind as usize] = Some(rows);
+        Ok(())
+    }
+
+    fn child_rows(
+        &mut self,
+        kind: Kind,
+        key: [i64; 3],
+        series: Option<usize>,
+        children: &[Value<'_>],
+    ) -> Fallible<()> {
+        let Some((table, columns)) = codec::table(kind).children else { return Ok(()) };
+        let mut rows = self.children[kind as usize]
+            .take()
+            .unwrap_or_else(|| Rows::new(table, &["run", "t_ns", "seq", "place"], columns));
+        for (child, place) in children.chunks(columns.len()).zip(0_i64..) {
+            key.into_iter().chain([place]).for_each(|part| rows.push(part.into()));
+            for value in child {
+                rows.push(self.value(None, value)?);
+            }
+            if let Some((name, figure)) = chunk::of_child(kind, child) {
+                let of = self.name(name)?;
+                if let Some(chunk) = series.and_then(|series| self.known.of_series[series].chunk.as_mut()) {
+                    chunk.push_child(of, figure);
                 }
             }
-            parameter += 1;
         }
-        statement.raw_execute()?;
+        rows.write_if_many(self.transaction)?;
+        self.children[kind as usize] = Some(rows);
         Ok(())
+    }
+
+    fn value(&mut self, series: Option<usize>, value: &Value<'_>) -> Fallible<Sql> {
+        Ok(match value {
+            Value::Null => Sql::Null,
+            Value::Integer(n) => Sql::Integer(*n),
+            Value::Real(x) => Sql::Real(*x),
+            Value::Text(text) => Sql::Text(text.to_string()),
+            Value::Name(name) => Sql::Integer(self.name(name)?),
+            Value::Conditions(role, conditions) => {
+                let series = series.expect("conditions are those of a link, which makes a series");
+                Sql::Integer(self.conditions(series, *role, conditions)?)
+            }
+        })
     }
 
     fn name(&mut self, name: &str) -> Fallible<i64> {
@@ -249,10 +245,18 @@ impl<'t> Batch<'t> {
         Ok(id)
     }
 
-    /// Where a series is known, and its ids.
-    fn series(&mut self, series: Series) -> Fallible<(usize, [i64; 2])> {
+    /// Where the series of an event is known, if it belongs to one.
+    fn series(&mut self, event: &Event) -> Fallible<Option<usize>> {
+        // Series are mostly sampled in turn.
+        let guess = self.known.after_last;
+        if self.known.of_series.get(guess).is_some_and(|known| known.series.holds(event)) {
+            self.known.after_last = (guess + 1) % self.known.of_series.len();
+            return Ok(Some(guess));
+        }
+        let Some(series) = Series::of(event) else { return Ok(None) };
         if let Some(place) = self.known.series.get(&series) {
-            return Ok((*place, self.known.of_series[*place].ids));
+            self.known.after_last = (place + 1) % self.known.of_series.len();
+            return Ok(Some(*place));
         }
         let ids = match &series {
             Series::Robot(node) | Series::Radio(node) => [self.name(node.as_str())?, 0],
@@ -262,13 +266,14 @@ impl<'t> Batch<'t> {
         };
         let place = self.known.of_series.len();
         self.known.of_series.push(KnownSeries {
+            series: series.clone(),
             ids,
             presence: None,
             chunk: None,
             conditions: [const { None }; Role::COUNT],
         });
         self.known.series.insert(series, place);
-        Ok((place, ids))
+        Ok(Some(place))
     }
 
     /// The id of a link's conditions, which are written when they differ from its last.
@@ -280,9 +285,12 @@ impl<'t> Batch<'t> {
         }
         let mut row = Fields::default();
         codec::encode_conditions(conditions, &mut row);
-        let mut statement = self.transaction.prepare_cached(&insert_into("conditions", codec::CONDITIONS))?;
-        self.execute(&mut statement, &[], None, &row.0)?;
-        let id = self.transaction.last_insert_rowid();
+        let mut values = Vec::with_capacity(row.0.len());
+        for value in &row.0 {
+            values.push(self.value(None, value)?);
+        }
+        let sql = insert_into("conditions", codec::CONDITIONS, 1);
+        let id = self.transaction.prepare_cached(&sql)?.insert(rusqlite::params_from_iter(values))?;
         self.known.of_series[series].conditions[role as usize] = Some((conditions.clone(), id));
         Ok(id)
     }
@@ -323,18 +331,4 @@ impl<'t> Batch<'t> {
         }
         Ok(())
     }
-}
-
-fn insert(table: &str, key: &[&str], columns: &[&str]) -> String {
-    let names = [&["run", "t_ns", "seq"], key, columns].concat();
-    insert_into(table, &names)
-}
-
-fn insert_into(table: &str, columns: &[&str]) -> String {
-    let mut sql = format!("INSERT INTO {table} ({}) VALUES (", columns.join(", "));
-    for place in 1..=columns.len() {
-        let comma = if place == 1 { "" } else { ", " };
-        write!(sql, "{comma}?{place}").expect("writing to a string never fails");
-    }
-    sql + ")"
 }
