@@ -53,6 +53,20 @@ pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
     places(kind).iter().position(|place| table(kind).columns[*place] == column).map(Part::Column)
 }
 
+/// The figures of a row that chunks hold; NaN for what is no number.
+pub(crate) fn figures(kind: Kind, row: &[Value<'_>]) -> impl Iterator<Item = f64> {
+    places(kind).iter().map(|place| match row[*place] {
+        Value::Integer(n) => n as f64,
+        Value::Real(x) => x,
+        _ => f64::NAN,
+    })
+}
+
+/// The chunk of a stretch in which there is no sample but those that were rolled up.
+pub(crate) fn empty(kind: Kind) -> Vec<u8> {
+    Chunk::default().finish(kind).expect("nothing fits into a chunk")
+}
+
 /// Of a child row, the name of what it is of, and the figure that chunks hold.
 pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f64)> {
     match (kind, row) {
@@ -77,11 +91,7 @@ impl Chunk {
             return;
         }
         self.times.push(t);
-        self.figures.extend(places(kind).iter().map(|place| match row[*place] {
-            Value::Integer(n) => n as f64,
-            Value::Real(x) => x,
-            _ => f64::NAN,
-        }));
+        self.figures.extend(figures(kind, row));
     }
 
     /// Adds the figure of a child row to the last sample.
@@ -125,10 +135,14 @@ impl Chunk {
         for (of, mut its) in by {
             its.sort_by_key(|(place, _)| *place);
             write_integer(of, &mut bytes);
-            write_integer(its.len() as i64, &mut bytes);
+            // Below zero: one for each sample, of which the places are not written.
+            let each = its.len() == order.len() && its.iter().zip(0..).all(|((place, _), n)| *place == n);
+            write_integer(if each { -1 } else { its.len() as i64 }, &mut bytes);
             let (mut place, mut before) = (0, 0);
             for (next, figure) in its {
-                write_integer(next - place, &mut bytes);
+                if !each {
+                    write_integer(next - place, &mut bytes);
+                }
                 write_unsigned((figure.to_bits() ^ before).swap_bytes(), &mut bytes);
                 (place, before) = (next, figure.to_bits());
             }
@@ -178,14 +192,18 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
             }
             for _ in 0..bytes.plain_integer()? {
                 let of = bytes.plain_integer()?;
-                let its = usize::try_from(bytes.plain_integer()?).unwrap_or(usize::MAX);
+                let places = usize::try_from(bytes.plain_integer()?).ok();
+                let its = places.unwrap_or(count);
                 if of != wanted {
-                    bytes.skip(its.saturating_mul(2))?;
+                    bytes.skip(its.saturating_add(places.unwrap_or(0)))?;
                     continue;
                 }
                 let (mut place, mut bits) = (0_i64, 0_u64);
-                for _ in 0..its {
-                    place = place.wrapping_add(bytes.plain_integer()?);
+                for n in 0..its {
+                    place = match places {
+                        Some(_) => place.wrapping_add(bytes.plain_integer()?),
+                        None => n as i64,
+                    };
                     bits ^= read_unsigned(&mut bytes)?.swap_bytes();
                     let t = usize::try_from(place).ok().and_then(|place| times.get(place));
                     let t =

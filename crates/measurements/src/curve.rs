@@ -4,7 +4,11 @@
 use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::{Figure, store::Gap};
+use crate::{
+    Figure,
+    rolled::{Reading, Summary},
+    store::Gap,
+};
 
 /// How a curve is to be.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,6 +70,10 @@ pub struct Point {
 pub struct Values {
     /// How many.
     pub count: u64,
+    /// How many of them were rolled up. Their count, least, greatest, mean and last are told as if they were not; the
+    /// quantiles are of those that were kept, the last one of each step.
+    #[serde(default)]
+    pub rolled_up: u64,
     /// The least.
     pub min: f64,
     /// The greatest.
@@ -86,6 +94,9 @@ const REMEMBERED: usize = 65_536;
 #[derive(Debug, Clone)]
 pub(crate) struct Gathered {
     count: u64,
+    rolled_up: u64,
+    /// Offered to `some`.
+    offered: u64,
     min: f64,
     max: f64,
     sum: f64,
@@ -98,13 +109,48 @@ pub(crate) struct Gathered {
 impl Default for Gathered {
     fn default() -> Self {
         let (min, max) = (f64::INFINITY, f64::NEG_INFINITY);
-        Self { count: 0, min, max, sum: 0.0, last: f64::NAN, some: Vec::new(), stride: 1 }
+        Self {
+            count: 0,
+            rolled_up: 0,
+            offered: 0,
+            min,
+            max,
+            sum: 0.0,
+            last: f64::NAN,
+            some: Vec::new(),
+            stride: 1,
+        }
     }
 }
 
 impl Gathered {
+    pub fn read(&mut self, reading: Reading) {
+        match reading {
+            Reading::Sample(value) => self.add(value),
+            Reading::RolledUp(Summary { count, min, max, sum, last }) => {
+                self.offer(last);
+                self.count += count;
+                self.rolled_up += count;
+                self.min = self.min.min(min);
+                self.max = self.max.max(max);
+                self.sum += sum;
+                self.last = last;
+            }
+        }
+    }
+
     pub fn add(&mut self, value: f64) {
-        if self.count.is_multiple_of(self.stride) {
+        self.offer(value);
+        self.count += 1;
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+        self.sum += value;
+        self.last = value;
+    }
+
+    /// Keeps a value for quantiles, or not.
+    fn offer(&mut self, value: f64) {
+        if self.offered.is_multiple_of(self.stride) {
             self.some.push(value);
             if self.some.len() == 2 * REMEMBERED {
                 let mut place = 0;
@@ -115,17 +161,13 @@ impl Gathered {
                 self.stride *= 2;
             }
         }
-        self.count += 1;
-        self.min = self.min.min(value);
-        self.max = self.max.max(value);
-        self.sum += value;
-        self.last = value;
+        self.offered += 1;
     }
 
     /// `None` without samples. Leaves nothing behind but memory.
     pub fn finish(&mut self, quantiles: &[f64]) -> Option<Values> {
         let mut some = std::mem::take(&mut self.some);
-        let Self { count, min, max, sum, last, .. } = std::mem::take(self);
+        let Self { count, rolled_up, min, max, sum, last, .. } = std::mem::take(self);
         some.sort_unstable_by(f64::total_cmp);
         let quantile = |share: &f64| {
             let rank = (share * some.len() as f64).ceil() as usize;
@@ -133,6 +175,7 @@ impl Gathered {
         };
         let values = (count > 0).then(|| Values {
             count,
+            rolled_up,
             min,
             max,
             mean: sum / count as f64,
@@ -175,13 +218,13 @@ impl Drawing {
     }
 
     /// Adds a sample that is no earlier than those before.
-    pub fn add(&mut self, t: i64, value: f64) {
+    pub fn read(&mut self, t: i64, reading: Reading) {
         let place = (t - self.from) / self.width;
         if place != self.current {
             self.close();
             self.current = place;
         }
-        self.gathered.add(value);
+        self.gathered.read(reading);
     }
 
     fn close(&mut self) {
@@ -232,7 +275,7 @@ mod tests {
         let (from, until) = (samples[0].0, samples[samples.len() - 1].0);
         let request = CurveRequest { points, quantiles: vec![0.0, 0.5, 1.0] };
         let mut drawing = Drawing::new(from, until, &request, gaps);
-        samples.iter().for_each(|(t, value)| drawing.add(*t, *value));
+        samples.iter().for_each(|(t, value)| drawing.read(*t, Reading::Sample(*value)));
         drawing.finish(FIGURE, until)
     }
 

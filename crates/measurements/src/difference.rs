@@ -244,7 +244,7 @@ impl Side {
                 let mut told = [LinkQuantity::Delay, LinkQuantity::Throughput].into_iter().map(|quantity| {
                     let (figure, mut gathered) =
                         (Figure::Link(link.clone(), direction, quantity), Gathered::default());
-                    store.values(run.id, &figure, EVER, &mut |_, value| gathered.add(value))?;
+                    store.values(run.id, &figure, EVER, &mut |_, reading| gathered.read(reading))?;
                     Ok(gathered.finish(&QUANTILES))
                 });
                 let (delay_ms, throughput_bps) =

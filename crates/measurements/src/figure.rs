@@ -239,7 +239,7 @@ impl Figure {
 }
 
 impl Kept<'_> {
-    /// Its rows in a span, as times and figures, for any engine. Parameters: run, from, until, the ids of the series'
+    /// Its rows in a span, as times and figures, for any engine. Parameters: run, from, until, the first `seq`, the ids of the series'
     /// columns, those of the names, that of the child's name. `join` keeps the order of two tables.
     pub fn sql(&self, join: &str) -> String {
         use std::fmt::Write as _;
@@ -252,7 +252,7 @@ impl Kept<'_> {
         if let Some((child, _)) = child {
             add(format_args!(" {join} \"{child}\" c ON c.run = e.run AND c.t_ns = e.t_ns AND c.seq = e.seq"));
         }
-        add(format_args!(" WHERE e.run = ? AND e.t_ns >= ? AND e.t_ns <= ?"));
+        add(format_args!(" WHERE e.run = ? AND e.t_ns >= ? AND e.t_ns <= ? AND e.seq >= ?"));
         let series = if self.series.is_some() { table.series } else { &[] };
         for column in series.iter().copied().chain(self.named.iter().map(|(column, _)| *column)) {
             add(format_args!(" AND e.{column} = ?"));

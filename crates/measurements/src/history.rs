@@ -307,7 +307,12 @@ impl History {
     ) -> Result<Curve> {
         let asked = span(&range);
         let samples = self.store.extent(run, figure.kept().kind, asked)?;
-        let (first, last) = samples.unwrap_or((asked.from, asked.until));
+        let (mut first, last) = samples.unwrap_or((asked.from, asked.until));
+        // What was rolled up began with its step, of which the last sample is left.
+        let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == figure.kept().kind);
+        if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && its.step_ns > 0) {
+            first -= first % its.step_ns.cast_signed();
+        }
         let from = if asked.from == 0 { first } else { asked.from };
         let until = if asked.until >= i64::MAX - 1 { last } else { asked.until };
         let gaps = self.gaps_over(run, Span { from, until })?;
@@ -317,7 +322,7 @@ impl History {
             return Ok(Curve { unit: figure.unit().to_owned(), figure: figure.clone(), quantiles, points });
         }
         let mut drawing = Drawing::new(from, until, request, gaps);
-        self.store.values(run, figure, Span { from, until }, &mut |t, value| drawing.add(t, value))?;
+        self.store.values(run, figure, Span { from, until }, &mut |t, reading| drawing.read(t, reading))?;
         Ok(drawing.finish(figure.clone(), until))
     }
 

@@ -12,6 +12,7 @@ use crate::{
     figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
+    rolled::Reading,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
@@ -177,13 +178,19 @@ impl Store for Memory {
         })
     }
 
-    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+    fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, Reading),
+    ) -> Result<()> {
         self.with(run, |recorded| {
             let wanted = within(span, PageRequest::default());
             for (cursor, event) in recorded.events.iter().filter(|(cursor, _)| wanted(cursor)) {
                 figure.of(event, |value| {
                     if !value.is_nan() {
-                        each(cursor.t, value);
+                        each(cursor.t, Reading::Sample(value));
                     }
                 });
             }

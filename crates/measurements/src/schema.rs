@@ -2,8 +2,12 @@
 //! MariaDB say otherwise (types, keys, storage) is put in its place here.
 
 /// From each schema version to the next. Never edit one that was released: append another.
-pub(crate) const MIGRATIONS: &[&str] =
-    &[include_str!("schema/1.sql"), include_str!("schema/2.sql"), include_str!("schema/3.sql")];
+pub(crate) const MIGRATIONS: &[&str] = &[
+    include_str!("schema/1.sql"),
+    include_str!("schema/2.sql"),
+    include_str!("schema/3.sql"),
+    include_str!("schema/4.sql"),
+];
 
 /// Length of a stretch of `presence`, nanoseconds.
 pub(crate) const STRETCH: i64 = 5_000_000_000;

@@ -7,6 +7,7 @@ mod read;
 mod spool;
 #[cfg(test)]
 mod tests;
+mod thin;
 mod write;
 
 use std::{
@@ -15,7 +16,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Stamped, Timestamp};
+use cotorra_graph::{Event, Stamped, Timestamp};
 use mysql::{Conn, Row, prelude::Queryable};
 
 use self::{
@@ -30,7 +31,9 @@ use crate::{
     figure::Figure,
     kind::Kind,
     location::Server,
-    page::{Page, PageRequest},
+    page::{Cursor, Page, PageRequest},
+    retention::{Retained, Thinned},
+    rolled::Reading,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
@@ -425,7 +428,13 @@ impl Store for Remote {
         self.read(|reader| reader.latest(run, at))
     }
 
-    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+    fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, Reading),
+    ) -> Result<()> {
         // Gathered first: a question that is asked again must not tell anything twice.
         let values = self.read(|reader| {
             let mut values = Vec::new();
@@ -438,5 +447,30 @@ impl Store for Remote {
 
     fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
         self.read(|reader| reader.extent(run, kind, span))
+    }
+
+    fn samples(
+        &self,
+        run: RunId,
+        kind: Kind,
+        span: Span,
+        after: Cursor,
+        limit: usize,
+        raw: bool,
+    ) -> Result<Vec<(Cursor, Event)>> {
+        self.read(|reader| reader.samples(run, kind, span, after, limit, raw))
+    }
+
+    fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
+        self.read(|reader| reader.retained(run))
+    }
+
+    fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
+        // Thinned twice, because nobody heard of the first time, is thinned once.
+        self.read(|reader| reader.thin(run, kind, thinned))
+    }
+
+    fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
+        self.read(|reader| reader.note_retained(run, retained))
     }
 }

@@ -5,6 +5,7 @@ mod read;
 mod rows;
 #[cfg(test)]
 mod tests;
+mod thin;
 mod write;
 
 use std::{
@@ -13,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Stamped, Timestamp};
+use cotorra_graph::{Event, Stamped, Timestamp};
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionBehavior, params};
 
 use self::{read::Reader, write::Writer};
@@ -21,7 +22,9 @@ use crate::{
     error::{Error, Result},
     figure::Figure,
     kind::Kind,
-    page::{Page, PageRequest},
+    page::{Cursor, Page, PageRequest},
+    retention::{Retained, Thinned},
+    rolled::Reading,
     schema::MIGRATIONS,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
@@ -235,11 +238,41 @@ impl Store for Sqlite {
         self.read(|reader| reader.latest(run, at))
     }
 
-    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+    fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, Reading),
+    ) -> Result<()> {
         self.read(|reader| reader.values(run, figure, span, each))
     }
 
     fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
         self.read(|reader| reader.extent(run, kind, span))
+    }
+
+    fn samples(
+        &self,
+        run: RunId,
+        kind: Kind,
+        span: Span,
+        after: Cursor,
+        limit: usize,
+        raw: bool,
+    ) -> Result<Vec<(Cursor, Event)>> {
+        self.read(|reader| reader.samples(run, kind, span, after, limit, raw))
+    }
+
+    fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
+        self.read(|reader| reader.retained(run))
+    }
+
+    fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
+        self.write(|writer| thin::thin(&mut writer.connection, run, kind, thinned))
+    }
+
+    fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
+        self.write(|writer| thin::note_retained(&writer.connection, run, retained))
     }
 }

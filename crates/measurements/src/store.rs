@@ -3,14 +3,17 @@
 
 use std::{fmt, str::FromStr};
 
-use cotorra_graph::{Stamped, Timestamp};
+use cotorra_graph::{Event, Stamped, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::{
     error::Result,
     figure::Figure,
     kind::{Kind, Series},
-    page::{Page, PageRequest},
+    page::{Cursor, Page, PageRequest},
+    retention::{Retained, Thinned},
+    rolled::Reading,
+    schema::STRETCH,
 };
 
 /// Names a run within its history.
@@ -88,6 +91,17 @@ pub(crate) enum Selection<'a> {
     Series(Series),
 }
 
+/// Of samples `e` of a kind: only those that no rolled-up step has. `over` divides whole numbers.
+pub(crate) fn not_rolled_up(kind: Kind, over: &str) -> String {
+    let series = crate::codec::table(kind).series;
+    let b = series.get(1).map_or("0".to_owned(), |column| format!("e.{column}"));
+    format!(
+        " AND NOT EXISTS (SELECT 1 FROM rolled_up u WHERE u.run = e.run AND u.kind = {} AND u.a = e.{} AND u.b = {b}
+          AND u.stretch = e.t_ns {over} {STRETCH} AND u.next_seq > e.seq)",
+        kind as i64, series[0],
+    )
+}
+
 /// A span of time, both ends within, in nanoseconds since the run began.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Span {
@@ -135,11 +149,48 @@ pub(crate) trait Store: Send + Sync {
     /// The last event of each series at a time or before.
     fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>>;
 
-    /// Calls `each` with the times and values of a figure in a span, in order; what is no number is left out.
-    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()>;
+    /// Calls `each` with the times and values of a figure in a span, in order; what is no number is left out. What was
+    /// rolled up is told at the time of the last sample of its step.
+    fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, Reading),
+    ) -> Result<()>;
 
     /// Times of the first and the last event of a kind in a span.
     fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>>;
+
+    // Below: retention. What keeps everything needs none of it.
+
+    /// Samples of a kind in a span and behind a cursor, in order; `raw` leaves out those that rolled-up steps have.
+    fn samples(
+        &self,
+        _run: RunId,
+        _kind: Kind,
+        _span: Span,
+        _after: Cursor,
+        _limit: usize,
+        _raw: bool,
+    ) -> Result<Vec<(Cursor, Event)>> {
+        Ok(Vec::new())
+    }
+
+    /// Leaves of some series what they are thinned to: all or nothing, and nothing if some of what is to go is gone.
+    fn thin(&self, _run: RunId, _kind: Kind, _thinned: &[Thinned]) -> Result<()> {
+        Ok(())
+    }
+
+    /// How far samples of a run were rolled up, by kind.
+    fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
+        self.run(run).map(|_| Vec::new())
+    }
+
+    /// Notes how far samples of a kind were rolled up.
+    fn note_retained(&self, _run: RunId, _retained: &Retained) -> Result<()> {
+        Ok(())
+    }
 }
 
 #[cfg(test)]

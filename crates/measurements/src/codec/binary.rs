@@ -95,6 +95,11 @@ impl Bytes<'_> {
         Err(unreadable("an integer has no end"))
     }
 
+    /// So many bytes as they are.
+    pub fn plain_bytes(&mut self, count: i64) -> Answer<&[u8]> {
+        self.take(usize::try_from(count).unwrap_or(usize::MAX))
+    }
+
     /// Passes so many integers.
     pub fn skip(&mut self, integers: usize) -> Answer<()> {
         let mut left = integers;

@@ -108,7 +108,13 @@ impl Store for Moody {
         self.memory.latest(run, at)
     }
 
-    fn values(&self, run: RunId, figure: &Figure, span: Span, each: &mut dyn FnMut(i64, f64)) -> Result<()> {
+    fn values(
+        &self,
+        run: RunId,
+        figure: &Figure,
+        span: Span,
+        each: &mut dyn FnMut(i64, crate::rolled::Reading),
+    ) -> Result<()> {
         self.memory.values(run, figure, span, each)
     }
 

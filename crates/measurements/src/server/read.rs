@@ -7,10 +7,13 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Conditions, Stamped, Timestamp};
+use cotorra_graph::{Conditions, Event, Stamped, Timestamp};
 use mysql::{Conn, Params, Row, Value as Sql, prelude::Queryable};
 
-use super::connection::{Fallible, columns, engine_error, quoted};
+use super::{
+    connection::{Fallible, columns, engine_error, quoted},
+    thin,
+};
 use crate::{
     chunk::{self, Part},
     codec::{self, ReadError, Source},
@@ -18,8 +21,10 @@ use crate::{
     figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
+    retention::{Retained, Thinned},
+    rolled::{self, Of, Reading},
     schema::STRETCH,
-    store::{Gap, RunId, Selection, Span},
+    store::{Gap, RunId, Selection, Span, not_rolled_up},
 };
 
 /// More names or conditions are not remembered.
@@ -211,13 +216,13 @@ impl Reader {
         run: RunId,
         figure: &Figure,
         span: Span,
-        each: &mut dyn FnMut(i64, f64),
+        each: &mut dyn FnMut(i64, Reading),
     ) -> Result<()> {
         let kept = figure.kept();
         let sql = kept.sql("STRAIGHT_JOIN");
-        let mut each = |t: i64, value: f64| {
-            if (span.from..=span.until).contains(&t) && !value.is_nan() {
-                each(t, value * kept.factor);
+        let mut each = |t: i64, reading: Reading| {
+            if (span.from..=span.until).contains(&t) && reading.is_number() {
+                each(t, reading.scaled(kept.factor));
             }
         };
         self.ask_of(run, || {
@@ -229,7 +234,8 @@ impl Reader {
                 }
             }
             let Some(series) = &kept.series else {
-                return self.rows_of(&sql, [run.0, span.from, span.until], &named, &mut each);
+                let mut each = |t, value| each(t, Reading::Sample(value));
+                return self.rows_of(&sql, [run.0, span.from, span.until, 0], &named, &mut each);
             };
             let Some(ids) = self.ids(series)? else { return Ok(()) };
             let named = [&ids[..codec::table(kept.kind).series.len()], &named].concat();
@@ -237,11 +243,17 @@ impl Reader {
                 None => chunk::column(kept.kind, kept.column),
                 Some(_) => named.last().map(|id| Part::Children(*id)),
             };
+            let of = match (part, kept.child) {
+                (Some(Part::Column(place)), _) => Of::Column(place),
+                (_, child) => Of::Child(child.map(|(_, name)| name.to_owned()).unwrap_or_default()),
+            };
             let mut next = span.from / STRETCH;
             loop {
                 let stretches = self.rows(
-                    "SELECT p.stretch, c.samples FROM presence p LEFT JOIN chunk c
+                    "SELECT p.stretch, c.samples, r.next_seq, r.steps FROM presence p LEFT JOIN chunk c
                      ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
+                 LEFT JOIN rolled_up r
+                 ON r.run = p.run AND r.kind = p.kind AND r.a = p.a AND r.b = p.b AND r.stretch = p.stretch
                      WHERE p.run = ? AND p.kind = ? AND p.a = ? AND p.b = ? AND p.stretch >= ? AND p.stretch <= ?
                      ORDER BY p.stretch LIMIT ?",
                     (run.0, kept.kind as i64, ids[0], ids[1], next, span.until / STRETCH, STRETCHES),
@@ -249,14 +261,22 @@ impl Reader {
                 for row in &stretches {
                     let stretch = integer(row, 0)?;
                     next = stretch + 1;
-                    let told = match (part, row.as_ref(1)) {
-                        (Some(part), Some(Sql::Bytes(samples))) => chunk::read(samples, part, &mut each)?,
-                        _ => false,
-                    };
-                    if !told {
+                    let raw = |first, each: &mut dyn FnMut(i64, f64)| {
+                        if let (Some(part), Some(Sql::Bytes(samples))) = (part, row.as_ref(1))
+                            && chunk::read(samples, part, &mut *each)?
+                        {
+                            return Ok(());
+                        }
                         let from = span.from.max(stretch * STRETCH);
                         let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
-                        self.rows_of(&sql, [run.0, from, until], &named, &mut each)?;
+                        self.rows_of(&sql, [run.0, from, until, first], &named, each)
+                    };
+                    match row.as_ref(3) {
+                        Some(Sql::Bytes(steps)) => {
+                            let first = integer(row, 2)?;
+                            rolled::merged(steps, &of, |each| raw(first, each), &mut each)?;
+                        }
+                        _ => raw(0, &mut |t, value| each(t, Reading::Sample(value)))?,
                     }
                 }
                 if (stretches.len() as u64) < STRETCHES {
@@ -267,7 +287,7 @@ impl Reader {
     }
 
     /// Times and figures that a statement finds, one after the other.
-    fn rows_of(&self, sql: &str, of: [i64; 3], named: &[i64], each: &mut dyn FnMut(i64, f64)) -> Answer<()> {
+    fn rows_of(&self, sql: &str, of: [i64; 4], named: &[i64], each: &mut dyn FnMut(i64, f64)) -> Answer<()> {
         let parameters = of.iter().chain(named).map(|n| Sql::Int(*n)).collect();
         let mut connection = self.connection.borrow_mut();
         for row in self.engine(connection.exec_iter(sql, Params::Positional(parameters)))? {
@@ -279,6 +299,67 @@ impl Reader {
             each(integer(&row, 0)?, value.unwrap_or(f64::NAN));
         }
         Ok(())
+    }
+
+    /// Samples of a kind, and where they belong; without those that rolled-up steps have, if `raw`.
+    pub fn samples(
+        &self,
+        run: RunId,
+        kind: Kind,
+        span: Span,
+        after: Cursor,
+        limit: usize,
+        raw: bool,
+    ) -> Result<Vec<(Cursor, Event)>> {
+        let names = codec::table(kind).columns.iter().map(|column| format!("e.{}", quoted(column)));
+        let sql = format!(
+            "SELECT e.t_ns, e.seq, {} FROM {} e WHERE e.run = ? AND e.t_ns >= ? AND (e.t_ns > ? OR e.seq > ?)
+             AND e.t_ns <= ?{} ORDER BY e.t_ns, e.seq LIMIT ?",
+            names.collect::<Vec<_>>().join(", "),
+            quoted(kind.as_str()),
+            if raw { not_rolled_up(kind, "DIV") } else { String::new() },
+        );
+        self.ask_of(run, || {
+            let rows = self.rows(&sql, (run.0, after.t, after.t, after.seq, span.until, limit))?;
+            let found =
+                rows.into_iter().map(|row| Ok((cursor(&row)?, kind, row))).collect::<Answer<Vec<Found>>>()?;
+            let events = self.decode(run, &found)?;
+            let cursors = found.iter().map(|(cursor, ..)| *cursor);
+            Ok(cursors.zip(events.into_iter().map(|stamped| stamped.event)).collect())
+        })
+    }
+
+    /// Leaves of some series what they are thinned to.
+    pub fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
+        let known = self.ask_of(run, || {
+            let mut known = Vec::new();
+            for its in thinned {
+                if let Some(ids) = self.ids(&its.series)? {
+                    known.push((its, ids));
+                }
+            }
+            Ok(known)
+        })?;
+        thin::thin(&mut self.connection.borrow_mut(), run, kind, &known)
+            .map_err(|e| engine_error(&self.history, e))
+    }
+
+    /// How far samples of a run were rolled up.
+    pub fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
+        let sql =
+            "SELECT kind, rolled_up_to_ns, step_ns, dropped_to_ns FROM retained WHERE run = ? ORDER BY kind";
+        self.ask_of(run, || {
+            let of = |row: &Row| {
+                Ok(Retained::of([integer(row, 0)?, integer(row, 1)?, integer(row, 2)?, integer(row, 3)?]))
+            };
+            self.rows(sql, (run.0,))?.iter().filter_map(|row| of(row).transpose()).collect()
+        })
+    }
+
+    /// Notes how far samples of a kind were rolled up.
+    pub fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
+        thin::note_retained(&mut self.connection.borrow_mut(), run, retained)
+            .map_err(|e| engine_error(&self.history, e))
     }
 
     pub fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {

@@ -368,8 +368,8 @@ fn insert(
 
 fn inserting(table: &str, names: &[&str], rows: usize) -> String {
     let row = format!("({})", vec!["?"; names.len()].join(", "));
-    // What is noted of a stretch may be noted already.
-    let verb = if table == "presence" { "INSERT IGNORE" } else { "INSERT" };
+    // What is noted of a stretch may be noted already, and be rolled up since.
+    let verb = if matches!(table, "presence" | "chunk") { "INSERT IGNORE" } else { "INSERT" };
     format!(
         "{verb} INTO {} ({}) VALUES {}",
         quoted(table),

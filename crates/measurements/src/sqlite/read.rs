@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{Conditions, Stamped, Timestamp};
+use cotorra_graph::{Conditions, Event, Stamped, Timestamp};
 use rusqlite::{
     CachedStatement, Connection, OpenFlags, OptionalExtension, Row, Rows,
     config::DbConfig,
@@ -16,7 +16,7 @@ use rusqlite::{
     types::{FromSql, ValueRef},
 };
 
-use super::{BUSY, Fallible, engine_error};
+use super::{BUSY, Fallible, engine_error, thin};
 use crate::{
     chunk::{self, Part},
     codec::{self, ReadError, Source},
@@ -24,8 +24,10 @@ use crate::{
     figure::Figure,
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
+    retention::Retained,
+    rolled::{self, Of, Reading},
     schema::STRETCH,
-    store::{Gap, RunId, Selection, Span},
+    store::{Gap, RunId, Selection, Span, not_rolled_up},
 };
 
 /// More conditions are not remembered.
@@ -326,13 +328,13 @@ impl Reader {
         run: RunId,
         figure: &Figure,
         span: Span,
-        each: &mut dyn FnMut(i64, f64),
+        each: &mut dyn FnMut(i64, Reading),
     ) -> Result<()> {
         let kept = figure.kept();
         let sql = kept.sql("CROSS JOIN");
-        let mut each = |t: i64, value: f64| {
-            if (span.from..=span.until).contains(&t) && !value.is_nan() {
-                each(t, value * kept.factor);
+        let mut each = |t: i64, reading: Reading| {
+            if (span.from..=span.until).contains(&t) && reading.is_number() {
+                each(t, reading.scaled(kept.factor));
             }
         };
         self.ask(run, || {
@@ -345,7 +347,8 @@ impl Reader {
             }
             let mut statement = self.engine(self.connection.prepare_cached(&sql))?;
             let Some(series) = &kept.series else {
-                return self.rows_of(&mut statement, [run.0, span.from, span.until], &named, &mut each);
+                let mut each = |t, value| each(t, Reading::Sample(value));
+                return self.rows_of(&mut statement, [run.0, span.from, span.until, 0], &named, &mut each);
             };
             let Some(ids) = self.ids(series)? else { return Ok(()) };
             let width = codec::table(kept.kind).series.len();
@@ -354,9 +357,15 @@ impl Reader {
                 None => chunk::column(kept.kind, kept.column),
                 Some(_) => named.last().map(|id| Part::Children(*id)),
             };
+            let of = match (part, kept.child) {
+                (Some(Part::Column(place)), _) => Of::Column(place),
+                (_, child) => Of::Child(child.map(|(_, name)| name.to_owned()).unwrap_or_default()),
+            };
             let mut stretches = self.engine(self.connection.prepare_cached(
-                "SELECT p.stretch, c.samples FROM presence p LEFT JOIN chunk c
+                "SELECT p.stretch, c.samples, r.next_seq, r.steps FROM presence p LEFT JOIN chunk c
                  ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
+                 LEFT JOIN rolled_up r
+                 ON r.run = p.run AND r.kind = p.kind AND r.a = p.a AND r.b = p.b AND r.stretch = p.stretch
                  WHERE p.run = ?1 AND p.kind = ?2 AND p.a = ?3 AND p.b = ?4 AND p.stretch >= ?5 AND p.stretch <= ?6
                  ORDER BY p.stretch",
             ))?;
@@ -366,14 +375,22 @@ impl Reader {
             while let Some(row) = self.engine(rows.next())? {
                 let stretch: i64 = self.engine(row.get(0))?;
                 let samples = self.engine(row.get_ref(1))?;
-                let told = match (part, samples) {
-                    (Some(part), ValueRef::Blob(samples)) => chunk::read(samples, part, &mut each)?,
-                    _ => false,
-                };
-                if !told {
+                let mut raw = |first, each: &mut dyn FnMut(i64, f64)| {
+                    if let (Some(part), ValueRef::Blob(samples)) = (part, samples)
+                        && chunk::read(samples, part, &mut *each)?
+                    {
+                        return Ok(());
+                    }
                     let from = span.from.max(stretch * STRETCH);
                     let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
-                    self.rows_of(&mut statement, [run.0, from, until], &named, &mut each)?;
+                    self.rows_of(&mut statement, [run.0, from, until, first], &named, each)
+                };
+                match self.engine(row.get_ref(3))? {
+                    ValueRef::Blob(steps) => {
+                        let first = self.engine(row.get(2))?;
+                        rolled::merged(steps, &of, |each| raw(first, each), &mut each)?;
+                    }
+                    _ => raw(0, &mut |t, value| each(t, Reading::Sample(value)))?,
                 }
             }
             Ok(())
@@ -384,7 +401,7 @@ impl Reader {
     fn rows_of(
         &self,
         statement: &mut CachedStatement<'_>,
-        of: [i64; 3],
+        of: [i64; 4],
         named: &[i64],
         each: &mut dyn FnMut(i64, f64),
     ) -> std::result::Result<(), ReadError> {
@@ -400,6 +417,41 @@ impl Reader {
             Ok(())
         };
         self.engine(ask())
+    }
+
+    /// Samples of a kind, and where they belong; without those that rolled-up steps have, if `raw`.
+    pub fn samples(
+        &self,
+        run: RunId,
+        kind: Kind,
+        span: Span,
+        after: Cursor,
+        limit: usize,
+        raw: bool,
+    ) -> Result<Vec<(Cursor, Event)>> {
+        let sql = format!(
+            "SELECT e.t_ns, e.seq, {} FROM {} e WHERE e.run = ?1 AND (e.t_ns, e.seq) > (?2, ?3) AND e.t_ns <= ?4{}
+             ORDER BY e.t_ns, e.seq LIMIT ?5",
+            columns(kind, "e."),
+            kind.as_str(),
+            if raw { not_rolled_up(kind, "/") } else { String::new() },
+        );
+        self.ask(run, || {
+            let mut statement = self.engine(self.connection.prepare_cached(&sql))?;
+            let asked = params![run.0, after.t, after.seq, span.until, limit as i64];
+            let mut rows = self.engine(statement.query(asked))?;
+            let mut found = Vec::new();
+            while let Some(row) = self.engine(rows.next())? {
+                let cursor = self.engine(cursor(row))?;
+                found.push((cursor, self.stamped(run, kind, cursor, row)?.event));
+            }
+            Ok(found)
+        })
+    }
+
+    /// How far samples of a run were rolled up.
+    pub fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
+        self.ask(run, || self.engine(thin::retained(&self.connection, run)))
     }
 
     pub fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {

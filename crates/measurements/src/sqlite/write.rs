@@ -307,9 +307,10 @@ impl<'t> Batch<'t> {
         if let Some((run, stretch)) = before
             && let Some(chunk) = known.chunk.take().and_then(|chunk| chunk.finish(kind))
         {
+            // There is one if it was rolled up since.
             self.transaction
                 .prepare_cached(
-                    "INSERT INTO chunk (run, kind, a, b, stretch, samples) VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                    "INSERT OR IGNORE INTO chunk (run, kind, a, b, stretch, samples) VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
                 )?
                 .execute(params![run.0, kind as i64, a, b, stretch, chunk])?;
         }

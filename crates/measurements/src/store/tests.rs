@@ -11,6 +11,7 @@ use crate::{
     error::Error,
     location::Location,
     memory::Memory,
+    rolled::Reading,
     server::Remote,
     sqlite::Sqlite,
     testing::{figure, mariadb::MariaDb, run_info, stamped, time},
@@ -207,7 +208,9 @@ fn tells_figures() {
                 figure.of(&stamped.event, |value| wanted.push((stamped.at.as_nanos() as i64, value)));
             }
             let mut found = Vec::new();
-            store.values(run, &figure, span(*from, *until), &mut |t, value| found.push((t, value))).unwrap();
+            store
+                .values(run, &figure, span(*from, *until), &mut |t, value| found.push((t, raw(value))))
+                .unwrap();
             prop_assert_eq!(found, wanted, "{}", figure);
         }
         for kind in Kind::ALL {
@@ -219,6 +222,14 @@ fn tells_figures() {
         }
         Ok(())
     });
+}
+
+/// A sample as it was recorded.
+fn raw(reading: Reading) -> f64 {
+    match reading {
+        Reading::Sample(value) => value,
+        Reading::RolledUp(summary) => panic!("nothing was rolled up, but {summary:?}"),
+    }
 }
 
 /// Processes that record the same series of the same run: none packs what it does not know all of.
@@ -250,7 +261,7 @@ fn two_that_record_one_run_lose_nothing() {
         let figure = Figure::Load(cotorra_graph::NodeId::new("ap1").unwrap());
         for store in [&*store, &*other] {
             let mut found = Vec::new();
-            store.values(run, &figure, ALL, &mut |_, value| found.push(value)).unwrap();
+            store.values(run, &figure, ALL, &mut |_, value| found.push(raw(value))).unwrap();
             assert_eq!(found, (0..100).map(f64::from).collect::<Vec<_>>());
         }
     }

@@ -1,0 +1,259 @@
+//! Samples that are rolled up are counted once, whatever happens meanwhile: in a file and in a server, by a process that
+//! is killed, and with samples that come late.
+#![allow(clippy::unwrap_used, reason = "a test says so by failing")]
+
+#[path = "../src/testing/mariadb.rs"]
+mod mariadb;
+
+use std::{
+    io::{BufRead, BufReader, Write},
+    process::{Command, Stdio},
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::{
+    Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
+    PoseSource, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
+};
+use cotorra_measurements::{
+    CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, Retention, RunId, RunInfo, Values,
+};
+use mariadb::MariaDb;
+
+const PATH: &str = "COTORRA_TEST_HISTORY";
+const RUN: &str = "COTORRA_TEST_RUN";
+
+/// Ten samples a second.
+const TICK: u64 = 100_000_000;
+const SECONDS: u64 = 120;
+const SAMPLES: u64 = SECONDS * 10;
+
+const RETENTION: Retention =
+    Retention { raw: Duration::from_secs(30), step: Duration::from_secs(1), keep: None };
+
+fn at(n: u64) -> Timestamp {
+    Timestamp::from_nanos(n * TICK)
+}
+
+fn link(name: &str, n: u64) -> Stamped {
+    let context = LinkContext {
+        link: LinkId::new(name).unwrap(),
+        direction: Direction::Forward,
+        // Nothing crosses now and then.
+        delay: (!n.is_multiple_of(7)).then(|| Duration::from_micros(1000 + n * 37 % 501)),
+        throughput_bps: n as f64,
+        asked: Conditions::default(),
+        scale: Scale::default(),
+        effective: Conditions::default(),
+        counters: LinkCounters::default(),
+    };
+    Stamped { at: at(n), event: Event::Link(context) }
+}
+
+fn robot(n: u64) -> Stamped {
+    let pose =
+        Pose { x: n as f64, y: 0.5, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let heard = |(name, signal): (&str, f64)| Attachment {
+        radio_unit: NodeId::new(name).unwrap(),
+        attached: name == "R1",
+        signal: (!n.is_multiple_of(3)).then_some(Dbm(signal)),
+    };
+    let context = RobotContext {
+        robot: NodeId::new("robot").unwrap(),
+        attachments: [("R1", -50.0 - n as f64 * 0.01), ("R2", -70.0)].map(heard).into(),
+        sensors: SensorData {
+            pose,
+            odometry: pose,
+            velocity: Velocity::default(),
+            bumper: false,
+            nearest_obstacle_m: None,
+        },
+        waypoint: 0,
+    };
+    Stamped { at: at(n), event: Event::Robot(context) }
+}
+
+/// A run of two links and a robot.
+fn recorded(history: &History, ended: bool) -> RunId {
+    let info = RunInfo { name: "old".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
+    let run = history.begin_run(&info).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    for n in 0..SAMPLES {
+        [link("a-b", n), link("b-c", n), robot(n)].into_iter().for_each(|s| recorder.record(s));
+    }
+    recorder.flush().unwrap();
+    if ended {
+        history.end_run(run, at(SAMPLES)).unwrap();
+    }
+    run
+}
+
+/// All engines that there are.
+fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> {
+    let mut all = Vec::new();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite").display().to_string();
+    all.push((History::open(&path).unwrap(), path, None, folder));
+    if let Some(server) = MariaDb::shared() {
+        let url = server.fresh();
+        let history = History::connect(&url.parse::<Location>().unwrap()).unwrap();
+        all.push((history, url, Some(server), tempfile::tempdir().unwrap()));
+    }
+    all
+}
+
+const FIGURES: [&str; 5] = ["delay:a-b", "throughput:b-c", "x:robot", "signal:robot:R1", "signal:robot:R2"];
+
+fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Values> {
+    let figure: Figure = figure.parse().unwrap();
+    let request = CurveRequest { points, quantiles: vec![0.5] };
+    let curve = history.curve(run, &figure, at(0)..at(SAMPLES), &request).unwrap();
+    curve.points.into_iter().filter_map(|point| point.values).collect()
+}
+
+fn prune(history: &History, run: RunId, retention: &Retention, dry: bool) -> Pruned {
+    let mut all = Pruned::default();
+    for kind in Retention::KINDS {
+        let pruned = history.retain(run, kind, retention, at(SAMPLES), dry, || true).unwrap();
+        all.rolled_up += pruned.rolled_up;
+        all.points += pruned.points;
+        all.dropped += pruned.dropped;
+    }
+    all
+}
+
+/// What does not depend on how it is kept. Sums may differ in the last bits.
+fn exact(values: &Values) -> (u64, f64, f64, i64, f64) {
+    (values.count, values.min, values.max, (values.mean * 1e6).round() as i64, values.last)
+}
+
+#[test]
+fn figures_are_the_same_before_and_after() {
+    let mut told = Vec::new();
+    for (history, ..) in engines() {
+        let run = recorded(&history, true);
+        let other = recorded(&history, true);
+        let before = FIGURES.map(|figure| [12, 1].map(|points| curve(&history, run, figure, points)));
+        let state = |seconds: u64| history.state_at(run, at(seconds * 10 - 1)).unwrap();
+        let states = [1, 60, 120].map(state);
+
+        let would = prune(&history, run, &RETENTION, true);
+        assert!(history.retained(run).unwrap().is_empty(), "a dry run changes nothing");
+        let did = prune(&history, run, &RETENTION, false);
+        assert_eq!(would, did);
+        assert_eq!((did.rolled_up, did.points, did.dropped), (3 * 900, 3 * 90, 0));
+        assert_eq!(prune(&history, run, &RETENTION, false), Pruned::default(), "once is enough");
+
+        let after = FIGURES.map(|figure| [12, 1].map(|points| curve(&history, run, figure, points)));
+        for (before, after) in before.iter().flatten().flatten().zip(after.iter().flatten().flatten()) {
+            assert_eq!(exact(before), exact(after));
+            assert_eq!(before.rolled_up, 0);
+        }
+        let delays = &after[0][0];
+        assert_eq!((delays[0].rolled_up, delays[11].rolled_up), (delays[0].count, 0));
+        assert_eq!([1, 60, 120].map(state), states, "at the end of a step, the state is what it was");
+        let kept = history.events(run, &[Kind::Link], .., PageRequest::first(10_000)).unwrap().items;
+        assert_eq!(kept.len(), 2 * (90 + 300));
+        let retained = history.retained(run).unwrap();
+        let told_of: Vec<_> = retained.iter().map(|r| (r.kind, r.rolled_up_to, r.step_ns)).collect();
+        assert_eq!(told_of, [Kind::Robot, Kind::Link].map(|kind| (kind, at(900), 1_000_000_000)));
+        let difference = history.difference(run, other).unwrap();
+        for entry in &difference.links {
+            let [a, b] = entry.runs.each_ref().map(|its| its.as_ref().unwrap().delay_ms.as_ref().unwrap());
+            assert_eq!(exact(a), exact(b));
+        }
+
+        // The last bits of the past go.
+        let short = Retention { keep: Some(Duration::from_secs(60)), ..RETENTION };
+        let dropped = prune(&history, run, &short, false);
+        assert_eq!((dropped.rolled_up, dropped.dropped), (0, 3 * 60));
+        let rest = curve(&history, run, "x:robot", 1);
+        assert_eq!((rest[0].count, rest[0].min), (600, 600.0));
+        assert_eq!(history.retained(run).unwrap()[0].dropped_to, at(600));
+        assert_eq!(exact(&curve(&history, other, "x:robot", 1)[0]), exact(&before[2][1][0]));
+        told.push((format!("{after:?}"), kept));
+    }
+    assert!(told.windows(2).all(|two| two[0] == two[1]), "every engine gives the same answers");
+}
+
+#[test]
+fn what_comes_late_is_counted_once() {
+    for (history, ..) in engines() {
+        let run = recorded(&history, false);
+        prune(&history, run, &RETENTION, false);
+        // A clock that steps back, into what was rolled up.
+        let recorder = history.recorder(run).unwrap();
+        for n in [55, 57, 305] {
+            recorder.record(link("b-c", n));
+        }
+        recorder.flush().unwrap();
+        let values = &curve(&history, run, "throughput:b-c", 1)[0];
+        assert_eq!((values.count, values.rolled_up), (SAMPLES + 3, 900));
+        let sum: u64 = (0..SAMPLES).sum::<u64>() + 55 + 57 + 305;
+        assert!((values.mean * values.count as f64 - sum as f64).abs() < 1e-3);
+        let series = history
+            .link_series(run, &LinkId::new("b-c").unwrap(), Direction::Forward, .., PageRequest::first(5000))
+            .unwrap();
+        assert!(series.items.iter().any(|sample| sample.at == at(57)));
+    }
+}
+
+#[test]
+fn a_run_that_goes_on_keeps_its_last_seconds() {
+    let engines = engines();
+    let history = &engines[0].0;
+    let run = recorded(history, false);
+    let now_only = Retention { raw: Duration::ZERO, ..RETENTION };
+    history.retain(run, Kind::Robot, &now_only, at(SAMPLES), false, || true).unwrap();
+    assert!(history.retained(run).unwrap()[0].rolled_up_to <= at(SAMPLES - 100));
+}
+
+/// The process that is killed.
+#[test]
+#[ignore = "is started and killed by the test below"]
+fn prunes_until_it_is_killed() {
+    let Ok(location) = std::env::var(PATH) else { return };
+    let run: RunId = std::env::var(RUN).unwrap().parse().unwrap();
+    let history = History::connect(&location.parse().unwrap()).unwrap();
+    let mut out = std::io::stdout();
+    for kind in Retention::KINDS {
+        let go_on = || writeln!(out, "\nslice").is_ok();
+        history.retain(run, kind, &RETENTION, at(SAMPLES), false, go_on).unwrap();
+    }
+    writeln!(out, "\ndone").unwrap();
+}
+
+#[test]
+fn kill_9_leaves_either_samples_or_points() {
+    for (history, location, ..) in engines() {
+        let run = recorded(&history, true);
+        let before = FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0]));
+        for round in 0..100_u64 {
+            let mut child = Command::new(std::env::current_exe().unwrap())
+                .args(["prunes_until_it_is_killed", "--exact", "--ignored", "--nocapture"])
+                .env(PATH, &location)
+                .env(RUN, run.to_string())
+                .stdout(Stdio::piped())
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap();
+            let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+            let slices = lines.by_ref().filter(|line| line == "slice" || line == "done");
+            // A little later each time, in the middle of whatever it does.
+            let last = slices.take(2 + round as usize % 3).last();
+            child.kill().unwrap();
+            child.wait().unwrap();
+            assert_eq!(FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0])), before);
+            let done = last.as_deref() == Some("done") || lines.any(|line| line == "done");
+            if done {
+                break;
+            }
+            assert!(round < 99, "it never comes to an end");
+        }
+        prune(&history, run, &RETENTION, false);
+        assert_eq!(FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0])), before);
+        let all = history.events(run, &[], .., PageRequest::first(10_000)).unwrap().items;
+        assert_eq!(all.len(), 3 * (90 + 300));
+    }
+}
