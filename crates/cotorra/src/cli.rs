@@ -182,7 +182,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --foxglove
   cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
-  COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra run testbeds/corridor.yaml
+  COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
@@ -206,8 +206,8 @@ pub struct RunArgs {
     pub out: PathBuf,
     /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
     ///
-    /// Several runs can share one. A server is named as mysql://USER:PASSWORD@HOST:PORT/DATABASE; in the environment
-    /// variable COTORRA_HISTORY its password is seen by nobody else.
+    /// Several runs can share one. A server is named as mysql://USER@HOST:PORT/DATABASE, and its password in the environment
+    /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Write plain lines in place of the live view
@@ -346,8 +346,8 @@ pub struct OkpiArgs {
     pub out: PathBuf,
     /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
     ///
-    /// Several runs can share one. A server is named as mysql://USER:PASSWORD@HOST:PORT/DATABASE; in the environment
-    /// variable COTORRA_HISTORY its password is seen by nobody else.
+    /// Several runs can share one. A server is named as mysql://USER@HOST:PORT/DATABASE, and its password in the environment
+    /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Write plain lines in place of the live view
@@ -433,7 +433,8 @@ Examples:
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest
   cotorra history export latest --format parquet --out exported
-  COTORRA_HISTORY=mysql://ana:secret@db.lab/cotorra cotorra history events 7";
+  cotorra history prune latest --raw 1h
+  COTORRA_HISTORY_PASSWORD=secret cotorra history events 7 --history mysql://ana@db.lab/cotorra";
 
 /// What a history can be asked.
 #[derive(Debug, Subcommand)]
@@ -451,6 +452,47 @@ pub enum History {
     Gaps(GapsArgs),
     Export(ExportArgs),
     Import(ImportArgs),
+    Prune(PruneArgs),
+}
+
+/// Roll old samples up to points, one for each step of time, and drop what is older still
+///
+/// Of samples that are older than --raw there is left, for each robot, radio unit and direction of a link and each step,
+/// the last sample, and the count, least, greatest and mean of all. Everything that happened otherwise is kept. It says what
+/// it would do, and does it with --yes. Without --raw it keeps to what the run's testbed file says under history.retention.
+///
+/// Age counts to now; in virtual time, to the run's end. It can be stopped at any time, and goes on where it was; runs may
+/// go on meanwhile.
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "\
+Examples:
+  cotorra history prune latest
+  cotorra history prune latest --raw 1h
+  cotorra history prune latest --raw 1h --step 10s --kinds link --yes
+  cotorra history prune all --history runs/all.sqlite --raw 24h --keep 720h --yes",
+    visible_alias = "roll-up"
+)]
+pub struct PruneArgs {
+    /// The run, or `all` of the history that --history names
+    pub run: String,
+    /// Keep samples so long as they were recorded, such as 90s, 10min or 24h
+    #[arg(long, value_name = "DURATION", value_parser = parse_time)]
+    pub raw: Option<Duration>,
+    /// Then one point for each step of time, which divides a minute
+    #[arg(long, value_name = "DURATION", value_parser = parse_step, default_value = "1s", requires = "raw")]
+    pub step: Duration,
+    /// Drop points that are older
+    #[arg(long, value_name = "DURATION", value_parser = parse_time, requires = "raw")]
+    pub keep: Option<Duration>,
+    /// Of these kinds only: robot, radio, link
+    #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link"])]
+    pub kinds: Vec<String>,
+    /// Do it
+    #[arg(long)]
+    pub yes: bool,
+    #[command(flatten)]
+    pub place: HistoryPlace,
 }
 
 /// Write a run as tables that other programs read, or as MCAP
@@ -517,9 +559,9 @@ pub struct ImportArgs {
 /// Where runs are looked for.
 #[derive(Debug, Args)]
 pub struct HistoryPlace {
-    /// The history that runs are numbered in: a SQLite file, or mysql://USER:PASSWORD@HOST:PORT/DATABASE
+    /// The history that runs are numbered in: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
     ///
-    /// In the environment variable COTORRA_HISTORY its password is seen by nobody else.
+    /// Its password is in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Folder with the folders of runs
@@ -787,6 +829,15 @@ fn parse_recording(name: &str) -> Result<PathBuf, String> {
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
     let duration = parse_time(text)?;
     if duration.is_zero() { Err("it must be above zero".to_owned()) } else { Ok(duration) }
+}
+
+fn parse_step(text: &str) -> Result<Duration, String> {
+    let step = parse_time(text)?;
+    if cotorra_graph::Retention::is_step(step) {
+        Ok(step)
+    } else {
+        Err("a minute must be a multiple of it, as of 100ms, 1s, 10s or 1min".to_owned())
+    }
 }
 
 /// The same; zero is a time, too.

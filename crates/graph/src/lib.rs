@@ -38,6 +38,8 @@ pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
 pub use routing::Route;
 pub use service::{Kpis, Program, Service, VirtualLink, Vnf};
-pub use testbed::{BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Testbed, Walk};
+pub use testbed::{
+    BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
+};
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp};
 pub use yaml::{Diagnostic, Diagnostics};

@@ -39,6 +39,8 @@ pub struct Testbed {
     pub wais: WaisSettings,
     /// Who emulates the wired links in real time.
     pub emulation: Emulation,
+    /// How long its history keeps samples as they were recorded.
+    pub retention: Retentions,
 }
 
 /// Who emulates links.
@@ -55,6 +57,36 @@ impl Testbed {
     /// The walk of a robot.
     pub fn walk(&self, robot: &NodeId) -> Option<&Walk> {
         self.walks.iter().find(|w| w.robot == *robot)
+    }
+}
+
+/// How long samples of each embedding are kept as they were recorded; `None` for ever.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Retentions {
+    /// κ of robots.
+    pub robots: Option<Retention>,
+    /// ι of radio units.
+    pub radio_units: Option<Retention>,
+    /// d, λ, ψ and δ of links.
+    pub links: Option<Retention>,
+}
+
+/// How long samples are kept. Their age counts to the present of their run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Retention {
+    /// How long as they were recorded.
+    pub raw: Duration,
+    /// Older ones become one point for each step of time, of each series: [`Self::is_step`].
+    pub step: Duration,
+    /// How long these points are kept; `None` for ever.
+    pub keep: Option<Duration>,
+}
+
+impl Retention {
+    /// Whether samples can be rolled up to points so far apart: from 10 ms on, what a minute is a multiple of.
+    pub fn is_step(step: Duration) -> bool {
+        let minute = Duration::from_secs(60).as_nanos();
+        step >= Duration::from_millis(10) && minute.checked_rem(step.as_nanos()) == Some(0)
     }
 }
 

@@ -13,7 +13,7 @@ use serde_json::{Value as Json, json};
 
 pub use self::setting::{InvalidSetting, Setting};
 use crate::{
-    testbed::Testbed,
+    testbed::{Retentions, Testbed},
     yaml::{self, Diagnostics, Sink, decode::Decode},
 };
 
@@ -69,6 +69,15 @@ pub fn parse_with(
         Some(testbed) if sink.is_empty() => Ok(testbed),
         _ => Err(sink.finish(source_name, &text)),
     }
+}
+
+/// What a testbed file's text says of how long samples are kept, whether or not all else in it still holds; `None` if
+/// that cannot be read.
+pub fn retentions(text: &str) -> Option<Retentions> {
+    let mut sink = Sink::default();
+    let record = records::TestbedRecord::decode(&yaml::parse(text, &mut sink)?, &mut sink)?;
+    let found = build::retentions(&record.history.retention, &mut sink);
+    sink.is_empty().then_some(found)
 }
 
 /// A testbed file's text with the settings as comments behind it, for the record.

@@ -183,9 +183,9 @@ struct Side {
 
 /// Compares two runs. Goes through their events once, in pages: what it remembers is bounded by the number of things
 /// in the graph.
-pub(crate) fn difference(store: &dyn Store, runs: [RunId; 2]) -> Result<Difference> {
-    let [a, b] = [store.run(runs[0])?, store.run(runs[1])?];
-    let [x, y] = [Side::of(store, &a)?, Side::of(store, &b)?];
+pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Result<Difference> {
+    let [(x, a), (y, b)] = [(a.0, a.0.run(a.1)?), (b.0, b.0.run(b.1)?)];
+    let [x, y] = [Side::of(x, &a)?, Side::of(y, &b)?];
     let services =
         |(unanswered, mut took): (u64, Gathered)| Services { unanswered, took_ms: took.finish(&QUANTILES) };
     let handovers = |(count, fast, mut gap): (u64, u64, Gathered)| Handovers {

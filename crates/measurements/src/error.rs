@@ -35,6 +35,14 @@ pub enum Error {
         /// The newest version that this library reads.
         known: u32,
     },
+    /// An older cotorra wrote it, and it cannot be brought up to date where it is.
+    #[error(
+        "{history}: was written by an older cotorra, and is read-only; copy it to where it can be brought up to date"
+    )]
+    OlderSchema {
+        /// Its file.
+        history: Arc<str>,
+    },
     /// It may be read but not written.
     #[error("{history}: is read-only; give write permission on it, or name another")]
     ReadOnly {

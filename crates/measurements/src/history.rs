@@ -94,6 +94,17 @@ impl History {
         }
     }
 
+    /// Opens a history to ask it: also one that cannot be written, of which then everything that is recorded fails.
+    ///
+    /// # Errors
+    /// As [`Self::connect`].
+    pub fn connect_to_read(location: &Location) -> Result<Self> {
+        match location {
+            Location::File(path) => Self::of(Arc::new(Sqlite::open_to_read(path)?)),
+            server => Self::connect(server),
+        }
+    }
+
     /// A history that is gone with the process, and grows in memory until then.
     ///
     /// # Errors
@@ -344,7 +355,15 @@ impl History {
     /// # Errors
     /// See [`History`].
     pub fn difference(&self, a: RunId, b: RunId) -> Result<Difference> {
-        difference(&*self.store, [a, b])
+        self.difference_with(a, self, b)
+    }
+
+    /// A run beside one of another history.
+    ///
+    /// # Errors
+    /// See [`History`].
+    pub fn difference_with(&self, a: RunId, other: &Self, b: RunId) -> Result<Difference> {
+        difference((&*self.store, a), (&*other.store, b))
     }
 
     fn select<T: FromEvent>(

@@ -58,6 +58,10 @@ kinds! {
 }
 
 impl Kind {
+    /// Kinds of which samples are rolled up when they are old: the embeddings that are sampled all the time. Of all
+    /// others, whatever happens is kept.
+    pub const SAMPLED: [Self; 3] = [Self::Robot, Self::Radio, Self::Link];
+
     /// The kind of an event.
     pub const fn of(event: &Event) -> Self {
         match event {

@@ -38,5 +38,5 @@ pub use location::{InvalidLocation, Location, Server};
 pub use paced::PacedRecorder;
 pub use page::{Cursor, InvalidCursor, Page, PageRequest};
 pub use recorder::{Recorder, RecorderStats};
-pub use retention::{Pruned, Retained, Retention};
+pub use retention::{Pruned, Retained};
 pub use store::{Gap, Run, RunId, RunInfo};

@@ -67,6 +67,23 @@ impl FromStr for Location {
     }
 }
 
+impl Location {
+    /// The same, with this password for a server whose URL has none.
+    pub fn with_password(self, password: &str) -> Self {
+        match self {
+            Self::Server(server) if server.password.is_none() => {
+                Self::Server(Server { password: Some(password.to_owned()), ..server })
+            }
+            other => other,
+        }
+    }
+
+    /// Whether it has a password.
+    pub fn has_password(&self) -> bool {
+        matches!(self, Self::Server(server) if server.password.is_some())
+    }
+}
+
 impl Server {
     fn parse(rest: &str) -> Result<Self, InvalidLocation> {
         let (place, options) = rest.split_once('?').unwrap_or((rest, ""));
@@ -207,6 +224,17 @@ mod tests {
             let error = text.parse::<Location>().unwrap_err();
             assert!(!format!("{error} {error:?}").contains("secret"), "{error}");
         }
+    }
+
+    #[test]
+    fn takes_a_password_from_beside_the_url() {
+        let of = |url: &str| match url.parse::<Location>().unwrap().with_password("beside") {
+            Location::Server(server) => server.password,
+            Location::File(_) => None,
+        };
+        assert_eq!(of("mysql://ana@db/cotorra").as_deref(), Some("beside"));
+        assert_eq!(of("mysql://ana:own@db/cotorra").as_deref(), Some("own"));
+        assert_eq!(of("history.sqlite"), None);
     }
 
     #[test]

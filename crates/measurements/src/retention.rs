@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::Timestamp;
+use cotorra_graph::{Retention, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -22,30 +22,6 @@ use crate::{
     schema::STRETCH,
     store::Span,
 };
-
-/// How long samples of a kind are kept. Their age counts to the present of their run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Retention {
-    /// How long as they were recorded.
-    pub raw: Duration,
-    /// Older ones become one point for each step of time, of each series. It divides a minute: see
-    /// [`Self::is_step`].
-    pub step: Duration,
-    /// How long these points are kept; `None` for ever.
-    pub keep: Option<Duration>,
-}
-
-impl Retention {
-    /// Kinds of which samples are rolled up: the embeddings that are sampled all the time. Of all other kinds, whatever
-    /// happens is kept.
-    pub const KINDS: [Kind; 3] = [Kind::Robot, Kind::Radio, Kind::Link];
-
-    /// Whether samples can be rolled up to points so far apart: from 10 ms on, what a minute is a multiple of.
-    pub fn is_step(step: Duration) -> bool {
-        let minute = Duration::from_secs(60).as_nanos();
-        step >= Duration::from_millis(10) && minute.checked_rem(step.as_nanos()) == Some(0)
-    }
-}
 
 /// How far samples of a kind were rolled up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -136,7 +112,7 @@ impl History {
         let found = self.store.run(run)?;
         let ever = Span { from: 0, until: i64::MAX };
         let Some((first, last)) = self.store.extent(run, kind, ever)? else { return Ok(pruned) };
-        if !Retention::KINDS.contains(&kind) || !Retention::is_step(retention.step) {
+        if !Kind::SAMPLED.contains(&kind) || !Retention::is_step(retention.step) {
             return Ok(pruned);
         }
         let nanos = |d: Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX);

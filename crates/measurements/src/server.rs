@@ -473,4 +473,8 @@ impl Store for Remote {
     fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
         self.read(|reader| reader.note_retained(run, retained))
     }
+
+    fn remove_run(&self, run: RunId) -> Result<()> {
+        self.read(|reader| reader.remove_run(run))
+    }
 }

@@ -26,7 +26,7 @@ use crate::{
     retention::{Retained, Thinned},
     rolled::Reading,
     schema::MIGRATIONS,
-    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
+    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store, tables_of_runs},
 };
 
 /// Marks a database as a history of cotorra ("coto"), as SQLite's file format provides.
@@ -70,6 +70,34 @@ impl Sqlite {
         Ok(Self { path, name, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
     }
 
+    /// Opens a history to ask it, even one that cannot be written.
+    pub fn open_to_read(path: &Path) -> Result<Self> {
+        let refused = match Self::open(path) {
+            Err(refused @ (Error::ReadOnly { .. } | Error::Open { .. })) => refused,
+            other => return other,
+        };
+        let name: Arc<str> = path.to_string_lossy().into();
+        let is_history = |connection: &Connection| -> Fallible<Result<usize>> { version(connection, &name) };
+        // Where nothing can be written, SQLite cannot read along with a writer; but there then is none.
+        for place in [path.into(), immutable(path)] {
+            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+                | OpenFlags::SQLITE_OPEN_URI
+                | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            let Ok(connection) = Connection::open_with_flags(&place, flags) else { continue };
+            let Ok(found) = is_history(&connection) else { continue };
+            if found? < MIGRATIONS.len() {
+                return Err(Error::OlderSchema { history: name });
+            }
+            let log = std::fs::metadata(with_ending(path, "-wal")).is_ok_and(|log| log.len() > 0);
+            if log && *place != *path {
+                tracing::warn!(history = %name, "what is in its log only is not told: the log cannot be read here");
+            }
+            let (path, writer) = (place.into(), Mutex::new(Writer::new(connection)));
+            return Ok(Self { path, name, writer, readers: Mutex::default() });
+        }
+        Err(refused)
+    }
+
     fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
         // A panic during a write rolled it back, so that poison means nothing here.
         let mut writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner);
@@ -90,6 +118,26 @@ impl Sqlite {
         }
         Ok(answer)
     }
+}
+
+fn with_ending(path: &Path, ending: &str) -> std::path::PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
+/// As a URI that says that nobody changes the file.
+fn immutable(path: &Path) -> std::path::PathBuf {
+    let mut uri = "file:".to_owned();
+    for byte in path.as_os_str().as_encoded_bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'-' | b'_' => {
+                uri.push(char::from(*byte))
+            }
+            other => uri += &format!("%{other:02X}"),
+        }
+    }
+    (uri + "?immutable=1").into()
 }
 
 /// Checks what the file is before anything in it is touched, then brings it up to date.
@@ -274,5 +322,17 @@ impl Store for Sqlite {
 
     fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
         self.write(|writer| thin::note_retained(&writer.connection, run, retained))
+    }
+
+    fn remove_run(&self, run: RunId) -> Result<()> {
+        self.write(|writer| {
+            // The run is last: what is stopped half-way can be done again.
+            for table in tables_of_runs() {
+                writer.connection.execute(&format!("DELETE FROM {table} WHERE run = ?1"), [run.0])?;
+            }
+            writer.connection.execute("DELETE FROM run WHERE id = ?1", [run.0])?;
+            writer.forget();
+            Ok(())
+        })
     }
 }

@@ -102,6 +102,15 @@ pub(crate) fn not_rolled_up(kind: Kind, over: &str) -> String {
     )
 }
 
+/// All tables that have rows of runs.
+pub(crate) fn tables_of_runs() -> impl Iterator<Item = &'static str> {
+    let of_kinds = Kind::ALL.into_iter().flat_map(|kind| {
+        let children = crate::codec::table(kind).children.map(|(table, _)| table);
+        std::iter::once(kind.as_str()).chain(children)
+    });
+    of_kinds.chain(["gap", "presence", "chunk", "rolled_up", "retained"])
+}
+
 /// A span of time, both ends within, in nanoseconds since the run began.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Span {
@@ -161,6 +170,11 @@ pub(crate) trait Store: Send + Sync {
 
     /// Times of the first and the last event of a kind in a span.
     fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>>;
+
+    /// Removes a run and all that there is of it.
+    fn remove_run(&self, _run: RunId) -> Result<()> {
+        Ok(())
+    }
 
     // Below: retention. What keeps everything needs none of it.
 

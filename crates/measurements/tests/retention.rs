@@ -14,10 +14,10 @@ use std::{
 
 use cotorra_graph::{
     Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
-    PoseSource, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
+    PoseSource, Retention, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
 };
 use cotorra_measurements::{
-    CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, Retention, RunId, RunInfo, Values,
+    CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
 };
 use mariadb::MariaDb;
 
@@ -70,6 +70,7 @@ fn robot(n: u64) -> Stamped {
             nearest_obstacle_m: None,
         },
         waypoint: 0,
+        health: Default::default(),
     };
     Stamped { at: at(n), event: Event::Robot(context) }
 }
@@ -114,7 +115,7 @@ fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Valu
 
 fn prune(history: &History, run: RunId, retention: &Retention, dry: bool) -> Pruned {
     let mut all = Pruned::default();
-    for kind in Retention::KINDS {
+    for kind in Kind::SAMPLED {
         let pruned = history.retain(run, kind, retention, at(SAMPLES), dry, || true).unwrap();
         all.rolled_up += pruned.rolled_up;
         all.points += pruned.points;
@@ -217,7 +218,7 @@ fn prunes_until_it_is_killed() {
     let run: RunId = std::env::var(RUN).unwrap().parse().unwrap();
     let history = History::connect(&location.parse().unwrap()).unwrap();
     let mut out = std::io::stdout();
-    for kind in Retention::KINDS {
+    for kind in Kind::SAMPLED {
         let go_on = || writeln!(out, "\nslice").is_ok();
         history.retain(run, kind, &RETENTION, at(SAMPLES), false, go_on).unwrap();
     }

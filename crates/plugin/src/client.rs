@@ -240,7 +240,8 @@ impl Client {
         Self { plugin: Some(plugin), ..self }
     }
 
-    /// The testbed, without its map, its emulation and the settings of its WAIS, which the API does not give.
+    /// The testbed, without its map, its emulation, the settings of its WAIS and its history's retention, which the API
+    /// does not give.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -248,8 +249,9 @@ impl Client {
         let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
         let wais = WaisSettings::default();
-        let emulation = Emulation::default();
-        Ok(Testbed { name, description, graph, services, map: None, walks, plugins, wais, seed, emulation })
+        let (emulation, retention) = (Emulation::default(), Default::default());
+        let map = None;
+        Ok(Testbed { name, description, graph, services, map, walks, plugins, wais, seed, emulation, retention })
     }
 
     /// How a node is reached.

@@ -14,6 +14,7 @@ mod real_network;
 mod recorded;
 pub mod replay;
 mod report;
+mod retaining;
 mod robots;
 mod run;
 mod simulate;

@@ -340,6 +340,9 @@ fn spawn_process(
         let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
         Command::new(program)
             .args(arguments)
+            // The history's password is nobody's business.
+            .env_remove("COTORRA_HISTORY")
+            .env_remove("COTORRA_HISTORY_PASSWORD")
             .env("COTORRA_API", format!("http://{api}"))
             .env("COTORRA_PLUGIN", spec.id.as_str())
             .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())
@@ -436,6 +439,7 @@ mod tests {
             wais: Default::default(),
             seed: 1,
             emulation: Default::default(),
+            retention: Default::default(),
         })
     }
 

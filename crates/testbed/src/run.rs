@@ -36,6 +36,7 @@ use crate::{
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
+    retaining::Retaining,
     robots::{Masters, RobotError, Robots},
 };
 
@@ -164,6 +165,7 @@ pub struct Run {
     server: Server,
     core: Option<thread::JoinHandle<(Report, Timestamp, End)>>,
     _masters: Masters,
+    _retaining: Option<Retaining>,
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
 }
@@ -283,6 +285,8 @@ impl Run {
             .spawn(move || core_loop.run())
             .map_err(system("start the core's thread"))?;
         let (core, _masters) = (Some(core), robots.masters());
+        let _retaining = Retaining::start(&testbed, &history, run, &live)
+            .map_err(system("start the thread that keeps the history short"))?;
         Ok(Self {
             testbed,
             live,
@@ -294,6 +298,7 @@ impl Run {
             server,
             core,
             _masters,
+            _retaining,
             datapath,
             recording,
         })

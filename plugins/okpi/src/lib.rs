@@ -17,14 +17,17 @@ use cotorra_graph::{
     Event, Instruction, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service, Testbed,
     Timestamp,
 };
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_plugin::{Actions, Plugin, client::Client};
 
 pub use crate::{
     model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
     placement::{Infeasible, Placed, Search, Slack, place},
     settings::InvalidSettings,
 };
-use crate::{now::Now, settings::Settings};
+use crate::{
+    now::Now,
+    settings::{Delays, Settings},
+};
 
 /// A location is new so far from the last, metres: as often as localization publishes one.
 const NEW_LOCATION_M: f64 = 0.25;
@@ -34,6 +37,7 @@ const NEW_LOCATION_M: f64 = 0.25;
 pub struct Okpi {
     settings: Settings,
     now: Option<Now>,
+    client: Option<Client>,
     /// What is decided for each service, in the testbed's order.
     decisions: Vec<Decision>,
 }
@@ -64,7 +68,9 @@ impl Okpi {
     ///   that is not named is not offered. With a `hysteresis`, by default `0 m`, a radio unit is taken up so deep in
     ///   its area, and kept so far beyond it;
     /// - `processing`: VNFs that take time, as `navigation: { service_rate: 500 /s, arrival_rate: 20 /s }`: the μ
-    ///   and λ of an M/M/1 queue with processor sharing; by default none does.
+    ///   and λ of an M/M/1 queue with processor sharing; by default none does;
+    /// - `delays`: `events`, the default, learns of links as they change; `history` asks the history, at each new
+    ///   location, what was known of them, as the letter's did. It needs [`Okpi::asking`].
     ///
     /// What they name is checked by [`Okpi::for_testbed`].
     ///
@@ -73,7 +79,7 @@ impl Okpi {
     pub fn from_settings(
         settings: &serde_json::Map<String, serde_json::Value>,
     ) -> Result<Self, InvalidSettings> {
-        Ok(Self { settings: Settings::decode(settings)?, now: None, decisions: Vec::new() })
+        Ok(Self { settings: Settings::decode(settings)?, now: None, client: None, decisions: Vec::new() })
     }
 
     /// The same, if all that its settings name exists in the testbed that it is to orchestrate.
@@ -81,7 +87,15 @@ impl Okpi {
     /// # Errors
     /// [`InvalidSettings::UnknownName`].
     pub fn for_testbed(self, testbed: &Testbed) -> Result<Self, InvalidSettings> {
+        if self.settings.delays == Delays::History && self.client.is_none() {
+            return Err(InvalidSettings::NoClient);
+        }
         self.settings.check(testbed).map(|()| self)
+    }
+
+    /// The same, asking over an API where its settings say so.
+    pub fn asking(self, client: Client) -> Self {
+        Self { client: Some(client), ..self }
     }
 
     /// Decides for all services of a robot that is at a new location.
@@ -102,6 +116,17 @@ impl Okpi {
             // Beyond its area a service promises nothing.
             let within = || service.kpis.area.as_ref().is_none_or(|area| coverage::contains(area, location));
             if is_new {
+                if let Some(client) = self.client.as_ref().filter(|_| self.settings.delays == Delays::History)
+                {
+                    match client.state(None) {
+                        Ok(state) => {
+                            for link in &state.links {
+                                now.learn_link(&link.value);
+                            }
+                        }
+                        Err(error) => tracing::warn!("links are as they were: {error}"),
+                    }
+                }
                 decision.at = Some(location);
                 if within() {
                     decide(&self.settings, now, service, decision, chosen.as_ref(), context, actions);
@@ -188,6 +213,9 @@ impl Plugin for Okpi {
 
     fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {
         let Some(now) = &mut self.now else { return };
+        if self.settings.delays == Delays::History && matches!(event, Event::Link(_)) {
+            return;
+        }
         let concerned = now.learn(event);
         for (service, decision) in now.services().iter().zip(&mut self.decisions) {
             if concerned.includes(service) {

@@ -4,8 +4,8 @@
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, NodeKind, Rate, Scale, Service,
-    Testbed, Trace, VnfEvent, VnfId, VnfState,
+    Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Rate,
+    Scale, Service, Testbed, Trace, VnfEvent, VnfId, VnfState,
 };
 
 use crate::model::{self, Infrastructure, Queue};
@@ -78,11 +78,11 @@ impl Now {
     pub(crate) fn learn<'e>(&mut self, event: &'e Event) -> Concerned<'e> {
         match event {
             Event::Link(context) => {
-                let now = carriage(&context.effective);
-                let wired = self.graph.link(&context.link).is_some();
-                let key = (context.link.clone(), context.direction);
-                let changed = wired && self.carriage.insert(key, now) != Some(now);
-                if changed { Concerned::All } else { Concerned::Nobody }
+                if self.learn_link(context) {
+                    Concerned::All
+                } else {
+                    Concerned::Nobody
+                }
             }
             Event::Placement(placement) => {
                 let before = self.placements.insert(placement.vnf.clone(), placement.node.clone());
@@ -134,6 +134,14 @@ impl Now {
             }
             _ => Concerned::Nobody,
         }
+    }
+
+    /// Learns what a link does; gives whether that is new.
+    pub(crate) fn learn_link(&mut self, context: &LinkContext) -> bool {
+        let now = carriage(&context.effective);
+        let wired = self.graph.link(&context.link).is_some();
+        let key = (context.link.clone(), context.direction);
+        wired && self.carriage.insert(key, now) != Some(now)
     }
 
     /// Whether a VNF was on its way to a node; it is not any more.

@@ -14,6 +14,17 @@ pub(crate) struct Settings {
     pub(crate) coverage: Coverage,
     /// The queues of VNFs whose processing takes time.
     pub(crate) processing: BTreeMap<VnfId, Queue>,
+    pub(crate) delays: Delays,
+}
+
+/// Where delays and throughputs of links come from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Delays {
+    /// As they happen.
+    #[default]
+    Events,
+    /// The history is asked for its state at each new location.
+    History,
 }
 
 /// Why settings cannot be used.
@@ -22,7 +33,7 @@ pub enum InvalidSettings {
     /// There is no such setting.
     #[error(
         "`{0}` is not a setting of okpi; its settings are `gamma`, `k_paths`, `relax`, `floor`, `margin`, \
-         `coverage`, `hysteresis` and `processing`"
+         `coverage`, `hysteresis`, `processing` and `delays`"
     )]
     Unknown(String),
     /// γ or the number of paths is none.
@@ -62,6 +73,15 @@ pub enum InvalidSettings {
          `navigation: {{ service_rate: 500 /s, arrival_rate: 20 /s }}`, with the service rate above 0 /s"
     )]
     Processing(Value),
+    /// `delays` is neither.
+    #[error("delays: {0} is neither `events` nor `history`")]
+    Delays(Value),
+    /// The history is asked over the API.
+    #[error(
+        "delays: `history` is for an okpi that is a program of its own, and asks over the API; let the plug-in's \
+         `command` name one, or leave `delays` out"
+    )]
+    NoClient,
     /// Signals say nothing where areas are surveyed, and the other way round.
     #[error("`{0}` cannot be set together with `coverage`: areas take the place of signals")]
     WithCoverage(&'static str),
@@ -86,7 +106,7 @@ impl Settings {
     pub(crate) fn decode(settings: &Map<String, Value>) -> Result<Self, InvalidSettings> {
         let mut search = Search::at(4);
         let (mut floor, mut margin, mut areas, mut hysteresis) = (None, None, None, None);
-        let mut queues = BTreeMap::new();
+        let (mut queues, mut delays) = (BTreeMap::new(), Delays::default());
         for (name, value) in settings {
             match name.as_str() {
                 "gamma" => search.gamma = count("gamma", value, 1000)? as u16,
@@ -106,6 +126,13 @@ impl Settings {
                 "processing" => {
                     queues = processing(value).ok_or_else(|| InvalidSettings::Processing(value.clone()))?;
                 }
+                "delays" => {
+                    delays = match value.as_str() {
+                        Some("events") => Delays::Events,
+                        Some("history") => Delays::History,
+                        _ => return Err(InvalidSettings::Delays(value.clone())),
+                    };
+                }
                 _ => return Err(InvalidSettings::Unknown(name.clone())),
             }
         }
@@ -120,7 +147,7 @@ impl Settings {
                 Coverage::Signal { floor_dbm: floor.unwrap_or(-80.0), margin_db: margin.unwrap_or(7.5) }
             }
         };
-        Ok(Self { search, coverage, processing: queues })
+        Ok(Self { search, coverage, processing: queues, delays })
     }
 }
 
@@ -277,6 +304,7 @@ mod tests {
             (json!({ "gamma": 2.5 }), "gamma: 2.5 is not a whole number from 1 to 1000"),
             (json!({ "k_paths": "3" }), "k_paths: \"3\" is not a whole number from 1 to 3"),
             (json!({ "relax": 1 }), "relax: 1 is neither"),
+            (json!({ "delays": "guessed" }), "delays: \"guessed\" is neither `events` nor `history`"),
             (
                 json!({ "floor": "-80" }),
                 "floor: \"-80\" is not a signal from -120 dBm to 0 dBm; write it like `-80",
@@ -303,7 +331,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_text_panics(text in "\\PC*") {
-            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing"] {
+            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing", "delays"] {
                 let _ = decode(json!({ name: text }));
             }
         }

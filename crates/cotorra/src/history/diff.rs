@@ -1,7 +1,5 @@
 //! `cotorra history diff`: two runs side by side.
 
-use std::collections::BTreeMap;
-
 use cotorra_measurements::{
     Difference, Values,
     difference::{Entry, Links, Services},
@@ -17,41 +15,14 @@ const ALL: &str = "--json shows all";
 /// Compares two runs.
 pub fn diff(args: &DiffArgs) -> miette::Result<()> {
     let [a, b] = &args.pair[..] else { unreachable!("the parser takes two runs") };
-    let difference = compare(&Source::find(a, &args.place)?, &Source::find(b, &args.place)?)?;
+    // They may be in two histories.
+    let (a, b) = (Source::find(a, &args.place)?, Source::find(b, &args.place)?);
+    let difference = a.history.difference_with(a.run.id, &b.history, b.run.id).map_err(Error::from)?;
     if args.json {
         let json = serde_json::to_string_pretty(&difference).expect("a difference holds only what JSON can");
         return output::print(&(json + "\n"));
     }
     output::print(&describe(&difference))
-}
-
-/// The runs may be in two histories: so each is set beside itself first, and then the one beside the other.
-fn compare(a: &Source, b: &Source) -> Result<Difference, Error> {
-    let alone = |source: &Source| source.history.difference(source.run.id, source.run.id);
-    let (a, b) = (alone(a)?, alone(b)?);
-    let ([run_a, _], [run_b, _]) = (a.runs, b.runs);
-    let ([doubts_a, _], [doubts_b, _]) = (a.doubts, b.doubts);
-    Ok(Difference {
-        runs: [run_a, run_b],
-        services: join(a.services, b.services),
-        regions: join(a.regions, b.regions),
-        links: join(a.links, b.links),
-        handovers: join(a.handovers, b.handovers),
-        placements: join(a.placements, b.placements),
-        decisions: join(a.decisions, b.decisions),
-        vnfs: join(a.vnfs, b.vnfs),
-        doubts: [doubts_a, doubts_b],
-    })
-}
-
-fn join<K: Ord, V>(a: Vec<Entry<K, V>>, b: Vec<Entry<K, V>>) -> Vec<Entry<K, V>> {
-    let mut joined: BTreeMap<K, [Option<V>; 2]> = BTreeMap::new();
-    for (place, entries) in [a, b].into_iter().enumerate() {
-        for Entry { of, runs: [value, _] } in entries {
-            joined.entry(of).or_insert([None, None])[place] = value;
-        }
-    }
-    joined.into_iter().map(|(of, runs)| Entry { of, runs }).collect()
 }
 
 fn describe(difference: &Difference) -> String {
@@ -168,17 +139,4 @@ fn figures<'a>(what: &str, rows: impl Iterator<Item = (String, [Option<&'a Value
         ]);
     }
     table
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_only_one_run_has_is_told_of_that_one() {
-        let entry = |of: u8| Entry { of, runs: [Some(of * 10), Some(of * 10)] };
-        let joined = join(vec![entry(1), entry(2)], vec![entry(2), entry(3)]);
-        let told: Vec<_> = joined.into_iter().map(|entry| (entry.of, entry.runs)).collect();
-        assert_eq!(told, [(1, [Some(10), None]), (2, [Some(20), Some(20)]), (3, [None, Some(30)])]);
-    }
 }

@@ -4,6 +4,7 @@ mod diff;
 mod events;
 mod place;
 mod plot;
+mod prune;
 mod runs;
 mod series;
 mod source;
@@ -36,6 +37,7 @@ pub fn history(question: &History) -> miette::Result<ExitCode> {
         History::Gaps(args) => gaps(args)?,
         History::Export(args) => transfer::export(args)?,
         History::Import(args) => transfer::import(args)?,
+        History::Prune(args) => prune::prune(args)?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -7,6 +7,9 @@ use cotorra_measurements::{InvalidLocation, Location};
 /// The environment variable that names a history.
 pub const HISTORY_VARIABLE: &str = "COTORRA_HISTORY";
 
+/// The environment variable that has the password of a history's server.
+pub const PASSWORD_VARIABLE: &str = "COTORRA_HISTORY_PASSWORD";
+
 /// A file, or the URL of a server's database with its password.
 #[derive(Clone)]
 pub struct Place(String);
@@ -33,8 +36,18 @@ pub struct WrongPlace(InvalidLocation);
 
 /// The place as a location. An empty text, as an empty variable has it, is none.
 pub fn location(place: Option<&Place>) -> Result<Option<Location>, WrongPlace> {
-    let named = place.filter(|place| !place.0.is_empty());
-    named.map(|place| place.0.parse().map_err(WrongPlace)).transpose()
+    let Some(Place(text)) = place.filter(|place| !place.0.is_empty()) else { return Ok(None) };
+    let location: Location = text.parse().map_err(WrongPlace)?;
+    if location.has_password() && std::env::var(HISTORY_VARIABLE).as_ref() != Ok(text) {
+        eprintln!(
+            "warning: everyone on this machine can see the password in --history: leave it out there, and set \
+             {PASSWORD_VARIABLE} to it"
+        );
+    }
+    Ok(Some(match std::env::var(PASSWORD_VARIABLE) {
+        Ok(password) if !password.is_empty() => location.with_password(&password),
+        _ => location,
+    }))
 }
 
 #[cfg(test)]

@@ -102,7 +102,15 @@ mod tests {
             from: Timestamp::from_nanos(i as u64 * 500_000_000),
             until: Timestamp::from_nanos((i as u64 + 1) * 500_000_000),
             gap: value.is_none(),
-            values: value.map(|v| Values { count: 1, min: v, max: v, mean: v, last: v, quantiles: vec![] }),
+            values: value.map(|v| Values {
+                count: 1,
+                rolled_up: 0,
+                min: v,
+                max: v,
+                mean: v,
+                last: v,
+                quantiles: vec![],
+            }),
         };
         let points = values.iter().enumerate().map(point).collect();
         Curve { figure: "service_time".parse().unwrap(), unit: "ms".to_owned(), quantiles: vec![], points }

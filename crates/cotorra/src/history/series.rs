@@ -101,17 +101,18 @@ fn names(source: &Source) -> String {
 }
 
 fn csv(curve: &Curve) -> String {
-    let mut text = String::from("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap\n");
+    let mut text = String::from("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n");
     for point in &curve.points {
         let (from, until) = (point.from.as_secs_f64(), point.until.as_secs_f64());
         let values = match &point.values {
-            Some(Values { count, min, max, mean, last, quantiles }) => {
+            Some(Values { count, min, max, mean, last, quantiles, rolled_up: _ }) => {
                 let quantiles = quantiles.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
                 format!("{count},{min},{mean},{quantiles},{max},{last}")
             }
             None => "0,,,,,,,".to_owned(),
         };
-        writeln!(text, "{from:.9},{until:.9},{values},{}", u8::from(point.gap))
+        let rolled_up = point.values.as_ref().map_or(0, |values| values.rolled_up);
+        writeln!(text, "{from:.9},{until:.9},{values},{},{rolled_up}", u8::from(point.gap))
             .expect("writing into a string cannot fail");
     }
     text
@@ -127,6 +128,14 @@ fn describe(curve: &Curve, whole: &Curve) -> String {
         let figures = figures.chain([values.max, values.last]).map(plot::figure);
         table.row(std::iter::once(values.count.to_string()).chain(figures));
         text += &format!("\n{}", table.render("  "));
+        if values.rolled_up > 0 {
+            let (rolled_up, count) = (values.rolled_up, values.count);
+            writeln!(
+                text,
+                "{rolled_up} of {count} samples were rolled up: quantiles are of those that are left"
+            )
+            .expect("writing into a string cannot fail");
+        }
     }
     text
 }

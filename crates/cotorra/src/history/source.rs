@@ -98,7 +98,7 @@ impl Source {
 pub fn open(location: &Location) -> Result<History, Error> {
     match location {
         Location::File(path) if !path.exists() => Err(Error::NoFile(path.clone())),
-        location => Ok(History::connect(location)?),
+        location => Ok(History::connect_to_read(location)?),
     }
 }
 

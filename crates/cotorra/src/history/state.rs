@@ -1,7 +1,7 @@
 //! `cotorra history state`: the whole graph at a time.
 
 use cotorra_graph::{LinkContext, RobotContext, Timestamp};
-use cotorra_measurements::{GraphState, Sample};
+use cotorra_measurements::{GraphState, Retained, Sample};
 
 use super::{Error, Source, first_of, seconds};
 use crate::{cli::StateArgs, output, table::Table};
@@ -18,7 +18,18 @@ pub fn state(args: &StateArgs) -> miette::Result<()> {
         let json = serde_json::to_string_pretty(&state).expect("a state holds only what JSON can");
         return output::print(&(json + "\n"));
     }
-    output::print(&describe(&state))
+    let retained = source.history.retained(source.run.id).map_err(Error::from)?;
+    output::print(&(describe(&state) + &rolled_up(&retained, at)))
+}
+
+/// Of what the state is that of the last sample of a step.
+fn rolled_up(retained: &[Retained], at: Timestamp) -> String {
+    let of = retained.iter().filter(|its| at < its.rolled_up_to).map(|its| {
+        let step = std::time::Duration::from_nanos(its.step_ns);
+        let (kind, to) = (its.kind.as_str(), seconds(its.rolled_up_to));
+        format!("samples of {kind} before {to} s were rolled up: there is one each {step:?}\n")
+    });
+    of.collect()
 }
 
 fn describe(state: &GraphState) -> String {

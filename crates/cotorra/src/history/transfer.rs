@@ -27,7 +27,7 @@ use crate::{
 const PAGE: usize = 1000;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
-enum TransferError {
+pub(super) enum TransferError {
     #[error(transparent)]
     Export(#[from] ExportError),
     #[error(transparent)]

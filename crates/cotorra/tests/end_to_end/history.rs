@@ -118,7 +118,7 @@ fn a_state_a_series_and_events_are_told() {
         runs.answer(&["series", okpi, "R1-cloud", "--from", "2s", "--to", "12s", "--points", "5", "--csv"]);
     assert_eq!(table.lines().count(), 6, "{table}");
     assert!(
-        table.starts_with("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap\n2.000000000,4."),
+        table.starts_with("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n2.000000000,4."),
         "{table}"
     );
     let named = ["series", okpi, "robot:R1", "--figure", "signal", "--points", "1", "--csv"];

@@ -6,6 +6,7 @@ mod documents;
 mod experiment;
 mod harness;
 mod history;
+mod history_server;
 mod interruption;
 mod localize;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]

@@ -10,8 +10,8 @@ use std::{
 use super::{
     check,
     records::{
-        ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProgramWord, ServiceRecord,
-        TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
+        ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProgramWord, RetentionRecord,
+        RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
     },
     ros,
 };
@@ -26,7 +26,7 @@ use crate::{
     map::OccupancyGrid,
     map_server,
     service::{Kpis, Program, Service, VirtualLink, Vnf},
-    testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Testbed, Walk},
+    testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk},
     units::{BitRate, Position, Probability},
     yaml::{
         Bytes, Sink, Span,
@@ -58,6 +58,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
     let domains = builder.domains;
+    let retention = retentions(&record.history.retention, sink);
     let testbed = Testbed {
         graph: HardwareGraph { domains, nodes: nodes?, links: links?, wireless: wireless? },
         services: services?,
@@ -67,11 +68,24 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
         wais: wais?,
         seed: record.seed,
         emulation: record.emulation,
+        retention,
         description: record.description.clone(),
         name: record.name.value.clone(),
     };
     check::check(&record, &testbed, sink);
     Some(testbed)
+}
+
+pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentions {
+    let mut of = |record: &Option<RetentionRecord>| {
+        let RetentionRecord { raw, step, keep } = record.as_ref()?;
+        if !Retention::is_step(step.value) {
+            sink.error(&step.span, "a minute is no multiple of this step, or it is shorter than 10 ms")
+                .help("write it like `1 s`, `5 s` or `1 min`");
+        }
+        Some(Retention { raw: *raw, step: step.value, keep: *keep })
+    };
+    Retentions { robots: of(&record.robots), radio_units: of(&record.radio_units), links: of(&record.links) }
 }
 
 /// Applies `f` to all before any that failed ends it, so that each one's mistakes show.

@@ -46,6 +46,40 @@ record! {
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
+        /// How its history is kept.
+        history: HistoryRecord = {},
+    }
+}
+
+record! {
+    /// How a history is kept.
+    HistoryRecord {
+        /// How long samples are kept as they were recorded, by embedding. Without it: for ever.
+        retention: RetentionsRecord = {},
+    }
+}
+
+record! {
+    /// How long samples of each embedding are kept as they were recorded. All other events are kept for ever.
+    RetentionsRecord {
+        /// Contexts of robots: poses, velocities, signals.
+        robots: Option<RetentionRecord>,
+        /// Contexts of radio units: channel, load, stations.
+        radio_units: Option<RetentionRecord>,
+        /// Delay, throughput and conditions of links.
+        links: Option<RetentionRecord>,
+    }
+}
+
+record! {
+    /// How long samples are kept as they were recorded, and what is left of them afterwards.
+    RetentionRecord {
+        /// How long as they were recorded.
+        raw: Duration,
+        /// Then the samples of so much time become one point: count, least, greatest, mean and last. It divides a minute.
+        step: Spanned<Duration> = "1 s",
+        /// How long these points are kept, counted from when they were samples. Without it: for ever.
+        keep: Option<Duration>,
     }
 }
 

@@ -199,8 +199,8 @@ impl History {
     /// how many events it has.
     ///
     /// # Errors
-    /// [`ExportError`]. A part of the run is then in this history, as of a run that was killed.
-    pub fn import(&self, folder: &Path, mut go_on: impl FnMut(u64) -> bool) -> Result<(RunId, u64)> {
+    /// [`ExportError`]. Nothing of the run is then in this history.
+    pub fn import(&self, folder: &Path, go_on: impl FnMut(u64) -> bool) -> Result<(RunId, u64)> {
         let path = folder.join(NOTE);
         let text = fs::read_to_string(&path).map_err(|source| match source.kind() {
             io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
@@ -215,6 +215,23 @@ impl History {
         let mut tables = read::Tables::open(folder, note.format, note.version)?;
         // Nothing is begun for what cannot even be opened.
         let run = self.begin_run(&note.info)?;
+        let taken = self.take_in(run, &mut tables, &note, &path, go_on);
+        if let Err(error) = &taken
+            && let Err(and) = self.store.remove_run(run)
+        {
+            tracing::warn!(%error, %and, %run, "a part of a run that was to be imported is left");
+        }
+        taken.map(|()| (run, tables.events()))
+    }
+
+    fn take_in(
+        &self,
+        run: RunId,
+        tables: &mut read::Tables,
+        note: &Note,
+        path: &Path,
+        mut go_on: impl FnMut(u64) -> bool,
+    ) -> Result<()> {
         let mut batch = Vec::new();
         while let Some(stamped) = tables.event()? {
             batch.push(crate::store::Entry { run, stamped });
@@ -228,7 +245,7 @@ impl History {
         }
         if tables.events() != note.events {
             let problem = format!("says {} events, but the tables have {}", note.events, tables.events());
-            return Err(ExportError::malformed(&path, problem));
+            return Err(ExportError::malformed(path, problem));
         }
         self.store.append(&batch, &[])?;
         while let Some(gap) = tables.gap()? {
@@ -237,7 +254,7 @@ impl History {
         if let Some(ended) = note.ended {
             self.store.end_run(run, ended)?;
         }
-        Ok((run, tables.events()))
+        Ok(())
     }
 }
 

@@ -13,6 +13,26 @@ fn formats() -> impl Iterator<Item = Format> {
     Format::ALL.into_iter().filter(|format| cfg!(feature = "arrow") || *format == Format::Csv)
 }
 
+#[test]
+fn an_import_that_is_stopped_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let history = History::in_memory().unwrap();
+    let run = history.begin_run(&run_info("out")).unwrap();
+    let entries: Vec<_> = (0..12_000).map(|n| Entry { run, stamped: notice(n, "again") }).collect();
+    history.store.append(&entries, &[]).unwrap();
+    let out = folder.path().join("exported");
+    history.export(run, Format::Csv, &out, |_| true).unwrap();
+    let other = History::open(folder.path().join("history.sqlite")).unwrap();
+    let stopped = other.import(&out, |events| events < 10_000);
+    assert!(matches!(stopped, Err(ExportError::Stopped(10_000))));
+    assert_eq!(other.runs(None, 10).unwrap(), []);
+    let (run, events) = other.import(&out, |_| true).unwrap();
+    assert_eq!(
+        (events, all(|page| other.events(run, &[], ..notice(9000, "").at, page)).len()),
+        (12_000, 9000)
+    );
+}
+
 fn all<T>(mut page: impl FnMut(PageRequest) -> crate::Result<crate::Page<T>>) -> Vec<T> {
     let page = page(PageRequest::first(PageRequest::MAX)).unwrap();
     assert_eq!(page.next, None);

@@ -24,7 +24,7 @@ use crate::{
     retention::{Retained, Thinned},
     rolled::{self, Of, Reading},
     schema::STRETCH,
-    store::{Gap, RunId, Selection, Span, not_rolled_up},
+    store::{Gap, RunId, Selection, Span, not_rolled_up, tables_of_runs},
 };
 
 /// More names or conditions are not remembered.
@@ -342,6 +342,19 @@ impl Reader {
         })?;
         thin::thin(&mut self.connection.borrow_mut(), run, kind, &known)
             .map_err(|e| engine_error(&self.history, e))
+    }
+
+    /// Removes a run.
+    pub fn remove_run(&self, run: RunId) -> Result<()> {
+        let mut connection = self.connection.borrow_mut();
+        let mut remove = || -> Fallible<()> {
+            // The run is last: what is stopped half-way can be done again.
+            for table in tables_of_runs() {
+                connection.exec_drop(format!("DELETE FROM {} WHERE run = ?", quoted(table)), (run.0,))?;
+            }
+            connection.exec_drop("DELETE FROM run WHERE id = ?", (run.0,))
+        };
+        remove().map_err(|e| engine_error(&self.history, e))
     }
 
     /// How far samples of a run were rolled up.

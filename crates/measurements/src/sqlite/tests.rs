@@ -117,6 +117,32 @@ fn refuses_a_file_that_it_may_not_write() {
     }
 }
 
+/// As on a medium that cannot be written: nothing beside the file can be made either.
+#[test]
+fn what_cannot_be_written_can_be_asked() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("kept")).unwrap();
+    let recorder = history.recorder(run).unwrap();
+    recorder.record(placement(1, "brain", "fog"));
+    history.end_run(run, Timestamp::from_nanos(2)).unwrap();
+    drop((history, recorder));
+    let place = super::immutable(&path);
+    for place in [path.as_path(), place.as_path()] {
+        let flags = rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY | rusqlite::OpenFlags::SQLITE_OPEN_URI;
+        let connection = rusqlite::Connection::open_with_flags(place, flags).unwrap();
+        let store = Sqlite {
+            path: place.into(),
+            name: "kept".into(),
+            writer: std::sync::Mutex::new(super::Writer::new(connection)),
+            readers: std::sync::Mutex::default(),
+        };
+        let history = History::of(Arc::new(store)).unwrap();
+        assert_eq!(everything(&history, run), [placement(1, "brain", "fog")]);
+        assert!(history.begin_run(&run_info("another")).is_err());
+    }
+}
+
 #[test]
 fn goes_on_when_writing_is_forbidden_for_a_while() {
     let (_folder, path) = folder();

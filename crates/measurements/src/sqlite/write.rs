@@ -70,6 +70,11 @@ impl Writer {
         Self { connection, known: Known::default() }
     }
 
+    /// Something else changed what is in the database.
+    pub fn forget(&mut self) {
+        self.known = Known::default();
+    }
+
     /// Appends all or nothing.
     pub fn append(&mut self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Fallible<()> {
         let transaction = self.connection.transaction_with_behavior(TransactionBehavior::Immediate)?;

@@ -104,6 +104,8 @@ impl<L: Launcher> ProcessEngine<L> {
             }
             Program::RobotDriver => return Err("the robot's driver runs in the Robot Middleware".to_owned()),
         };
+        // The history's password is nobody's business.
+        command.env_remove("COTORRA_HISTORY").env_remove("COTORRA_HISTORY_PASSWORD");
         command.env("COTORRA_VNF", vnf.id.as_str()).env("COTORRA_NODE", node.as_str());
         Ok(command)
     }

@@ -7,7 +7,8 @@ use cotorra_graph::{
     Direction, Handover, LinkContext, LinkId, NodeId, RobotContext, ServiceTime, Stamped, Timestamp,
 };
 use cotorra_measurements::{
-    Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, RunId, Sample,
+    Cursor, Curve, CurveRequest, Difference, Figure, GraphState, History, Page, PageRequest, Retained, RunId,
+    Sample,
 };
 use serde::Deserialize;
 
@@ -136,6 +137,27 @@ pub(super) async fn service_times(
         history.service_times(run, part.until(present), part.page())
     })
     .await
+}
+
+/// How far samples of a run were rolled up, by kind: what is told of the time before has one sample a step, and figures
+/// are of all that there were. None if all are as they were recorded.
+#[utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements", params(OfRun),
+    responses((status = 200, body = Vec<Retained>), (status = 404, body = FailureBody)))]
+pub(super) async fn retained(
+    State(context): State<Context>,
+    Query(of): Query<OfRun>,
+) -> Answer<Vec<Retained>> {
+    ask(context, of.run, |history, run, _| history.retained(run)).await
+}
+
+/// Which run.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct OfRun {
+    /// The number of another run of the same history, in place of this one.
+    #[param(value_type = Option<i64>)]
+    run: Option<RunId>,
 }
 
 /// Handovers.

@@ -110,6 +110,7 @@ fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
         .routes(routes!(measurements::state))
         .routes(routes!(measurements::series))
         .routes(routes!(measurements::gaps))
+        .routes(routes!(measurements::retained))
         .routes(routes!(measurements::runs))
         .routes(routes!(measurements::difference))
         .routes(routes!(stream::events))

@@ -1,0 +1,107 @@
+//! `cotorra history prune`: rolls old samples up, once it said what that would do.
+
+use cotorra_graph::{Retention, Timestamp, testbed_file};
+use cotorra_measurements::{History, Kind, Pruned, Run};
+use indicatif::ProgressBar;
+
+use super::{Error, Source, place::location, source::open, transfer::TransferError};
+use crate::{cli::PruneArgs, output, signals, table::Table};
+
+/// What stands for every run of a history.
+const ALL: &str = "all";
+
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+enum PruneError {
+    #[error("the testbed file of run {0} says nothing of how long samples are kept")]
+    #[diagnostic(help("say it here, as in --raw 1h"))]
+    NoRetention(String),
+    #[error("all runs of which history?")]
+    #[diagnostic(help("name it with --history, as in --history runs/all.sqlite"))]
+    Nowhere,
+}
+
+/// Prunes, or says what it would do.
+pub fn prune(args: &PruneArgs) -> miette::Result<()> {
+    let (history, runs) = if args.run == ALL {
+        let place = location(args.place.history.as_ref()).map_err(Error::from)?.ok_or(PruneError::Nowhere)?;
+        let history = open(&place)?;
+        let runs = every_run(&history).map_err(Error::from)?;
+        (history, runs)
+    } else {
+        let Source { history, run } = Source::find(&args.run, &args.place)?;
+        (history, vec![run])
+    };
+    let interrupts = signals::listen().map_err(TransferError::Signals)?;
+    let bar = ProgressBar::new_spinner();
+    let mut table = Table::new("><>>>");
+    table.row(["run", "kind", "samples", "become points", "dropped"]);
+    let (mut stopped, mut total) = (false, 0);
+    for run in &runs {
+        let kept = retentions(run, args);
+        if kept.is_empty() && runs.len() == 1 {
+            return Err(PruneError::NoRetention(run.id.to_string()).into());
+        }
+        for (kind, retention) in kept {
+            let go_on = || {
+                bar.set_message(format!("run {}, {}", run.id, kind.as_str()));
+                bar.tick();
+                stopped |= interrupts.try_recv().is_ok();
+                !stopped
+            };
+            let pruned = history.retain(run.id, kind, &retention, present(run), !args.yes, go_on);
+            let Pruned { rolled_up, points, dropped } = pruned.map_err(Error::from)?;
+            total += rolled_up + dropped;
+            let figures = [rolled_up, points, dropped].map(|n| n.to_string());
+            let [samples, points, dropped] = figures;
+            table.row([run.id.to_string(), kind.as_str().to_owned(), samples, points, dropped]);
+        }
+    }
+    bar.finish_and_clear();
+    let end = match (total, args.yes, stopped) {
+        (0, ..) => "nothing is that old\n",
+        (_, _, true) => "stopped; the same command goes on from here\n",
+        (_, false, _) => "that is what --yes would do; nothing was changed\n",
+        (_, true, _) => "done\n",
+    };
+    output::print(&(table.render("") + end))
+}
+
+fn every_run(history: &History) -> cotorra_measurements::Result<Vec<Run>> {
+    let mut all: Vec<Run> = Vec::new();
+    loop {
+        let page = history.runs(all.last().map(|run| run.id), 1000)?;
+        if page.is_empty() {
+            return Ok(all);
+        }
+        all.extend(page);
+    }
+}
+
+/// What is to be kept of a run: as it was typed, or as its testbed file says.
+fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
+    let of: [(Kind, Option<Retention>); 3] = match args.raw {
+        Some(raw) => {
+            let typed = Retention { raw, step: args.step, keep: args.keep };
+            Kind::SAMPLED.map(|kind| (kind, Some(typed)))
+        }
+        None => {
+            let kept = testbed_file::retentions(&run.info.testbed).unwrap_or_default();
+            [(Kind::Robot, kept.robots), (Kind::Radio, kept.radio_units), (Kind::Link, kept.links)]
+        }
+    };
+    let asked = |kind: Kind| args.kinds.is_empty() || args.kinds.iter().any(|name| name == kind.as_str());
+    of.into_iter().filter(|(kind, _)| asked(*kind)).filter_map(|(kind, kept)| Some((kind, kept?))).collect()
+}
+
+/// The present, in a run's time; the end of one in virtual time.
+#[allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the calendar says how old a run is")]
+fn present(run: &Run) -> Timestamp {
+    match (run.info.started_at_unix_ns, run.ended) {
+        (0, ended) => ended.unwrap_or(Timestamp::ZERO),
+        (began, _) => {
+            let since_1970 = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default().as_nanos();
+            let since = i128::try_from(since_1970).unwrap_or(i128::MAX) - i128::from(began);
+            Timestamp::from_nanos(u64::try_from(since).unwrap_or(0))
+        }
+    }
+}

@@ -1,0 +1,68 @@
+//! Keeps a history to what the testbed file says of it while the run goes on: a thread of its own, in nobody's way.
+
+use std::{
+    io,
+    sync::{
+        Arc,
+        mpsc::{self, RecvTimeoutError, Sender},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use cotorra_graph::Testbed;
+use cotorra_measurements::{History, Kind, RunId};
+
+use crate::live::Live;
+
+/// Between two looks at what is old.
+const PERIOD: Duration = Duration::from_secs(5);
+
+/// That thread. It ends when this is dropped.
+pub(crate) struct Retaining {
+    stop: Option<Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Retaining {
+    /// `None` where everything is kept.
+    pub fn start(
+        testbed: &Testbed,
+        history: &Arc<History>,
+        run: RunId,
+        live: &Live,
+    ) -> io::Result<Option<Self>> {
+        let kept = testbed.retention;
+        let of = [(Kind::Robot, kept.robots), (Kind::Radio, kept.radio_units), (Kind::Link, kept.links)];
+        let of: Vec<_> = of.into_iter().filter_map(|(kind, kept)| Some((kind, kept?))).collect();
+        if of.is_empty() {
+            return Ok(None);
+        }
+        let (history, live) = (Arc::clone(history), live.clone());
+        let (stop, stopped) = mpsc::channel::<()>();
+        let work = move || {
+            while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
+                let now = live.read(|now| now.at);
+                for (kind, kept) in &of {
+                    let go_on = || stopped.try_recv() == Err(mpsc::TryRecvError::Empty);
+                    if let Err(error) = history.retain(run, *kind, kept, now, false, go_on) {
+                        tracing::warn!(%error, "old samples stay as they are");
+                    }
+                }
+            }
+        };
+        let thread = thread::Builder::new().name("retention".to_owned()).spawn(work)?;
+        Ok(Some(Self { stop: Some(stop), thread: Some(thread) }))
+    }
+}
+
+impl Drop for Retaining {
+    fn drop(&mut self) {
+        self.stop = None;
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the thread that rolls old samples up panicked");
+        }
+    }
+}
