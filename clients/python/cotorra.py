@@ -133,6 +133,10 @@ class Client:
         """Where events were lost."""
         return self._pages("measurements/gaps", {"from_s": from_s, "to_s": to_s, "run": run})
 
+    def retained(self, run: Optional[int] = None) -> list[JSON]:
+        """How far samples were rolled up, by kind; none if all are as they were recorded."""
+        return self._ask("measurements/retained", run=run)
+
     def difference(self, a: int, b: Optional[int] = None) -> JSON:
         """Two runs of this history side by side; this one, if the second is left out."""
         return self._ask("measurements/difference", a=a, b=b)

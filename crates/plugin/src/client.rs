@@ -251,7 +251,19 @@ impl Client {
         let wais = WaisSettings::default();
         let (emulation, retention) = (Emulation::default(), Default::default());
         let map = None;
-        Ok(Testbed { name, description, graph, services, map, walks, plugins, wais, seed, emulation, retention })
+        Ok(Testbed {
+            name,
+            description,
+            graph,
+            services,
+            map,
+            walks,
+            plugins,
+            wais,
+            seed,
+            emulation,
+            retention,
+        })
     }
 
     /// How a node is reached.
