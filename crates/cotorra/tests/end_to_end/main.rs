@@ -13,6 +13,7 @@ mod localize;
 #[path = "../../../measurements/src/testing/mariadb.rs"]
 mod mariadb;
 mod netem;
+mod one_robot;
 mod plugin;
 mod recording;
 mod ros1;

@@ -6,45 +6,16 @@
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
 mod ros;
 
-use std::{
-    collections::BTreeSet,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeSet, path::Path};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
 use self::ros::Ros;
-use crate::harness::{Run, cotorra, output, project_file, stderr, stdout, wait_until};
-
-const PLACE: &str = "
-wireless: { w: {} }
-nodes:
-  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
-  cloud: { kind: server, tier: cloud, cpus: 4, memory: 8 GB }
-  tb: ROBOT
-links:
-  - { ends: [R1, cloud], delay: 1 ms }
-";
-/// Longer than any test.
-const NAVIGATED: &str = "
-services:
-  navigation:
-    robot: tb
-    kpis: { service_time: 50 ms }
-    vnfs:
-      robot-driver: { program: robot_driver, pinned_to: tb }
-      navigation: { program: navigation, node: cloud }
-walks:
-  tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
-";
-
-fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
-    let file = folder.join(format!("{name}.yaml"));
-    fs::write(&file, format!("name: {name}\n{}{rest}", PLACE.replace("ROBOT", robot))).unwrap();
-    file
-}
+use crate::{
+    harness::{Run, cotorra, output, project_file, stderr, stdout, wait_until},
+    one_robot::{NAVIGATED, robot, testbed},
+};
 
 /// All keys of a context, with the way to each.
 fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
@@ -62,11 +33,6 @@ fn shape(value: &Value) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     keys(value, "", &mut found);
     found
-}
-
-fn robot(run: &Run) -> Value {
-    let (status, context) = run.ask("/api/v1/robots/tb", None);
-    if status == 200 { context } else { Value::Null }
 }
 
 fn notices(run: &Run) -> String {

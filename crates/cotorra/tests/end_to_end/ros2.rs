@@ -6,49 +6,16 @@
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
 mod peer;
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::path::Path;
 
-use serde_json::{Value, json};
+use serde_json::json;
 use tempfile::TempDir;
 
 use self::peer::Meeting;
-use crate::harness::{Run, output, stderr, wait_until};
-
-const PLACE: &str = "
-wireless: { w: {} }
-nodes:
-  R1: { kind: radio_unit, position: [0, 0], channel: 1 }
-  cloud: { kind: server, tier: cloud, cpus: 4, memory: 8 GB }
-  tb: ROBOT
-links:
-  - { ends: [R1, cloud], delay: 1 ms }
-";
-/// Longer than any test.
-const NAVIGATED: &str = "
-services:
-  navigation:
-    robot: tb
-    kpis: { service_time: 50 ms }
-    vnfs:
-      robot-driver: { program: robot_driver, pinned_to: tb }
-      navigation: { program: navigation, node: cloud }
-walks:
-  tb: { waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }
-";
-
-fn testbed(folder: &Path, name: &str, robot: &str, rest: &str) -> PathBuf {
-    let file = folder.join(format!("{name}.yaml"));
-    fs::write(&file, format!("name: {name}\n{}{rest}", PLACE.replace("ROBOT", robot))).unwrap();
-    file
-}
-
-fn robot(run: &Run) -> Value {
-    let (status, context) = run.ask("/api/v1/robots/tb", None);
-    if status == 200 { context } else { Value::Null }
-}
+use crate::{
+    harness::{Run, output, stderr, wait_until},
+    one_robot::{NAVIGATED, robot, testbed},
+};
 
 fn velocity(run: &Run) -> (f64, f64) {
     let velocity = &robot(run)["sensors"]["velocity"];
