@@ -87,26 +87,25 @@ impl Heard {
 #[derive(Debug, Default)]
 struct Calls {
     in_flight: Vec<(Ticket, Call)>,
-    /// After a refusal nothing is tried before the next head: the same chain would say the same again.
-    is_held: bool,
+    /// Not tried again before the next head: the same chain would say the same again. Other calls are, as no head may come before one.
+    refused: Vec<Call>,
 }
 
 impl Calls {
     fn take(&mut self, notice: &Notice) {
         match notice {
             Notice::Refused(ticket, _) => {
-                let before = self.in_flight.len();
-                self.in_flight.retain(|(other, _)| other != ticket);
-                self.is_held |= self.in_flight.len() < before;
+                let refused = self.in_flight.extract_if(.., |(other, _)| other == ticket);
+                self.refused.extend(refused.map(|(_, call)| call));
             }
-            Notice::Head { .. } => self.is_held = false,
+            Notice::Head { .. } => self.refused.clear(),
             _ => {}
         }
     }
 
     /// Submits a call that is not with the ledger yet. Returns whether it did.
     fn submit(&mut self, now: Timestamp, ledger: &mut dyn Ledger, call: Call) -> bool {
-        if self.is_held || self.in_flight.iter().any(|(_, other)| *other == call) {
+        if self.refused.contains(&call) || self.in_flight.iter().any(|(_, other)| *other == call) {
             return false;
         }
         let ticket = ledger.submit(now, call.clone());

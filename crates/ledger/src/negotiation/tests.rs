@@ -413,6 +413,52 @@ fn a_creator_that_is_restarted_at_any_time_goes_on_where_it_was() {
     }
 }
 
+/// A ledger of which only what is submitted matters.
+#[derive(Default)]
+struct Written(Vec<Call>);
+
+impl Ledger for Written {
+    fn account(&self) -> Account {
+        account(0)
+    }
+
+    fn submit(&mut self, _: Timestamp, call: Call) -> Ticket {
+        self.0.push(call);
+        Ticket(self.0.len() as u64)
+    }
+
+    fn poll(&mut self, _: Timestamp) -> Option<Notice> {
+        None
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        None
+    }
+}
+
+#[test]
+fn a_refusal_holds_back_the_call_that_was_refused_until_the_next_head_and_no_other() {
+    let mut ledger = Written::default();
+    let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
+    // It was restarted and has not heard that all of this is on the chain.
+    creator.submit(Timestamp::ZERO, &mut ledger);
+    assert!(matches!(ledger.0[..], [Call::Announce { .. }]));
+    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(1), Refusal::AlreadyAnnounced.into()));
+    creator.submit(Timestamp::ZERO, &mut ledger);
+    assert_eq!(ledger.0.len(), 1, "the chain would say the same");
+    let id = creator.id();
+    let (provider, sealed) = (account(1), Vec::new());
+    let deployed = Event::ServiceDeployed { id, provider, sealed, deadline: ChainTime(60) };
+    creator.handle(Timestamp::ZERO, &Notice::Event(deployed));
+    creator.release();
+    creator.submit(Timestamp::ZERO, &mut ledger);
+    assert_eq!(ledger.0[1..], [Call::Cancel { id }]);
+    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(2), Refusal::OnlyCreator.into()));
+    creator.handle(Timestamp::ZERO, &Notice::Head { number: 1, time: ChainTime(1) });
+    creator.submit(Timestamp::ZERO, &mut ledger);
+    assert_eq!(ledger.0[2..], [Call::Cancel { id }]);
+}
+
 fn fault() -> impl Strategy<Value = Fault> {
     prop_oneof![
         6 => Just(Fault::None),
