@@ -10,7 +10,7 @@ use std::{
 use alloy::{
     consensus::TxEip1559,
     eips::{BlockNumberOrTag, eip2718::Encodable2718},
-    primitives::{Address, Bytes, TxKind, U256},
+    primitives::{Address, BloomInput, Bytes, TxKind, U256},
     providers::{Provider, RootProvider},
     rpc::types::{BlockId, Filter, Header, Log, TransactionInput, TransactionRequest},
 };
@@ -47,6 +47,8 @@ pub struct Settings {
 const POLL: Duration = Duration::from_millis(5);
 /// Between two attempts to connect.
 const RECONNECT: Duration = Duration::from_millis(500);
+/// Between two attempts to have a block's receipts.
+const RECEIPTS: Duration = Duration::from_millis(20);
 /// Nodes answer for so many blocks at once.
 const RANGE: u64 = 1000;
 /// What a call may take more than when it was tried, in percent and on top: what it writes depends on the time of its block, as with
@@ -251,9 +253,7 @@ impl Client {
             self.tell(Notice::Retracted(event))?;
         }
         for header in news.into_iter().rev() {
-            let filter =
-                Filter::new().address(Address::from(self.settings.contract.0)).at_block_hash(header.hash);
-            let events = self.events(provider, &filter).await?;
+            let events = self.events_in(provider, &header).await?;
             for event in &events {
                 self.tell(Notice::Event(event.clone()))?;
             }
@@ -285,6 +285,25 @@ impl Client {
             self.next_block = Some(from);
         }
         Ok(())
+    }
+
+    /// What the contract said in a block.
+    async fn events_in(&self, provider: &RootProvider, header: &Header) -> Result<Vec<Event>, Over> {
+        let contract = Address::from(self.settings.contract.0);
+        // The header says already whether it may have said anything.
+        if !header.logs_bloom.contains_input(BloomInput::Raw(contract.as_slice())) {
+            return Ok(Vec::new());
+        }
+        let filter = Filter::new().address(contract).at_block_hash(header.hash);
+        loop {
+            // Some nodes have a block before they have its receipts, and find no logs in it until then.
+            let has_receipts = node::has_receipts(provider, header.hash).await?;
+            let events = self.events(provider, &filter).await?;
+            if has_receipts || !events.is_empty() {
+                return Ok(events);
+            }
+            tokio::time::sleep(RECEIPTS).await;
+        }
     }
 
     async fn events(&self, provider: &RootProvider, filter: &Filter) -> Result<Vec<Event>, Over> {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use alloy::{
     consensus::TxEip1559,
     eips::{BlockId, BlockNumberOrTag, eip2718::Encodable2718},
-    primitives::{Bytes, TxKind},
+    primitives::{B256, Bytes, TxKind},
     providers::{Provider, ProviderBuilder, RootProvider, WsConnect},
     pubsub::Subscription,
     rpc::types::{Header, TransactionInput, TransactionReceipt, TransactionRequest},
@@ -120,6 +120,13 @@ pub(super) async fn estimate(provider: &RootProvider, request: TransactionReques
         }
         gas => gas,
     }
+}
+
+/// Whether a node has all receipts of a block. One that does not know the block has none of it to wait for.
+pub(super) async fn has_receipts(provider: &RootProvider, block: B256) -> Result<bool, Failed> {
+    let Some(block) = provider.get_block_by_hash(block).await? else { return Ok(true) };
+    let Some(last) = block.transactions.hashes().last() else { return Ok(true) };
+    Ok(provider.get_transaction_receipt(last).await?.is_some())
 }
 
 /// The heads of the chain as they come.

@@ -25,12 +25,12 @@ fn a_service_is_negotiated_used_and_paid() {
     negotiate(&node);
 }
 
-/// On the network that `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546`, whose genesis gives money to the operators
-/// of tests: the keys 0101…01, 0202…02, 0303…03 and 6363…63.
+/// On the network whose nodes `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546,ws://127.0.0.1:8646`; each operator uses
+/// another of them. Its genesis gives money to the operators of tests: the keys 0101…01, 0202…02, 0303…03 and 6363…63.
 #[test]
 fn a_service_is_negotiated_used_and_paid_on_an_existing_network() {
     match env::var("COTORRA_TEST_LEDGER") {
-        Ok(url) => negotiate(&Node::existing(&url)),
+        Ok(urls) => negotiate(&Node::existing(&urls.split([',', '\n']).collect::<Vec<_>>())),
         Err(_) => eprintln!("skipped: COTORRA_TEST_LEDGER names no network"),
     }
 }

@@ -27,8 +27,8 @@ pub struct Node {
     folder: TempDir,
     contract: Account,
     port: u16,
-    /// A network that is there already.
-    existing: Option<String>,
+    /// The nodes of a network that is there already.
+    existing: Vec<String>,
 }
 
 /// The key of a test's operator.
@@ -45,20 +45,21 @@ impl Node {
             folder: tempfile::tempdir().unwrap(),
             contract: Account::default(),
             port: 0,
-            existing: None,
+            existing: Vec::new(),
         };
         node.restart();
         let deployer = key(99);
         node.enrich(deployer.account());
-        (node.contract, _) = ethereum::deploy(&node.url(), &deployer).unwrap();
+        (node.contract, _) = ethereum::deploy(&node.url(1), &deployer).unwrap();
         Some(node)
     }
 
-    /// The network at that WebSocket, on which the operators of tests have money; the contract is deployed anew.
-    pub fn existing(url: &str) -> Self {
-        let (contract, _) = ethereum::deploy(url, &key(99)).unwrap();
+    /// The network with nodes at these WebSockets, on which the operators of tests have money; the contract is deployed anew.
+    pub fn existing(urls: &[&str]) -> Self {
+        let (contract, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
         let (anvil, program, folder) = (None, PathBuf::new(), tempfile::tempdir().unwrap());
-        Self { anvil, program, folder, contract, port: 0, existing: Some(url.to_owned()) }
+        let existing = urls.iter().map(|url| (*url).to_owned()).collect();
+        Self { anvil, program, folder, contract, port: 0, existing }
     }
 
     /// The node again, with the chain that it had, where it was.
@@ -80,12 +81,16 @@ impl Node {
         self.anvil.take().unwrap().stop();
     }
 
-    fn url(&self) -> String {
-        self.existing.clone().unwrap_or_else(|| format!("ws://127.0.0.1:{}", self.port))
+    /// The node of an operator: each has another, where there are several.
+    fn url(&self, operator: u8) -> String {
+        match self.existing.len() {
+            0 => format!("ws://127.0.0.1:{}", self.port),
+            count => self.existing[(usize::from(operator) - 1) % count].clone(),
+        }
     }
 
     fn enrich(&self, account: Account) {
-        if self.existing.is_some() {
+        if !self.existing.is_empty() {
             return;
         }
         self.rpc("anvil_setBalance", &format!("[\"{account}\", \"0xffffffffffffffffffff\"]"));
@@ -106,7 +111,7 @@ impl Node {
 
     /// An operator that may have been there before.
     pub fn reconnect(&self, number: u8) -> Operator {
-        let settings = Settings { url: self.url(), contract: self.contract, from_block: 0, depth: 2 };
+        let settings = Settings { url: self.url(number), contract: self.contract, from_block: 0, depth: 2 };
         Operator::new(EthereumLedger::connect(settings, key(number)).unwrap(), key(number))
     }
 
