@@ -6,8 +6,9 @@
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
 use std::{
-    fs,
+    fs, panic,
     path::Path,
+    process,
     sync::Mutex,
     thread,
     time::{Duration, Instant},
@@ -71,7 +72,17 @@ fn load_average() -> String {
     fs::read_to_string("/proc/loadavg").unwrap_or_default().trim().to_owned()
 }
 
+/// A thread that panics ends the benchmark: the others would wait for what never comes.
+fn end_at_panics() {
+    let tell = panic::take_hook();
+    panic::set_hook(Box::new(move |what| {
+        tell(what);
+        process::exit(1);
+    }));
+}
+
 fn main() {
+    end_at_panics();
     enter_user_namespace_if_needed().unwrap();
     let graph = testbed_file::parse("path", TESTBED, Path::new("")).unwrap().graph;
     let fabric = Fabric::new(&graph, 1).unwrap();
