@@ -33,11 +33,22 @@ impl Default for Driver {
 /// How others reach a simulated robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Offer {
+    /// As what, and where.
+    pub ros: Ros,
+    /// Whether it tells the testbed's time on `/clock`, and stamps what it says with that; else stamps are the time of
+    /// day.
+    pub clock: bool,
+}
+
+/// Where a robot is in ROS.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
-pub enum Offer {
-    /// As a robot that speaks ROS 1.
+pub enum Ros {
+    /// It speaks ROS 1.
     Ros1(Box<Ros1>),
-    /// As a robot that speaks ROS 2.
+    /// It speaks ROS 2.
     Ros2(Box<Ros2>),
 }
 
@@ -64,13 +75,10 @@ impl Ros1 {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Ros2 {
-    /// In which network it is reached.
-    pub network: RosNetwork,
+    /// What carries its messages.
+    pub rmw: Rmw,
     /// Its domain, 0 to 232; without one, that in `ROS_DOMAIN_ID`, or 0.
     pub domain: Option<u16>,
-    /// The address of the one network interface to use; without one, all of them.
-    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
-    pub interface: Option<IpAddr>,
     /// The namespace in which its topics are.
     pub namespace: String,
     /// Its topics.
@@ -81,6 +89,36 @@ impl Ros2 {
     /// The global name of a topic.
     pub fn resolved(&self, topic: &str) -> String {
         resolved(&self.namespace, topic)
+    }
+}
+
+/// What carries a robot's messages in ROS 2: its middleware (RMW).
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Rmw {
+    /// DDS.
+    Dds {
+        /// In which network it is reached.
+        network: RosNetwork,
+        /// The address of the one network interface to use; without one, all of them.
+        #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+        interface: Option<IpAddr>,
+    },
+    /// Zenoh, as `rmw_zenoh` has it, in the network of this machine.
+    Zenoh {
+        /// Zenoh's endpoint of the router, such as `tcp/192.168.0.20:7447`.
+        router: String,
+    },
+}
+
+impl Rmw {
+    /// In which network the robot is reached.
+    pub fn network(&self) -> RosNetwork {
+        match self {
+            Self::Dds { network, .. } => *network,
+            Self::Zenoh { .. } => RosNetwork::Machine,
+        }
     }
 }
 
@@ -128,7 +166,8 @@ pub enum RosMaster {
 pub fn ros1_environment(graph: &HardwareGraph, host: &NodeId) -> Vec<(&'static str, String)> {
     let address = |node: &NodeId| graph.address(node).map(|address| address.ipv4.to_string());
     let master = graph.robots().find_map(|(_, robot)| {
-        let (Driver::Ros1(ros1) | Driver::Simulated { offer: Some(Offer::Ros1(ros1)) }) = &robot.driver
+        let (Driver::Ros1(ros1) | Driver::Simulated { offer: Some(Offer { ros: Ros::Ros1(ros1), .. }) }) =
+            &robot.driver
         else {
             return None;
         };

@@ -27,7 +27,7 @@ pub use context::{
     Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource, RadioContext,
     RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
 };
-pub use driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
+pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use hardware::{

@@ -101,7 +101,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
+        driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
         hardware::HostAddress,
         id::NodeId,
         yaml::decode::Node,
@@ -219,25 +219,32 @@ mod tests {
                     b: { kind: robot, position: [0, 0], driver: { kind: ros2, domain: 42, interface: 127.0.0.1, \
                     namespace: tb2, topics: { scan: /lidar } } }\n  \
                     c: { kind: robot, position: [0, 0], offer: ros2 }\n  \
-                    d: { kind: robot, position: [0, 0], offer: { kind: ros2, network: machine, domain: 0 } }\n";
+                    d: { kind: robot, position: [0, 0], offer: { kind: ros2, network: machine, domain: 0, clock: true } \
+                    }\n  \
+                    e: { kind: robot, position: [0, 0], driver: { kind: ros2, rmw: zenoh } }\n  \
+                    f: { kind: robot, position: [0, 0], driver: { kind: ros2, rmw: zenoh, domain: 3, \
+                    router: tcp/tb3.local:7448 } }\n";
         let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
         let drivers: Vec<_> = testbed.graph.robots().map(|(_, robot)| robot.driver.clone()).collect();
-        let ros2 = |network, domain| Ros2 {
-            network,
-            domain,
-            interface: None,
-            namespace: "/".to_owned(),
-            topics: RosTopics::default(),
-        };
-        let mut tb2 = ros2(RosNetwork::Machine, Some(42));
-        (tb2.interface, tb2.namespace) = (Some([127, 0, 0, 1].into()), "/tb2".to_owned());
+        let over =
+            |rmw, domain| Ros2 { rmw, domain, namespace: "/".to_owned(), topics: RosTopics::default() };
+        let ros2 = |network, domain| over(Rmw::Dds { network, interface: None }, domain);
+        let interface = Some([127, 0, 0, 1].into());
+        let mut tb2 = over(Rmw::Dds { network: RosNetwork::Machine, interface }, Some(42));
+        tb2.namespace = "/tb2".to_owned();
         tb2.topics.scan = "/lidar".to_owned();
-        let offer = |ros2| Driver::Simulated { offer: Some(Offer::Ros2(Box::new(ros2))) };
+        let offer = |ros2, clock| {
+            let ros = Ros::Ros2(Box::new(ros2));
+            Driver::Simulated { offer: Some(Offer { ros, clock }) }
+        };
+        let zenoh = |router: &str, domain| over(Rmw::Zenoh { router: router.to_owned() }, domain);
         assert_eq!(drivers[0], Driver::Ros2(Box::new(ros2(RosNetwork::Machine, None))));
         assert_eq!(tb2.resolved("odom"), "/tb2/odom");
         assert_eq!(drivers[1], Driver::Ros2(Box::new(tb2)));
-        assert_eq!(drivers[2], offer(ros2(RosNetwork::Testbed, None)));
-        assert_eq!(drivers[3], offer(ros2(RosNetwork::Machine, Some(0))));
+        assert_eq!(drivers[2], offer(ros2(RosNetwork::Testbed, None), false));
+        assert_eq!(drivers[3], offer(ros2(RosNetwork::Machine, Some(0)), true));
+        assert_eq!(drivers[4], Driver::Ros2(Box::new(zenoh("tcp/localhost:7447", None))));
+        assert_eq!(drivers[5], Driver::Ros2(Box::new(zenoh("tcp/tb3.local:7448", Some(3)))));
         assert_eq!(violation(&json_of(text), &schema(), "x"), None);
     }
 
@@ -257,7 +264,10 @@ mod tests {
             namespace: namespace.to_owned(),
             topics: RosTopics::default(),
         };
-        let offer = |master| Driver::Simulated { offer: Some(Offer::Ros1(Box::new(ros1(master, "/")))) };
+        let offer = |master| {
+            let ros = Ros::Ros1(Box::new(ros1(master, "/")));
+            Driver::Simulated { offer: Some(Offer { ros, clock: false }) }
+        };
         let node = |name| RosMaster::Node { node: NodeId::new(name).unwrap() };
         let mut tb2 = ros1(RosMaster::Machine { uri: Some("http://tb:11311/".to_owned()) }, "/tb2");
         tb2.topics.scan = "/lidar".to_owned();

@@ -31,7 +31,7 @@ pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK,
 pub use lidar::Scan;
 pub use middleware::{MoveRefused, RobotMiddleware, Route, SensedScan};
 pub use ros_driver::{Clock, RosDriver, RosLink};
-pub use ros_offer::{OfferedRobot, RosOffer};
+pub use ros_offer::{OfferedRobot, OfferedTime, RosOffer};
 pub use ros_robot::RosRobot;
 pub use ros1::{Ros1Link, Ros1Offer};
 pub use ros2::{Ros2Link, Ros2Offer};

@@ -16,6 +16,31 @@ use crate::{
     simulated::SimulatedRobot,
 };
 
+/// The topic on which ROS's programs that go by a simulation's time (`use_sim_time`) hear it.
+pub(crate) const CLOCK: &str = "/clock";
+
+/// What the stamps of an offered robot's messages count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OfferedTime {
+    /// The time of day, since 1970.
+    Day {
+        /// The beginning of the run.
+        epoch: Timestamp,
+    },
+    /// The testbed's time, since the run began. It is told on `/clock`.
+    Testbed,
+}
+
+impl OfferedTime {
+    /// The stamp of what is at that time of the run.
+    pub fn stamp(self, at: Timestamp) -> Timestamp {
+        match self {
+            Self::Day { epoch } => at + epoch.since(Timestamp::ZERO),
+            Self::Testbed => at,
+        }
+    }
+}
+
 /// Those whom a robot is offered to over ROS. Never waits.
 pub trait RosOffer: Send + 'static {
     /// The velocities that were asked for since the last call, the oldest first.

@@ -23,6 +23,27 @@ pub enum ConfigError {
     Remapping(String),
 }
 
+/// What carries a node's messages, and over which it finds its peers: what ROS 2 calls its middleware, or RMW.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Middleware {
+    /// DDS, as all of ROS 2's but one.
+    Dds {
+        /// The address of the one network interface to use for multicast, and to be reached at; by default, all are
+        /// used. Loopback, 127.0.0.1, keeps to this machine.
+        interface: Option<IpAddr>,
+    },
+    /// Zenoh, as `rmw_zenoh` speaks it.
+    Zenoh {
+        /// Zenoh's endpoint of the router, such as `tcp/192.168.0.20:7447`.
+        router: String,
+    },
+}
+
+impl Middleware {
+    /// Whether Zenoh was built in.
+    pub const HAS_ZENOH: bool = cfg!(feature = "zenoh");
+}
+
 /// What a node is called, and where its peers are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeConfig {
@@ -32,21 +53,20 @@ pub struct NodeConfig {
     pub namespace: String,
     /// Who is in another domain is not seen; 0 to 232.
     pub domain: u16,
-    /// The address of the one network interface to use for multicast, and to be reached at; by default, all are used.
-    /// Loopback, 127.0.0.1, keeps to this machine.
-    pub interface: Option<IpAddr>,
+    /// What carries its messages.
+    pub middleware: Middleware,
     /// What names become: from, to.
     pub remappings: Vec<(String, String)>,
 }
 
 impl NodeConfig {
-    /// A node of that name in the namespace `/` and in domain 0, on all interfaces.
+    /// A node of that name in the namespace `/` and in domain 0, over DDS, on all interfaces.
     pub fn new(name: &str) -> Self {
         Self {
             name: name.to_owned(),
             namespace: "/".to_owned(),
             domain: 0,
-            interface: None,
+            middleware: Middleware::Dds { interface: None },
             remappings: Vec::new(),
         }
     }
@@ -69,7 +89,7 @@ impl NodeConfig {
         let range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
         let localhost = variable("ROS_LOCALHOST_ONLY").is_some_and(|only| only == "1");
         if localhost || range.is_some_and(|range| range.eq_ignore_ascii_case("LOCALHOST")) {
-            self.interface = Some(Ipv4Addr::LOCALHOST.into());
+            self.middleware = Middleware::Dds { interface: Some(Ipv4Addr::LOCALHOST.into()) };
         }
         Ok(self)
     }
@@ -122,9 +142,11 @@ mod tests {
         };
         assert_eq!(with(&[]).unwrap(), NodeConfig::new("n"));
         let config = with(&[("ROS_DOMAIN_ID", "42"), ("ROS_LOCALHOST_ONLY", "1")]).unwrap();
-        assert_eq!((config.domain, config.interface), (42, Some(Ipv4Addr::LOCALHOST.into())));
-        assert!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")]).unwrap().interface.is_some());
-        assert!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]).unwrap().interface.is_none());
+        let local = Middleware::Dds { interface: Some(Ipv4Addr::LOCALHOST.into()) };
+        assert_eq!((config.domain, config.middleware), (42, local.clone()));
+        assert_eq!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")]).unwrap().middleware, local);
+        let all = Middleware::Dds { interface: None };
+        assert_eq!(with(&[("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")]).unwrap().middleware, all);
         for wrong in ["233", "-1", "a"] {
             assert_eq!(with(&[("ROS_DOMAIN_ID", wrong)]), Err(ConfigError::Domain(wrong.to_owned())));
         }

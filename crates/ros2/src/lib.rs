@@ -21,21 +21,24 @@
 //! are started by the thread that makes the node or by each other, so that they live in its network namespace.
 #![forbid(unsafe_code)]
 
-mod announce;
 mod carried;
 mod config;
 mod dds;
-mod graph;
 mod names;
 mod node;
+mod peers;
 mod qos;
 mod queue;
+mod topics;
+#[cfg(feature = "zenoh")]
+mod zenoh;
 
 pub use carried::{Carried, Command, Kind};
-pub use config::{ConfigError, NodeConfig};
+pub use config::{ConfigError, Middleware, NodeConfig};
 pub use cotorra_plugin::messages;
-pub use graph::Peers;
 pub use names::NameError;
-pub use node::{Node, NodeError, Publisher, Subscriber};
+pub use node::{Node, NodeError};
+pub use peers::Peers;
 pub use qos::Qos;
 pub use queue::RecvError;
+pub use topics::{Publisher, Subscriber};

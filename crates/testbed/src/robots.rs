@@ -5,14 +5,14 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use cotorra_datapath::Datapath;
 use cotorra_graph::{
-    Driver, Node, NodeId, NodeKind, Offer, Ros1, Ros2, RosMaster, RosNetwork, Testbed, Timestamp,
+    Driver, Node, NodeId, NodeKind, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, Testbed, Timestamp,
 };
 use cotorra_robot_middleware::{
-    Clock, OfferedRobot, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver, RosRobot,
-    SimulatedRobot, SimulationError,
+    Clock, OfferedRobot, OfferedTime, RobotDriver, Ros1Link, Ros1Offer, Ros2Link, Ros2Offer, RosDriver,
+    RosRobot, SimulatedRobot, SimulationError,
 };
 use cotorra_ros1::{ConfigError, Endpoint, MasterServer, NodeConfig};
-use cotorra_ros2 as ros2;
+use cotorra_ros2::{self as ros2, Middleware};
 
 /// Why a robot cannot be driven.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +44,12 @@ pub enum RobotError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// It speaks Zenoh, which is left out of this build.
+    #[error(
+        "robot `{0}` speaks Zenoh, and this cotorra was built without: build it with `--features zenoh`, or leave out \
+         `rmw: zenoh`"
+    )]
+    WithoutZenoh(NodeId),
     /// Virtual time has no ROS.
     #[error(
         "robot `{0}` speaks ROS, which goes by the clock on the wall: run without `--simulate`, or simulate it all by \
@@ -117,23 +123,21 @@ impl Robots {
         let clock = Arc::clone(&self.clock);
         match driver(node) {
             Driver::Simulated { offer: None } => Ok(Box::new(robot)),
-            Driver::Simulated { offer: Some(Offer::Ros1(ros1)) } => {
+            Driver::Simulated { offer: Some(Offer { ros: Ros::Ros1(ros1), clock: tells }) } => {
                 let config = self.config(node, &ros1, "offer")?;
-                let (testbed, epoch) = (Arc::clone(&self.testbed), self.epoch);
+                let (testbed, time) = (Arc::clone(&self.testbed), self.time(tells));
                 let topics = ros1.topics;
-                let connect =
-                    move || Ros1Offer::connect(config.clone(), &topics, testbed.map.as_ref(), epoch);
+                let connect = move || Ros1Offer::connect(config.clone(), &topics, testbed.map.as_ref(), time);
                 let start = || OfferedRobot::start(robot, clock, connect);
                 Ok(Box::new(self.inside(node, network(&ros1.master), start).map_err(system)?))
             }
-            Driver::Simulated { offer: Some(Offer::Ros2(ros2)) } => {
+            Driver::Simulated { offer: Some(Offer { ros: Ros::Ros2(ros2), clock: tells }) } => {
                 let config = ros2_config(&node.id, &ros2, "offer")?;
-                let (testbed, epoch) = (Arc::clone(&self.testbed), self.epoch);
-                let topics = ros2.topics;
-                let connect =
-                    move || Ros2Offer::connect(config.clone(), &topics, testbed.map.as_ref(), epoch);
+                let (testbed, time) = (Arc::clone(&self.testbed), self.time(tells));
+                let (topics, network) = (ros2.topics, ros2.rmw.network());
+                let connect = move || Ros2Offer::connect(config.clone(), &topics, testbed.map.as_ref(), time);
                 let start = || OfferedRobot::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, ros2.network, start).map_err(system)?))
+                Ok(Box::new(self.inside(node, network, start).map_err(system)?))
             }
             Driver::Ros1(ros1) => {
                 let config = self.config(node, &ros1, "driver")?;
@@ -145,13 +149,18 @@ impl Robots {
             }
             Driver::Ros2(ros2) => {
                 let config = ros2_config(&node.id, &ros2, "driver")?;
-                let (topics, epoch) = (ros2.topics, self.epoch);
+                let (topics, network, epoch) = (ros2.topics, ros2.rmw.network(), self.epoch);
                 let connect = move || Ros2Link::connect(config.clone(), &topics, epoch);
                 let robot = self.out_there(node, &robot);
                 let start = || RosDriver::start(robot, clock, connect);
-                Ok(Box::new(self.inside(node, ros2.network, start).map_err(system)?))
+                Ok(Box::new(self.inside(node, network, start).map_err(system)?))
             }
         }
+    }
+
+    /// What the stamps of an offered robot count.
+    fn time(&self, tells: bool) -> OfferedTime {
+        if tells { OfferedTime::Testbed } else { OfferedTime::Day { epoch: self.epoch } }
     }
 
     /// A robot that begins where a simulated one would.
@@ -239,13 +248,16 @@ fn ros2_config(robot: &NodeId, said: &Ros2, what: &str) -> Result<ros2::NodeConf
         None => ros2::NodeConfig::from_env(&name)
             .map_err(|reason| RobotError::Domain { robot: robot.clone(), reason })?,
     };
-    // Of this machine's interfaces, the emulated network has none.
-    let usual = match said.network {
-        RosNetwork::Machine => usual,
-        RosNetwork::Testbed => ros2::NodeConfig { interface: None, ..usual },
+    let middleware = match (&said.rmw, usual.middleware) {
+        (Rmw::Zenoh { .. }, _) if !Middleware::HAS_ZENOH => {
+            return Err(RobotError::WithoutZenoh(robot.clone()));
+        }
+        (Rmw::Zenoh { router }, _) => Middleware::Zenoh { router: router.clone() },
+        // Of this machine's interfaces, the emulated network has none.
+        (Rmw::Dds { interface: None, network: RosNetwork::Machine }, usual) => usual,
+        (Rmw::Dds { interface, .. }, _) => Middleware::Dds { interface: *interface },
     };
-    let interface = said.interface.or(usual.interface);
-    Ok(ros2::NodeConfig { namespace: said.namespace.clone(), interface, ..usual })
+    Ok(ros2::NodeConfig { namespace: said.namespace.clone(), middleware, ..usual })
 }
 
 #[allow(

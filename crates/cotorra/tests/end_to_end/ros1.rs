@@ -44,8 +44,8 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
     let Some(ros) = Ros::start() else { return };
     let folder = TempDir::new().unwrap();
     let place = format!("master: 'http://127.0.0.1:{}', namespace: /tb2", ros.port());
-    let offered =
-        format!("{{ kind: robot, position: [2, 3], offer: {{ kind: ros1, network: machine, {place} }} }}");
+    let offer = format!("{{ kind: ros1, network: machine, clock: true, {place} }}");
+    let offered = format!("{{ kind: robot, position: [2, 3], offer: {offer} }}");
     let driven = format!("{{ kind: robot, driver: {{ kind: ros1, {place} }} }}");
     let offered = testbed(folder.path(), "offered", &offered, "");
     let driven = testbed(folder.path(), "driven", &driven, NAVIGATED);
@@ -65,6 +65,11 @@ fn a_robot_that_another_run_offers_is_driven_like_any_and_stops_when_either_run_
     assert_eq!(shape(&history(&offer)), shape(&history(&driver)));
     let sample = driver.wait_for_service().to_string();
     assert!(sample.contains(r#""robot":"tb""#), "{sample}");
+
+    // The testbed's time, which began with the run.
+    let clock = ros.run("rostopic", &["echo", "-n", "1", "/clock"]);
+    let (_, seconds) = clock.split_once("secs:").unwrap();
+    assert!(seconds.trim().split('\n').next().unwrap().trim().parse::<u32>().unwrap() < 1000, "{clock}");
 
     // What was wrong with it was told, and that it is over.
     wait_until(|| notices(&driver).contains("robot tb is well"));

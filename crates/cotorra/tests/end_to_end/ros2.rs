@@ -1,5 +1,5 @@
 //! Robots in ROS 2: one run offers a simulated robot, another drives it as if it were out there, and Cyclone DDS listens
-//! to it and drives it as well.
+//! to it and drives it as well, on this machine and across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 #[path = "../../../ros2/tests/interop/peer.rs"]
@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use self::peer::Meeting;
 use crate::{
-    harness::{Run, output, stderr, wait_until},
+    harness::{Run, cotorra, output, stderr, wait_until},
     one_robot::{NAVIGATED, robot, testbed},
 };
 
@@ -64,6 +64,34 @@ fn a_robot_that_another_run_offers_is_driven_and_so_it_is_by_cyclone_dds() {
     wait_until(|| velocity(&offer).0 == 0.0);
     offer.signal("INT");
     offer.wait();
+}
+
+#[test]
+fn programs_in_another_node_find_an_offered_robot_across_the_emulated_network() {
+    let meeting = Meeting::new();
+    let folder = TempDir::new().unwrap();
+    let offer = format!("{{ kind: ros2, domain: {}, namespace: /tb2, clock: true }}", meeting.domain());
+    let offered = format!("{{ kind: robot, position: [2, 3], offer: {offer} }}");
+    let run = Run::start(&testbed(folder.path(), "offered", &offered, ""), &[]);
+    let start = |action: &str, kind: &str, topic: &str, qos: &str| {
+        let inside = cotorra(["exec", "--api", run.address(), "cloud", "--"]);
+        meeting.cyclone_by(inside, action, kind, topic, qos)
+    };
+    let Some(listener) = start("print", "LaserScan", "rt/tb2/scan", "sensors") else { return };
+    let driver = start("publish", "TwistStamped", "rt/tb2/cmd_vel", "commands").unwrap();
+    wait_until(|| velocity(&run).0 > 0.2);
+    drop(driver);
+    wait_until(|| velocity(&run).0 == 0.0);
+
+    // The testbed's time began with the run, and stamps count that.
+    let clock = start("print", "Clock", "rt/clock", "sensors").unwrap();
+    clock.prints("Clock(clock=Time(sec=");
+    listener.prints("frame_id='laser'");
+    for said in [clock.output(), listener.output()] {
+        let (_, after) = said.split_once("sec=").unwrap();
+        let seconds: u32 = after.split_once(',').unwrap().0.parse().unwrap();
+        assert!(seconds < 1000, "{seconds}");
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
 use crate::{
-    driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork},
+    driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
     id::NodeId,
     map::Cell,
@@ -100,26 +100,33 @@ fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     enum Place<'a> {
         Master(&'a RosMaster),
         Domain(RosNetwork, Option<u16>),
+        Zenoh(&'a str, Option<u16>),
     }
     let mut taken = HashMap::new();
     for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
         let NodeKind::Robot(robot) = &node.kind else { continue };
-        let ros1 = |ros1: &'_ Ros1| ros1.resolved(&ros1.topics.cmd_vel);
-        let ros2 = |ros2: &'_ Ros2| ros2.resolved(&ros2.topics.cmd_vel);
+        let ros1 = |its: &'_ Ros1| its.resolved(&its.topics.cmd_vel);
+        let ros2 = |its: &'_ Ros2| its.resolved(&its.topics.cmd_vel);
+        fn domain(its: &Ros2) -> Place<'_> {
+            match &its.rmw {
+                Rmw::Dds { network, .. } => Place::Domain(*network, its.domain),
+                Rmw::Zenoh { router } => Place::Zenoh(router, its.domain),
+            }
+        }
         let (place, topic, is_offer) = match &robot.driver {
             Driver::Ros1(its) => (Place::Master(&its.master), ros1(its), false),
-            Driver::Ros2(its) => (Place::Domain(its.network, its.domain), ros2(its), false),
-            Driver::Simulated { offer: Some(Offer::Ros1(its)) } => {
+            Driver::Ros2(its) => (domain(its), ros2(its), false),
+            Driver::Simulated { offer: Some(Offer { ros: Ros::Ros1(its), .. }) } => {
                 (Place::Master(&its.master), ros1(its), true)
             }
-            Driver::Simulated { offer: Some(Offer::Ros2(its)) } => {
-                (Place::Domain(its.network, its.domain), ros2(its), true)
+            Driver::Simulated { offer: Some(Offer { ros: Ros::Ros2(its), .. }) } => {
+                (domain(its), ros2(its), true)
             }
             Driver::Simulated { offer: None } => continue,
         };
         let shared = match place {
             Place::Master(_) => "of one ROS master",
-            Place::Domain(..) => "in one domain of ROS 2",
+            Place::Domain(..) | Place::Zenoh(..) => "in one domain of ROS 2",
         };
         // A robot that one node offers may be driven by another: only two of a kind are in each other's way.
         if let Some(before) = taken.insert((is_offer, place, topic.clone()), &node.id) {

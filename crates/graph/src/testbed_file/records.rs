@@ -267,6 +267,9 @@ record! {
         network: Option<Spanned<RosNetwork>>,
         /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
         namespace: Option<Spanned<String>>,
+        /// Whether an offered robot tells the testbed's time on `/clock`, and stamps what it says with that. Without it:
+        /// stamps are the time of day.
+        clock: Option<Spanned<bool>>,
         /// Names of topics that are others than a TurtleBot's.
         topics: RosTopicsRecord = {},
     }
@@ -276,6 +279,10 @@ record! {
     /// A robot in ROS 2.
     #[derive(Default)]
     Ros2Record {
+        /// What carries its messages. Without it: DDS, which all of ROS 2's middlewares but `rmw_zenoh` speak.
+        rmw: Option<Spanned<RmwWord>>,
+        /// With `rmw: zenoh`: Zenoh's endpoint of the router. Without it: `tcp/localhost:7447`.
+        router: Option<Spanned<String>>,
         /// Its domain, 0 to 232. Without it: that in `ROS_DOMAIN_ID`, or 0.
         domain: Option<Spanned<u64>>,
         /// The address of the one network interface to use, such as `192.168.0.10`. Without it: all of them.
@@ -284,9 +291,19 @@ record! {
         network: Option<Spanned<RosNetwork>>,
         /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
         namespace: Option<Spanned<String>>,
+        /// Whether an offered robot tells the testbed's time on `/clock`, and stamps what it says with that. Without it:
+        /// stamps are the time of day.
+        clock: Option<Spanned<bool>>,
         /// Names of topics that are others than a TurtleBot's.
         topics: RosTopicsRecord = {},
     }
+}
+
+/// What carries messages in ROS 2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum RmwWord {
+    Dds,
+    Zenoh,
 }
 
 record! {
@@ -578,6 +595,10 @@ choice!(OfferWord, "way of offering a robot", {
 choice!(RosNetwork, "network for ROS", {
     "machine" => Self::Machine, "the network of this machine";
     "testbed" => Self::Testbed, "the emulated network: the robot's ROS node is in its node";
+});
+choice!(RmwWord, "middleware of ROS 2", {
+    "dds" => Self::Dds, "DDS: Fast DDS, Cyclone DDS, Connext";
+    "zenoh" => Self::Zenoh, "Zenoh, for `rmw_zenoh`; in a cotorra that was built with `--features zenoh`";
 });
 choice!(Tier, "tier", {
     "fog" => Self::Fog, "on the premises";

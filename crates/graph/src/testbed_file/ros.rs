@@ -3,10 +3,11 @@
 use std::net::IpAddr;
 
 use super::records::{
-    DriverRecord, DriverWord, OfferRecord, OfferWord, RobotRecord, Ros1Record, Ros2Record, RosTopicsRecord,
+    DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
+    RosTopicsRecord,
 };
 use crate::{
-    driver::{Driver, Offer, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
+    driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
     id::NodeId,
     yaml::{
         Sink,
@@ -20,10 +21,13 @@ enum Said<'a> {
     Ros2(&'a Ros2Record),
 }
 
-/// Where a robot is.
-enum Place {
-    Ros1(Box<Ros1>),
-    Ros2(Box<Ros2>),
+impl Said<'_> {
+    fn clock(&self) -> Option<&Spanned<bool>> {
+        match self {
+            Said::Ros1(ros1) => ros1.clock.as_ref(),
+            Said::Ros2(ros2) => ros2.clock.as_ref(),
+        }
+    }
 }
 
 /// What moves a robot, and how it is offered. `host` finds a node that has a network namespace, or reports that there
@@ -49,14 +53,21 @@ pub(super) fn driver(
         Either::Long(OfferRecord::Ros2(ros2)) => (Said::Ros2(ros2), &offer.span),
     });
     let mut place = |said: Said<'_>, usual: RosNetwork| match said {
-        Said::Ros1(ros1) => build(ros1, usual, robot, host, sink).map(Place::Ros1),
-        Said::Ros2(ros2) => build_ros2(ros2, usual, sink).map(Place::Ros2),
+        Said::Ros1(ros1) => build(ros1, usual, robot, host, sink).map(Ros::Ros1),
+        Said::Ros2(ros2) => build_ros2(ros2, usual, sink).map(Ros::Ros2),
     };
     match (driven, offered) {
-        (Some(driven), None) => Some(match place(driven, RosNetwork::Machine)? {
-            Place::Ros1(ros1) => Driver::Ros1(ros1),
-            Place::Ros2(ros2) => Driver::Ros2(ros2),
-        }),
+        (Some(driven), None) => {
+            if let Some(clock) = driven.clock() {
+                sink.error(&clock.span, format!("`{robot}` is out there, and has a clock of its own"))
+                    .help("leave out `clock`: it is for an `offer`");
+                return None;
+            }
+            Some(match place(driven, RosNetwork::Machine)? {
+                Ros::Ros1(ros1) => Driver::Ros1(ros1),
+                Ros::Ros2(ros2) => Driver::Ros2(ros2),
+            })
+        }
         (Some(_), Some((_, span))) => {
             sink.error(span, format!("`{robot}` is driven over ROS, and offered"))
                 .help("leave out `offer`: it is out there already; only a simulated robot can be offered");
@@ -64,11 +75,9 @@ pub(super) fn driver(
         }
         (None, None) => Some(Driver::default()),
         (None, Some((offered, _))) => {
-            let offer = match place(offered, RosNetwork::Testbed)? {
-                Place::Ros1(ros1) => Offer::Ros1(ros1),
-                Place::Ros2(ros2) => Offer::Ros2(ros2),
-            };
-            Some(Driver::Simulated { offer: Some(offer) })
+            let clock = offered.clock().is_some_and(|said| said.value);
+            let ros = place(offered, RosNetwork::Testbed)?;
+            Some(Driver::Simulated { offer: Some(Offer { ros, clock }) })
         }
     }
 }
@@ -101,17 +110,7 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
             domain.map(Some)
         }
     };
-    let interface = match &record.interface {
-        None => Some(None),
-        Some(said) => {
-            let address = said.value.parse().ok();
-            if address.is_none() {
-                sink.error(&said.span, format!("`{}` is no address", said.value))
-                    .help("write the address of one of this machine's interfaces, such as `192.168.0.10`");
-            }
-            address.map(Some)
-        }
-    };
+    let rmw = rmw(record, usual, sink);
     let doubled = |said: &&Spanned<String>| said.value.contains("__");
     let RosTopicsRecord { scan, odom, cmd_vel, tf, amcl_pose, map } = &record.topics;
     let names = [&record.namespace, scan, odom, cmd_vel, tf, amcl_pose, map];
@@ -122,10 +121,52 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
     }
     let namespace = namespace(record.namespace.as_ref(), sink);
     let topics = topics(&record.topics, sink);
-    let network = record.network.as_ref().map_or(usual, |network| network.value);
-    let ros2 =
-        Ros2 { network, domain: domain?, interface: interface?, namespace: namespace?, topics: topics? };
+    let ros2 = Ros2 { rmw: rmw?, domain: domain?, namespace: namespace?, topics: topics? };
     doubled.is_empty().then(|| Box::new(ros2))
+}
+
+/// The router that `rmw_zenoh`'s nodes look for by default.
+const ROUTER: &str = "tcp/localhost:7447";
+
+fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
+    let network = record.network.as_ref().map_or(usual, |network| network.value);
+    let zenoh = record.rmw.as_ref().filter(|said| said.value == RmwWord::Zenoh);
+    match (zenoh, &record.router, &record.interface) {
+        (None, Some(router), _) => {
+            sink.error(&router.span, "DDS has no router").help("leave it out, or write `rmw: zenoh`");
+            None
+        }
+        (Some(_), _, Some(interface)) => {
+            sink.error(&interface.span, "Zenoh takes the interface that leads to its router")
+                .help("leave out `interface`");
+            None
+        }
+        (Some(zenoh), ..) if network == RosNetwork::Testbed => {
+            let span = record.network.as_ref().map_or(&zenoh.span, |network| &network.span);
+            sink.error(span, "Zenoh is spoken in the network of this machine only")
+                .help("write `network: machine`, or leave out `rmw`: DDS crosses the emulated network, too");
+            None
+        }
+        (Some(_), None, None) => Some(Rmw::Zenoh { router: ROUTER.to_owned() }),
+        (Some(_), Some(router), None) => {
+            let place = router.value.strip_prefix("tcp/").and_then(|place| place.rsplit_once(':'));
+            let named = place.filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+            if named.is_none() {
+                sink.error(&router.span, format!("`{}` is no router of Zenoh's", router.value))
+                    .help(format!("write its address such as `{ROUTER}`; others than TCP are not there"));
+            }
+            named.map(|_| Rmw::Zenoh { router: router.value.clone() })
+        }
+        (None, None, None) => Some(Rmw::Dds { network, interface: None }),
+        (None, None, Some(said)) => {
+            let address = said.value.parse().ok();
+            if address.is_none() {
+                sink.error(&said.span, format!("`{}` is no address", said.value))
+                    .help("write the address of one of this machine's interfaces, such as `192.168.0.10`");
+            }
+            address.map(|address| Rmw::Dds { network, interface: Some(address) })
+        }
+    }
 }
 
 fn namespace(said: Option<&Spanned<String>>, sink: &mut Sink) -> Option<String> {

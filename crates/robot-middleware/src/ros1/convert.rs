@@ -77,9 +77,12 @@ pub(super) fn laser_scan(of: ros1::LaserScan) -> shared::LaserScan {
 pub(super) mod back {
     use super::{Time, ros1, shared};
 
+    pub fn time(of: shared::Time) -> Time {
+        Time { sec: of.sec.cast_unsigned(), nsec: of.nanosec }
+    }
+
     fn header(of: shared::Header) -> ros1::Header {
-        let stamp = Time { sec: of.stamp.sec.cast_unsigned(), nsec: of.stamp.nanosec };
-        ros1::Header { seq: 0, stamp, frame_id: of.frame_id }
+        ros1::Header { seq: 0, stamp: time(of.stamp), frame_id: of.frame_id }
     }
 
     fn vector(of: &shared::Vector3) -> ros1::Vector3 {

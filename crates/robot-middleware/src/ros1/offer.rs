@@ -7,18 +7,22 @@ use cotorra_ros1::{
 };
 
 use super::convert::back;
-use crate::{lidar::Scan, ros, ros_offer::RosOffer};
+use crate::{
+    lidar::Scan,
+    ros,
+    ros_offer::{CLOCK, OfferedTime, RosOffer},
+};
 
 /// A node that has the topics of a TurtleBot, and those of localization and of a map server, which know exactly.
 #[derive(Debug)]
 pub struct Ros1Offer {
-    /// The beginning of the run, since 1970.
-    epoch: Timestamp,
+    time: OfferedTime,
     odometry: Publisher<ros1::Odometry>,
     scans: Publisher<ros1::LaserScan>,
     poses: Publisher<ros1::PoseWithCovarianceStamped>,
     frames: Publisher<ros1::TFMessage>,
     velocities: Subscriber<Twist>,
+    clock: Option<Publisher<ros1::Clock>>,
     /// Latched, so only kept.
     _map: Option<Publisher<ros1::OccupancyGrid>>,
     /// Keeps all of it going.
@@ -26,8 +30,8 @@ pub struct Ros1Offer {
 }
 
 impl Ros1Offer {
-    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count from 1970;
-    /// `epoch` is when the run began.
+    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count
+    /// `time`, which is told, too, if it is the testbed's.
     ///
     /// # Errors
     /// [`NodeError`] if a name is none, or the master is not there.
@@ -35,7 +39,7 @@ impl Ros1Offer {
         config: NodeConfig,
         topics: &RosTopics,
         map: Option<&OccupancyGrid>,
-        epoch: Timestamp,
+        time: OfferedTime,
     ) -> Result<Self, NodeError> {
         let node = Node::new(config)?;
         let usual = PublishOptions::default();
@@ -44,8 +48,10 @@ impl Ros1Offer {
             publisher.publish(&back::grid(ros::map(map)));
             Ok::<_, NodeError>(publisher)
         });
+        let clock = matches!(time, OfferedTime::Testbed).then(|| node.publish(CLOCK, usual));
         Ok(Self {
-            epoch,
+            time,
+            clock: clock.transpose()?,
             odometry: node.publish(&topics.odom, usual)?,
             scans: node.publish(&topics.scan, usual)?,
             poses: node.publish(&topics.amcl_pose, usual)?,
@@ -64,7 +70,10 @@ impl RosOffer for Ros1Offer {
     }
 
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
-        let stamp = |at: Timestamp| at + self.epoch.since(Timestamp::ZERO);
+        let stamp = |at| self.time.stamp(at);
+        if let Some(clock) = &self.clock {
+            clock.publish(&ros1::Clock { clock: back::time(stamp(at).into()) });
+        }
         self.odometry.publish(&back::odometry(ros::odometry(stamp(at), sensors)));
         self.frames.publish(&back::frames(ros::frames(stamp(at), sensors)));
         if let Some(scan) = scan {

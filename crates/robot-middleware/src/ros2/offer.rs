@@ -3,21 +3,25 @@
 use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
 use cotorra_ros2::{
     Command, Node, NodeConfig, NodeError, Publisher, Qos, Subscriber,
-    messages::{self, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage},
+    messages::{self, Clock, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage},
 };
 
-use crate::{lidar::Scan, ros, ros_offer::RosOffer};
+use crate::{
+    lidar::Scan,
+    ros,
+    ros_offer::{CLOCK, OfferedTime, RosOffer},
+};
 
 /// A node that has the topics of a TurtleBot, and those of localization and of a map server, which know exactly.
 #[derive(Debug)]
 pub struct Ros2Offer {
-    /// The beginning of the run, since 1970.
-    epoch: Timestamp,
+    time: OfferedTime,
     odometry: Publisher<Odometry>,
     scans: Publisher<LaserScan>,
     poses: Publisher<PoseWithCovarianceStamped>,
     frames: Publisher<TFMessage>,
     velocities: Subscriber<Command>,
+    clock: Option<Publisher<Clock>>,
     /// Latched, so only kept.
     _map: Option<Publisher<messages::OccupancyGrid>>,
     /// Keeps all of it going.
@@ -25,8 +29,8 @@ pub struct Ros2Offer {
 }
 
 impl Ros2Offer {
-    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count from 1970;
-    /// `epoch` is when the run began.
+    /// Starts a node that has the robot's topics; the map is published where there is one. Stamps count
+    /// `time`, which is told, too, if it is the testbed's.
     ///
     /// # Errors
     /// [`NodeError`] if a name is none, or DDS refuses.
@@ -34,7 +38,7 @@ impl Ros2Offer {
         config: NodeConfig,
         topics: &RosTopics,
         map: Option<&OccupancyGrid>,
-        epoch: Timestamp,
+        time: OfferedTime,
     ) -> Result<Self, NodeError> {
         let node = Node::new(config)?;
         let map = map.map(|map| {
@@ -42,8 +46,11 @@ impl Ros2Offer {
             publisher.publish(&ros::map(map));
             Ok::<_, NodeError>(publisher)
         });
+        let last = Qos { depth: 1, ..Qos::COMMANDS };
+        let clock = matches!(time, OfferedTime::Testbed).then(|| node.publish(CLOCK, last));
         Ok(Self {
-            epoch,
+            time,
+            clock: clock.transpose()?,
             odometry: node.publish(&topics.odom, Qos::COMMANDS)?,
             scans: node.publish(&topics.scan, Qos::SENSORS)?,
             poses: node.publish(&topics.amcl_pose, Qos::LATCHED)?,
@@ -61,7 +68,10 @@ impl RosOffer for Ros2Offer {
     }
 
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
-        let stamp = |at: Timestamp| at + self.epoch.since(Timestamp::ZERO);
+        let stamp = |at| self.time.stamp(at);
+        if let Some(clock) = &self.clock {
+            clock.publish(&Clock { clock: stamp(at).into() });
+        }
         self.odometry.publish(&ros::odometry(stamp(at), sensors));
         self.frames.publish(&ros::frames(stamp(at), sensors));
         if let Some(scan) = scan {

@@ -1,7 +1,9 @@
-//! The node against other implementations of DDS with ROS 2's names, and against itself.
+//! The node against other implementations of DDS with ROS 2's names, and Zenoh, and against itself.
 #![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
 
 mod cyclone;
 mod fastdds;
 mod own;
 mod peer;
+#[cfg(feature = "zenoh")]
+mod zenoh;

@@ -17,7 +17,7 @@ use std::{
 };
 
 use cotorra_ros2::{
-    Node, NodeConfig,
+    Middleware, Node, NodeConfig,
     messages::{Header, LaserScan, Time},
 };
 
@@ -91,7 +91,7 @@ impl Meeting {
         let config = NodeConfig {
             domain: self.domain,
             namespace: self.namespace.clone(),
-            interface: Some(Ipv4Addr::LOCALHOST.into()),
+            middleware: Middleware::Dds { interface: Some(Ipv4Addr::LOCALHOST.into()) },
             ..NodeConfig::new(name)
         };
         Node::new(config).unwrap()
@@ -100,26 +100,32 @@ impl Meeting {
     /// Starts Cyclone DDS: see `cyclone.py`. A topic is one of the meeting's namespace, if it is none of DDS's own.
     /// `None`, and a message, where it is not installed.
     pub fn cyclone(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
-        let python = cyclone_python()?;
-        let mut command = Command::new(python);
         let only_loopback = "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
             </General><Discovery><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>";
-        command
-            .args(["-u", "-c", include_str!("cyclone.py")])
-            .args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos])
-            .env("CYCLONEDDS_URI", only_loopback);
-        let process = Process::spawn(&mut command).unwrap();
-        until("Cyclone DDS is there", || process.output().contains("ready"));
-        Some(process)
+        let mut command = Command::new("/usr/bin/env");
+        command.arg(format!("CYCLONEDDS_URI={only_loopback}"));
+        self.cyclone_by(command, action, kind, &self.dds_topic(topic), qos)
+    }
+
+    /// The same, by a command that runs what follows it, on all interfaces. The topic is as DDS calls it.
+    pub fn cyclone_by(
+        &self,
+        mut command: Command,
+        action: &str,
+        kind: &str,
+        topic: &str,
+        qos: &str,
+    ) -> Option<Process> {
+        command.arg(python("cyclonedds", "Cyclone DDS")?).args(["-u", "-c", include_str!("cyclone.py")]);
+        command.args([&self.domain.to_string(), action, kind, topic, qos]);
+        Some(Process::start(&mut command))
     }
 
     /// Starts Fast DDS: see `fastdds.cpp`. `None`, and a message, where it is not installed.
     pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         let mut command = Command::new(fast_dds_program()?);
         command.args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos]);
-        let process = Process::spawn(&mut command).unwrap();
-        until("Fast DDS is there", || process.output().contains("ready"));
-        Some(process)
+        Some(Process::start(&mut command))
     }
 
     fn dds_topic(&self, topic: &str) -> String {
@@ -127,11 +133,12 @@ impl Meeting {
     }
 }
 
-/// The Python that has Cyclone DDS. Says so if there is none; in CI, that is a failure.
-fn cyclone_python() -> Option<PathBuf> {
+/// The Python that has these modules. Says so if there is none; in CI, that is a failure.
+pub fn python(modules: &str, what: &str) -> Option<PathBuf> {
     let python = env::var_os("COTORRA_PEERS").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
-    let there = Command::new(&python).args(["-c", "import cyclonedds"]).stderr(Stdio::null()).status();
-    found(there.is_ok_and(|status| status.success()), "Cyclone DDS").then_some(python)
+    let import = format!("import {modules}");
+    let there = Command::new(&python).args(["-c", &import]).stderr(Stdio::null()).status();
+    found(there.is_ok_and(|status| status.success()), what).then_some(python)
 }
 
 /// The program that is Fast DDS, compiled where it is not yet.
@@ -169,6 +176,17 @@ pub struct Process {
 }
 
 impl Process {
+    /// Starts a peer, and waits until it says that it is ready.
+    pub fn start(command: &mut Command) -> Self {
+        let process = Self::spawn(command).unwrap();
+        until("the peer is ready", || {
+            let output = process.output();
+            assert!(!output.contains("Traceback"), "{output}");
+            output.contains("ready")
+        });
+        process
+    }
+
     fn spawn(command: &mut Command) -> io::Result<Self> {
         let (mut reader, writer) = io::pipe()?;
         let mut child = command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).spawn()?;

@@ -4,7 +4,7 @@
 
 use serde::Serialize;
 
-use crate::graph::Gid;
+use super::graph::Gid;
 
 /// The topic's name, which has no prefix.
 pub const TOPIC: &str = "ros_discovery_info";

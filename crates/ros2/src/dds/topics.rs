@@ -1,12 +1,7 @@
-//! Publishers and subscribers.
+//! Publishers and subscribers in DDS.
 
 use std::{
-    fmt,
-    marker::PhantomData,
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
+    sync::{Arc, Mutex},
     time::Duration,
 };
 
@@ -17,21 +12,26 @@ use rustdds::{
     mio1::{Interest, Token},
 };
 
-use super::{Node, NodeError, Shared};
+use super::{
+    codec::{self, Reader, Writer},
+    graph::{Gid, Graph},
+    participant::Shared,
+};
 use crate::{
-    carried::{Carried, Kind},
-    dds::{self, Reader, Writer},
-    graph::{Endpoint, Gid, Graph},
+    carried::Kind,
     names::dds_topic,
+    node::NodeError,
+    peers::Endpoint,
     qos::Qos,
-    queue::{Inbox, RecvError, Waiting, lock},
+    queue::{Waiting, lock},
+    topics::{Incoming, Inlet, Outlet},
 };
 
 /// How long a publisher that ends waits until what it published reliably has arrived.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 
 /// A topic that the node publishes.
-pub(super) struct Publication {
+pub struct Publication {
     id: usize,
     topic: String,
     kinds: Vec<Kind>,
@@ -149,68 +149,34 @@ impl Shared {
     }
 }
 
-/// Publishes to one topic. Clones publish to the same; when the last is dropped, the topic is published no more.
-pub struct Publisher<M> {
-    advertised: Arc<Advertised>,
-    message: PhantomData<fn(&M)>,
-}
-
-struct Advertised {
+/// A topic that is published, until this is dropped.
+pub struct Advertised {
     shared: Arc<Shared>,
     publication: Arc<Publication>,
 }
 
 impl Advertised {
+    pub fn new(shared: &Arc<Shared>, topic: &str, kinds: Vec<Kind>, qos: Qos) -> Result<Self, NodeError> {
+        let writers = match &kinds[..] {
+            [kind] => vec![Some(shared.open_writer(topic, kind, qos)?)],
+            kinds => kinds.iter().map(|_| None).collect(),
+        };
+        let output = Mutex::new(Output { writers, waiting: Waiting::new(qos.depth()), closed: false });
+        let topic = topic.to_owned();
+        let publication = Arc::new(Publication { id: shared.next_id(), topic, kinds, qos, output });
+        lock(&shared.state).publications.insert(publication.id, Arc::clone(&publication));
+        Ok(Self { shared: Arc::clone(shared), publication })
+    }
+
     fn gids(&self) -> Vec<Gid> {
         let output = lock(&self.publication.output);
         output.writers.iter().flatten().map(|writer| writer.guid().to_bytes()).collect()
     }
 }
 
-impl Drop for Advertised {
-    fn drop(&mut self) {
-        lock(&self.shared.state).publications.remove(&self.publication.id);
-        let gids = self.gids();
-        self.publication.close(&self.shared);
-        self.shared.forget(&gids);
-    }
-}
-
-impl<M> Clone for Publisher<M> {
-    fn clone(&self) -> Self {
-        Self { advertised: Arc::clone(&self.advertised), message: PhantomData }
-    }
-}
-
-impl<M> fmt::Debug for Publisher<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Publisher").field(&self.topic()).finish()
-    }
-}
-
-impl<M> Publisher<M> {
-    /// The topic's global name.
-    pub fn topic(&self) -> &str {
-        &self.advertised.publication.topic
-    }
-
-    /// How many subscribers are connected.
-    pub fn subscribers(&self) -> usize {
-        let gids = self.advertised.gids();
-        let graph = lock(&self.advertised.shared.graph);
-        gids.iter().map(|gid| graph.connected(gid)).sum()
-    }
-
-    /// How many messages were dropped because subscribers do not acknowledge them in time.
-    pub fn dropped(&self) -> u64 {
-        lock(&self.advertised.publication.output).waiting.dropped
-    }
-}
-
-impl<M: Carried> Publisher<M> {
-    /// Publishes a message. Never waits: what is not sent at once is queued.
-    pub fn publish(&self, message: &M) {
-        let Advertised { shared, publication } = &*self.advertised;
+impl Outlet for Advertised {
+    fn send(&self, encode: &dyn Fn(usize) -> Vec<u8>) {
+        let Self { shared, publication } = self;
         let mut output = lock(&publication.output);
         if output.closed {
             return;
@@ -227,25 +193,39 @@ impl<M: Carried> Publisher<M> {
                 tracing::warn!("{}: not published as {kind}: {error}", publication.topic);
                 continue;
             }
-            let mut encoded = Vec::new();
-            message.encode_as(number, &mut encoded);
-            output.waiting.push((number, dds::body(encoded)));
+            output.waiting.push((number, codec::body(encode(number))));
         }
         if publication.flush_output(&mut output, shared) {
             shared.wake();
         }
     }
+
+    fn subscribers(&self) -> usize {
+        let gids = self.gids();
+        let graph = lock(&self.shared.graph);
+        gids.iter().map(|gid| graph.connected(gid)).sum()
+    }
+
+    fn dropped(&self) -> u64 {
+        lock(&self.publication.output).waiting.dropped
+    }
+}
+
+impl Drop for Advertised {
+    fn drop(&mut self) {
+        lock(&self.shared.state).publications.remove(&self.publication.id);
+        let gids = self.gids();
+        self.publication.close(&self.shared);
+        self.shared.forget(&gids);
+    }
 }
 
 /// A topic that the node subscribes to.
-pub(super) struct Subscription {
-    topic: String,
+pub struct Subscription {
     kinds: Vec<Kind>,
     /// For each type; none once the node was shut down.
     readers: Mutex<Vec<Reader>>,
-    /// With the number of its type.
-    inbox: Inbox<(usize, Vec<u8>)>,
-    malformed: AtomicU64,
+    incoming: Arc<Incoming>,
 }
 
 impl Subscription {
@@ -261,150 +241,46 @@ impl Subscription {
                 Ok(Some(sample)) => {
                     // All readers of a topic are given what any of them receives.
                     if lock(graph).publishes(&sample.writer_guid().to_bytes(), kind) {
-                        self.inbox.push((number, sample.into_value()));
+                        self.incoming.inbox.push((number, sample.into_value()));
                     }
                 }
-                Err(ReadError::Deserialization { reason }) => self.count_malformed(&reason),
+                Err(ReadError::Deserialization { reason }) => self.incoming.count_malformed(&reason),
                 Err(error) => {
-                    tracing::warn!("{}: {error}", self.topic);
+                    tracing::warn!("{}: {error}", self.incoming.topic);
                     return;
                 }
             }
         }
     }
 
-    fn count_malformed(&self, reason: &str) {
-        self.malformed.fetch_add(1, Ordering::Relaxed);
-        tracing::warn!("{}: a message cannot be read: {reason}", self.topic);
-    }
-
     /// Nothing comes any more.
     pub fn close(&self) {
         lock(&self.readers).clear();
-        self.inbox.close();
+        self.incoming.inbox.close();
     }
 }
 
-/// Receives the messages of one topic; no longer once it is dropped.
-pub struct Subscriber<M> {
+/// A topic that is subscribed to, until this is dropped.
+pub struct Subscribed {
     shared: Arc<Shared>,
     subscription: Arc<Subscription>,
     gids: Vec<Gid>,
     ids: Vec<usize>,
-    message: PhantomData<fn() -> M>,
 }
 
-impl<M> fmt::Debug for Subscriber<M> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Subscriber").field(&self.topic()).finish()
-    }
-}
-
-impl<M> Drop for Subscriber<M> {
-    fn drop(&mut self) {
-        lock(&self.shared.state).readers.retain(|id, _| !self.ids.contains(id));
-        self.subscription.close();
-        self.shared.forget(&self.gids);
-    }
-}
-
-impl<M> Subscriber<M> {
-    /// The topic's global name.
-    pub fn topic(&self) -> &str {
-        &self.subscription.topic
-    }
-
-    /// How many publishers are connected.
-    pub fn publishers(&self) -> usize {
-        let graph = lock(&self.shared.graph);
-        self.gids.iter().map(|gid| graph.connected(gid)).sum()
-    }
-
-    /// How many messages were dropped because they were not taken.
-    pub fn dropped(&self) -> u64 {
-        self.subscription.inbox.dropped()
-    }
-
-    /// How many messages were none of the type that they were said to be.
-    pub fn malformed(&self) -> u64 {
-        self.subscription.malformed.load(Ordering::Relaxed)
-    }
-}
-
-impl<M: Carried> Subscriber<M> {
-    fn read(&self, (kind, bytes): (usize, Vec<u8>)) -> Option<M> {
-        let message = M::decode_as(kind, &bytes);
-        message.inspect_err(|error| self.subscription.count_malformed(&error.to_string())).ok()
-    }
-
-    /// The next message, once there is one; `None` if the node was shut down.
-    pub fn recv(&self) -> Option<M> {
-        loop {
-            if let Some(message) = self.read(self.subscription.inbox.pop(None).ok()?) {
-                return Some(message);
-            }
-        }
-    }
-
-    /// The next message, once there is one. The time begins anew after one that is malformed.
-    ///
-    /// # Errors
-    /// [`RecvError`] if none comes in time.
-    pub fn recv_timeout(&self, timeout: Duration) -> Result<M, RecvError> {
-        loop {
-            if let Some(message) = self.read(self.subscription.inbox.pop(Some(timeout))?) {
-                return Ok(message);
-            }
-        }
-    }
-
-    /// The next message, if there is one.
-    pub fn try_recv(&self) -> Option<M> {
-        loop {
-            if let Some(message) = self.read(self.subscription.inbox.try_pop()?) {
-                return Some(message);
-            }
-        }
-    }
-}
-
-impl Node {
-    /// Publishes a topic. What can be of several types, such as [`Command`](crate::Command), is published as those
-    /// that its subscribers have, once these are discovered.
-    ///
-    /// # Errors
-    /// [`NodeError`] if `topic` is no name, or DDS refuses.
-    pub fn publish<M: Carried>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, NodeError> {
-        let (shared, topic, kinds) = (self.shared(), self.resolve(topic)?, M::kinds());
-        let writers = match &kinds[..] {
-            [kind] => vec![Some(shared.open_writer(&topic, kind, qos)?)],
-            kinds => kinds.iter().map(|_| None).collect(),
-        };
-        let output = Mutex::new(Output { writers, waiting: Waiting::new(qos.depth()), closed: false });
-        let publication = Arc::new(Publication { id: shared.next_id(), topic, kinds, qos, output });
-        lock(&shared.state).publications.insert(publication.id, Arc::clone(&publication));
-        let advertised = Arc::new(Advertised { shared: Arc::clone(shared), publication });
-        Ok(Publisher { advertised, message: PhantomData })
-    }
-
-    /// Subscribes to a topic. Publishers are connected to as soon as they are discovered, whenever they come.
-    ///
-    /// # Errors
-    /// [`NodeError`] if `topic` is no name, or DDS refuses.
-    pub fn subscribe<M: Carried>(&self, topic: &str, qos: Qos) -> Result<Subscriber<M>, NodeError> {
-        let (shared, topic, kinds) = (self.shared(), self.resolve(topic)?, M::kinds());
+impl Subscribed {
+    pub fn new(
+        shared: &Arc<Shared>,
+        incoming: Arc<Incoming>,
+        kinds: Vec<Kind>,
+        qos: Qos,
+    ) -> Result<Self, NodeError> {
         let opened: Result<Vec<_>, _> =
-            kinds.iter().map(|kind| shared.open_reader(&topic, kind, qos)).collect();
+            kinds.iter().map(|kind| shared.open_reader(&incoming.topic, kind, qos)).collect();
         let mut readers = opened?;
         let gids = readers.iter().map(|reader| reader.guid().to_bytes()).collect();
         let ids: Vec<_> = readers.iter().map(|_| shared.next_id()).collect();
-        let subscription = Arc::new(Subscription {
-            topic,
-            kinds,
-            readers: Mutex::default(),
-            inbox: Inbox::new(qos.depth()),
-            malformed: AtomicU64::new(0),
-        });
+        let subscription = Arc::new(Subscription { kinds, readers: Mutex::default(), incoming });
         let mut state = lock(&shared.state);
         for (number, (id, reader)) in ids.iter().zip(&mut readers).enumerate() {
             state.readers.insert(*id, (Arc::clone(&subscription), number));
@@ -414,6 +290,21 @@ impl Node {
         drop(state);
         // What came before it was registered.
         shared.wake();
-        Ok(Subscriber { shared: Arc::clone(shared), subscription, gids, ids, message: PhantomData })
+        Ok(Self { shared: Arc::clone(shared), subscription, gids, ids })
+    }
+}
+
+impl Inlet for Subscribed {
+    fn publishers(&self) -> usize {
+        let graph = lock(&self.shared.graph);
+        self.gids.iter().map(|gid| graph.connected(gid)).sum()
+    }
+}
+
+impl Drop for Subscribed {
+    fn drop(&mut self) {
+        lock(&self.shared.state).readers.retain(|id, _| !self.ids.contains(id));
+        self.subscription.close();
+        self.shared.forget(&self.gids);
     }
 }

@@ -5,32 +5,15 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rustdds::DomainParticipantStatusEvent as Event;
 
-use crate::carried::{Kind, shown};
+use crate::{
+    carried::Kind,
+    peers::{Endpoint, Peers, types, wanted, warn_of_other_fields},
+};
 
 /// Identifies an endpoint: twelve bytes of its participant, four of its own.
 pub type Gid = [u8; 16];
 /// How many of these are its participant's.
 const PARTICIPANT: usize = 12;
-
-/// A publisher or subscriber somewhere.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Endpoint {
-    /// As DDS calls it.
-    pub topic: String,
-    /// As DDS calls it.
-    pub kind: String,
-    /// Of its type, if it announces one.
-    pub hash: Option<String>,
-}
-
-/// Types of a topic's publishers and subscribers elsewhere, by their ROS names.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Peers {
-    /// Of publishers.
-    pub published: BTreeSet<String>,
-    /// Of subscribers.
-    pub subscribed: BTreeSet<String>,
-}
 
 /// What is known of the others.
 #[derive(Debug, Default)]
@@ -123,15 +106,8 @@ impl Graph {
     /// The numbers of those types as which a topic is to be published: of each node elsewhere that subscribes to some
     /// of them, the last one.
     pub fn wanted(&self, topic: &str, kinds: &[Kind]) -> BTreeSet<usize> {
-        let mut wanted = BTreeMap::new();
-        for (gid, subscriber) in self.subscribers.iter().filter(|(gid, _)| !self.own.contains_key(*gid)) {
-            let number = kinds.iter().position(|kind| kind.dds_name == subscriber.kind);
-            if let Some(number) = number.filter(|_| subscriber.topic == topic) {
-                let last: &mut usize = wanted.entry(&gid[..PARTICIPANT]).or_default();
-                *last = number.max(*last);
-            }
-        }
-        wanted.into_values().collect()
+        let others = self.subscribers.iter().filter(|(gid, _)| !self.own.contains_key(*gid));
+        wanted(others.map(|(gid, other)| (&gid[..PARTICIPANT], other)), topic, kinds)
     }
 
     /// Whether someone else subscribes to an endpoint's topic as another type.
@@ -150,7 +126,7 @@ impl Graph {
     pub fn peers(&self, topic: &str) -> Peers {
         let kinds = |endpoints: &BTreeMap<Gid, Endpoint>| {
             let others = endpoints.iter().filter(|(gid, _)| !self.own.contains_key(*gid));
-            others.filter(|(_, other)| other.topic == topic).map(|(_, other)| shown(&other.kind)).collect()
+            types(others.map(|(_, other)| other), topic)
         };
         Peers { published: kinds(&self.publishers), subscribed: kinds(&self.subscribers) }
     }
@@ -161,15 +137,6 @@ fn endpoint(topic: String, kind: String, user_data: &[u8]) -> Endpoint {
     let text = String::from_utf8_lossy(user_data);
     let hash = text.split(';').find_map(|item| item.strip_prefix("typehash="));
     Endpoint { topic, kind, hash: hash.map(str::to_owned) }
-}
-
-/// Two types of one name whose fields differ are misread; DDS connects them nevertheless.
-fn warn_of_other_fields(own: &Endpoint, other: &Endpoint) {
-    let same = own.hash == other.hash || own.hash.is_none() || other.hash.is_none();
-    if own.topic == other.topic && own.kind == other.kind && !same {
-        let kind = shown(&own.kind);
-        tracing::warn!("{}: a peer's {kind} has other fields than this node's, from another ROS?", own.topic);
-    }
 }
 
 #[cfg(test)]

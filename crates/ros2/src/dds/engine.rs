@@ -7,7 +7,7 @@ use rustdds::{
     mio1::{Events, Interest, Poll, Token, Waker},
 };
 
-use super::Shared;
+use super::participant::Shared;
 use crate::queue::lock;
 
 const WAKER: Token = Token(0);

@@ -1,0 +1,227 @@
+//! A session of Zenoh's for one node, and what it knows of others.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+};
+
+use zenoh::{
+    Config, Session, Wait,
+    liveliness::LivelinessToken,
+    pubsub::Subscriber,
+    sample::{Sample, SampleKind},
+};
+
+use super::{
+    names::{Role, Speaker, all_tokens, read_token},
+    topics::{Advertised, Subscribed},
+};
+use crate::{
+    carried::Kind,
+    names::Names,
+    node::NodeError,
+    peers::{Endpoint, Peers, types, wanted, warn_of_other_fields},
+    qos::Qos,
+    queue::lock,
+    topics::{Carrier, Incoming, Inlet, Outlet},
+};
+
+/// What Zenoh says is wrong.
+pub fn refused(error: zenoh::Error) -> NodeError {
+    NodeError::Zenoh(error.to_string())
+}
+
+/// Zenoh for a node.
+pub struct Zenoh {
+    shared: Arc<Shared>,
+    /// Told as long as the node is there; none afterwards.
+    told: Mutex<Option<(LivelinessToken, Subscriber<()>)>>,
+}
+
+/// What a node, its publishers and its subscribers have in common.
+pub struct Shared {
+    pub session: Session,
+    pub domain: u16,
+    names: Names,
+    pub graph: Arc<Mutex<Graph>>,
+    incoming: Mutex<Vec<Weak<Incoming>>>,
+    next_number: AtomicUsize,
+    closed: AtomicBool,
+}
+
+impl Shared {
+    /// Tells others of a publisher or subscriber, as long as the token is there; and what the token says.
+    pub fn tell(
+        &self,
+        role: Role,
+        topic: &str,
+        kind: &Kind,
+        qos: Qos,
+    ) -> Result<(LivelinessToken, String), NodeError> {
+        let number = self.next_number.fetch_add(1, Ordering::Relaxed);
+        let session = self.session.zid().to_string();
+        let speaker = Speaker { domain: self.domain, session: &session, names: &self.names };
+        let token = speaker.endpoint(number, role, topic, kind, qos);
+        let told = self.session.liveliness().declare_token(&token).wait().map_err(refused)?;
+        Ok((told, token))
+    }
+
+    pub fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Acquire)
+    }
+}
+
+/// What is known of the others.
+#[derive(Debug, Default)]
+pub struct Graph {
+    own_session: String,
+    own: Vec<Endpoint>,
+    /// By their tokens.
+    others: BTreeMap<String, (String, Role, Endpoint)>,
+}
+
+impl Graph {
+    /// An endpoint of the node itself.
+    pub fn add_own(&mut self, endpoint: Endpoint) {
+        self.others.values().for_each(|(_, _, other)| warn_of_other_fields(&endpoint, other));
+        self.own.push(endpoint);
+    }
+
+    /// It is no more.
+    pub fn remove_own(&mut self, endpoint: &Endpoint) {
+        if let Some(place) = self.own.iter().position(|own| own == endpoint) {
+            self.own.swap_remove(place);
+        }
+    }
+
+    /// A token came or went.
+    fn apply(&mut self, token: &str, there: bool) {
+        if !there {
+            self.others.remove(token);
+            return;
+        }
+        let Some((session, role, endpoint)) = read_token(token) else { return };
+        if session != self.own_session && !self.others.contains_key(token) {
+            self.own.iter().for_each(|own| warn_of_other_fields(own, &endpoint));
+            self.others.insert(token.to_owned(), (session.to_owned(), role, endpoint));
+        }
+    }
+
+    fn all(&self, role: Role) -> impl Iterator<Item = (&str, &Endpoint)> {
+        let others = self.others.values().filter(move |(_, its, _)| *its == role);
+        others.map(|(session, _, endpoint)| (session.as_str(), endpoint))
+    }
+
+    /// How many others of that role an endpoint meets: those of its topic, type and hash.
+    pub fn connected(&self, own: &Endpoint, role: Role) -> usize {
+        self.all(role).filter(|(_, other)| *other == own).count()
+    }
+
+    /// The numbers of those types as which a topic is to be published.
+    pub fn wanted(&self, topic: &str, kinds: &[Kind]) -> std::collections::BTreeSet<usize> {
+        wanted(self.all(Role::Subscriber), topic, kinds)
+    }
+
+    fn peers(&self, topic: &str) -> Peers {
+        let of = |role| types(self.all(role).map(|(_, other)| other), topic);
+        Peers { published: of(Role::Publisher), subscribed: of(Role::Subscriber) }
+    }
+}
+
+/// As `rmw_zenoh`'s nodes are by default: peers that find each other by a router, and not by multicast. On one machine
+/// they then speak to each other without the router between them.
+fn config(router: &str) -> Result<Config, NodeError> {
+    let mut config = Config::default();
+    let endpoint = serde_json::Value::from(router);
+    for (key, value) in [
+        ("mode", r#""peer""#),
+        ("connect/endpoints", &format!("[{endpoint}]")),
+        ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
+        ("scouting/multicast/enabled", "false"),
+        // What is latched comes in order of its timestamps.
+        ("timestamping/enabled", "true"),
+    ] {
+        config.insert_json5(key, value).map_err(refused)?;
+    }
+    Ok(config)
+}
+
+impl Zenoh {
+    /// Opens a session that stays in touch with a router, whenever it is there.
+    pub fn open(domain: u16, router: &str, names: Names) -> Result<Self, NodeError> {
+        let session = zenoh::open(config(router)?).wait().map_err(refused)?;
+        let own_session = session.zid().to_string();
+        let speaker = Speaker { domain, session: &own_session, names: &names };
+        let token = session.liveliness().declare_token(speaker.node()).wait().map_err(refused)?;
+        let graph = Arc::new(Mutex::new(Graph { own_session, ..Graph::default() }));
+        let known = Arc::clone(&graph);
+        let discovery = session
+            .liveliness()
+            .declare_subscriber(all_tokens(domain))
+            .history(true)
+            .callback(move |sample: Sample| {
+                lock(&known).apply(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
+            })
+            .wait()
+            .map_err(refused)?;
+        let shared = Arc::new(Shared {
+            session,
+            domain,
+            names,
+            graph,
+            incoming: Mutex::default(),
+            next_number: AtomicUsize::new(1),
+            closed: AtomicBool::new(false),
+        });
+        Ok(Self { shared, told: Mutex::new(Some((token, discovery))) })
+    }
+
+    fn is_open(&self) -> Result<(), NodeError> {
+        if self.shared.is_closed() { Err(NodeError::ShutDown) } else { Ok(()) }
+    }
+}
+
+impl Carrier for Zenoh {
+    fn publish(&self, topic: &str, kinds: Vec<Kind>, qos: Qos) -> Result<Box<dyn Outlet>, NodeError> {
+        self.is_open()?;
+        Ok(Box::new(Advertised::new(&self.shared, topic, kinds, qos)?))
+    }
+
+    fn subscribe(
+        &self,
+        incoming: Arc<Incoming>,
+        kinds: Vec<Kind>,
+        qos: Qos,
+    ) -> Result<Box<dyn Inlet>, NodeError> {
+        self.is_open()?;
+        let mut all = lock(&self.shared.incoming);
+        all.retain(|incoming| incoming.strong_count() > 0);
+        all.push(Arc::downgrade(&incoming));
+        drop(all);
+        Ok(Box::new(Subscribed::new(&self.shared, &incoming, &kinds, qos)?))
+    }
+
+    fn peers(&self, topic: &str) -> Peers {
+        lock(&self.shared.graph).peers(topic)
+    }
+
+    fn shut_down(&self) {
+        if self.shared.closed.swap(true, Ordering::AcqRel) {
+            return;
+        }
+        drop(lock(&self.told).take());
+        // Others see it by the tokens that are gone, too.
+        if let Err(error) = self.shared.session.close().wait() {
+            tracing::debug!("{}: {error}", self.shared.names.node());
+        }
+        let incoming = std::mem::take(&mut *lock(&self.shared.incoming));
+        incoming.iter().filter_map(Weak::upgrade).for_each(|incoming| incoming.inbox.close());
+    }
+
+    fn is_shut_down(&self) -> bool {
+        self.shared.is_closed()
+    }
+}
