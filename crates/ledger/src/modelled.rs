@@ -3,6 +3,7 @@
 
 use std::{
     collections::VecDeque,
+    ops::Range,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
@@ -24,12 +25,16 @@ pub struct ModelledChain(Arc<Mutex<Chain>>);
 struct Chain {
     contract: Contract,
     period: Duration,
+    /// The chain's time when the run began, nanoseconds since 1970.
+    began_ns: u64,
     next_block: Timestamp,
     /// The number of the last block.
     number: u64,
     /// What goes into the next block, in order.
     pending: Vec<(usize, Ticket, Call)>,
     operators: Vec<Operator>,
+    /// What was told so far, for those who come later.
+    told: Vec<Notice>,
 }
 
 #[derive(Debug)]
@@ -45,9 +50,13 @@ pub struct ModelledLedger {
     chain: ModelledChain,
     index: usize,
     account: Account,
+    /// When it cannot reach the chain, if ever, and whether that was told.
+    outage: Option<(Range<Timestamp>, bool)>,
+    /// What was submitted meanwhile.
+    kept: Vec<(Ticket, Call)>,
 }
 
-/// The chain's time when the run began; any would do.
+/// The chain's time when its first run began; any would do.
 const GENESIS: ChainTime = ChainTime(1_600_000_000);
 
 impl ModelledChain {
@@ -60,19 +69,30 @@ impl ModelledChain {
         Self(Arc::new(Mutex::new(Chain {
             contract: Contract::default(),
             period,
+            began_ns: GENESIS.0 * 1_000_000_000,
             next_block: Timestamp::ZERO + period,
             number: 0,
             pending: Vec::new(),
             operators: Vec::new(),
+            told: Vec::new(),
         })))
     }
 
-    /// The access of the operator with that address. It hears of what happens from now on.
+    /// The access of the operator with that address. It hears first what happened so far.
     pub fn ledger(&self, account: Account) -> ModelledLedger {
         let mut chain = self.lock();
         let index = chain.operators.len();
-        chain.operators.push(Operator { account, notices: [Notice::Up].into(), submitted: 0 });
-        ModelledLedger { chain: self.clone(), index, account }
+        let notices = std::iter::once(&Notice::Up).chain(&chain.told).cloned().collect();
+        chain.operators.push(Operator { account, notices, submitted: 0 });
+        ModelledLedger { chain: self.clone(), index, account, outage: None, kept: Vec::new() }
+    }
+
+    /// Another run begins, whose time zero is `now` of the run before: the chain goes on, and its operators are new.
+    pub fn begin_run(&self, now: Timestamp) {
+        let mut chain = self.lock();
+        chain.advance(now);
+        chain.began_ns += now.as_nanos();
+        chain.next_block = Timestamp::ZERO + chain.next_block.since(now);
     }
 
     /// The contract, as of the last block.
@@ -90,7 +110,7 @@ impl Chain {
     /// Makes all blocks that are due.
     fn advance(&mut self, now: Timestamp) {
         while self.next_block <= now {
-            let time = ChainTime(GENESIS.0 + self.next_block.as_nanos() / 1_000_000_000);
+            let time = ChainTime((self.began_ns + self.next_block.as_nanos()) / 1_000_000_000);
             self.number += 1;
             for (index, ticket, call) in std::mem::take(&mut self.pending) {
                 match self.contract.apply(time, self.operators[index].account, &call) {
@@ -109,9 +129,24 @@ impl Chain {
     }
 
     fn tell(&mut self, notice: &Notice) {
+        if let Notice::Event(_) = notice {
+            self.told.push(notice.clone());
+        }
         for operator in &mut self.operators {
             operator.notices.push_back(notice.clone());
         }
+    }
+}
+
+impl ModelledLedger {
+    /// The same, except that it cannot reach the chain for some time: it hears nothing, and what is submitted is kept.
+    #[must_use]
+    pub fn away(self, outage: Range<Timestamp>) -> Self {
+        Self { outage: Some((outage, false)), ..self }
+    }
+
+    fn is_away(&self, now: Timestamp) -> bool {
+        self.outage.as_ref().is_some_and(|(outage, _)| outage.contains(&now))
     }
 }
 
@@ -121,23 +156,48 @@ impl Ledger for ModelledLedger {
     }
 
     fn submit(&mut self, now: Timestamp, call: Call) -> Ticket {
+        let is_away = self.is_away(now);
         let mut chain = self.chain.lock();
         chain.advance(now);
         let operator = &mut chain.operators[self.index];
         operator.submitted += 1;
         let ticket = Ticket(operator.submitted);
-        chain.pending.push((self.index, ticket, call));
+        if is_away {
+            self.kept.push((ticket, call));
+        } else {
+            chain.pending.push((self.index, ticket, call));
+        }
         ticket
     }
 
     fn poll(&mut self, now: Timestamp) -> Option<Notice> {
         let mut chain = self.chain.lock();
         chain.advance(now);
+        match &mut self.outage {
+            Some((outage, told)) if outage.contains(&now) => {
+                let news = !std::mem::replace(told, true);
+                return news.then(|| Notice::Down("the modelled ledger is out of reach".to_owned()));
+            }
+            Some((outage, true)) if now >= outage.end => {
+                self.outage = None;
+                let kept = self.kept.drain(..).map(|(ticket, call)| (self.index, ticket, call));
+                chain.pending.extend(kept);
+                return Some(Notice::Up);
+            }
+            _ => {}
+        }
         chain.operators[self.index].notices.pop_front()
     }
 
     fn next_deadline(&self) -> Option<Timestamp> {
         let chain = self.chain.lock();
+        match &self.outage {
+            Some((outage, true)) => return Some(outage.end),
+            Some((outage, false)) if chain.operators[self.index].notices.is_empty() => {
+                return Some(outage.start.min(chain.next_block));
+            }
+            _ => {}
+        }
         let waiting = !chain.operators[self.index].notices.is_empty();
         Some(if waiting { Timestamp::ZERO } else { chain.next_block })
     }
@@ -180,5 +240,44 @@ mod tests {
         );
         assert_eq!(all(&mut two, seconds(7)), [event, head]);
         assert_eq!(all(&mut two, seconds(20)).len(), 3, "a block each 5 s, even an empty one");
+    }
+
+    #[test]
+    fn who_comes_later_hears_what_happened_so_far() {
+        let chain = ModelledChain::new(Duration::from_secs(5));
+        let mut one = chain.ledger(Account([1; 20]));
+        one.submit(seconds(1), Call::Register { name: "one".to_owned() });
+        all(&mut one, seconds(6));
+        let event =
+            Notice::Event(Event::OperatorRegistered { operator: Account([1; 20]), name: "one".to_owned() });
+        let mut again = chain.ledger(Account([1; 20]));
+        assert_eq!(all(&mut again, seconds(6)), [Notice::Up, event]);
+    }
+
+    #[test]
+    fn who_is_away_hears_nothing_and_its_calls_wait() {
+        let chain = ModelledChain::new(Duration::from_secs(5));
+        let mut one = chain.ledger(Account([1; 20])).away(seconds(3)..seconds(12));
+        assert_eq!(all(&mut one, seconds(2)), [Notice::Up]);
+        assert_eq!(one.next_deadline(), Some(seconds(3)));
+        assert!(matches!(all(&mut one, seconds(3))[..], [Notice::Down(_)]));
+        assert_eq!(one.next_deadline(), Some(seconds(12)));
+        let ticket = one.submit(seconds(4), Call::Register { name: "one".to_owned() });
+        assert_eq!(all(&mut one, seconds(11)), []);
+        let heard = all(&mut one, seconds(12));
+        assert_eq!(heard[0], Notice::Up);
+        assert!(!heard.contains(&Notice::Included(ticket)));
+        assert!(all(&mut one, seconds(15)).contains(&Notice::Included(ticket)));
+    }
+
+    #[test]
+    fn the_chain_goes_on_when_another_run_begins() {
+        let chain = ModelledChain::new(Duration::from_secs(5));
+        chain.begin_run(seconds(7));
+        let mut one = chain.ledger(Account([1; 20]));
+        assert_eq!(one.poll(seconds(0)), Some(Notice::Up));
+        assert_eq!(one.next_deadline(), Some(seconds(3)));
+        let head = Notice::Head { number: 2, time: ChainTime(GENESIS.0 + 10) };
+        assert_eq!(all(&mut one, seconds(3)), [head]);
     }
 }

@@ -141,6 +141,11 @@ impl Secret {
         Salt(self.derive("bid", &[&id.0]))
     }
 
+    /// The key of fast transition for a service that the operator provides: of one robot and one access point.
+    pub fn ft_key(&self, id: ServiceId) -> [u8; 32] {
+        self.derive("fast transition", &[&id.0])
+    }
+
     /// Seals what this operator, `sender`, says of a service to the holder of `key`.
     ///
     /// # Errors

@@ -130,6 +130,8 @@ pub struct Creator {
     started: Timestamp,
     /// When the announcement was heard first.
     announced: Option<Timestamp>,
+    /// The ledger is away, or was and has not told yet what happened meanwhile: bids may be there that were not heard.
+    is_behind: bool,
     pub(super) heard: Heard,
     calls: Calls,
     want: Want,
@@ -149,6 +151,7 @@ impl Creator {
             request,
             started: now,
             announced: None,
+            is_behind: false,
             heard: Heard::new(ServiceId::of(account, salt)),
             calls: Calls::default(),
             want: Want::Service,
@@ -225,6 +228,11 @@ impl Creator {
     /// The ledger said something.
     pub fn handle(&mut self, now: Timestamp, notice: &Notice) {
         self.calls.take(notice);
+        match notice {
+            Notice::Down(_) => self.is_behind = true,
+            Notice::Head { .. } => self.is_behind = false,
+            _ => {}
+        }
         if let Some(event) = self.heard.take(notice) {
             self.on_event(now, event);
         }
@@ -366,7 +374,7 @@ impl Creator {
 
     /// When the choice is to be made, if it is to be made.
     fn choice_due(&self) -> Option<Timestamp> {
-        let since = self.announced.filter(|_| self.choice.is_none())?;
+        let since = self.announced.filter(|_| self.choice.is_none() && !self.is_behind)?;
         matches!(self.heard.seen(), Seen::Open { .. }).then(|| since + self.request.policy.collect)
     }
 

@@ -437,6 +437,33 @@ impl Ledger for Written {
 }
 
 #[test]
+fn while_the_ledger_is_away_nothing_is_chosen_for_bids_may_be_there() {
+    let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
+    let id = creator.id();
+    let announced = Event::ServiceAnnounced {
+        id,
+        creator: account(0),
+        key: secret(0).public_key(Salt([1; 32])),
+        requirements: request().requirements,
+        terms: TERMS,
+        deadline: ChainTime(300),
+    };
+    creator.handle(Timestamp::ZERO, &Notice::Event(announced));
+    let due = creator.next_deadline().unwrap();
+    assert_eq!(due, Timestamp::ZERO + POLICY.collect);
+    creator.handle(Timestamp::ZERO, &Notice::Down("away".to_owned()));
+    assert_eq!(creator.next_deadline(), Some(Timestamp::ZERO + POLICY.patience));
+    creator.handle(due, &Notice::Up);
+    creator.expire(due);
+    assert!(std::iter::from_fn(|| creator.poll_step()).all(|step| !matches!(step, CreatorStep::Failed(_))));
+    creator.handle(due, &Notice::Head { number: 1, time: ChainTime(1) });
+    creator.expire(due);
+    assert!(
+        std::iter::from_fn(|| creator.poll_step()).any(|step| step == CreatorStep::Failed(Failure::NoBid))
+    );
+}
+
+#[test]
 fn a_refusal_holds_back_the_call_that_was_refused_until_the_next_head_and_no_other() {
     let mut ledger = Written::default();
     let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
