@@ -307,6 +307,7 @@ pub struct SweepArgs {
 #[derive(Debug, Subcommand)]
 pub enum Experiment {
     Okpi(OkpiArgs),
+    Federation(FederationArgs),
 }
 
 /// OKpi beside the state of the art, along the corridor and back
@@ -365,6 +366,71 @@ pub struct OkpiArgs {
     /// Say more on standard error; twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+}
+
+/// A robot leaves its domain's coverage, and another domain's virtual access point waits for it
+///
+/// The second validation of the COTORRA letter (arXiv 2101.07676): the robot's orchestrator foresees that it leaves coverage,
+/// announces what it needs on a ledger, chooses among bids, and hands the robot over by fast transition to the virtual access
+/// point that the winner deployed. It leaves a folder with the figure in the published layout, a table over block periods, all
+/// steps of all runs, and a folder for each run.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra experiment federation                            in virtual time, on a modelled ledger, in seconds
+  cotorra experiment federation --runs 20 --block-period 5
+  cotorra experiment federation --emulate --block-period 1  with real packets and an anvil node, about a minute a run
+
+Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+pub struct FederationArgs {
+    /// With real packets and an anvil node, which makes blocks alone: needs a cotorra built with --features ethereum
+    #[arg(long, conflicts_with = "simulate")]
+    pub emulate: bool,
+    /// In virtual time on a modelled ledger, as without --emulate
+    #[arg(long)]
+    pub simulate: bool,
+    /// The testbed file
+    #[arg(long, value_name = "FILE", default_value = "testbeds/federation.yaml")]
+    pub testbed: PathBuf,
+    /// Seconds between blocks, several with commas between
+    #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0.5,1,2,5,10", value_parser = parse_period)]
+    pub block_period: Vec<Duration>,
+    /// Runs with each block period
+    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub runs: u32,
+    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub settings: Vec<Setting>,
+    /// Seed of the first run, in place of the file's; each other has the next
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// End each run after so much time, such as 60s or 2min
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Folder in which the experiment gets a folder of its own
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub out: PathBuf,
+    /// Write plain lines in place of the live view
+    #[arg(long)]
+    pub headless: bool,
+    /// Let idle cores fall asleep
+    #[arg(long, requires = "emulate")]
+    pub save_power: bool,
+    /// Only say what would be run
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Say more on standard error; twice for even more
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// Seconds between blocks.
+fn parse_period(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().trim_end_matches('s').parse::<f64>().ok();
+    let seconds = seconds.filter(|seconds| (0.1..=600.0).contains(seconds));
+    seconds
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| "write seconds from 0.1 to 600, as in 0.5,1,5".to_owned())
 }
 
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it

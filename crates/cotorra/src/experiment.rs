@@ -1,5 +1,9 @@
 //! `cotorra experiment`: repeats a published experiment and shows it beside what was published.
 
+mod federation;
+
+pub use federation::federation;
+
 use std::{path::Path, process::ExitCode};
 
 use cotorra_graph::testbed_file::Setting;
@@ -49,7 +53,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             seed: args.seed,
             until: args.until,
             folder: Place::At(folder.join(contender.plugin)),
-            token: run::token()?,
+            tokens: run::tokens()?,
             save_power: args.save_power,
             settings: settings.clone(),
             history: history.clone(),

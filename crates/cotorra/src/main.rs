@@ -50,6 +50,9 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
     match command {
         Command::Run(args) => return run::run(args),
         Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
+        Command::Experiment { experiment: Experiment::Federation(args) } => {
+            return experiment::federation(&args);
+        }
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::History { question } => return history::history(&question),
         Command::Replay(args) => return replay::replay(&args),

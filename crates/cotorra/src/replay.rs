@@ -34,7 +34,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
-        token: run::token()?,
+        tokens: run::tokens()?,
         speed: match args.speed {
             cli::Speed::Times(times) => Speed::Times(times),
             cli::Speed::Max => Speed::Max { followers: args.plugins.get() },

@@ -4,8 +4,8 @@
 use std::collections::{HashMap, VecDeque};
 
 use cotorra_graph::{
-    Attachment, ConditionChange, Direction, HardwareGraph, HostAddress, Lateness, LinkContext, LinkId, Node,
-    NodeId, NodeKind, Position, RadioContext, Stamped, Timestamp,
+    AccessPoint, Attachment, ConditionChange, Direction, HardwareGraph, HostAddress, Lateness, LinkContext,
+    LinkId, Node, NodeId, NodeKind, Position, RadioContext, Stamped, Timestamp,
 };
 
 use crate::{
@@ -342,6 +342,54 @@ impl Fabric {
         let done = self.radio.attach(now, robot, radio_unit);
         self.radio_deadline = self.radio.deadline();
         done
+    }
+
+    /// A vAP on a radio unit beacons from now on.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such radio unit, it serves already, or is made for another network.
+    pub fn switch_on(
+        &mut self,
+        now: Timestamp,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let done = self.radio.switch_on(now, radio_unit, access_point);
+        self.radio_deadline = self.radio.deadline();
+        done
+    }
+
+    /// Whether [`Self::switch_on`] would do that now.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn check_switch_on(&self, radio_unit: &NodeId, access_point: &AccessPoint) -> Result<(), Refusal> {
+        self.radio.check_switch_on(radio_unit, access_point)
+    }
+
+    /// A radio unit is off from now on; its stations lose it.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such radio unit, or it is off.
+    pub fn switch_off(&mut self, now: Timestamp, radio_unit: &NodeId) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let done = self.radio.switch_off(now, radio_unit);
+        self.radio_deadline = self.radio.deadline();
+        done
+    }
+
+    /// A robot has what a vAP of another domain asks for.
+    ///
+    /// # Errors
+    /// [`Refusal`], if there is no such robot or radio unit.
+    pub fn provision(
+        &mut self,
+        robot: &NodeId,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), Refusal> {
+        self.radio.provision(robot, radio_unit, access_point)
     }
 
     /// The links that a frame between two nodes would take now; `None` if no path is there.

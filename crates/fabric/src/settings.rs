@@ -36,6 +36,30 @@ pub enum Refusal {
         /// The radio unit.
         radio_unit: NodeId,
     },
+    /// The radio unit is off.
+    #[error("`{0}` is off: no vAP is deployed on it")]
+    NotServing(NodeId),
+    /// A radio unit has one vAP.
+    #[error("a vAP is deployed on `{0}` already")]
+    Serving(NodeId),
+    /// What is to be served is another network than the radio unit is made for.
+    #[error("`{radio_unit}` is made for the network `{network}`, not for `{asked}`")]
+    OtherSsid {
+        /// The radio unit.
+        radio_unit: NodeId,
+        /// Its network.
+        network: String,
+        /// What it was to serve.
+        asked: String,
+    },
+    /// The robot has no keys for the radio unit, or others than those that its vAP was deployed with.
+    #[error("`{radio_unit}` does not admit `{robot}`, which is of another domain, or has not the right key")]
+    NotAdmitted {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
     /// A station does one thing at a time.
     #[error("`{0}` is scanning or changing its radio unit: ask again when it is done")]
     Busy(NodeId),

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    access::AccessPoint,
     conditions::ConditionChange,
     context::{
         Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime, Velocity,
@@ -170,4 +171,76 @@ pub enum Instruction {
         /// The change.
         change: ConditionChange,
     },
+    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}: it serves once that is done, which
+    /// [`Event::Vnf`] tells.
+    Deploy {
+        /// The radio unit.
+        radio_unit: NodeId,
+        /// What it serves.
+        access_point: AccessPoint,
+    },
+    /// Take the VNF `vAP` of a radio unit down, a(R) = {}: it is off, and its stations lose it.
+    Remove {
+        /// The radio unit.
+        radio_unit: NodeId,
+    },
+    /// Give a robot what it needs to attach to a radio unit of another domain.
+    Provision {
+        /// The robot.
+        robot: NodeId,
+        /// The radio unit.
+        radio_unit: NodeId,
+        /// What that one was deployed with.
+        access_point: AccessPoint,
+    },
+    /// Let a robot stand still, whatever its navigation says, until it is to [`Instruction::Go`].
+    Halt {
+        /// The robot.
+        robot: NodeId,
+    },
+    /// Let a robot that was halted follow its navigation again.
+    Go {
+        /// The robot.
+        robot: NodeId,
+    },
+    /// Change nothing, and keep with the decisions that a step was reached of something that the plug-in conducts.
+    Note {
+        /// Of what: a name of at most 128 characters.
+        process: String,
+        /// The step: a name of at most 128 characters.
+        step: String,
+    },
+}
+
+impl Instruction {
+    /// Its name, as in JSON.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Move { .. } => "move",
+            Self::Scan { .. } => "scan",
+            Self::Attach { .. } => "attach",
+            Self::Place { .. } => "place",
+            Self::Condition { .. } => "condition",
+            Self::Deploy { .. } => "deploy",
+            Self::Remove { .. } => "remove",
+            Self::Provision { .. } => "provision",
+            Self::Halt { .. } => "halt",
+            Self::Go { .. } => "go",
+            Self::Note { .. } => "note",
+        }
+    }
+
+    /// The same without secrets, as all may know it.
+    #[must_use]
+    pub fn public(&self) -> Self {
+        match self.clone() {
+            Self::Deploy { radio_unit, access_point } => {
+                Self::Deploy { radio_unit, access_point: access_point.public() }
+            }
+            Self::Provision { robot, radio_unit, access_point } => {
+                Self::Provision { robot, radio_unit, access_point: access_point.public() }
+            }
+            other => other,
+        }
+    }
 }

@@ -184,6 +184,17 @@ pub struct RadioUnit {
     pub channel: u8,
     /// Transmission power.
     pub tx_power: Dbm,
+    /// Whether it serves its network from the start: a(R) = {vAP}. One that does not is off until a vAP is deployed on it.
+    #[serde(default = "yes")]
+    pub serving: bool,
+    /// How long a vAP takes to be deployed on it, from the start to its first beacon.
+    #[serde(rename = "deployment_ms", with = "millis", default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub deployment: Duration,
+}
+
+const fn yes() -> bool {
+    true
 }
 
 /// A server's hardware.
@@ -260,6 +271,9 @@ pub struct WirelessNetwork {
     pub rate: Option<BitRate>,
     /// Fast transition (IEEE 802.11r) within the mobility domain.
     pub fast_transition: bool,
+    /// The mobility domain of its radio units.
+    #[serde(default)]
+    pub mobility_domain: u16,
     /// How the signal falls with distance.
     pub path_loss: PathLoss,
     /// How it varies around that.

@@ -2,6 +2,7 @@
 //! testbed file that describes it all. Pure data: no clock, no sockets, nothing asynchronous.
 #![forbid(unsafe_code)]
 
+pub mod access;
 pub mod conditions;
 pub mod context;
 pub mod driver;
@@ -20,6 +21,7 @@ pub mod testbed_file;
 pub mod units;
 mod yaml;
 
+pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
 };

@@ -7,14 +7,14 @@ use serde::{Deserialize, Serialize};
 use crate::{
     exposure::WaisSettings,
     hardware::HardwareGraph,
-    id::{NodeId, PluginId},
+    id::{DomainId, NodeId, PluginId},
     map::OccupancyGrid,
     service::Service,
     units::{Position, millis},
 };
 
 /// Names of the plug-ins that come with cotorra, and run in process. A testbed file can name no others.
-pub const BUNDLED_PLUGINS: &[&str] = &["okpi", "probing"];
+pub const BUNDLED_PLUGINS: &[&str] = &["federation", "okpi", "probing"];
 
 /// What a testbed file says, checked as a whole.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,6 +114,9 @@ pub struct PluginSpec {
     pub id: PluginId,
     /// What runs.
     pub program: PluginProgram,
+    /// The one domain that it sees and changes; without one it is the operator's, and sees and changes all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domain: Option<DomainId>,
     /// Its own settings, as the file has them.
     pub settings: serde_json::Map<String, serde_json::Value>,
 }

@@ -3,9 +3,7 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{
-    Direction, Event, Instruction, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState,
-};
+use cotorra_graph::{Direction, Event, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -309,13 +307,7 @@ impl Side {
                 }
             }
             Event::Decision(decision) => {
-                let instruction = match decision.instruction {
-                    Instruction::Move { .. } => "move",
-                    Instruction::Scan { .. } => "scan",
-                    Instruction::Attach { .. } => "attach",
-                    Instruction::Place { .. } => "place",
-                    Instruction::Condition { .. } => "condition",
-                };
+                let instruction = decision.instruction.name();
                 let of = DecisionOf { plugin: decision.plugin, instruction: instruction.to_owned() };
                 let new = Decisions { count: 0, refused: 0, first: at };
                 let decisions = self.decisions.entry(of).or_insert(new);

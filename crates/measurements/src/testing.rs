@@ -5,11 +5,11 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
-    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement,
-    PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
-    SensorData, ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AccessPoint, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover,
+    Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId,
+    Placement, PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext,
+    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace,
+    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::vec,
@@ -242,7 +242,24 @@ fn instruction() -> impl Strategy<Value = Instruction> {
             direction,
             change
         }),
+        (node(), access_point())
+            .prop_map(|(radio_unit, access_point)| Instruction::Deploy { radio_unit, access_point }),
+        node().prop_map(|radio_unit| Instruction::Remove { radio_unit }),
+        (node(), node(), access_point()).prop_map(|(robot, radio_unit, access_point)| {
+            Instruction::Provision { robot, radio_unit, access_point }
+        }),
+        node().prop_map(|robot| Instruction::Halt { robot }),
+        node().prop_map(|robot| Instruction::Go { robot }),
+        ("[a-z]{1,9}", "[a-z ]{1,9}").prop_map(|(process, step)| Instruction::Note { process, step }),
     ]
+}
+
+fn access_point() -> impl Strategy<Value = AccessPoint> {
+    (".{0,9}", any::<u16>()).prop_map(|(ssid, mobility_domain)| AccessPoint {
+        ssid,
+        mobility_domain,
+        key: None,
+    })
 }
 
 prop_compose! {

@@ -8,7 +8,13 @@ use cotorra_graph::{
     Position, Service, Testbed, Timestamp, VirtualLinkMapping, VnfId,
 };
 
-use crate::vim::{Engine, Vim};
+use crate::{
+    access::AccessPoints,
+    vim::{Engine, Vim},
+};
+
+/// Names in notes have so many characters at most.
+const LONGEST_NAME: usize = 128;
 
 /// The emulated network, wherever it runs: on another thread in real time, right here in virtual time.
 pub trait Network {
@@ -76,6 +82,7 @@ fn refused(reason: impl ToString) -> Refused {
 pub struct NetworkControl<N, E> {
     network: N,
     vim: Vim<E>,
+    access_points: AccessPoints,
     services: Vec<Service>,
     mappings: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
 }
@@ -86,6 +93,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Self {
             network,
             vim: Vim::new(testbed.graph.clone(), &testbed.services, engine),
+            access_points: AccessPoints::new(&testbed.graph),
             services: testbed.services.clone(),
             mappings: BTreeMap::new(),
         }
@@ -116,12 +124,14 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// # Errors
     /// [`NetworkGone`].
     pub fn poll(&mut self, now: Timestamp) -> Result<Vec<Event>, NetworkGone> {
-        Ok(self.vim.poll(now))
+        let mut events = self.vim.poll(now);
+        events.extend(self.access_points.poll(now, &self.network)?);
+        Ok(events)
     }
 
     /// When [`NetworkControl::poll`] has something to do by itself.
     pub fn next_deadline(&self) -> Option<Timestamp> {
-        self.vim.next_deadline()
+        self.vim.next_deadline().into_iter().chain(self.access_points.next_deadline()).min()
     }
 
     /// Tells the network where robots are, and gives φ of each, in the same order.
@@ -199,7 +209,28 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 let contexts = self.network.change(&link, direction, &change)?;
                 Ok(self.network.complete(now, contexts).into_iter().map(Event::Link).collect())
             }
-            Instruction::Move { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
+            Instruction::Deploy { radio_unit, access_point } => {
+                self.access_points.deploy(now, &radio_unit, access_point, &self.network, &self.vim)?;
+                Ok(Vec::new())
+            }
+            Instruction::Remove { radio_unit } => self.access_points.remove(&radio_unit, &self.network),
+            Instruction::Provision { robot, radio_unit, access_point } => {
+                let provision =
+                    move |fabric: &mut Fabric, _| fabric.provision(&robot, &radio_unit, access_point);
+                self.network.with(provision).map_err(refused)?.map_err(refused)?;
+                Ok(Vec::new())
+            }
+            Instruction::Note { process, step } => {
+                let fits = |name: &str| (1..=LONGEST_NAME).contains(&name.chars().count());
+                if fits(&process) && fits(&step) {
+                    Ok(Vec::new())
+                } else {
+                    Err(Refused(format!("what a note names has 1 to {LONGEST_NAME} characters")))
+                }
+            }
+            Instruction::Move { .. } | Instruction::Halt { .. } | Instruction::Go { .. } => {
+                Err(Refused("movements are the Robot Middleware's".to_owned()))
+            }
         }
     }
 

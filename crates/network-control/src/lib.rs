@@ -5,6 +5,7 @@
 //! clock nor a socket, and every call takes the time.
 #![forbid(unsafe_code)]
 
+mod access;
 mod control;
 pub mod vim;
 

@@ -44,6 +44,9 @@ pub enum MoveRefused {
         /// The waypoint.
         waypoint: u32,
     },
+    /// It is to stand still.
+    #[error("robot `{0}` is halted: let it go first")]
+    Halted(NodeId),
     /// The robot cannot do that.
     #[error("robot `{robot}`: {reason}")]
     Command {
@@ -93,6 +96,8 @@ struct Managed {
     health: Vec<RobotFault>,
     /// When the last scan began that was told to a tap.
     told_scan: Option<Timestamp>,
+    /// It stands still, whatever its navigation says.
+    halted: bool,
 }
 
 impl RobotMiddleware {
@@ -163,7 +168,8 @@ impl RobotMiddleware {
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
         let (health, told_scan) = (Vec::new(), None);
-        let managed = Managed { driver, service, due: None, flagged: false, health, told_scan };
+        let managed =
+            Managed { driver, service, due: None, flagged: false, health, told_scan, halted: false };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
@@ -298,7 +304,7 @@ impl RobotMiddleware {
         if let Some(measured) = answer.service_time {
             self.events.push_back(Stamped { at: now, event: Event::ServiceTime(measured) });
         }
-        if let Some(velocity) = answer.velocity {
+        if let Some(velocity) = answer.velocity.filter(|_| !managed.halted) {
             // A refusal is told as a notice; the sender of a datagram cannot be told.
             let _ = managed.command(now, velocity, &mut self.events);
         }
@@ -323,6 +329,9 @@ impl RobotMiddleware {
         if managed.service.as_ref().is_some_and(|service| !service.has_waypoint(waypoint)) {
             return Err(MoveRefused::UnknownWaypoint { robot: robot.clone(), waypoint });
         }
+        if managed.halted {
+            return Err(MoveRefused::Halted(robot.clone()));
+        }
         managed
             .command(now, velocity, &mut self.events)
             .map_err(|reason| MoveRefused::Command { robot: robot.clone(), reason })?;
@@ -330,6 +339,19 @@ impl RobotMiddleware {
             managed.finish(now, &mut self.events);
         }
         self.note_due(robot);
+        Ok(())
+    }
+
+    /// Lets a robot stand still whatever its navigation says, or follow it again.
+    ///
+    /// # Errors
+    /// [`MoveRefused::UnknownRobot`].
+    pub fn halt(&mut self, now: Timestamp, robot: &NodeId, halted: bool) -> Result<(), MoveRefused> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+        managed.halted = halted;
+        if halted {
+            managed.driver.stop(now);
+        }
         Ok(())
     }
 

@@ -16,7 +16,7 @@ use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim
 use cotorra_plugin::wire::{NAVIGATION_PORT, NavigationPacket};
 use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
-use crate::robots::RobotError;
+use crate::{domain::Domains, robots::RobotError};
 
 /// How often κ is collected.
 const CONTEXT: Duration = Duration::from_millis(100);
@@ -34,6 +34,7 @@ pub(crate) struct Datagram {
 /// A testbed's core.
 pub(crate) struct Core<N, E> {
     testbed: Arc<Testbed>,
+    domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
     /// The navigation VNF of each robot.
@@ -68,6 +69,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             control: NetworkControl::new(&testbed, network, engine),
             navigators: testbed.services.iter().filter_map(navigation).collect(),
             attachments: BTreeMap::new(),
+            domains: Domains::new(&testbed),
             testbed,
             events: VecDeque::new(),
             next_context: Timestamp::ZERO,
@@ -168,14 +170,22 @@ impl<N: Network, E: Engine> Core<N, E> {
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), Refused> {
+        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction));
         let done = match &instruction {
+            _ if own.is_err() => own.map(|()| Vec::new()).map_err(|reason| Refused(reason.to_string())),
             Instruction::Move { robot, velocity, waypoint } => {
                 let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
                 moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
             }
+            Instruction::Halt { robot } | Instruction::Go { robot } => {
+                let halted = matches!(instruction, Instruction::Halt { .. });
+                let done = self.middleware.halt(now, robot, halted);
+                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
             _ => self.control.instruct(now, &instruction),
         };
         let refused = done.as_ref().err().map(ToString::to_string);
+        let instruction = instruction.public();
         let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
         self.tell(now, vec![decision]);
         self.tell(now, done?);

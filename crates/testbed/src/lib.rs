@@ -6,6 +6,7 @@
 mod api;
 mod core;
 mod core_loop;
+mod domain;
 pub mod experiment;
 mod live;
 mod navigation;
@@ -20,7 +21,7 @@ mod run;
 mod simulate;
 pub mod sweep;
 
-pub use api::{ApiError, Token, openapi};
+pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use live::{Live, Snapshot};
 pub use navigation::{NavigationError, navigation};

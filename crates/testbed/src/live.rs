@@ -7,7 +7,7 @@ use std::{
 
 use cotorra_graph::{
     Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
-    ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId,
+    ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use serde::Serialize;
 
@@ -74,6 +74,19 @@ impl Live {
                 now.virtual_links.push(mapping);
             }
             Event::Vnf(event) => {
+                match event.state {
+                    VnfState::Started => {
+                        let placement = Placement { vnf: event.vnf.clone(), node: event.node.clone() };
+                        now.placements.insert(event.vnf.clone(), placement);
+                    }
+                    // An instance that another node's took over from is stopped later.
+                    VnfState::Stopped
+                        if now.placements.get(&event.vnf).is_some_and(|p| p.node == event.node) =>
+                    {
+                        now.placements.remove(&event.vnf);
+                    }
+                    VnfState::Stopped | VnfState::Died | VnfState::Failed => {}
+                }
                 now.vnfs.insert(event.vnf.clone(), event);
             }
             Event::ServiceTime(sample) => {

@@ -2,6 +2,7 @@
 //! reported, and the testbed goes on.
 
 use std::{
+    borrow::Cow,
     collections::BTreeMap,
     fs::File,
     io,
@@ -18,9 +19,13 @@ use std::{
     time::Duration,
 };
 
+use cotorra_federation::{Federation, Ledgers};
 use cotorra_graph::{Instruction, NodeId, PluginId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp};
 use cotorra_okpi::Okpi;
 use cotorra_plugin::{Actions, Plugin};
+use cotorra_probing::Probing;
+
+use crate::domain::{DomainView, Domains};
 
 /// A call that takes longer than this counts as hung.
 const LONGEST_CALL: Duration = Duration::from_secs(2);
@@ -58,7 +63,7 @@ pub(crate) enum Said {
 #[derive(Debug, thiserror::Error)]
 pub enum PluginError {
     /// No such plug-in is bundled.
-    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: okpi, probing")]
+    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: federation, okpi, probing")]
     NotBundled {
         /// Which.
         plugin: PluginId,
@@ -88,23 +93,44 @@ pub enum PluginError {
     },
 }
 
-/// Makes the bundled plug-in that a testbed file names.
-pub(crate) fn bundled(
-    spec: &PluginSpec,
-    name: &str,
-    testbed: &Testbed,
+/// Makes the bundled plug-ins of a testbed, each when it is asked for.
+pub(crate) struct Bundled<'a> {
+    testbed: &'a Testbed,
     seed: u64,
-) -> Result<Box<dyn Plugin>, PluginError> {
-    match name {
-        "okpi" => match Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(testbed)) {
-            Ok(plugin) => Ok(Box::new(plugin)),
-            Err(e) => Err(PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() }),
-        },
-        "probing" => match cotorra_probing::Probing::from_settings(&spec.settings, seed) {
-            Ok(plugin) => Ok(Box::new(plugin)),
-            Err(e) => Err(PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() }),
-        },
-        _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
+    ledgers: Ledgers,
+}
+
+impl<'a> Bundled<'a> {
+    pub(crate) fn new(testbed: &'a Testbed, seed: u64, ledgers: Ledgers) -> Self {
+        Self { testbed, seed, ledgers }
+    }
+
+    /// What they share, and what is to live as long as they do.
+    pub(crate) fn into_ledgers(self) -> Ledgers {
+        self.ledgers
+    }
+
+    /// The plug-in that a testbed file names.
+    pub(crate) fn make(&mut self, spec: &PluginSpec, name: &str) -> Result<Box<dyn Plugin>, PluginError> {
+        let settings =
+            |e: &dyn ToString| PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() };
+        match name {
+            "federation" => {
+                let domain = spec.domain.as_ref();
+                let orchestrator = Federation::open(&spec.settings, domain, self.seed, &mut self.ledgers);
+                Ok(Box::new(orchestrator.map_err(|e| settings(&e))?))
+            }
+            "okpi" => {
+                let okpi =
+                    Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(self.testbed));
+                Ok(Box::new(okpi.map_err(|e| settings(&e))?))
+            }
+            "probing" => {
+                let probing = Probing::from_settings(&spec.settings, self.seed);
+                Ok(Box::new(probing.map_err(|e| settings(&e))?))
+            }
+            _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
+        }
     }
 }
 
@@ -141,6 +167,8 @@ impl Budget {
 /// Where a plug-in runs.
 enum Place {
     Thread {
+        /// What it sees, if that is one domain.
+        view: Option<Arc<DomainView>>,
         events: mpsc::SyncSender<Arc<Stamped>>,
         /// When the call that it is in began, in nanoseconds; [`IDLE`] between calls.
         busy_since: Arc<AtomicU64>,
@@ -157,12 +185,19 @@ pub(crate) struct PluginHost {
     budgets: BTreeMap<PluginId, Budget>,
     movers: BTreeMap<NodeId, PluginId>,
     missed: u64,
+    ledgers: Ledgers,
 }
 
 impl PluginHost {
     /// A host without plug-ins.
     pub(crate) fn new() -> Self {
-        Self { places: BTreeMap::new(), budgets: BTreeMap::new(), movers: BTreeMap::new(), missed: 0 }
+        Self {
+            places: BTreeMap::new(),
+            budgets: BTreeMap::new(),
+            movers: BTreeMap::new(),
+            missed: 0,
+            ledgers: Ledgers::default(),
+        }
     }
 
     /// Starts the plug-ins of a testbed. `say` is called from their threads.
@@ -175,16 +210,20 @@ impl PluginHost {
         logs: &Path,
         say: &(impl Fn(Said) + Clone + Send + 'static),
     ) -> Result<(), PluginError> {
+        let mut bundled = Bundled::new(testbed, seed, Ledgers::default());
+        let domains = Domains::new(testbed);
         for spec in &testbed.plugins {
             let place = match &spec.program {
                 PluginProgram::Bundled(name) => {
-                    let plugin = bundled(spec, name, testbed, seed)?;
-                    self.spawn_thread(spec.id.clone(), plugin, testbed, now, say.clone())
+                    let plugin = bundled.make(spec, name)?;
+                    let view = domains.of_plugin(&spec.id).cloned();
+                    self.spawn_thread(spec.id.clone(), plugin, testbed, view, now, say.clone())
                 }
                 PluginProgram::Command(words) => spawn_process(spec, words, api, logs)?,
             };
             self.places.insert(spec.id.clone(), place);
         }
+        self.ledgers = bundled.into_ledgers();
         Ok(())
     }
 
@@ -208,6 +247,7 @@ impl PluginHost {
         id: PluginId,
         plugin: Box<dyn Plugin>,
         testbed: &Arc<Testbed>,
+        view: Option<Arc<DomainView>>,
         now: &Now,
         say: impl Fn(Said) + Send + 'static,
     ) -> Place {
@@ -222,20 +262,24 @@ impl PluginHost {
             cut: Arc::clone(&cut),
             say,
         };
-        let testbed = Arc::clone(testbed);
+        let (testbed, part) = (Arc::clone(testbed), view.clone());
         thread::Builder::new()
             .name(format!("plugin-{id}"))
-            .spawn(move || guard.run(&testbed, &inbox))
+            .spawn(move || guard.run(part.as_ref().map_or(&*testbed, |view| view.testbed()), &inbox))
             .expect("the system has room for a thread a plug-in");
-        Place::Thread { events, busy_since, cut }
+        Place::Thread { view, events, busy_since, cut }
     }
 
     /// Passes an event on to all plug-ins in process; those apart follow the API's stream.
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for place in self.places.values() {
-            if let Place::Thread { events, .. } = place
-                && events.try_send(Arc::clone(event)).is_err()
-            {
+            let Place::Thread { view, events, .. } = place else { continue };
+            let seen = match view.as_ref().map(|view| view.event(event)) {
+                None | Some(Some(Cow::Borrowed(_))) => Arc::clone(event),
+                Some(Some(Cow::Owned(seen))) => Arc::new(seen),
+                Some(None) => continue,
+            };
+            if events.try_send(seen).is_err() {
                 self.missed += 1;
             }
         }
@@ -343,6 +387,7 @@ fn spawn_process(
             // The history's password is nobody's business.
             .env_remove("COTORRA_HISTORY")
             .env_remove("COTORRA_HISTORY_PASSWORD")
+            .env_remove("COTORRA_DOMAIN_TOKENS")
             .env("COTORRA_API", format!("http://{api}"))
             .env("COTORRA_PLUGIN", spec.id.as_str())
             .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())
@@ -453,7 +498,7 @@ mod tests {
         let (tell, said) = mpsc::channel();
         let now: Now = Arc::new(|| Timestamp::from_secs_f64(1.0));
         let say = move |s| drop(tell.send(s));
-        let place = host.spawn_thread(id(), Box::new(Scripted(script)), &testbed(), &now, say);
+        let place = host.spawn_thread(id(), Box::new(Scripted(script)), &testbed(), None, &now, say);
         host.places.insert(id(), place);
         host.publish(&Arc::new(Stamped {
             at: Timestamp::ZERO,

@@ -27,7 +27,7 @@ use cotorra_wais::types::Epoch;
 use tokio::sync::broadcast;
 
 use crate::{
-    api::{self, ApiError, Listener, Server, Token},
+    api::{self, ApiError, Listener, Server, Tokens},
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     live::Live,
@@ -58,8 +58,8 @@ pub struct Options {
     pub folder: Place,
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
-    /// What callers of the API must show.
-    pub token: Option<Token>,
+    /// What callers of the API must show: the operator, and orchestrators of domains.
+    pub tokens: Tokens,
     /// Lets cores sleep that have nothing to do; packets then wait for them to wake, and come later.
     pub save_power: bool,
     /// With which the testbed file was read.
@@ -180,7 +180,7 @@ impl Run {
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let moved = options.api.is_none();
-        let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, options.token.as_ref())?;
+        let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let info = run_info(&testbed, seed, text);
         let recording =
@@ -254,7 +254,7 @@ impl Run {
                 callbacks: options.wais_callbacks.clone(),
             },
         };
-        let server = Server::start(listener, context, options.token)?;
+        let server = Server::start(listener, context, options.tokens)?;
         plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;
 
         for (robot, socket) in &sockets {

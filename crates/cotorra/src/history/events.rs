@@ -108,5 +108,15 @@ fn instruction(instruction: &Instruction) -> String {
             let direction = direction.map(|d| format!(" {d:?}").to_lowercase()).unwrap_or_default();
             format!("change {link}{direction}")
         }
+        Instruction::Deploy { radio_unit, access_point } => {
+            format!("deploy a vAP on {radio_unit} for {}", access_point.ssid)
+        }
+        Instruction::Remove { radio_unit } => format!("remove the vAP of {radio_unit}"),
+        Instruction::Provision { robot, radio_unit, .. } => {
+            format!("provision {robot} for {radio_unit}")
+        }
+        Instruction::Halt { robot } => format!("halt {robot}"),
+        Instruction::Go { robot } => format!("let {robot} go"),
+        Instruction::Note { process, step } => format!("note {step} of {process}"),
     }
 }

@@ -13,8 +13,9 @@ use std::{
     time::Duration,
 };
 
+use cotorra_graph::DomainId;
 use cotorra_recording::{RecordingPlace, Wanted};
-use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token};
+use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token, Tokens, TokensError};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
@@ -30,10 +31,12 @@ use view::{Places, View};
 /// How often the view looks; no service time is missed while robots ask for navigation no more often.
 const LOOK: Duration = Duration::from_millis(25);
 /// The figures of a run are not valid.
-const NOT_VALID: u8 = 3;
+pub const NOT_VALID: u8 = 3;
 
 /// The environment variable with the API's token.
 pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
+/// The environment variable with the tokens of domains.
+const DOMAIN_TOKENS_VARIABLE: &str = "COTORRA_DOMAIN_TOKENS";
 
 /// What keeps a run from its beginning or its end.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -46,6 +49,11 @@ pub enum Error {
     #[error("{TOKEN_VARIABLE} is too short to be a secret")]
     #[diagnostic(help("use 16 characters or more: {TOKEN_VARIABLE}=$(openssl rand -hex 16)"))]
     Token,
+    #[error("{DOMAIN_TOKENS_VARIABLE} does not say which domain has which token")]
+    #[diagnostic(help("write it like {DOMAIN_TOKENS_VARIABLE}=\"domain-1=<token> domain-2=<token>\""))]
+    DomainTokens,
+    #[error(transparent)]
+    Tokens(#[from] TokensError),
     #[error("cannot write {}: {source}", path.display())]
     Log { path: PathBuf, source: io::Error },
     #[error("cannot listen to Ctrl-C: {0}")]
@@ -70,7 +78,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         until: args.until,
         folder: Place::In(args.out.clone()),
         api: args.api,
-        token: token()?,
+        tokens: tokens()?,
         save_power: args.save_power,
         settings: args.settings.clone(),
         wais_callbacks: args.wais_callbacks.clone(),
@@ -162,9 +170,17 @@ pub fn token_text() -> Option<String> {
     env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
 }
 
-/// The same, checked.
-pub fn token() -> Result<Option<Token>, Error> {
-    token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()
+/// The operator's and those of domains, checked.
+pub fn tokens() -> Result<Tokens, Error> {
+    let operator = token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()?;
+    let of_domains = env::var(DOMAIN_TOKENS_VARIABLE).unwrap_or_default();
+    let of_domain = |text: &str| {
+        let (domain, token) = text.split_once('=').ok_or(Error::DomainTokens)?;
+        let domain = DomainId::new(domain).map_err(|_| Error::DomainTokens)?;
+        Ok((domain, Token::new(token).ok_or(Error::Token)?))
+    };
+    let domains = of_domains.split_whitespace().map(of_domain).collect::<Result<_, Error>>()?;
+    Ok(Tokens::new(operator, domains)?)
 }
 
 /// Shows how a run goes until it has come to its end, by itself or because someone wants it to.

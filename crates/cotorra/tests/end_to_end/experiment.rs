@@ -45,3 +45,54 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
     assert_eq!(okpi["away_from_handovers"], 0.0);
     assert!(comparison["above_target"][0]["of_all"].as_f64().unwrap() > 0.5);
 }
+
+#[test]
+fn a_robot_is_handed_to_another_domain_in_virtual_time() {
+    let out = tempfile::tempdir().unwrap();
+    let testbed = corridor().with_file_name("federation.yaml");
+    let run = |extra: &[&str]| {
+        let mut command = cotorra(["experiment", "federation", "--headless", "--testbed"]);
+        command.arg(&testbed).arg("--out").arg(out.path()).args(extra).output().unwrap()
+    };
+    let dry = run(&["--dry-run", "--block-period", "0.5,5"]);
+    assert!(stdout(&dry).contains("1 run with a block each 0.5 s"), "{} {}", stdout(&dry), stderr(&dry));
+    let wrong = run(&["--block-period", "soon"]);
+    assert!(stderr(&wrong).contains("write seconds from 0.1 to 600"), "{}", stderr(&wrong));
+    assert_eq!(fs::read_dir(out.path()).unwrap().count(), 0, "neither leaves anything");
+
+    let output = run(&["--block-period", "1,5", "--runs", "2"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    assert!(stdout(&output).starts_with(&read("federation.md")));
+    assert!(read("federation.svg").contains("confirmation") && read("steps.csv").lines().count() == 5);
+    let comparison: Value = serde_json::from_str(&read("federation.json")).unwrap();
+    for run in comparison["runs"].as_array().unwrap() {
+        let steps: Vec<f64> =
+            run["steps_s"].as_array().unwrap().iter().map(|at| at.as_f64().unwrap()).collect();
+        let period = run["block_period_s"].as_f64().unwrap();
+        assert!(steps.is_sorted() && steps[10] - steps[0] <= 4.0 * period + 0.5, "{run}");
+        assert_eq!((&run["lost"], &run["attachments"]), (&0.into(), &serde_json::json!(["R3", "n_AP"])));
+        assert!(run["slowest"].as_f64().unwrap() > 0.9, "its speed never falls: {run}");
+    }
+
+    // One that is served by nobody is told with how far it went.
+    let dear = run(&[
+        "--block-period",
+        "1",
+        "--until",
+        "80s",
+        "--set",
+        "plugins.orchestrator-1.settings.highest_price=1",
+    ]);
+    assert_eq!(dear.status.code(), Some(1));
+    let said = stderr(&dear);
+    let words: Vec<_> = said.split_whitespace().filter(|word| *word != "│").collect();
+    assert!(words.join(" ").contains("bid rejected at"), "{said}");
+    let real = cotorra(["run", "--simulate", "--headless", "--set", "plugins.*.settings.ledger=anvil"])
+        .arg(&testbed)
+        .current_dir(out.path())
+        .output()
+        .unwrap();
+    assert!(stderr(&real).contains("virtual time has only a modelled ledger"), "{}", stderr(&real));
+}

@@ -3,8 +3,9 @@
 //!
 //! - Path loss and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
 //! - [`medium`] shares each channel's airtime; [`link`] adds what emulation was asked to do.
-//! - [`station`] is the state machine of an attachment; [`roaming`] decides from beacons.
+//! - [`access`] says which radio units serve, and whom; [`station`] is the state machine of an attachment; [`roaming`] decides from beacons.
 
+mod access;
 mod link;
 mod medium;
 mod phy;
@@ -23,9 +24,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, ConditionChange, Dbm, Direction, Event, GapPolicy, Handover, HardwareGraph, LinkContext,
-    LinkId, NodeId, Position, QueueLimit, RadioContext, Roaming, Stamped, StationContext, Timestamp,
-    WirelessNetwork,
+    AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, Handover,
+    HardwareGraph, LinkContext, LinkId, NodeId, Position, QueueLimit, RadioContext, Roaming, Stamped,
+    StationContext, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -99,6 +100,7 @@ enum Role {
 
 #[derive(Debug)]
 struct Network {
+    ssid: String,
     spec: WirelessNetwork,
     phy: &'static Phy,
     /// Weakest signal that a receiver makes something of.
@@ -116,6 +118,9 @@ struct Unit {
     tx_power: Dbm,
     channel_number: u8,
     frequency_mhz: u16,
+    domain: DomainId,
+    /// What it serves; `None` while it is off.
+    serves: Option<AccessPoint>,
     /// Who is attached, in order.
     stations: Vec<StationIndex>,
     /// For the backoff of what it sends to all.
@@ -126,6 +131,9 @@ struct Unit {
 struct RobotRadio {
     id: NodeId,
     port: PortId,
+    domain: DomainId,
+    /// What it was given to attach to radio units of other domains.
+    access: BTreeMap<RadioUnitIndex, AccessPoint>,
     network: usize,
     position: Position,
     tx_power: Dbm,
@@ -173,7 +181,7 @@ impl Radio {
         let mut network_by_ssid = BTreeMap::new();
         for (ssid, spec) in &graph.wireless {
             network_by_ssid.insert(ssid.as_str(), networks.len());
-            let network = Network::new(spec)
+            let network = Network::new(ssid, spec)
                 .map_err(|refusal| FabricError::Conditions { link: ssid.clone(), refusal })?;
             networks.push(network);
         }
@@ -193,6 +201,8 @@ impl Radio {
                 position: node.position.unwrap_or_default(),
                 tx_power: unit.tx_power,
                 channel_number: unit.channel,
+                domain: node.domain.clone(),
+                serves: unit.serving.then(|| access::own(&unit.network, &networks[network].spec)),
                 frequency_mhz: networks[network].spec.standard.frequency_mhz(unit.channel),
                 stations: Vec::new(),
                 rng: stream(seed, &format!("group {}", node.id)),
@@ -208,6 +218,8 @@ impl Radio {
                 Thresholds { hysteresis_db: spec.hysteresis_db, time_to_trigger: spec.time_to_trigger };
             robots.push(RobotRadio {
                 port,
+                domain: node.domain.clone(),
+                access: BTreeMap::new(),
                 network,
                 position: node.position.unwrap_or_default(),
                 tx_power: robot.tx_power,
@@ -379,7 +391,8 @@ impl Radio {
     ///
     /// # Errors
     /// [`Refusal::UnknownRobot`], [`Refusal::UnknownRadioUnit`], [`Refusal::OtherNetwork`],
-    /// [`Refusal::OutOfReach`]; [`Refusal::Busy`] while it changes to another one.
+    /// [`Refusal::NotServing`], [`Refusal::NotAdmitted`], [`Refusal::OutOfReach`]; [`Refusal::Busy`] while it changes
+    /// to another one.
     pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Refusal> {
         self.advance(now);
         let index = self.robot(robot)?;
@@ -387,8 +400,11 @@ impl Radio {
         if self.robots[index].network != self.units[to].network {
             return Err(Refusal::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });
         }
-        if self.robots[index].station.attached() != Some(to) && self.hears(index, to).is_none() {
-            return Err(Refusal::OutOfReach { robot: robot.clone(), radio_unit: unit.clone() });
+        if self.robots[index].station.attached() != Some(to) {
+            self.check_access(index, to)?;
+            if self.hears(index, to).is_none() {
+                return Err(Refusal::OutOfReach { robot: robot.clone(), radio_unit: unit.clone() });
+            }
         }
         let station = &mut self.robots[index].station;
         let was_away = station.is_away();
@@ -550,6 +566,7 @@ impl Radio {
 
     /// The signal of a radio unit that a robot can hear and be heard by.
     fn hears(&self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
+        self.units[unit].serves.as_ref()?;
         let sensitivity = self.networks[self.units[unit].network].sensitivity;
         let [up, down] = self.signals(robot, unit);
         (up >= sensitivity && down >= sensitivity).then_some(down)
@@ -570,12 +587,17 @@ impl Radio {
         self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
     }
 
-    /// The strongest radio unit that a robot heard last; the first among equals.
+    /// Those of them that it may attach to.
+    fn joinable(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
+        self.heard(robot).filter(move |(unit, _)| self.admits(robot, *unit))
+    }
+
+    /// The strongest radio unit that a robot heard last, and may attach to; the first among equals.
     fn strongest(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
         let stronger = |best: (RadioUnitIndex, Dbm), next: (RadioUnitIndex, Dbm)| {
             if next.1 > best.1 { next } else { best }
         };
-        self.heard(robot).reduce(stronger).map(|(unit, _)| unit)
+        self.joinable(robot).reduce(stronger).map(|(unit, _)| unit)
     }
 }
 
@@ -611,7 +633,7 @@ impl Radio {
             self.listen(robot);
         }
         let mut beacons = std::mem::take(&mut self.robots[robot].beacons);
-        let others = self.heard(robot).filter(|(other, _)| *other != unit);
+        let others = self.joinable(robot).filter(|(other, _)| *other != unit);
         let verdict = beacons.weigh(now, own, others, thresholds);
         self.robots[robot].beacons = beacons;
         match verdict {
@@ -620,13 +642,7 @@ impl Radio {
             Verdict::Roam => {
                 self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");
             }
-            Verdict::Lost => {
-                self.robots[robot].station.detach();
-                self.units[unit].stations.retain(|r| *r != robot);
-                let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
-                self.tell(now, Event::Detached { robot: robot_id, from });
-                self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
-            }
+            Verdict::Lost => self.lose_unit(robot, unit, now),
         }
     }
 
@@ -662,7 +678,9 @@ impl Radio {
         } else {
             None
         };
-        match self.robots[robot].station.expire(strongest) {
+        let station = &self.robots[robot].station;
+        let is_one_domain = self.is_one_mobility_domain(station.attached(), station.underway_to());
+        match self.robots[robot].station.expire(strongest, is_one_domain) {
             Step::Underway => {}
             Step::Scanned => {
                 let robot = self.robots[robot].id.clone();
@@ -681,9 +699,22 @@ impl Radio {
             self.watch(robot, now);
         }
         if let Some(unit) = on {
+            if self.units[unit].serves.is_none() {
+                // It was taken down meanwhile.
+                return self.lose_unit(robot, unit, now);
+            }
             self.medium.enter(robot, unit);
             self.serve(self.medium.channel(unit), now);
         }
+    }
+
+    /// A station on its channel notices that its radio unit is gone, and looks for another.
+    fn lose_unit(&mut self, robot: StationIndex, unit: RadioUnitIndex, now: Timestamp) {
+        self.robots[robot].station.detach();
+        self.units[unit].stations.retain(|r| *r != robot);
+        let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
+        self.tell(now, Event::Detached { robot: robot_id, from });
+        self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
     }
 
     fn join(&mut self, robot: StationIndex, now: Timestamp, joined: Joined) {
@@ -824,13 +855,14 @@ impl Radio {
 }
 
 impl Network {
-    fn new(spec: &WirelessNetwork) -> Result<Self, Refusal> {
+    fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, Refusal> {
         let phy = Phy::of(spec.standard);
         Ok(Self {
             phy,
             sensitivity: Dbm(spec.noise_floor.0 + phy.sensitivity_db()),
             settings: link::initial_settings(spec, phy)?,
             units: Vec::new(),
+            ssid: ssid.to_owned(),
             spec: spec.clone(),
         })
     }

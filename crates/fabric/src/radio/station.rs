@@ -165,8 +165,17 @@ impl Station {
         if self.is_away() { None } else { self.attached.take() }
     }
 
-    /// The phase under way has come to its end. `strongest` is what a scan found.
-    pub(super) fn expire(&mut self, strongest: Option<RadioUnitIndex>) -> Step {
+    /// Where it is going over to.
+    pub(super) fn underway_to(&self) -> Option<RadioUnitIndex> {
+        match self.busy() {
+            Some(Busy::HandingOver(to)) => Some(to),
+            Some(Busy::Scanning) | None => None,
+        }
+    }
+
+    /// The phase under way has come to its end. `strongest` is what a scan found; `is_one_domain` tells whether the radio
+    /// unit that it is with and the one that it goes to are of one mobility domain.
+    pub(super) fn expire(&mut self, strongest: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
         let Some(Absence { since, phase, ends }) = self.absence.take() else { return Step::Underway };
         match phase {
             Phase::Scan(purpose) => {
@@ -184,20 +193,20 @@ impl Station {
                 self.begin(since, ends, Phase::Reassociate(to));
                 Step::Underway
             }
-            Phase::Reassociate(to) if !self.is_fast() => {
+            Phase::Reassociate(to) if !self.is_fast(is_one_domain) => {
                 self.begin(since, ends, Phase::Handshake(to));
                 Step::Underway
             }
             Phase::Reassociate(to) | Phase::Handshake(to) => {
-                let fast = self.is_fast();
+                let fast = self.is_fast(is_one_domain);
                 let from = self.attached.replace(to);
                 Step::Attached(Joined { from, to, fast, gap: ends.since(since) })
             }
         }
     }
 
-    fn is_fast(&self) -> bool {
-        self.fast_transition && self.attached.is_some()
+    fn is_fast(&self, is_one_domain: bool) -> bool {
+        self.fast_transition && is_one_domain && self.attached.is_some()
     }
 
     fn begin(&mut self, since: Timestamp, now: Timestamp, phase: Phase) {
@@ -242,6 +251,7 @@ mod tests {
             delay: ms(1),
             rate: None,
             fast_transition,
+            mobility_domain: 1,
             path_loss: PathLoss::FreeSpace,
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 1.0 },
             noise_floor: Dbm(-95.0),
@@ -270,7 +280,7 @@ mod tests {
         let (mut steps, mut now) = (Vec::new(), from);
         while let Some(deadline) = station.deadline() {
             now = deadline;
-            steps.push(station.expire(strongest));
+            steps.push(station.expire(strongest, true));
         }
         (steps, now.since(from))
     }
@@ -292,6 +302,23 @@ mod tests {
         let joined = Joined { from: Some(0), to: 1, fast: false, gap: ms(70) };
         let (steps, took) = run(&mut station, at(0), None);
         assert_eq!((steps.last(), took), (Some(&Step::Attached(joined)), ms(70)));
+    }
+
+    #[test]
+    fn between_mobility_domains_the_handshakes_are_done_again() {
+        let mut station = station(true, 0.0);
+        station.attach(at(0), 1).unwrap();
+        assert_eq!(station.underway_to(), Some(1));
+        while station.is_away() {
+            station.expire(None, false);
+        }
+        assert_eq!((station.attached(), station.underway_to()), (Some(1), None));
+        station.attach(at(100), 0).unwrap();
+        let mut last = Step::Underway;
+        while station.is_away() {
+            last = station.expire(None, false);
+        }
+        assert_eq!(last, Step::Attached(Joined { from: Some(1), to: 0, fast: false, gap: ms(70) }));
     }
 
     #[test]

@@ -32,6 +32,7 @@ fn network() -> WirelessNetwork {
         delay: ms(1),
         rate: Some(mbps(8.0)),
         fast_transition: true,
+        mobility_domain: 1,
         path_loss: PathLoss::LogDistance { exponent: 3.0 },
         shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
         noise_floor: Dbm(-95.0),
@@ -55,7 +56,14 @@ fn node(name: &str, x: f64, kind: NodeKind) -> Node {
 const CAPACITY: Capacity = Capacity { cpus: 1.0, memory_bytes: 1 };
 
 fn unit(name: &str, x: f64, channel: u8) -> Node {
-    let unit = RadioUnit { capacity: CAPACITY, network: "lab".into(), channel, tx_power: Dbm(20.0) };
+    let unit = RadioUnit {
+        capacity: CAPACITY,
+        network: "lab".into(),
+        channel,
+        tx_power: Dbm(20.0),
+        serving: true,
+        deployment: Duration::ZERO,
+    };
     node(name, x, NodeKind::RadioUnit(unit))
 }
 

@@ -20,6 +20,7 @@ impl Network {
             delay: Duration::from_millis(1),
             rate: None,
             fast_transition: true,
+            mobility_domain: 1,
             path_loss: PathLoss::LogDistance { exponent: 3.0 },
             shadowing: Shadowing { deviation_db: 0.0, correlation_m: 5.0 },
             noise_floor: Dbm(-95.0),
@@ -53,7 +54,14 @@ impl Network {
 
     /// A radio unit, so many metres to the east.
     pub fn radio_unit(self, name: &str, x: f64) -> Self {
-        let unit = RadioUnit { capacity: CAPACITY, network: "air".into(), channel: 1, tx_power: Dbm(20.0) };
+        let unit = RadioUnit {
+            capacity: CAPACITY,
+            network: "air".into(),
+            channel: 1,
+            tx_power: Dbm(20.0),
+            serving: true,
+            deployment: Duration::ZERO,
+        };
         self.node(name, x, NodeKind::RadioUnit(unit))
     }
 

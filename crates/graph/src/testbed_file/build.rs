@@ -179,6 +179,7 @@ impl Builder<'_> {
             delay: record.delay,
             rate: record.rate,
             fast_transition: record.fast_transition,
+            mobility_domain: record.mobility_domain,
             path_loss: match &record.path_loss {
                 PathLossRecord::FreeSpace(_) => PathLoss::FreeSpace,
                 PathLossRecord::LogDistance(model) => PathLoss::LogDistance { exponent: model.exponent.0 },
@@ -255,6 +256,8 @@ impl Builder<'_> {
                     network: self.network(id, r.network.as_ref())?,
                     channel: r.channel.value,
                     tx_power: r.tx_power,
+                    serving: r.serving,
+                    deployment: r.deployment,
                 };
                 (Some(r.position), NodeKind::RadioUnit(unit))
             }
@@ -673,7 +676,7 @@ impl Builder<'_> {
                 Either::Short(name) => {
                     let program = self.bundled(&Spanned { value: name.clone(), span: entry.span.clone() })?;
                     let id = PluginId::new(name).expect("bundled plug-ins have names");
-                    PluginSpec { id, program, settings: serde_json::Map::new() }
+                    PluginSpec { id, program, domain: None, settings: serde_json::Map::new() }
                 }
                 Either::Long(record) => self.plugin(&entry.span, record)?,
             };
@@ -707,7 +710,17 @@ impl Builder<'_> {
                 None
             }
         };
-        Some(PluginSpec { id: id?, program: program?, settings: record.settings.clone() })
+        let domain = match &record.domain {
+            Some(domain) if matches!(program, Some(PluginProgram::Command(_))) => {
+                self.sink
+                    .error(&domain.span, "a program is bound to a domain by the token that it shows")
+                    .help("leave out `domain`, and give the program that domain's token: docs/federation.md");
+                None
+            }
+            Some(domain) => self.domain(Some(domain)).map(Some),
+            None => Some(None),
+        };
+        Some(PluginSpec { id: id?, program: program?, domain: domain?, settings: record.settings.clone() })
     }
 
     fn bundled(&mut self, name: &Spanned<String>) -> Option<PluginProgram> {

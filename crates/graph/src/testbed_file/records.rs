@@ -94,6 +94,8 @@ record! {
         rate: Option<BitRate>,
         /// Fast transition (IEEE 802.11r) in one mobility domain: a handover leaves the key handshakes out.
         fast_transition: bool = true,
+        /// Mobility domain of its radio units.
+        mobility_domain: u16 = 1,
         /// How the signal falls with distance.
         path_loss: PathLossRecord = { "model": "log_distance", "exponent": 3.0 },
         /// How the signal varies around that.
@@ -338,6 +340,10 @@ record! {
         channel: Spanned<u8>,
         /// Transmission power.
         tx_power: Dbm = "15 dBm",
+        /// Whether it serves its network from the start. One that does not is off until a vAP is deployed on it.
+        serving: bool = true,
+        /// How long a vAP takes to be deployed on it, from the start to its first beacon.
+        deployment: Duration = "400 ms",
         /// CPUs for VNFs.
         cpus: Amount = 1,
         /// Memory for VNFs.
@@ -532,6 +538,8 @@ record! {
         bundled: Option<Spanned<String>>,
         /// A program and its arguments; it finds the API at the URL in `COTORRA_API`.
         command: Option<Spanned<Vec<String>>>,
+        /// The one domain that a bundled plug-in sees and changes. Without one it is the operator's, and sees all.
+        domain: Option<Spanned<DomainId>>,
         /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
         enabled: bool = true,
         /// Its own settings.

@@ -546,18 +546,24 @@ impl Decode for u64 {
     }
 }
 
-impl Decode for u8 {
-    fn schema() -> Json {
-        json!({ "type": "integer", "minimum": 0, "maximum": u8::MAX })
-    }
-    fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
-        let number = node.plain().and_then(|text| text.parse().ok());
-        if number.is_none() {
-            expected(node, "a whole number from 0 to 255", "write only digits, such as `6`", sink);
+macro_rules! small_number {
+    ($($number:ty, $example:literal;)*) => {$(
+        impl Decode for $number {
+            fn schema() -> Json {
+                json!({ "type": "integer", "minimum": 0, "maximum": <$number>::MAX })
+            }
+            fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
+                let number = node.plain().and_then(|text| text.parse().ok());
+                if number.is_none() {
+                    let what = format!("a whole number from 0 to {}", <$number>::MAX);
+                    expected(node, &what, concat!("write only digits, such as `", $example, "`"), sink);
+                }
+                number
+            }
         }
-        number
-    }
+    )*};
 }
+small_number! { u8, "6"; u16, "1"; }
 
 /// Reads a finite number; Rust's own parser would let `inf` and `nan` pass.
 fn number(node: &Node) -> Option<f64> {

@@ -246,23 +246,34 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
 fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     let instruction = row.text()?;
     let subject: Arc<str> = required(row.0.name()?)?;
-    let object: Option<NodeId> = row.optional_name()?;
+    let object: Option<Arc<str>> = row.0.name()?;
     let velocity = Velocity { linear: row.real()?, angular: row.real()? };
     let waypoint = row.0.integer()?.and_then(|n| u32::try_from(n).ok());
     let direction = row.optional_direction()?;
     let change = row.0.text()?;
 
     let robot = || subject.parse::<NodeId>().map_err(unreadable);
+    let node = || required(object.as_deref())?.parse::<NodeId>().map_err(unreadable);
     Ok(match instruction.as_str() {
         "move" => Instruction::Move { robot: robot()?, velocity, waypoint: required(waypoint)? },
         "scan" => Instruction::Scan { robot: robot()? },
-        "attach" => Instruction::Attach { robot: robot()?, radio_unit: required(object)? },
-        "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: required(object)? },
+        "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
+        "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },
         "condition" => Instruction::Condition {
             link: subject.parse().map_err(unreadable)?,
             direction,
             change: json(&required(change)?)?,
         },
+        "deploy" => Instruction::Deploy { radio_unit: robot()?, access_point: json(&required(change)?)? },
+        "remove" => Instruction::Remove { radio_unit: robot()? },
+        "provision" => Instruction::Provision {
+            robot: robot()?,
+            radio_unit: node()?,
+            access_point: json(&required(change)?)?,
+        },
+        "halt" => Instruction::Halt { robot: robot()? },
+        "go" => Instruction::Go { robot: robot()? },
+        "note" => Instruction::Note { process: subject.to_string(), step: required(object)?.to_string() },
         other => return Err(unreadable(format_args!("`{other}` is not an instruction"))),
     })
 }

@@ -3,8 +3,8 @@
 use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
-    Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose, PoseSource, QueueLimit, Rate,
-    RobotFault, VnfState,
+    AccessPoint, Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose, PoseSource,
+    QueueLimit, Rate, RobotFault, VnfState,
 };
 
 use super::{Role, Value, direction_code};
@@ -212,7 +212,38 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             let change = serde_json::to_string(change).expect("a change has no map keys that are not text");
             row.optional(*direction, Fields::direction).text(change);
         }
+        Instruction::Deploy { radio_unit, access_point } => {
+            put("deploy", radio_unit.as_str(), None);
+            row.0.extend([const { Value::Null }; 4]);
+            row.text(access_point_json(access_point));
+        }
+        Instruction::Remove { radio_unit } => {
+            put("remove", radio_unit.as_str(), None);
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Provision { robot, radio_unit, access_point } => {
+            put("provision", robot.as_str(), Some(radio_unit.as_str()));
+            row.0.extend([const { Value::Null }; 4]);
+            row.text(access_point_json(access_point));
+        }
+        Instruction::Halt { robot } => {
+            put("halt", robot.as_str(), None);
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Go { robot } => {
+            put("go", robot.as_str(), None);
+            row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Note { process, step } => {
+            put("note", process, Some(step));
+            row.0.extend([const { Value::Null }; 5]);
+        }
     }
+}
+
+/// An access point as JSON. Its key is nobody's business, even where a decision were told with it.
+fn access_point_json(access_point: &AccessPoint) -> String {
+    serde_json::to_string(&access_point.public()).expect("an access point holds only what JSON can")
 }
 
 /// Writes the columns of conditions.

@@ -176,7 +176,7 @@ impl<E: Engine> Vim<E> {
             return Ok(Vec::new());
         }
         if slot.node != *node {
-            self.check_room(&slot.vnf, node)?;
+            self.check_room(vnf, slot.vnf.cpus, slot.vnf.memory_bytes, node)?;
         }
         let mut events = Vec::new();
         let slot = self.slots.get_mut(vnf).expect("it was found above");
@@ -241,25 +241,32 @@ impl<E: Engine> Vim<E> {
         self.engine.shut_down();
     }
 
-    fn check_room(&self, vnf: &Vnf, id: &NodeId) -> Result<(), VimError> {
+    /// Whether a VNF that takes so much fits on a node, beside all others there.
+    pub(crate) fn check_room(
+        &self,
+        vnf: &VnfId,
+        needed_cpus: f64,
+        needed_memory: u64,
+        id: &NodeId,
+    ) -> Result<(), VimError> {
         let node = self.graph.node(id).ok_or_else(|| VimError::UnknownNode(id.clone()))?;
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
         let others = || {
             self.slots
                 .values()
-                .filter(|s| s.vnf.id != vnf.id && s.node == *id)
+                .filter(|s| s.vnf.id != *vnf && s.node == *id)
                 .map(|s| (s.vnf.cpus, s.vnf.memory_bytes))
         };
         let cpus = capacity.cpus - others().map(|(cpus, _)| cpus).sum::<f64>();
         let memory = capacity.memory_bytes.saturating_sub(others().map(|(_, memory)| memory).sum());
         let no_room =
-            |needed, free| Err(VimError::NoRoom { vnf: vnf.id.clone(), node: id.clone(), needed, free });
-        if vnf.cpus > cpus + 1e-9 {
-            return no_room(format!("{} CPUs", vnf.cpus), format!("{cpus}"));
+            |needed, free| Err(VimError::NoRoom { vnf: vnf.clone(), node: id.clone(), needed, free });
+        if needed_cpus > cpus + 1e-9 {
+            return no_room(format!("{needed_cpus} CPUs"), format!("{cpus}"));
         }
-        if vnf.memory_bytes > memory {
+        if needed_memory > memory {
             return no_room(
-                format!("{} MB", vnf.memory_bytes / 1_000_000),
+                format!("{} MB", needed_memory / 1_000_000),
                 format!("{} MB", memory / 1_000_000),
             );
         }

@@ -1,8 +1,8 @@
 //! What was: the history of the run, and of others that share it.
 
-use std::ops::Bound;
+use std::{borrow::Cow, ops::Bound};
 
-use axum::{Json, extract::State};
+use axum::{Extension, Json, extract::State};
 use cotorra_graph::{
     Direction, Handover, LinkContext, LinkId, NodeId, RobotContext, ServiceTime, Stamped, Timestamp,
 };
@@ -14,6 +14,7 @@ use serde::Deserialize;
 
 use super::{
     Answer, Context,
+    auth::Caller,
     stream::parse_kinds,
     types::{Failure, FailureBody, GapBody, Path, Query, RunBody},
 };
@@ -86,20 +87,34 @@ async fn ask<T: Send + 'static>(
     }
 }
 
+/// Other runs may be of other testbeds, with other domains: they are the operator's.
+fn this_run(caller: &Caller, run: Option<RunId>) -> Result<(), Failure> {
+    if run.is_some() { caller.operator() } else { Ok(()) }
+}
+
 /// κ of a robot over time.
 #[utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
     responses((status = 200, body = Page<Sample<RobotContext>>), (status = 404, body = FailureBody)))]
 pub(super) async fn robot_history(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Path(id): Path<NodeId>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<RobotContext>>> {
+    this_run(&caller, part.run)?;
+    caller.sees(&id, |view| view.owns(&id))?;
     if part.run.is_none() && !context.testbed.graph.robots().any(|(node, _)| node.id == id) {
         return Err(Failure::not_found(format!("there is no robot `{id}`")));
     }
     ask(context, part.run, move |history, run, present| {
-        history.robot_series(run, &id, part.until(present), part.page())
+        let mut page = history.robot_series(run, &id, part.until(present), part.page())?;
+        if let Some(view) = &caller.0 {
+            let seen =
+                |sample: Sample<RobotContext>| Some(Sample { value: view.robot(&sample.value)?, ..sample });
+            page.items = page.items.into_iter().filter_map(seen).collect();
+        }
+        Ok(page)
     })
     .await
 }
@@ -110,9 +125,12 @@ pub(super) async fn robot_history(
     responses((status = 200, body = Page<Sample<LinkContext>>), (status = 404, body = FailureBody)))]
 pub(super) async fn link_history(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Path(id): Path<LinkId>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<LinkContext>>> {
+    this_run(&caller, part.run)?;
+    caller.sees(&id, |view| view.sees_link(&id))?;
     let known = part.run.is_some()
         || context.testbed.graph.link(&id).is_some()
         || context.live.read(|now| now.links.keys().any(|(l, _)| *l == id));
@@ -131,10 +149,14 @@ pub(super) async fn link_history(
     responses((status = 200, body = Page<Sample<ServiceTime>>)))]
 pub(super) async fn service_times(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<ServiceTime>>> {
+    this_run(&caller, part.run)?;
     ask(context, part.run, move |history, run, present| {
-        history.service_times(run, part.until(present), part.page())
+        let mut page = history.service_times(run, part.until(present), part.page())?;
+        page.items.retain(|sample| caller.keeps(|view| view.owns(&sample.value.robot)));
+        Ok(page)
     })
     .await
 }
@@ -145,8 +167,10 @@ pub(super) async fn service_times(
     responses((status = 200, body = Vec<Retained>), (status = 404, body = FailureBody)))]
 pub(super) async fn retained(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Query(of): Query<OfRun>,
 ) -> Answer<Vec<Retained>> {
+    caller.operator()?;
     ask(context, of.run, |history, run, _| history.retained(run)).await
 }
 
@@ -165,24 +189,34 @@ pub(super) struct OfRun {
     responses((status = 200, body = Page<Sample<Handover>>)))]
 pub(super) async fn handovers(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Sample<Handover>>> {
+    caller.operator()?;
     ask(context, part.run, move |history, run, present| {
         history.handovers(run, part.until(present), part.page())
     })
     .await
 }
 
-/// Events of any kind, as they were told.
+/// Events of any kind, as they were told. Where a domain's token is shown, a page has fewer than its limit: the others are
+/// not the domain's.
 #[utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements", params(Part),
     responses((status = 200, body = Page<Stamped>), (status = 400, body = FailureBody)))]
 pub(super) async fn events(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
 ) -> Answer<Page<Stamped>> {
+    this_run(&caller, part.run)?;
     let kinds = part.kinds.as_deref().map(parse_kinds).transpose()?.unwrap_or_default();
     ask(context, part.run, move |history, run, present| {
-        history.events(run, &kinds, part.until(present), part.page())
+        let mut page = history.events(run, &kinds, part.until(present), part.page())?;
+        if let Some(view) = &caller.0 {
+            page.items =
+                page.items.iter().filter_map(|event| view.event(event).map(Cow::into_owned)).collect();
+        }
+        Ok(page)
     })
     .await
 }
@@ -190,7 +224,12 @@ pub(super) async fn events(
 /// Where events were lost.
 #[utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements", params(Part),
     responses((status = 200, body = Page<GapBody>)))]
-pub(super) async fn gaps(State(context): State<Context>, Query(part): Query<Part>) -> Answer<Page<GapBody>> {
+pub(super) async fn gaps(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Query(part): Query<Part>,
+) -> Answer<Page<GapBody>> {
+    caller.operator()?;
     ask(context, part.run, move |history, run, present| {
         let Page { items, next } = history.gaps(run, part.until(present), part.page())?;
         Ok(Page { items: items.into_iter().map(GapBody::from).collect(), next })
@@ -227,7 +266,12 @@ pub(super) struct Which {
 /// samples, and whether events were lost.
 #[utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements", params(Which),
     responses((status = 200, body = Curve), (status = 400, body = FailureBody)))]
-pub(super) async fn series(State(context): State<Context>, Query(which): Query<Which>) -> Answer<Curve> {
+pub(super) async fn series(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Query(which): Query<Which>,
+) -> Answer<Curve> {
+    caller.operator()?;
     let mut request = CurveRequest::default();
     request.points = which.points.unwrap_or(request.points);
     if let Some(shares) = &which.quantiles {
@@ -258,7 +302,12 @@ pub(super) struct Runs {
 /// The runs that share this run's history, the oldest first.
 #[utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements", params(Runs),
     responses((status = 200, body = Vec<RunBody>)))]
-pub(super) async fn runs(State(context): State<Context>, Query(which): Query<Runs>) -> Answer<Vec<RunBody>> {
+pub(super) async fn runs(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Query(which): Query<Runs>,
+) -> Answer<Vec<RunBody>> {
+    caller.operator()?;
     let limit = which.limit.unwrap_or(PageRequest::default().limit);
     ask(context, None, move |history, this, _| {
         let runs = history.runs(which.after, limit)?;
@@ -285,8 +334,10 @@ pub(super) struct Pair {
     responses((status = 200, body = Difference), (status = 404, body = FailureBody), (status = 409, body = FailureBody)))]
 pub(super) async fn difference(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Query(Pair { a, b }): Query<Pair>,
 ) -> Answer<Difference> {
+    caller.operator()?;
     let b = b.unwrap_or(context.run);
     if context.replay && [a, b].contains(&context.run) {
         return Err(Failure::refused("this is a replay: how its run ends is not told before it does"));
@@ -309,7 +360,12 @@ pub(super) struct At {
 /// The whole graph at a time: of everything the last that was known.
 #[utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements", params(At),
     responses((status = 200, body = GraphState)))]
-pub(super) async fn state(State(context): State<Context>, Query(at): Query<At>) -> Answer<GraphState> {
+pub(super) async fn state(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Query(at): Query<At>,
+) -> Answer<GraphState> {
+    caller.operator()?;
     let now = if at.run.is_some() { Timestamp::MAX } else { context.live.read(|now| now.at) };
     let when = at.at_s.map_or(now, Timestamp::from_secs_f64);
     ask(context, at.run, move |history, run, present| history.state_at(run, when.min(present))).await

@@ -22,9 +22,10 @@ use tokio::sync::{broadcast, oneshot};
 use utoipa::OpenApi as _;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use crate::{core_loop::Message, live::Live};
+use self::auth::Gate;
+use crate::{core_loop::Message, domain::Domains, live::Live};
 
-pub use auth::Token;
+pub use auth::{Token, Tokens, TokensError};
 pub(crate) use stream::{Follower, Told};
 pub(crate) use wais::WaisOptions;
 
@@ -69,6 +70,9 @@ pub enum ApiError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A token for nobody.
+    #[error("there is no domain `{0}` that a token could be for")]
+    NoSuchDomain(cotorra_graph::DomainId),
     /// The system refuses a thread or a runtime.
     #[error("cannot start the API's server: {0}")]
     Start(std::io::Error),
@@ -85,7 +89,8 @@ pub enum ApiError {
         title = "cotorra",
         description = "A running testbed: its robots, its network, its measurements and its events. \
             Times are nanoseconds since the run began unless a name says otherwise. \
-            Where a token is set, every request but this document's needs it as `Authorization: Bearer`.",
+            Where a token is set, every request but this document's needs it as `Authorization: Bearer`. The operator's \
+            opens all; a domain's what is of its own nodes, and what it asks of others is answered with 403.",
         license(name = "MIT OR Apache-2.0")
     ),
     components(schemas(cotorra_graph::Stamped))
@@ -138,8 +143,8 @@ pub(crate) struct Listener(std::net::TcpListener);
 
 impl Listener {
     /// Reserves an address; the next free port where it may be `moved`.
-    pub(crate) fn bind(address: SocketAddr, moved: bool, token: Option<&Token>) -> Result<Self, ApiError> {
-        if !address.ip().is_loopback() && token.is_none() {
+    pub(crate) fn bind(address: SocketAddr, moved: bool, tokens: &Tokens) -> Result<Self, ApiError> {
+        if !address.ip().is_loopback() && !tokens.are_needed() {
             return Err(ApiError::TokenMissing(address));
         }
         let any_port = SocketAddr::new(address.ip(), 0);
@@ -156,11 +161,12 @@ impl Listener {
 
 impl Server {
     /// Serves the API on a thread of its own.
-    pub(crate) fn start(
-        listener: Listener,
-        context: Context,
-        token: Option<Token>,
-    ) -> Result<Self, ApiError> {
+    pub(crate) fn start(listener: Listener, context: Context, tokens: Tokens) -> Result<Self, ApiError> {
+        let domains = Arc::new(Domains::new(&context.testbed));
+        if let Some(domain) = tokens.domains().find(|domain| domains.view(domain).is_none()) {
+            return Err(ApiError::NoSuchDomain(domain.clone()));
+        }
+        let gate = Gate::new(tokens, domains);
         let address = listener.address();
         listener.0.set_nonblocking(true).map_err(ApiError::Start)?;
         let runtime =
@@ -168,9 +174,9 @@ impl Server {
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (router, _) = router();
-        let (wais, delivery) = wais::serve(&context, token.clone()).map_err(ApiError::Start)?;
+        let (wais, delivery) = wais::serve(&context, gate.clone()).map_err(ApiError::Start)?;
         let app = router
-            .layer(middleware::from_fn_with_state(token, auth::check))
+            .layer(middleware::from_fn_with_state(gate, auth::check))
             .route(
                 "/openapi.json",
                 get(move || async move { ([("content-type", "application/json")], document) }),

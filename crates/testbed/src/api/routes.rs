@@ -1,24 +1,33 @@
 //! What is known right now, and instructions.
 
-use axum::{Json, extract::State, http::HeaderMap};
+use axum::{Extension, Json, extract::State, http::HeaderMap};
 use cotorra_graph::{LinkContext, NodeId, Placement, PluginId, RadioContext, RobotContext};
 
 use super::{
     Answer, Context,
+    auth::Caller,
     types::{Body, Done, Failure, FailureBody, InstructionBody, NodeBody, Path, TestbedBody},
 };
 use crate::core_loop::Message;
 
 /// The testbed: graph, services, walks and plug-ins.
 #[utoipa::path(get, path = "/api/v1/testbed", tag = "network", responses((status = 200, body = TestbedBody)))]
-pub(super) async fn testbed(State(context): State<Context>) -> Json<TestbedBody> {
-    Json(TestbedBody::from(&*context.testbed))
+pub(super) async fn testbed(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<TestbedBody> {
+    Json(TestbedBody::from(caller.0.as_ref().map_or(&*context.testbed, |view| view.testbed())))
 }
 
 /// A node, its addresses and its namespace.
 #[utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network", params(("id" = String, Path)),
     responses((status = 200, body = NodeBody), (status = 404, body = FailureBody)))]
-pub(super) async fn node(State(context): State<Context>, Path(id): Path<NodeId>) -> Answer<NodeBody> {
+pub(super) async fn node(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<NodeId>,
+) -> Answer<NodeBody> {
+    caller.sees(&id, |view| view.owns(&id))?;
     let graph = &context.testbed.graph;
     let node = graph.node(&id).ok_or_else(|| Failure::not_found(format!("there is no node `{id}`")))?;
     let namespace = context.namespaces.get(&id).cloned();
@@ -27,15 +36,31 @@ pub(super) async fn node(State(context): State<Context>, Path(id): Path<NodeId>)
 
 /// κ of every robot.
 #[utoipa::path(get, path = "/api/v1/robots", tag = "robots", responses((status = 200, body = Vec<RobotContext>)))]
-pub(super) async fn robots(State(context): State<Context>) -> Json<Vec<RobotContext>> {
-    Json(context.live.read(|now| now.robots.values().cloned().collect()))
+pub(super) async fn robots(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<RobotContext>> {
+    let seen = |robot: &RobotContext| match &caller.0 {
+        Some(view) => view.robot(robot),
+        None => Some(robot.clone()),
+    };
+    Json(context.live.read(|now| now.robots.values().filter_map(seen).collect()))
 }
 
 /// κ of a robot.
 #[utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots", params(("id" = String, Path)),
     responses((status = 200, body = RobotContext), (status = 404, body = FailureBody)))]
-pub(super) async fn robot(State(context): State<Context>, Path(id): Path<NodeId>) -> Answer<RobotContext> {
+pub(super) async fn robot(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<NodeId>,
+) -> Answer<RobotContext> {
+    caller.sees(&id, |view| view.owns(&id))?;
     let robot = context.live.read(|now| now.robots.get(&id).cloned());
+    let robot = match &caller.0 {
+        Some(view) => robot.and_then(|robot| view.robot(&robot)),
+        None => robot,
+    };
     robot
         .map(Json)
         .ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`, or nothing is known of it yet")))
@@ -44,31 +69,51 @@ pub(super) async fn robot(State(context): State<Context>, Path(id): Path<NodeId>
 /// d, λ and conditions of every link, in both directions.
 #[utoipa::path(get, path = "/api/v1/network/links", tag = "network",
     responses((status = 200, body = Vec<LinkContext>)))]
-pub(super) async fn links(State(context): State<Context>) -> Json<Vec<LinkContext>> {
-    Json(context.live.read(|now| now.links.values().cloned().collect()))
+pub(super) async fn links(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<LinkContext>> {
+    let seen = |one: &&LinkContext| caller.keeps(|view| view.sees_link(&one.link));
+    Json(context.live.read(|now| now.links.values().filter(seen).cloned().collect()))
 }
 
 /// ι of every radio unit.
 #[utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
     responses((status = 200, body = Vec<RadioContext>)))]
-pub(super) async fn radio_units(State(context): State<Context>) -> Json<Vec<RadioContext>> {
-    Json(context.live.read(|now| now.radio_units.values().cloned().collect()))
+pub(super) async fn radio_units(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<RadioContext>> {
+    let seen = |one: &&RadioContext| caller.keeps(|view| view.owns(&one.radio_unit));
+    Json(context.live.read(|now| now.radio_units.values().filter(seen).cloned().collect()))
 }
 
 /// a(n): where every VNF runs.
 #[utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
     responses((status = 200, body = Vec<Placement>)))]
-pub(super) async fn placements(State(context): State<Context>) -> Json<Vec<Placement>> {
-    Json(context.live.read(|now| now.placements.values().cloned().collect()))
+pub(super) async fn placements(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<Placement>> {
+    let seen = |one: &&Placement| caller.keeps(|view| view.sees_vnf(&one.vnf, &one.node));
+    Json(context.live.read(|now| now.placements.values().filter(seen).cloned().collect()))
 }
 
-/// Who asks, as the header says.
-pub(super) fn plugin(headers: &HeaderMap) -> Result<Option<PluginId>, Failure> {
+/// Who asks, as the header says. Whoever shows a domain's token can only be one of its plug-ins, or go by the domain's name.
+pub(super) fn plugin(caller: &Caller, headers: &HeaderMap) -> Result<Option<PluginId>, Failure> {
     let name = headers.get("x-cotorra-plugin").map(|name| name.to_str().unwrap_or_default());
-    name.map(PluginId::new).transpose().map_err(|e| Failure::bad_request(e.to_string()))
+    let named = name.map(PluginId::new).transpose().map_err(|e| Failure::bad_request(e.to_string()))?;
+    match (&caller.0, named) {
+        (None, named) => Ok(named),
+        (Some(_), Some(named)) => {
+            caller.sees(&named, |view| view.has_plugin(&named))?;
+            Ok(Some(named))
+        }
+        (Some(view), None) => Ok(PluginId::new(view.domain().as_str()).ok()),
+    }
 }
 
-/// Give an instruction: move or scan with a robot, attach it, place a VNF, change a link's conditions.
+/// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change a link's conditions.
 ///
 /// The header `X-Cotorra-Plugin` names who asks; the decision is recorded under that name.
 #[utoipa::path(post, path = "/api/v1/instructions", tag = "instructions", request_body = InstructionBody,
@@ -76,10 +121,14 @@ pub(super) fn plugin(headers: &HeaderMap) -> Result<Option<PluginId>, Failure> {
     responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody)))]
 pub(super) async fn instruct(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     Body(body): Body<InstructionBody>,
 ) -> Answer<Done> {
-    let plugin = plugin(&headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
+    if let Some(view) = &caller.0 {
+        view.check(&body.instruction).map_err(|reason| Failure::not_own(reason.to_string()))?;
+    }
+    let plugin = plugin(&caller, &headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let message = Message::Instruct {
         plugin,

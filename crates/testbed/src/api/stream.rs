@@ -1,9 +1,9 @@
 //! What happens, as it happens: server-sent events; and in virtual time, when a plug-in has taken them in.
 
-use std::{convert::Infallible, pin::Pin, sync::Arc};
+use std::{borrow::Cow, convert::Infallible, pin::Pin, sync::Arc};
 
 use axum::{
-    Json,
+    Extension, Json,
     extract::State,
     http::HeaderMap,
     response::sse::{Event as SseEvent, KeepAlive, Sse},
@@ -19,6 +19,7 @@ use tokio_stream::{
 
 use super::{
     Answer, Context,
+    auth::Caller,
     routes::plugin,
     types::{Done, Failure, FailureBody, Path, Query},
 };
@@ -29,6 +30,7 @@ pub(crate) struct Follower {
     /// Whose.
     pub(crate) plugin: PluginId,
     kinds: Option<Vec<Kind>>,
+    caller: Caller,
     tell: UnboundedSender<Told>,
 }
 
@@ -46,9 +48,9 @@ pub(crate) enum Told {
 }
 
 impl Follower {
-    /// Whether it asked for events of this kind.
-    pub(crate) fn wants(&self, event: &Stamped) -> bool {
-        is_wanted(self.kinds.as_deref(), event)
+    /// What it is told of an event, if it asked for its kind.
+    pub(crate) fn sees(&self, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
+        seen(&self.caller, self.kinds.as_deref(), event)
     }
 
     /// Tells it; false if nobody reads any more.
@@ -83,6 +85,7 @@ pub(super) struct Which {
         description = "each `data:` is a Stamped event"), (status = 400, body = FailureBody)))]
 pub(super) async fn events(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     headers: HeaderMap,
     Query(which): Query<Which>,
 ) -> Result<Sse<impl Stream<Item = Result<SseEvent, Infallible>>>, Failure> {
@@ -91,17 +94,17 @@ pub(super) async fn events(
         let plugins = context.lockstep.as_ref().map(|lockstep| &lockstep.plugins);
         plugins.is_some_and(|these| these.as_ref().is_none_or(|these| these.contains(plugin)))
     };
-    let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&headers)?.filter(is_waited_for) {
+    let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&caller, &headers)?.filter(is_waited_for)
+    {
         Some(plugin) => {
             let (tell, told) = unbounded_channel();
-            let follower = Follower { plugin, kinds, tell };
+            let follower = Follower { plugin, kinds, caller, tell };
             context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
             Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
         }
         None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
             match received {
-                Ok(event) if is_wanted(kinds.as_deref(), &event) => Some(Ok(encode(&event))),
-                Ok(_) => None,
+                Ok(event) => seen(&caller, kinds.as_deref(), &event).map(|event| Ok(encode(&event))),
                 Err(BroadcastStreamRecvError::Lagged(missed)) => {
                     Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
                 }
@@ -136,8 +139,15 @@ pub(super) async fn done(
     Ok(Json(Done { done: true }))
 }
 
-fn is_wanted(kinds: Option<&[Kind]>, event: &Stamped) -> bool {
-    kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&event.event)))
+/// What a caller is told of an event, if it asked for its kind.
+fn seen(caller: &Caller, kinds: Option<&[Kind]>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
+    let wanted = |event: &Stamped| kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&event.event)));
+    let seen = match caller.0.as_ref().map(|view| view.event(event)) {
+        None | Some(Some(Cow::Borrowed(_))) => Arc::clone(event),
+        Some(Some(Cow::Owned(seen))) => Arc::new(seen),
+        Some(None) => return None,
+    };
+    wanted(&seen).then_some(seen)
 }
 
 /// Names of kinds with commas between.

@@ -67,8 +67,14 @@ fn serve(replay: bool) -> Served {
         replay,
         wais: WaisOptions::default(),
     };
-    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, None).unwrap();
-    Served { server: Server::start(listener, context, None).unwrap(), history, events, runs, live }
+    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
+    Served {
+        server: Server::start(listener, context, Tokens::default()).unwrap(),
+        history,
+        events,
+        runs,
+        live,
+    }
 }
 
 impl Served {
@@ -206,4 +212,182 @@ fn a_reader_that_does_not_read_loses_the_oldest_is_told_how_many_and_slows_nobod
         assert_eq!(last, Some(Timestamp::from_nanos(EVENTS - 1)), "the newest is not what is lost");
         assert!(missed > 0 && losses > 0);
     }
+}
+
+/// A testbed of two domains, each with a token of its own; the first has a robot.
+struct Domains {
+    server: Server,
+    events: broadcast::Sender<Arc<Stamped>>,
+    core: mpsc::Receiver<Message>,
+}
+
+const OPERATOR: &str = "operator-operator";
+const ONE: &str = "one-one-one-one-one";
+const TWO: &str = "two-two-two-two-two";
+
+impl Domains {
+    fn serve() -> Self {
+        let text = "
+name: served
+domains: [one, two]
+wireless: { lab: {} }
+nodes:
+  robot: { kind: robot, position: [0, 0] }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  B: { kind: radio_unit, domain: two, position: [9, 1], channel: 1 }
+  right: { kind: server, domain: two, tier: fog, cpus: 1, memory: 1 GB }
+links:
+  - { ends: [A, left] }
+  - { ends: [A, B] }
+  - { ends: [B, right] }
+";
+        let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new(""))
+            .unwrap_or_else(|e| panic!("{e:?}"));
+        let history = Arc::new(History::in_memory().unwrap());
+        let info =
+            RunInfo { name: "served".to_owned(), seed: 1, started_at_unix_ns: 0, testbed: text.to_owned() };
+        let run = history.begin_run(&info).unwrap();
+        let recorder = history.paced_recorder(run).unwrap();
+        (0..3).for_each(|second| recorder.record(sample(second)));
+        recorder.flush().unwrap();
+        let (events, _) = broadcast::channel(16);
+        let (core, inbox) = mpsc::channel();
+        let context = Context {
+            testbed: Arc::new(testbed),
+            live: Live::default(),
+            history,
+            run,
+            events: events.clone(),
+            core,
+            namespaces: Arc::default(),
+            lockstep: None,
+            replay: false,
+            wais: WaisOptions::default(),
+        };
+        let token = |text: &str| Token::new(text).unwrap();
+        let of = |name: &str, text: &str| (name.parse().unwrap(), token(text));
+        let tokens =
+            Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
+        let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
+        Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox }
+    }
+
+    fn ask(&self, token: &str, head: &str, body: &str) -> (u16, BufReader<TcpStream>) {
+        let mut stream = TcpStream::connect(self.server.address()).unwrap();
+        let length = body.len();
+        write!(
+            stream,
+            "{head} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\nContent-Type: \
+             application/json\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
+        )
+        .unwrap();
+        let mut stream = BufReader::new(stream);
+        let mut line = String::new();
+        stream.read_line(&mut line).unwrap();
+        let status = line.split(' ').nth(1).unwrap().parse().unwrap();
+        while line != "\r\n" {
+            line.clear();
+            stream.read_line(&mut line).unwrap();
+        }
+        (status, stream)
+    }
+
+    fn get(&self, token: &str, path: &str) -> (u16, Value) {
+        let (status, mut body) = self.ask(token, &format!("GET {path}"), "");
+        let mut text = String::new();
+        body.read_to_string(&mut text).unwrap();
+        (status, serde_json::from_str(&text).unwrap_or_else(|e| panic!("{path}: {e}: {text}")))
+    }
+}
+
+#[test]
+fn a_domains_token_opens_what_is_of_its_own_nodes_and_nothing_else() {
+    let served = Domains::serve();
+    let nodes = |token| {
+        let (_, testbed) = served.get(token, "/api/v1/testbed");
+        let nodes = testbed["graph"]["nodes"].as_array().unwrap();
+        nodes.iter().map(|node| node["id"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(nodes(OPERATOR), ["robot", "A", "left", "B", "right"]);
+    assert_eq!(
+        (nodes(ONE), nodes(TWO)),
+        (vec!["robot".into(), "A".into(), "left".into()], vec!["B".into(), "right".into()])
+    );
+    for (own, other, path) in [
+        (ONE, TWO, "network/nodes/A"),
+        (ONE, TWO, "measurements/robots/robot"),
+        (ONE, TWO, "measurements/links/A-left"),
+        (OPERATOR, ONE, "measurements/state"),
+        (OPERATOR, TWO, "measurements/runs"),
+        (OPERATOR, TWO, "measurements/service-times?run=1"),
+    ] {
+        let path = format!("/api/v1/{path}");
+        assert_eq!(served.get(own, &path).0, 200, "{path}");
+        let (status, body) = served.get(other, &path);
+        assert!(
+            status == 403 && body["error"].as_str().unwrap().contains("domain `"),
+            "{path}: {status} {body}"
+        );
+    }
+    for path in ["service-times", "events"] {
+        let items = |token| {
+            let (status, body) = served.get(token, &format!("/api/v1/measurements/{path}"));
+            assert_eq!(status, 200, "{body}");
+            body["items"].as_array().unwrap().len()
+        };
+        assert_eq!((items(OPERATOR), items(ONE), items(TWO)), (3, 3, 0), "{path}");
+    }
+    for (path, allowed) in [
+        ("/wai/v2/queries/ap/ap_information", [200, 403, 403]),
+        ("/domains/one/wai/v2/queries/ap/ap_information", [200, 200, 403]),
+        ("/domains/two/wai/v2/queries/ap/ap_information", [200, 403, 200]),
+    ] {
+        assert_eq!(
+            [OPERATOR, ONE, TWO].map(|token| served.ask(token, &format!("GET {path}"), "").0),
+            allowed,
+            "{path}"
+        );
+    }
+    assert_eq!(served.get("nobody-nobody-nobody", "/api/v1/robots").0, 401);
+}
+
+#[test]
+fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
+    let mut served = Domains::serve();
+    let scan = json!({ "instruction": { "instruction": "scan", "robot": "robot" } }).to_string();
+    assert_eq!(served.ask(TWO, "POST /api/v1/instructions", &scan).0, 403);
+    let named = "POST /api/v1/instructions HTTP/1.1\r\nX-Cotorra-Plugin: operator\r\nX-Rest:";
+    assert_eq!(served.ask(ONE, named, &scan).0, 403, "nobody goes by another's name");
+    assert!(served.core.try_recv().is_err(), "the core heard of neither");
+    let core = std::mem::replace(&mut served.core, mpsc::channel().1);
+    let answers = std::thread::spawn(move || {
+        let Ok(Message::Instruct { plugin, reply, .. }) = core.recv() else { panic!("no instruction") };
+        (reply.expect("the API waits for an answer"))(Ok(()));
+        plugin
+    });
+    assert_eq!(served.ask(ONE, "POST /api/v1/instructions", &scan).0, 200);
+    assert_eq!(answers.join().unwrap().as_str(), "one");
+}
+
+#[test]
+fn the_stream_of_a_domain_has_no_events_of_others() {
+    let served = Domains::serve();
+    let (status, mut one) = served.ask(ONE, "GET /api/v1/events", "");
+    let (_, mut two) = served.ask(TWO, "GET /api/v1/events", "");
+    assert_eq!(status, 200);
+    let lateness = || Stamped { at: Timestamp::from_nanos(9), event: Event::Lateness(Default::default()) };
+    for event in [sample(1), notice(2), lateness()] {
+        served.events.send(Arc::new(event)).unwrap();
+    }
+    let first = |stream: &mut BufReader<TcpStream>| {
+        let mut line = String::new();
+        while !line.starts_with("data:") {
+            line.clear();
+            stream.read_line(&mut line).unwrap();
+        }
+        serde_json::from_str::<Value>(&line["data:".len()..]).unwrap()["event"].clone()
+    };
+    assert_eq!((first(&mut one), first(&mut one)), (json!("service_time"), json!("lateness")));
+    assert_eq!(first(&mut two), "lateness");
 }

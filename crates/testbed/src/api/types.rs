@@ -134,7 +134,7 @@ pub(super) fn document_failures(document: &mut utoipa::openapi::OpenApi) {
     let always = [
         ("400", "the request cannot be"),
         ("401", "the API needs its token"),
-        ("403", "web pages from elsewhere may not use the API"),
+        ("403", "it is of another domain than the token, or asked by a web page from elsewhere"),
         ("404", "there is no such thing"),
         ("503", "the run has ended, or its history cannot answer"),
     ];
@@ -173,6 +173,11 @@ impl Failure {
 
     pub(super) fn forbidden() -> Self {
         Self::new(StatusCode::FORBIDDEN, "web pages may not use this API; run it with a token to allow that")
+    }
+
+    /// It is of another domain than the caller's.
+    pub(super) fn not_own(reason: impl Into<String>) -> Self {
+        Self::new(StatusCode::FORBIDDEN, reason)
     }
 
     pub(super) fn not_found(reason: impl Into<String>) -> Self {

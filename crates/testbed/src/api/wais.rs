@@ -11,7 +11,10 @@ use cotorra_wais::{
     types::Epoch,
 };
 
-use super::{Context, Token, auth};
+use super::{
+    Context,
+    auth::{self, Gate},
+};
 use crate::{core_loop::Message, plugins::Now};
 
 /// Answers are this old at the most where time goes on by itself.
@@ -29,7 +32,7 @@ pub(crate) struct WaisOptions {
 }
 
 /// The services' paths, and what delivers their notifications.
-pub(super) fn serve(context: &Context, token: Option<Token>) -> io::Result<(Router, Delivery)> {
+pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delivery)> {
     let graph = &context.testbed.graph;
     let settings = &context.testbed.wais;
     let WaisOptions { epoch, callbacks, .. } = &context.wais;
@@ -51,7 +54,7 @@ pub(super) fn serve(context: &Context, token: Option<Token>) -> io::Result<(Rout
         .iter()
         .fold(Router::new(), |router, service| router.nest(service.prefix(), service.router()))
         .route("/domains/{*rest}", axum::routing::any(no_domain))
-        .layer(middleware::from_fn_with_state(token, auth::check_wais))
+        .layer(middleware::from_fn_with_state(gate, auth::check_wais))
         .route(
             "/wai/v2/openapi.json",
             get(move || async move { ([("content-type", "application/json")], document) }),

@@ -17,7 +17,7 @@ use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 use tokio::sync::broadcast;
 
 use crate::{
-    api::{self, ApiError, Follower, Listener, Lockstep, Server, Token, Told},
+    api::{self, ApiError, Follower, Listener, Lockstep, Server, Tokens, Told},
     core_loop::Message,
     live::Live,
     run::{about, epoch},
@@ -51,7 +51,7 @@ pub struct ReplayOptions {
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
     /// What callers of the API must show.
-    pub token: Option<Token>,
+    pub tokens: Tokens,
     /// How fast.
     pub speed: Speed,
     /// From here on; what was before is known at the beginning.
@@ -122,7 +122,7 @@ impl Replay {
     ) -> Result<Self, ReplayError> {
         let default = SocketAddr::from((Ipv4Addr::LOCALHOST, 7700));
         let address = options.api.unwrap_or(default);
-        let listener = Listener::bind(address, options.api.is_none(), options.token.as_ref())?;
+        let listener = Listener::bind(address, options.api.is_none(), &options.tokens)?;
         let (history, live) = (Arc::new(history), Live::default());
         let testbed = Arc::new(testbed);
         let wanted = Wanted { file: None, foxglove: options.foxglove };
@@ -149,7 +149,7 @@ impl Replay {
             replay: true,
             wais: api::WaisOptions { epoch, ..Default::default() },
         };
-        let server = Server::start(listener, context, options.token.clone())?;
+        let server = Server::start(listener, context, options.tokens.clone())?;
         let (followers, now) = (Vec::new(), options.from);
         let marks = 0;
         Ok(Self { server, inbox, history, run, live, stream, options, watched, tap, followers, marks, now })
@@ -225,8 +225,8 @@ impl Replay {
     fn publish(&mut self, event: Stamped) {
         self.live.absorb(&event);
         let event = Arc::new(event);
-        for following in self.followers.iter_mut().filter(|f| f.follower.wants(&event)) {
-            following.untold.push(Arc::clone(&event));
+        for following in &mut self.followers {
+            following.untold.extend(following.follower.sees(&event));
         }
         if let Some(tap) = &self.tap {
             tap.event(Arc::clone(&event));

@@ -117,7 +117,7 @@ impl Apart {
             return Ok(None);
         }
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let listener = Listener::bind(options.api.unwrap_or(any_port), false, options.token.as_ref())?;
+        let listener = Listener::bind(options.api.unwrap_or(any_port), false, &options.tokens)?;
         let (core, inbox) = mpsc::channel();
         let (stream, _) = broadcast::channel(STREAM);
         let live = Live::default();
@@ -137,7 +137,7 @@ impl Apart {
             replay: false,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
-        let server = Server::start(listener, context, options.token.clone())?;
+        let server = Server::start(listener, context, options.tokens.clone())?;
         let mut host = PluginHost::new();
         let started = host.start_programs(testbed, server.address(), asked.logs)?;
         let program = |id| Program { id, streams: Vec::new(), cut: false };
@@ -150,8 +150,8 @@ impl Apart {
         self.live.absorb(event);
         let event = Arc::new(event.clone());
         let streams = self.programs.iter_mut().flat_map(|program| &mut program.streams);
-        for stream in streams.filter(|stream| stream.follower.wants(&event)) {
-            stream.untold.push(Arc::clone(&event));
+        for stream in streams {
+            stream.untold.extend(stream.follower.sees(&event));
         }
         // Nobody may be listening.
         let _ = self.stream.send(event);

@@ -8,6 +8,7 @@ mod run;
 mod udp;
 
 use std::{
+    borrow::Cow,
     collections::{HashMap, VecDeque},
     net::Ipv4Addr,
     panic::{AssertUnwindSafe, catch_unwind},
@@ -16,6 +17,7 @@ use std::{
 };
 
 use cotorra_fabric::{Fabric, PortId};
+use cotorra_federation::Ledgers;
 use cotorra_graph::{
     Event, HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
 };
@@ -30,7 +32,8 @@ use self::{
 };
 use crate::{
     core::Core,
-    plugins::{PluginError, bundled, panic_text, programs},
+    domain::{DomainView, Domains},
+    plugins::{Bundled, PluginError, panic_text, programs},
     robots::simulated,
     run::RunError,
 };
@@ -44,6 +47,8 @@ pub struct Simulation {
     network: VirtualNetwork,
     navigation: Navigation,
     plugins: Vec<Hosted>,
+    /// What orchestrators share.
+    _ledgers: Ledgers,
     graph: Arc<Testbed>,
     ports: HashMap<Ipv4Addr, PortId>,
     events: VecDeque<Stamped>,
@@ -57,6 +62,8 @@ struct Hosted {
     id: PluginId,
     plugin: Box<dyn Plugin>,
     cut: bool,
+    /// What it sees, if that is one domain.
+    view: Option<Arc<DomainView>>,
 }
 
 impl Simulation {
@@ -73,26 +80,36 @@ impl Simulation {
 
     /// The same, leaving out plug-ins that are programs of their own.
     fn without_programs(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
+        Self::on(testbed, seed, Ledgers::in_virtual_time())
+    }
+
+    /// The same, on ledgers that may know of runs before.
+    fn on(testbed: Arc<Testbed>, seed: u64, ledgers: Ledgers) -> Result<Self, RunError> {
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, seed)?);
         let navigation = Navigation::default();
         let engine = VirtualEngine::new(&testbed, navigation.clone());
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, simulated)?;
+        let domains = Domains::new(&testbed);
+        let mut bundled = Bundled::new(&testbed, seed, ledgers);
         let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {
-            PluginProgram::Bundled(name) => Some(bundled(spec, name, &testbed, seed).map(|plugin| Hosted {
+            PluginProgram::Bundled(name) => Some(bundled.make(spec, name).map(|plugin| Hosted {
                 id: spec.id.clone(),
                 plugin,
                 cut: false,
+                view: domains.of_plugin(&spec.id).cloned(),
             })),
             PluginProgram::Command(_) => None,
         });
         let plugins = plugins.collect::<Result<_, _>>()?;
         core.start(Timestamp::ZERO);
+        let ledgers = bundled.into_ledgers();
         let hosts = testbed.graph.hosts().count();
         let mut simulation = Self {
             core,
             network,
             navigation,
             plugins,
+            _ledgers: ledgers,
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
             graph: testbed,
             events: VecDeque::new(),
@@ -100,9 +117,10 @@ impl Simulation {
             begun: false,
         };
         for place in 0..simulation.plugins.len() {
-            let testbed = Arc::clone(&simulation.graph);
+            let (testbed, view) = (Arc::clone(&simulation.graph), simulation.plugins[place].view.clone());
+            let testbed = view.as_ref().map_or(&*testbed, |view| view.testbed());
             simulation
-                .call(Timestamp::ZERO, place, |plugin, now, actions| plugin.start(now, &testbed, actions));
+                .call(Timestamp::ZERO, place, |plugin, now, actions| plugin.start(now, testbed, actions));
         }
         Ok(simulation)
     }
@@ -243,7 +261,10 @@ impl Simulation {
     fn tell_events(&mut self, now: Timestamp) {
         while let Some(event) = self.core.poll_event() {
             for place in 0..self.plugins.len() {
-                self.call(now, place, |plugin, now, actions| plugin.handle(now, &event.event, actions));
+                let view = self.plugins[place].view.clone();
+                let seen = view.as_ref().map_or(Some(Cow::Borrowed(&event)), |view| view.event(&event));
+                let Some(seen) = seen else { continue };
+                self.call(now, place, |plugin, now, actions| plugin.handle(now, &seen.event, actions));
             }
             self.events.push_back(event);
         }
@@ -275,5 +296,7 @@ impl Simulation {
     }
 }
 
+#[cfg(test)]
+mod federation_tests;
 #[cfg(test)]
 mod tests;

@@ -139,7 +139,12 @@ fn a_plugin_that_panics_is_cut_off_and_the_robot_walks_on() {
     }
     let testbed = corridor();
     let mut simulation = Simulation::new(testbed, 1).unwrap();
-    simulation.plugins.push(Hosted { id: "bomb".parse().unwrap(), plugin: Box::new(Bomb), cut: false });
+    simulation.plugins.push(Hosted {
+        id: "bomb".parse().unwrap(),
+        plugin: Box::new(Bomb),
+        cut: false,
+        view: None,
+    });
     let (mut faults, mut answered) = (Vec::new(), 0);
     while simulation.step().as_secs_f64() < 3.0 {
         while let Some(event) = simulation.poll_event() {

@@ -1,0 +1,127 @@
+//! Which radio units serve, and whom: a radio unit is off until a virtual access point is deployed on it, and admits the
+//! robots of its own domain, or whoever has the key that it was deployed with.
+
+use cotorra_graph::{AccessPoint, NodeId, Timestamp, WirelessNetwork};
+
+use super::{Radio, RadioUnitIndex, StationIndex};
+use crate::settings::Refusal;
+
+/// What a radio unit serves that is on from the start.
+pub(super) fn own(ssid: &str, network: &WirelessNetwork) -> AccessPoint {
+    AccessPoint { ssid: ssid.to_owned(), mobility_domain: network.mobility_domain, key: None }
+}
+
+impl Radio {
+    /// A vAP on a radio unit beacons from now on.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRadioUnit`], [`Refusal::Serving`] or [`Refusal::OtherSsid`].
+    pub(crate) fn switch_on(
+        &mut self,
+        now: Timestamp,
+        unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), Refusal> {
+        self.advance(now);
+        let index = self.unit(unit)?;
+        self.check_deployment(index, &access_point)?;
+        self.units[index].serves = Some(access_point);
+        Ok(())
+    }
+
+    /// Whether a vAP could be deployed on a radio unit.
+    ///
+    /// # Errors
+    /// As [`Self::switch_on`].
+    pub(crate) fn check_switch_on(&self, unit: &NodeId, access_point: &AccessPoint) -> Result<(), Refusal> {
+        self.check_deployment(self.unit(unit)?, access_point)
+    }
+
+    /// The vAP of a radio unit is gone. Stations on its channel lose it now, others when they come back.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRadioUnit`] or [`Refusal::NotServing`].
+    pub(crate) fn switch_off(&mut self, now: Timestamp, unit: &NodeId) -> Result<(), Refusal> {
+        self.advance(now);
+        let index = self.unit(unit)?;
+        if self.units[index].serves.take().is_none() {
+            return Err(Refusal::NotServing(unit.clone()));
+        }
+        for robot in self.units[index].stations.clone() {
+            if self.robots[robot].station.on_channel() == Some(index) {
+                self.lose_unit(robot, index, now);
+            }
+        }
+        Ok(())
+    }
+
+    /// A robot knows from now on what a radio unit was deployed with, or so it was told.
+    ///
+    /// # Errors
+    /// [`Refusal::UnknownRobot`] or [`Refusal::UnknownRadioUnit`].
+    pub(crate) fn provision(
+        &mut self,
+        robot: &NodeId,
+        unit: &NodeId,
+        access_point: AccessPoint,
+    ) -> Result<(), Refusal> {
+        let (robot, unit) = (self.robot(robot)?, self.unit(unit)?);
+        self.robots[robot].access.insert(unit, access_point);
+        Ok(())
+    }
+
+    /// Whether a robot may attach to a radio unit that is on.
+    pub(super) fn admits(&self, robot: StationIndex, unit: RadioUnitIndex) -> bool {
+        let (robot, radio_unit) = (&self.robots[robot], &self.units[unit]);
+        let Some(served) = &radio_unit.serves else { return false };
+        match &served.key {
+            None => robot.domain == radio_unit.domain,
+            Some(_) => robot.access.get(&unit) == Some(served),
+        }
+    }
+
+    pub(super) fn check_access(&self, robot: StationIndex, unit: RadioUnitIndex) -> Result<(), Refusal> {
+        let radio_unit = self.units[unit].id.clone();
+        if self.units[unit].serves.is_none() {
+            return Err(Refusal::NotServing(radio_unit));
+        }
+        if !self.admits(robot, unit) {
+            return Err(Refusal::NotAdmitted { robot: self.robots[robot].id.clone(), radio_unit });
+        }
+        Ok(())
+    }
+
+    /// Whether two radio units are of one mobility domain, as far as they serve.
+    pub(super) fn is_one_mobility_domain(
+        &self,
+        from: Option<RadioUnitIndex>,
+        to: Option<RadioUnitIndex>,
+    ) -> bool {
+        let domain = |unit: Option<RadioUnitIndex>| {
+            let network = &self.networks[self.units[unit?].network].spec;
+            let serves = self.units[unit?].serves.as_ref();
+            Some(serves.map_or(network.mobility_domain, |served| served.mobility_domain))
+        };
+        domain(from).is_some() && domain(from) == domain(to)
+    }
+
+    fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), Refusal> {
+        let radio_unit = &self.units[unit];
+        let network = &self.networks[radio_unit.network].ssid;
+        if radio_unit.serves.is_some() {
+            return Err(Refusal::Serving(radio_unit.id.clone()));
+        }
+        if access_point.ssid != *network {
+            return Err(Refusal::OtherSsid {
+                radio_unit: radio_unit.id.clone(),
+                network: network.clone(),
+                asked: access_point.ssid.clone(),
+            });
+        }
+        Ok(())
+    }
+
+    fn unit(&self, id: &NodeId) -> Result<RadioUnitIndex, Refusal> {
+        self.unit_by_name.get(id).copied().ok_or_else(|| Refusal::UnknownRadioUnit(id.clone()))
+    }
+}

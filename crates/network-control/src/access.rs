@@ -1,0 +1,94 @@
+//! Virtual access points: the VNF `vAP`, which makes a radio unit serve its network. It takes some time to deploy, and
+//! nothing to take down.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
+
+use crate::{
+    control::{Network, NetworkGone, Refused},
+    vim::{Engine, Vim},
+};
+
+/// What a vAP takes of its radio unit, CPUs.
+const CPUS: f64 = 0.5;
+/// What a vAP takes of its radio unit, bytes.
+const MEMORY: u64 = 128_000_000;
+
+/// Deployments that are under way.
+#[derive(Debug, Default)]
+pub(crate) struct AccessPoints {
+    times: BTreeMap<NodeId, Duration>,
+    deploying: BTreeMap<NodeId, (Timestamp, AccessPoint)>,
+}
+
+impl AccessPoints {
+    pub(crate) fn new(graph: &HardwareGraph) -> Self {
+        let time = |(node, unit): (&cotorra_graph::Node, &cotorra_graph::RadioUnit)| {
+            (node.id.clone(), unit.deployment)
+        };
+        Self { times: graph.radio_units().map(time).collect(), deploying: BTreeMap::new() }
+    }
+
+    /// Begins to deploy a vAP.
+    pub(crate) fn deploy<E: Engine>(
+        &mut self,
+        now: Timestamp,
+        radio_unit: &NodeId,
+        access_point: AccessPoint,
+        network: &impl Network,
+        vim: &Vim<E>,
+    ) -> Result<(), Refused> {
+        let refused = |reason: &dyn ToString| Refused(reason.to_string());
+        if self.deploying.contains_key(radio_unit) {
+            return Err(Refused(format!("a vAP is being deployed on `{radio_unit}` already")));
+        }
+        let (unit, wanted) = (radio_unit.clone(), access_point.clone());
+        let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
+        network.with(check).map_err(|gone| refused(&gone))?.map_err(|reason| refused(&reason))?;
+        vim.check_room(&AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit)
+            .map_err(|reason| refused(&reason))?;
+        let time = self.times.get(radio_unit).copied().unwrap_or_default();
+        self.deploying.insert(radio_unit.clone(), (now + time, access_point));
+        Ok(())
+    }
+
+    /// Takes a vAP down, or gives its deployment up.
+    pub(crate) fn remove(
+        &mut self,
+        radio_unit: &NodeId,
+        network: &impl Network,
+    ) -> Result<Vec<Event>, Refused> {
+        if self.deploying.remove(radio_unit).is_none() {
+            let unit = radio_unit.clone();
+            let off = move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_off(now, &unit);
+            let done = network.with(off).map_err(|gone| Refused(gone.to_string()))?;
+            done.map_err(|reason| Refused(reason.to_string()))?;
+        }
+        Ok(vec![life(radio_unit, VnfState::Stopped, None)])
+    }
+
+    /// Lets those serve whose deployment is done.
+    pub(crate) fn poll(&mut self, now: Timestamp, network: &impl Network) -> Result<Vec<Event>, NetworkGone> {
+        let mut events = Vec::new();
+        for (radio_unit, (_, access_point)) in self.deploying.extract_if(.., |_, (at, _)| *at <= now) {
+            let unit = radio_unit.clone();
+            let on =
+                move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_on(now, &unit, access_point);
+            events.push(match network.with(on)? {
+                Ok(()) => life(&radio_unit, VnfState::Started, None),
+                Err(reason) => life(&radio_unit, VnfState::Failed, Some(reason.to_string())),
+            });
+        }
+        Ok(events)
+    }
+
+    /// When [`Self::poll`] has something to do.
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        self.deploying.values().map(|(at, _)| *at).min()
+    }
+}
+
+fn life(radio_unit: &NodeId, state: VnfState, detail: Option<String>) -> Event {
+    Event::Vnf(VnfEvent { vnf: AccessPoint::vnf(radio_unit), node: radio_unit.clone(), state, detail })
+}

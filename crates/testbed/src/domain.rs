@@ -1,0 +1,208 @@
+//! What one administrative domain sees of a testbed, and what it may change: its own nodes. Domains do not trust each
+//! other; what they want of each other they agree on over a ledger.
+
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+};
+
+use cotorra_graph::{
+    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, PluginId, RobotContext,
+    Stamped, Testbed, VnfId,
+};
+
+/// All domains of a testbed, and the plug-ins that are bound to one.
+pub(crate) struct Domains {
+    views: BTreeMap<DomainId, Arc<DomainView>>,
+}
+
+impl Domains {
+    /// Those of a testbed.
+    pub(crate) fn new(testbed: &Testbed) -> Self {
+        let view = |domain: &DomainId| (domain.clone(), Arc::new(DomainView::new(testbed, domain)));
+        Self { views: testbed.graph.domains.iter().map(view).collect() }
+    }
+
+    /// What a domain sees.
+    pub(crate) fn view(&self, domain: &DomainId) -> Option<&Arc<DomainView>> {
+        self.views.get(domain)
+    }
+
+    /// What a plug-in sees that is bound to a domain; `None` for one that sees all.
+    pub(crate) fn of_plugin(&self, plugin: &PluginId) -> Option<&Arc<DomainView>> {
+        self.views.values().find(|view| view.plugins.contains(plugin))
+    }
+}
+
+/// An instruction that is not one domain's to give.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{what} is not of the domain `{domain}`, whose orchestrator changes its own nodes only")]
+pub(crate) struct NotOwn {
+    what: String,
+    domain: DomainId,
+}
+
+/// One domain's part of a testbed.
+#[derive(Debug)]
+pub(crate) struct DomainView {
+    domain: DomainId,
+    nodes: BTreeSet<NodeId>,
+    /// Nodes of all domains: the ends of wireless links are known by their names.
+    all_nodes: BTreeSet<NodeId>,
+    wired: BTreeMap<LinkId, [NodeId; 2]>,
+    vnfs: BTreeSet<VnfId>,
+    plugins: BTreeSet<PluginId>,
+    testbed: Testbed,
+}
+
+impl DomainView {
+    fn new(testbed: &Testbed, domain: &DomainId) -> Self {
+        let graph = &testbed.graph;
+        let nodes: BTreeSet<_> =
+            graph.nodes.iter().filter(|node| node.domain == *domain).map(|node| node.id.clone()).collect();
+        let mut part = testbed.clone();
+        part.graph.domains.retain(|other| other == domain);
+        part.graph.nodes.retain(|node| node.domain == *domain);
+        part.graph.links.retain(|link| link.ends.iter().all(|end| nodes.contains(end)));
+        part.services.retain(|service| nodes.contains(&service.robot));
+        part.walks.retain(|walk| nodes.contains(&walk.robot));
+        part.plugins.retain(|plugin| plugin.domain.as_ref() == Some(domain));
+        let of_services = part.services.iter().flat_map(|service| &service.vnfs).map(|vnf| vnf.id.clone());
+        let of_radio_units = part.graph.radio_units().map(|(node, _)| AccessPoint::vnf(&node.id));
+        // Who shows a domain's token and no name goes by the domain's.
+        let itself = PluginId::new(domain.as_str()).ok();
+        Self {
+            domain: domain.clone(),
+            all_nodes: graph.nodes.iter().map(|node| node.id.clone()).collect(),
+            wired: graph.links.iter().map(|link| (link.id.clone(), link.ends.clone())).collect(),
+            vnfs: of_services.chain(of_radio_units).collect(),
+            plugins: part.plugins.iter().map(|plugin| plugin.id.clone()).chain(itself).collect(),
+            nodes,
+            testbed: part,
+        }
+    }
+
+    /// Which domain.
+    pub(crate) fn domain(&self) -> &DomainId {
+        &self.domain
+    }
+
+    /// The testbed, as far as it is the domain's.
+    pub(crate) fn testbed(&self) -> &Testbed {
+        &self.testbed
+    }
+
+    /// Whether a node is the domain's.
+    pub(crate) fn owns(&self, node: &NodeId) -> bool {
+        self.nodes.contains(node)
+    }
+
+    /// Whether a plug-in is the domain's, or its token's holder goes by that name.
+    pub(crate) fn has_plugin(&self, plugin: &PluginId) -> bool {
+        self.plugins.contains(plugin)
+    }
+
+    /// Whether it sees a VNF's placement.
+    pub(crate) fn sees_vnf(&self, vnf: &VnfId, node: &NodeId) -> bool {
+        self.vnfs.contains(vnf) || self.owns(node)
+    }
+
+    /// Whether it sees a link: one of the two ends is the domain's.
+    pub(crate) fn sees_link(&self, link: &LinkId) -> bool {
+        self.ends(link).is_some_and(|ends| ends.iter().any(|end| self.owns(end)))
+    }
+
+    fn ends(&self, link: &LinkId) -> Option<[NodeId; 2]> {
+        if let Some(ends) = self.wired.get(link) {
+            return Some(ends.clone());
+        }
+        let name = link.as_str();
+        let split = |(at, _): (usize, &str)| {
+            let end = |name: &str| self.all_nodes.get(name).cloned();
+            Some([end(&name[..at])?, end(&name[at + 1..])?])
+        };
+        name.match_indices('~').find_map(split)
+    }
+
+    /// κ of one of its robots: of other domains' radio units it has what the robot hears or is attached to.
+    pub(crate) fn robot(&self, context: &RobotContext) -> Option<RobotContext> {
+        if !self.owns(&context.robot) {
+            return None;
+        }
+        let mut context = context.clone();
+        context.attachments.retain(|a| self.owns(&a.radio_unit) || a.attached || a.signal.is_some());
+        Some(context)
+    }
+
+    /// What the domain is told of an event; `None`: nothing.
+    pub(crate) fn event<'a>(&self, stamped: &'a Stamped) -> Option<Cow<'a, Stamped>> {
+        let changed = |event| Some(Cow::Owned(Stamped { at: stamped.at, event }));
+        let seen = match &stamped.event {
+            Event::Robot(context) => return changed(Event::Robot(self.robot(context)?)),
+            Event::Handover(handover) if !self.owns(&handover.robot) => {
+                return changed(self.visitor(handover)?);
+            }
+            Event::VirtualLink(mapping) => {
+                let mut mapping = mapping.clone();
+                mapping.links.retain(|link| self.sees_link(link));
+                let own = self.vnfs.contains(&mapping.from) || self.vnfs.contains(&mapping.to);
+                return own.then_some(mapping).and_then(|mapping| changed(Event::VirtualLink(mapping)));
+            }
+            // A radio unit knows its stations, whosever they are.
+            Event::Radio(context) => self.owns(&context.radio_unit),
+            Event::Link(context) => self.sees_link(&context.link),
+            Event::Placement(placement) => self.sees_vnf(&placement.vnf, &placement.node),
+            Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
+            Event::ServiceTime(sample) => self.owns(&sample.robot),
+            Event::Handover(handover) => self.owns(&handover.robot),
+            Event::Detached { robot, from } => self.owns(robot) || self.owns(from),
+            Event::Scanned { robot } | Event::WalkFinished { robot } => self.owns(robot),
+            Event::Decision(Decision { plugin, instruction, .. }) => {
+                let is_note = matches!(instruction, Instruction::Note { .. });
+                self.has_plugin(plugin) || (!is_note && self.check(instruction).is_ok())
+            }
+            Event::PluginFault { plugin, .. } => self.has_plugin(plugin),
+            // It is the emulator's, and of no node.
+            Event::Lateness(_) => true,
+            // Its words may be of anything.
+            Event::Notice { .. } => false,
+        };
+        seen.then_some(Cow::Borrowed(stamped))
+    }
+
+    /// What it sees of a handover of another domain's robot: that it came, or that it went.
+    fn visitor(&self, handover: &Handover) -> Option<Event> {
+        let from = handover.from.clone().filter(|from| self.owns(from));
+        if self.owns(&handover.to) {
+            return Some(Event::Handover(Handover { from, ..handover.clone() }));
+        }
+        from.map(|from| Event::Detached { robot: handover.robot.clone(), from })
+    }
+
+    /// Whether an instruction is the domain's to give. Which radio unit a robot may attach to is that one's to say.
+    pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwn> {
+        let not_own = |what: String| Err(NotOwn { what, domain: self.domain.clone() });
+        let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };
+        match instruction {
+            Instruction::Move { robot, .. }
+            | Instruction::Scan { robot }
+            | Instruction::Halt { robot }
+            | Instruction::Go { robot }
+            | Instruction::Attach { robot, .. }
+            | Instruction::Provision { robot, .. } => node(robot),
+            Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
+            Instruction::Place { vnf, .. } if !self.vnfs.contains(vnf) => not_own(format!("the VNF `{vnf}`")),
+            Instruction::Place { node: to, .. } => node(to),
+            Instruction::Condition { link, .. } => {
+                let ends = self.ends(link);
+                let own = ends.is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
+                if own { Ok(()) } else { not_own(format!("the link `{link}`")) }
+            }
+            Instruction::Note { .. } => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,191 @@
+use std::path::Path;
+
+use cotorra_graph::{
+    Attachment, ConditionChange, Dbm, Pose, PoseSource, SensorData, ServiceTime, Timestamp, Velocity,
+    testbed_file,
+};
+
+use super::*;
+
+const TESTBED: &str = "
+name: two-domains
+domains: [one, two]
+wireless: { lab: {} }
+nodes:
+  r1: { kind: robot }
+  r2: { kind: robot, domain: two }
+  A: { kind: radio_unit, position: [0, 1], channel: 1 }
+  B: { kind: radio_unit, domain: two, position: [9, 1], channel: 6 }
+  s1: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+  s2: { kind: server, domain: two, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [A, s1] }
+  - { ends: [B, s2] }
+  - { ends: [A, B] }
+services:
+  n1:
+    robot: r1
+    kpis: { service_time: 15 ms }
+    vnfs: { d1: { program: robot_driver, pinned_to: r1 }, nav1: { program: navigation, node: s1 } }
+  n2:
+    robot: r2
+    kpis: { service_time: 15 ms }
+    vnfs: { d2: { program: robot_driver, pinned_to: r2 }, nav2: { program: navigation, node: s2 } }
+walks:
+  r1: { waypoints: [[0, 0], [5, 0]] }
+  r2: { waypoints: [[9, 0], [5, 0]] }
+plugins:
+  - { bundled: okpi, domain: one }
+  - { bundled: probing, domain: two }
+";
+
+fn testbed() -> Testbed {
+    testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"))
+}
+
+fn views() -> [Arc<DomainView>; 2] {
+    let domains = Domains::new(&testbed());
+    ["one", "two"].map(|name| Arc::clone(domains.view(&name.parse().unwrap()).unwrap()))
+}
+
+fn id<T: std::str::FromStr<Err: std::fmt::Debug>>(name: &str) -> T {
+    name.parse().unwrap()
+}
+
+fn stamped(event: Event) -> Stamped {
+    Stamped { at: Timestamp::ZERO, event }
+}
+
+/// What each of the two domains is told of an event.
+fn told(event: Event) -> [Option<Event>; 2] {
+    let stamped = stamped(event);
+    views().map(|view| view.event(&stamped).map(|seen| seen.into_owned().event))
+}
+
+#[test]
+fn a_domain_knows_its_own_part_of_the_testbed() {
+    let [one, _] = views();
+    let names: Vec<_> = one.testbed().graph.nodes.iter().map(|node| node.id.to_string()).collect();
+    assert_eq!(names, ["r1", "A", "s1"]);
+    let links: Vec<_> = one.testbed().graph.links.iter().map(|link| link.id.to_string()).collect();
+    assert_eq!(links, ["A-s1"], "a link to another domain is not its own");
+    let plugins: Vec<_> = one.testbed().plugins.iter().map(|plugin| plugin.id.to_string()).collect();
+    assert_eq!((one.testbed().services.len(), plugins), (1, vec!["okpi".to_owned()]));
+}
+
+#[test]
+fn events_of_other_domains_are_not_seen() {
+    let sample = ServiceTime {
+        service: id("n1"),
+        robot: id("r1"),
+        sequence: 0,
+        emitted: Timestamp::ZERO,
+        took: None,
+        attachment: None,
+        server: id("s1"),
+    };
+    for event in [
+        Event::ServiceTime(sample),
+        Event::Scanned { robot: id("r1") },
+        Event::WalkFinished { robot: id("r1") },
+        Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id("s1") }),
+        Event::PluginFault { plugin: id("okpi"), reason: String::new() },
+        Event::Detached { robot: id("r1"), from: id("A") },
+        decision("api", Instruction::Scan { robot: id("r1") }),
+        decision("okpi", Instruction::Note { process: "p".into(), step: "s".into() }),
+    ] {
+        assert_eq!(told(event.clone()), [Some(event), None]);
+    }
+    let message = String::from("r2 stands still");
+    assert_eq!(told(Event::Notice { message }), [None, None], "whose it is cannot be known");
+}
+
+fn decision(plugin: &str, instruction: Instruction) -> Event {
+    Event::Decision(Decision { plugin: id(plugin), instruction, reason: None, refused: None })
+}
+
+#[test]
+fn of_other_domains_radio_units_a_robot_has_what_it_hears() {
+    let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let attachment = |radio_unit: &str, attached, signal: Option<f64>| Attachment {
+        radio_unit: id(radio_unit),
+        attached,
+        signal: signal.map(Dbm),
+    };
+    let context = |attachments| RobotContext {
+        robot: id("r1"),
+        attachments,
+        sensors: SensorData {
+            pose,
+            odometry: pose,
+            velocity: Velocity::default(),
+            bumper: false,
+            nearest_obstacle_m: None,
+        },
+        waypoint: 0,
+        health: Vec::new(),
+    };
+    let [one, two] =
+        told(Event::Robot(context(vec![attachment("A", true, Some(-50.0)), attachment("B", false, None)])));
+    assert_eq!((one, two), (Some(Event::Robot(context(vec![attachment("A", true, Some(-50.0))]))), None));
+    let both = context(vec![attachment("A", false, None), attachment("B", true, Some(-60.0))]);
+    assert_eq!(told(Event::Robot(both.clone()))[0], Some(Event::Robot(both)));
+}
+
+#[test]
+fn a_visiting_robot_comes_and_goes() {
+    let handover = |from: Option<&str>, to: &str| {
+        Event::Handover(Handover {
+            robot: id("r1"),
+            from: from.map(id),
+            to: id(to),
+            fast: true,
+            gap: std::time::Duration::ZERO,
+        })
+    };
+    assert_eq!(
+        told(handover(Some("A"), "B")),
+        [Some(handover(Some("A"), "B")), Some(handover(None, "B"))],
+        "where it came from is its domain's business"
+    );
+    let left = Event::Detached { robot: id("r1"), from: id("B") };
+    assert_eq!(told(handover(Some("B"), "A")), [Some(handover(Some("B"), "A")), Some(left)]);
+}
+
+#[test]
+fn a_domain_changes_its_own_nodes_and_no_others() {
+    let access_point = AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None };
+    let of = |n: &str, radio_unit: &str, link: &str| {
+        let robot = || id::<NodeId>(&format!("r{n}"));
+        let deployed = access_point.clone();
+        [
+            Instruction::Move { robot: robot(), velocity: Velocity::default(), waypoint: 0 },
+            Instruction::Scan { robot: robot() },
+            Instruction::Halt { robot: robot() },
+            Instruction::Go { robot: robot() },
+            Instruction::Attach { robot: robot(), radio_unit: id("B") },
+            Instruction::Provision { robot: robot(), radio_unit: id("B"), access_point: deployed.clone() },
+            Instruction::Deploy { radio_unit: id(radio_unit), access_point: deployed },
+            Instruction::Remove { radio_unit: id(radio_unit) },
+            Instruction::Place { vnf: id(&format!("nav{n}")), node: id(&format!("s{n}")) },
+            Instruction::Condition { link: id(link), direction: None, change: ConditionChange::default() },
+        ]
+    };
+    let [one, two] = views();
+    for (own, other) in of("1", "A", "A-s1").into_iter().zip(of("2", "B", "B-s2")) {
+        assert_eq!((one.check(&own), two.check(&other)), (Ok(()), Ok(())));
+        for (view, instruction) in [(&one, other), (&two, own)] {
+            let refused = view.check(&instruction).unwrap_err().to_string();
+            assert!(refused.contains(&format!("is not of the domain `{}`", view.domain())), "{refused}");
+        }
+    }
+    // Between two domains, and to a place in the other's.
+    for instruction in [
+        Instruction::Condition { link: id("A-B"), direction: None, change: ConditionChange::default() },
+        Instruction::Condition { link: id("r1~B"), direction: None, change: ConditionChange::default() },
+        Instruction::Place { vnf: id("nav1"), node: id("s2") },
+    ] {
+        one.check(&instruction).unwrap_err();
+    }
+    assert!(one.sees_link(&id("A-B")) && one.sees_link(&id("r1~B")) && !one.sees_link(&id("B-s2")));
+}

@@ -1,0 +1,83 @@
+use cotorra_graph::{Decision, Handover, Timestamp};
+
+use super::*;
+
+/// A run with a block each 5 s whose own share of the time is 120 ms.
+fn events() -> Vec<Stamped> {
+    let times = [10.0, 13.0, 13.02, 18.0, 18.03, 23.0, 23.01, 23.41, 23.42, 28.12, 28.16];
+    let note = |plugin: &str, step: Step, at: f64| Stamped {
+        at: Timestamp::from_secs_f64(at),
+        event: Event::Decision(Decision {
+            plugin: plugin.parse().unwrap(),
+            instruction: Instruction::Note { process: "service-1".into(), step: step.to_string() },
+            reason: None,
+            refused: None,
+        }),
+    };
+    let creator = |step: Step| {
+        matches!(
+            step,
+            Step::Announced
+                | Step::BidReceived
+                | Step::WinnerChosen
+                | Step::ConfirmationReceived
+                | Step::Attached
+        )
+    };
+    let mut events: Vec<_> = STEPS
+        .iter()
+        .zip(times)
+        .map(|(step, at)| note(if creator(*step) { "one" } else { "two" }, *step, at))
+        .collect();
+    // One that loses hears of it a little earlier.
+    events.insert(1, note("three", Step::AnnouncementReceived, 12.5));
+    let handover = Event::Handover(Handover {
+        robot: "robot".parse().unwrap(),
+        from: Some("R3".parse().unwrap()),
+        to: "n_AP".parse().unwrap(),
+        fast: true,
+        gap: Duration::from_millis(40),
+    });
+    let last = events.len() - 1;
+    events.insert(last, Stamped { at: Timestamp::from_secs_f64(28.16), event: handover });
+    events
+}
+
+fn federated() -> Federated {
+    Federated::of(&events(), Duration::from_secs(5), 7).unwrap()
+}
+
+#[test]
+fn what_is_ours_is_what_is_beyond_blocks_and_attachment() {
+    let run = federated();
+    assert!((run.total_s() - 18.16).abs() < 1e-9);
+    assert!((run.bound_s() - 20.44).abs() < 1e-9, "{}", run.bound_s());
+    assert!((run.beyond_s() - 0.12).abs() < 1e-9, "{}", run.beyond_s());
+    assert_eq!(run.attachments.each_ref().map(NodeId::as_str), ["R3", "n_AP"]);
+    // A deployment that takes longer than a block waits for another.
+    let slow = Federated { block_period_s: 0.25, ..run };
+    assert!((slow.beyond_s() - (18.16 - 3.0 - 4.0 * 0.25 - 0.04)).abs() < 1e-9);
+}
+
+#[test]
+fn a_run_that_shows_none_says_how_far_it_went() {
+    let short: Vec<_> = events().into_iter().take(5).collect();
+    let error = Federated::of(&short, Duration::from_secs(5), 7).unwrap_err().to_string();
+    assert!(error.contains("no `winner chosen`") && error.contains("bid received at 18.00 s"), "{error}");
+}
+
+#[test]
+fn tables_figure_and_steps_are_written() {
+    let comparison =
+        Comparison { runs: vec![federated(), Federated { block_period_s: 1.0, ..federated() }, federated()] };
+    let table = comparison.to_markdown("modelled");
+    assert!(table.contains("| 5 s | 2 | 18.16 ± 0.00 s | 18.16 s | 18.16 s | 20.44 s | 120 ms |"), "{table}");
+    let folder = tempfile::tempdir().unwrap();
+    comparison.write(folder.path(), "modelled").unwrap();
+    let read = |file: &str| std::fs::read_to_string(folder.path().join(file)).unwrap();
+    let steps = read("steps.csv");
+    assert_eq!((steps.lines().count(), steps.lines().next().unwrap().split(',').count()), (4, 18));
+    assert!(steps.lines().all(|row| row.split(',').count() == 18), "{steps}");
+    let figure = read("federation.svg");
+    assert!(figure.contains("n_AP (vAP)") && figure.contains("confirmation"));
+}

@@ -1,0 +1,315 @@
+//! A robot leaves its domain's coverage, end to end in virtual time: what happens when all is well, and that with anything
+//! that goes wrong it stands still before it leaves coverage, and everything is put back.
+
+use std::{collections::BTreeMap, path::Path};
+
+use cotorra_federation::Step;
+use cotorra_graph::{RobotContext, VnfState, testbed_file, testbed_file::Setting};
+use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
+
+use super::*;
+
+/// The edge of domain 1's coverage on the walk of `testbeds/federation.yaml`.
+const EDGE_M: f64 = 23.8;
+
+fn testbed(settings: &[&str]) -> Arc<Testbed> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/federation.yaml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    // From there on the announcement comes at 15.8 s.
+    let walk = &"walks.robot.waypoints=[[10, 0], [34, 0]]";
+    let settings = std::iter::once(walk).chain(settings);
+    let settings: Vec<Setting> = settings.map(|setting| setting.parse().unwrap()).collect();
+    let testbed = testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings);
+    Arc::new(testbed.unwrap_or_else(|e| panic!("{e:?}")))
+}
+
+/// What happened in a run.
+#[derive(Default)]
+struct Told {
+    /// Service, step, by whom and when.
+    notes: Vec<(String, String, String, f64)>,
+    robots: Vec<(f64, RobotContext)>,
+    /// What runs on radio units.
+    vaps: BTreeMap<String, bool>,
+    handovers: Vec<(f64, String, bool)>,
+    detached: usize,
+    /// Service times without an answer.
+    lost: usize,
+    faults: Vec<String>,
+    finished: bool,
+}
+
+impl Told {
+    fn of(simulation: &mut Simulation, until_s: f64) -> Self {
+        let mut told = Self::default();
+        while !simulation.is_finished() && simulation.step().as_secs_f64() < until_s {
+            while let Some(event) = simulation.poll_event() {
+                told.absorb(event);
+            }
+        }
+        told.finished = simulation.is_finished();
+        told
+    }
+
+    fn absorb(&mut self, Stamped { at, event }: Stamped) {
+        let at = at.as_secs_f64();
+        match event {
+            Event::Decision(decision) => {
+                if let Instruction::Note { process, step } = decision.instruction {
+                    self.notes.push((process, step, decision.plugin.to_string(), at));
+                }
+            }
+            Event::Robot(context) => self.robots.push((at, context)),
+            Event::Vnf(life) if life.vnf.as_str().starts_with("vAP-") => {
+                self.vaps.insert(life.node.to_string(), life.state == VnfState::Started);
+            }
+            Event::Handover(handover) => self.handovers.push((at, handover.to.to_string(), handover.fast)),
+            Event::Detached { .. } => self.detached += 1,
+            Event::ServiceTime(sample) => self.lost += usize::from(sample.took.is_none()),
+            Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
+            _ => {}
+        }
+    }
+
+    fn when(&self, step: Step) -> Option<f64> {
+        self.notes.iter().find(|(_, name, ..)| *name == step.as_str()).map(|(.., at)| *at)
+    }
+
+    fn detail(&self) -> String {
+        self.notes.iter().map(|(_, step, by, at)| format!("{at:.3} {by}: {step}\n")).collect()
+    }
+
+    fn farthest(&self) -> f64 {
+        self.robots.iter().map(|(_, context)| context.sensors.pose.x).fold(0.0, f64::max)
+    }
+
+    /// The robot was halted inside its domain's coverage and stayed attached, and everything is as it was before.
+    fn assert_halted_and_put_back(&self, simulation: &Simulation) {
+        let detail = self.detail();
+        assert!(self.faults.is_empty(), "{:?}", self.faults);
+        let (_, last) = self.robots.last().unwrap();
+        assert_eq!(last.sensors.velocity, Default::default(), "it stands still: {detail}");
+        assert!((15.0..EDGE_M).contains(&self.farthest()), "it stopped at {} m: {detail}", self.farthest());
+        assert!(
+            self.robots.iter().all(|(_, context)| context.attached_to().is_some_and(|unit| unit == "R3"))
+        );
+        assert!(!self.vaps.values().any(|on| *on), "{:?}: {detail}", self.vaps);
+        assert_eq!(self.vaps.get("R3"), None, "its own radio unit was never released: {detail}");
+        assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "{detail}");
+        assert!(self.when(Step::Failed).is_some(), "{detail}");
+    }
+}
+
+/// A run of 180 s with something that goes wrong.
+fn goes_wrong(settings: &[&str]) -> Told {
+    let mut simulation = Simulation::new(testbed(settings), 1).unwrap();
+    let told = Told::of(&mut simulation, 180.0);
+    told.assert_halted_and_put_back(&simulation);
+    told
+}
+
+#[test]
+fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
+    let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
+    let told = Told::of(&mut simulation, 300.0);
+    let detail = told.detail();
+    assert!(told.finished && told.faults.is_empty(), "{:?}", told.faults);
+    use Step::*;
+    let steps = [
+        Announced,
+        AnnouncementReceived,
+        BidSent,
+        BidReceived,
+        WinnerChosen,
+        WinnerReceived,
+        DeploymentStarted,
+        DeploymentFinished,
+        ConfirmationSent,
+        ConfirmationReceived,
+        Attached,
+        OwnRadioUnitReleased,
+        InUse,
+        Returned,
+        Ended,
+        TakenDown,
+    ];
+    let times: Vec<f64> =
+        steps.iter().map(|step| told.when(*step).unwrap_or_else(|| panic!("{step}: {detail}"))).collect();
+    assert!(times.is_sorted(), "{detail}");
+    // One block for the announcement, two for bid and choice, one for the confirmation; the rest is the handover.
+    let total = times[10] - times[0];
+    assert!((15.0..20.2).contains(&total), "{total}: {detail}");
+    assert!((times[7] - times[6] - 0.4).abs() < 1e-6, "the deployment takes what the radio unit says");
+    // Make before break.
+    let handovers: Vec<_> = told.handovers.iter().map(|(_, to, fast)| (to.as_str(), *fast)).collect();
+    assert_eq!((handovers, told.detached, told.lost), (vec![("n_AP", true), ("R3", true)], 0, 0));
+    let walking = told.robots.iter().filter(|(at, _)| (5.0..60.0).contains(at));
+    let slowest = walking.map(|(_, context)| context.sensors.velocity.linear).fold(f64::INFINITY, f64::min);
+    assert!(slowest > 0.28, "its speed never falls: {slowest}");
+    assert_eq!(told.vaps, BTreeMap::from([("R3".to_owned(), true), ("n_AP".to_owned(), false)]));
+    // The cheaper of the two that answered was paid for what was used.
+    assert!(told.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2"));
+    assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
+}
+
+#[test]
+fn keys_are_told_to_nobody() {
+    let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
+    let mut access_points = 0;
+    while simulation.step().as_secs_f64() < 40.0 {
+        while let Some(event) = simulation.poll_event() {
+            if let Event::Decision(decision) = event.event
+                && let Instruction::Deploy { access_point, .. } | Instruction::Provision { access_point, .. } =
+                    decision.instruction
+            {
+                access_points += 1;
+                assert_eq!(access_point.key, None);
+            }
+        }
+    }
+    assert_eq!(access_points, 2, "one was deployed, and the robot provisioned for it");
+}
+
+#[test]
+fn nobody_bids() {
+    let told = goes_wrong(&[
+        "plugins.orchestrator-2.settings.behaviour=silent",
+        "plugins.orchestrator-3.settings.behaviour=silent",
+    ]);
+    assert_eq!(told.when(Step::BidSent), None);
+}
+
+#[test]
+fn all_bids_are_too_dear() {
+    let told = goes_wrong(&["plugins.orchestrator-1.settings.highest_price=50"]);
+    assert!(told.when(Step::BidRejected).is_some() && told.when(Step::WinnerChosen).is_none());
+}
+
+#[test]
+fn the_winner_does_not_deploy() {
+    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=idle"]);
+    assert!(told.when(Step::WinnerReceived).is_some() && told.when(Step::DeploymentStarted).is_none());
+}
+
+#[test]
+fn the_deployment_fails() {
+    let told = goes_wrong(&["nodes.n_AP.cpus=0"]);
+    assert!(told.when(Step::DeploymentFailed).is_some() && told.when(Step::ConfirmationSent).is_none());
+}
+
+#[test]
+fn the_provider_lies_about_its_deployment() {
+    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=lying"]);
+    assert!(told.when(Step::ConfirmationReceived).is_some() && told.when(Step::Attached).is_none());
+}
+
+#[test]
+fn the_ledger_is_out_of_the_creators_reach() {
+    for from in ["17 s", "22 s", "27 s", "33 s"] {
+        let ledger = format!(
+            "plugins.orchestrator-1.settings.ledger={{kind: modelled, block_period: 5 s, outage: [{from}, 130 s]}}"
+        );
+        goes_wrong(&[&ledger]);
+    }
+}
+
+#[test]
+fn the_ledger_was_never_there() {
+    let ledger =
+        "plugins.orchestrator-1.settings.ledger={kind: modelled, block_period: 5 s, outage: [1 ms, 500 s]}";
+    let mut simulation = Simulation::new(testbed(&[ledger]), 1).unwrap();
+    let told = Told::of(&mut simulation, 120.0);
+    assert!((15.0..EDGE_M).contains(&told.farthest()), "{}", told.farthest());
+    assert!(told.notes.is_empty() && told.vaps.is_empty(), "nothing came of it: {}", told.detail());
+}
+
+#[test]
+fn the_ledger_is_out_of_the_winners_reach() {
+    let told = goes_wrong(&[
+        "plugins.orchestrator-2.settings.ledger={kind: modelled, block_period: 5 s, outage: [27 s, 130 s]}",
+    ]);
+    assert_eq!(told.when(Step::WinnerReceived), None, "{}", told.detail());
+}
+
+#[test]
+fn a_ledger_that_is_back_in_time_does_no_harm() {
+    let mut simulation = Simulation::new(
+        testbed(&["plugins.orchestrator-1.settings.ledger={kind: modelled, block_period: 5 s, outage: [22 s, 27 s]}"]),
+        1,
+    )
+    .unwrap();
+    let told = Told::of(&mut simulation, 300.0);
+    assert!(told.finished && told.when(Step::Returned).is_some(), "{}", told.detail());
+}
+
+#[test]
+fn an_announcement_that_is_replayed_changes_nothing() {
+    let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
+    Told::of(&mut simulation, 21.0);
+    let chain = simulation._ledgers.chain().unwrap().clone();
+    let mut eve = chain.ledger(Account([0xee; 20]));
+    let now = Timestamp::from_secs_f64(21.0);
+    let heard: Vec<_> = std::iter::from_fn(|| eve.poll(now)).collect();
+    let announced = heard.into_iter().find_map(|notice| match notice {
+        Notice::Event(Said::ServiceAnnounced { key, requirements, terms, .. }) => {
+            Some((key, requirements, terms))
+        }
+        _ => None,
+    });
+    // What is on the chain does not say the salt: a copy has another, and so another id, and is Eve's own.
+    let (key, requirements, terms) = announced.unwrap();
+    eve.submit(now, Call::Register { name: "Eve".to_owned() });
+    for salt in [[1; 32], [1; 32], [2; 32]] {
+        let salt = cotorra_ledger::Salt(salt);
+        let (requirements, key) = (requirements.clone(), key);
+        eve.submit(now, Call::Announce { salt, key, requirements, terms });
+    }
+    let told = Told::of(&mut simulation, 300.0);
+    assert!(told.finished && told.faults.is_empty(), "{:?}", told.faults);
+    assert!(told.when(Step::Returned).is_some(), "{}", told.detail());
+    assert_eq!((told.detached, told.lost), (0, 0));
+    let heard: Vec<_> = std::iter::from_fn(|| eve.poll(Timestamp::from_secs_f64(300.0))).collect();
+    let refused = heard.iter().filter(|notice| matches!(notice, Notice::Refused(..))).count();
+    assert_eq!(refused, 1, "the same announcement is there once");
+    assert_eq!(chain.contract().holds(), Wei(0));
+}
+
+#[test]
+fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
+    // Before the announcement, between all of its steps, and while the vAP is used.
+    for stopped_at in [10.0, 17.0, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
+        let mut before = Simulation::new(testbed(&[]), 1).unwrap();
+        let told = Told::of(&mut before, stopped_at);
+        let at = told.robots.last().unwrap().1.sensors.pose.x;
+        let ledgers = std::mem::take(&mut before._ledgers);
+        drop(before);
+        ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
+        // The robot is where it was; all else begins as the file says.
+        let walk = format!("walks.robot.waypoints=[[{at}, 0], [34, 0]]");
+        let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
+        let mut after = Simulation::on(testbed, 1, ledgers).unwrap();
+        let told = Told::of(&mut after, 200.0);
+        let detail = told.detail();
+        assert!(
+            told.finished && told.faults.is_empty(),
+            "stopped at {stopped_at}: {:?} {detail}",
+            told.faults
+        );
+        assert!(told.when(Step::Attached).is_some(), "stopped at {stopped_at}: {detail}");
+        let services: std::collections::BTreeSet<_> = told.notes.iter().map(|(id, ..)| id).collect();
+        assert_eq!(services.len(), 1, "stopped at {stopped_at}, it was announced once: {detail}");
+        assert_eq!(told.detached, 0, "stopped at {stopped_at}: {detail}");
+    }
+}
+
+#[test]
+fn one_that_provides_no_longer_stops_the_robot_that_it_serves() {
+    // The longest use ends while the robot is away.
+    let mut simulation =
+        Simulation::new(testbed(&["plugins.orchestrator-1.settings.use_for=20 s"]), 1).unwrap();
+    let told = Told::of(&mut simulation, 200.0);
+    let detail = told.detail();
+    assert!(told.faults.is_empty(), "{:?}", told.faults);
+    assert!(told.notes.iter().any(|(_, step, ..)| step == "ended"), "{detail}");
+    assert_eq!(told.vaps.get("n_AP"), Some(&false), "{detail}");
+}

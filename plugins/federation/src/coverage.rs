@@ -1,0 +1,203 @@
+//! Where a domain's radio units are heard, and when a robot leaves that: from its position, its covariance and its walk.
+//!
+//! The signal is what the path-loss model says, without shadowing, which nobody knows beforehand.
+
+use std::time::Duration;
+
+use cotorra_graph::{Dbm, HardwareGraph, NodeId, PathLoss, Pose, Position, Walk};
+
+/// A walk is looked at this often, metres.
+const STEP_M: f64 = 0.1;
+/// A robot is taken to be anywhere within so many standard deviations of where localization says it is.
+const DEVIATIONS: f64 = 2.0;
+
+/// The coverage of radio units.
+#[derive(Debug, Clone)]
+pub struct Coverage {
+    cells: Vec<Cell>,
+    /// Weaker is no coverage.
+    edge: Dbm,
+}
+
+#[derive(Debug, Clone)]
+struct Cell {
+    radio_unit: NodeId,
+    position: Position,
+    tx_power: Dbm,
+    path_loss: PathLoss,
+    frequency_mhz: u16,
+}
+
+/// Where a walk leaves the coverage.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge {
+    /// The last place that is covered.
+    pub place: Position,
+    /// How far that is along the walk, metres, less what the position is uncertain by.
+    pub distance_m: f64,
+}
+
+impl Edge {
+    /// When the robot is there at the earliest.
+    pub fn within(&self, speed: f64) -> Duration {
+        // A walk's speed limit is above zero; what it is not says that there is no hurry.
+        Duration::try_from_secs_f64(self.distance_m / speed).unwrap_or(Duration::MAX)
+    }
+}
+
+impl Coverage {
+    /// That of all radio units of a graph.
+    pub fn of(graph: &HardwareGraph, edge: Dbm) -> Self {
+        let cells = graph.radio_units().filter_map(|(node, unit)| {
+            let network = graph.wireless.get(&unit.network)?;
+            Some(Cell {
+                radio_unit: node.id.clone(),
+                position: node.position?,
+                tx_power: unit.tx_power,
+                path_loss: network.path_loss,
+                frequency_mhz: network.standard.frequency_mhz(unit.channel),
+            })
+        });
+        Self { cells: cells.collect(), edge }
+    }
+
+    /// The radio unit that is strongest at a place, and how strong it is there.
+    pub fn strongest(&self, at: Position) -> Option<(&NodeId, Dbm)> {
+        let signals =
+            self.cells.iter().map(|cell| (&cell.radio_unit, cell.signal(cell.position.distance(at))));
+        signals.max_by(|(_, a), (_, b)| a.0.total_cmp(&b.0))
+    }
+
+    /// How strong a radio unit is at least within `radius` metres around a place.
+    pub fn weakest_around(&self, radio_unit: &NodeId, at: Position, radius_m: f64) -> Option<Dbm> {
+        let cell = self.cells.iter().find(|cell| cell.radio_unit == *radio_unit)?;
+        Some(cell.signal(cell.position.distance(at) + radius_m))
+    }
+
+    /// Whether a place is covered.
+    pub fn covers(&self, at: Position) -> bool {
+        self.strongest(at).is_some_and(|(_, signal)| signal >= self.edge)
+    }
+
+    /// Where a robot leaves the coverage that goes on along its walk to the waypoint that is next, and from there; `None`
+    /// if it does not, or not within `horizon` metres.
+    pub fn edge(&self, pose: &Pose, walk: &Walk, waypoint: u32, horizon_m: f64) -> Option<Edge> {
+        let uncertain = DEVIATIONS * deviation_m(pose);
+        let (mut at, mut walked) = (pose.position(), 0.0);
+        let mut last = at;
+        if !self.covers(at) {
+            return Some(Edge { place: at, distance_m: 0.0 });
+        }
+        for next in walk.waypoints.iter().skip(waypoint as usize) {
+            let leg = at.distance(*next);
+            let steps = (leg / STEP_M).ceil().max(1.0);
+            for step in 1..=steps as u32 {
+                let share = f64::from(step) / steps;
+                let place = Position::new(at.x + share * (next.x - at.x), at.y + share * (next.y - at.y));
+                let distance = walked + share * leg;
+                if distance > horizon_m + uncertain {
+                    return None;
+                }
+                if !self.covers(place) {
+                    let distance_m = (distance - leg / steps - uncertain).max(0.0);
+                    return Some(Edge { place: last, distance_m });
+                }
+                last = place;
+            }
+            (at, walked) = (*next, walked + leg);
+        }
+        None
+    }
+}
+
+impl Cell {
+    fn signal(&self, distance_m: f64) -> Dbm {
+        Dbm(self.tx_power.0 - self.path_loss.loss_db(distance_m, self.frequency_mhz))
+    }
+}
+
+/// The standard deviation of a position along the direction in which it is known worst, metres: the root of the larger
+/// eigenvalue of its covariance.
+fn deviation_m(pose: &Pose) -> f64 {
+    let [xx, xy, _, _, yy, ..] = pose.covariance;
+    let (mean, half) = ((xx + yy) / 2.0, (xx - yy) / 2.0);
+    let largest = mean + half.hypot(xy);
+    if largest.is_finite() { largest.max(0.0).sqrt() } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cotorra_graph::{PoseSource, testbed_file};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const TESTBED: &str = "
+name: edge
+wireless: { lab: { path_loss: { model: log_distance, exponent: 3.0 } } }
+nodes:
+  r: { kind: robot }
+  A: { kind: radio_unit, position: [0, 0], channel: 1 }
+walks:
+  r: { waypoints: [[0, 0], [20, 0], [40, 0], [0, 0]], speed_limit: 0.5 m/s }
+";
+
+    /// Log-distance with n = 3: 15 dBm - 40.1 dB at 1 m, and 30 dB a decade: -65 dBm at 21.4 m.
+    fn coverage() -> (Coverage, Walk) {
+        let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+        (Coverage::of(&testbed.graph, Dbm(-65.0)), testbed.walks[0].clone())
+    }
+
+    fn pose(x: f64, deviation: f64) -> Pose {
+        let mut covariance = [0.0; 9];
+        (covariance[0], covariance[4]) = (deviation * deviation, deviation * deviation / 4.0);
+        Pose { x, y: 0.0, heading: 0.0, covariance, source: PoseSource::Localization }
+    }
+
+    #[test]
+    fn the_edge_is_where_the_signal_falls_below_what_is_wanted() {
+        let (coverage, walk) = coverage();
+        let edge = coverage.edge(&pose(5.0, 0.0), &walk, 1, 100.0).unwrap();
+        assert!((edge.place.x - 21.4).abs() < 0.2, "{edge:?}");
+        assert!((edge.distance_m - 16.4).abs() < 0.2, "{edge:?}");
+        assert!((edge.within(0.5).as_secs_f64() - 32.8).abs() < 0.4);
+        assert_eq!(edge.within(0.0), Duration::MAX);
+        assert_eq!(coverage.edge(&pose(5.0, 0.0), &walk, 1, 10.0), None, "beyond the horizon");
+        assert_eq!(coverage.edge(&pose(5.0, 0.0), &walk, 3, 100.0), None, "the way back stays inside");
+        assert_eq!(
+            coverage.edge(&pose(30.0, 0.0), &walk, 3, 100.0).unwrap().distance_m,
+            0.0,
+            "it is outside"
+        );
+    }
+
+    #[test]
+    fn who_knows_less_where_it_is_comes_sooner_to_the_edge() {
+        let (coverage, walk) = coverage();
+        let [sure, unsure] = [0.0, 0.5].map(|d| coverage.edge(&pose(5.0, d), &walk, 1, 100.0).unwrap());
+        assert!((sure.distance_m - unsure.distance_m - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn deviations_are_those_of_the_worst_direction() {
+        let mut tilted = pose(0.0, 0.0);
+        // Deviations 2 and 1 along axes turned by 45 degrees.
+        (tilted.covariance[0], tilted.covariance[4]) = (2.5, 2.5);
+        (tilted.covariance[1], tilted.covariance[3]) = (1.5, 1.5);
+        assert!((deviation_m(&tilted) - 2.0).abs() < 1e-9);
+        assert_eq!(deviation_m(&pose(0.0, f64::NAN)), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn the_edge_is_covered_and_never_behind(x in -50.0..50.0f64, waypoint in 0..5u32, deviation in 0.0..5.0f64) {
+            let (coverage, walk) = coverage();
+            if let Some(edge) = coverage.edge(&pose(x, deviation), &walk, waypoint, 1000.0) {
+                prop_assert!(edge.distance_m >= 0.0);
+                prop_assert!(coverage.covers(edge.place) || edge.place == pose(x, deviation).position());
+            }
+        }
+    }
+}

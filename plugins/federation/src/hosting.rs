@@ -1,0 +1,244 @@
+//! The provider's side: answers announcements that one of the domain's radio units can serve, deploys the vAP that was
+//! won, and takes it down when the service is over.
+
+use std::collections::BTreeMap;
+
+use cotorra_graph::{
+    AccessPoint, Decision, Event, FtKey, Instruction, NodeId, Position, Timestamp, VnfState,
+};
+use cotorra_ledger::{
+    Account, Attachment, Call, Event as Said, Ledger, Notice, Requirements, Secret, ServiceId, Wei,
+    negotiation::{Offer, Provider, ProviderStep},
+};
+
+use crate::{
+    coverage::Coverage,
+    orchestrator::{Desk, Unit},
+    settings::{Behaviour, Settings},
+    steps::Step,
+};
+
+/// All services that the domain bids for or provides.
+#[derive(Debug, Default)]
+pub(crate) struct Hosting {
+    services: Vec<Service>,
+}
+
+#[derive(Debug)]
+struct Service {
+    provider: Provider,
+    /// The radio unit for it.
+    unit: NodeId,
+    frequency_mhz: u16,
+    ssid: String,
+    mobility_domain: u16,
+    vap: Vap,
+    /// Whether it was noted that it was heard of.
+    noted: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Vap {
+    None,
+    Deploying,
+    Deployed,
+}
+
+impl Hosting {
+    /// A service was announced.
+    #[allow(clippy::too_many_arguments, reason = "what decides on a bid is spread over the whole domain")]
+    pub(crate) fn consider(
+        &mut self,
+        announced: &Said,
+        account: Account,
+        secret: &Secret,
+        settings: &Settings,
+        map: &str,
+        units: &BTreeMap<NodeId, Unit>,
+        coverage: &Coverage,
+    ) {
+        let Said::ServiceAnnounced { id, requirements, .. } = announced else { return };
+        let Some(price) = settings.price.filter(|_| settings.behaviour != Behaviour::Silent) else { return };
+        if self.services.iter().any(|service| service.provider.id() == *id) || requirements.map != map {
+            return;
+        }
+        let Some((unit, serves)) = self.unit_for(requirements, units, coverage) else { return };
+        let offer = Offer { price, endpoint: settings.endpoint.clone() };
+        // A key that cannot be encrypted to is the creator's mistake: there is nobody to tell.
+        let Ok(Some(provider)) = Provider::new(account, secret.clone(), announced, offer) else { return };
+        self.services.push(Service {
+            provider,
+            unit: unit.clone(),
+            frequency_mhz: serves.frequency_mhz,
+            ssid: requirements.ssid.clone(),
+            mobility_domain: requirements.mobility_domain,
+            vap: Vap::None,
+            noted: false,
+        });
+    }
+
+    /// The radio unit that serves these requirements best, of those that are off and promised to nobody.
+    fn unit_for<'a>(
+        &self,
+        wanted: &Requirements,
+        units: &'a BTreeMap<NodeId, Unit>,
+        coverage: &Coverage,
+    ) -> Option<(&'a NodeId, &'a Unit)> {
+        let metres = |mm: i32| f64::from(mm) / 1e3;
+        let (at, radius) =
+            (Position::new(metres(wanted.x_mm), metres(wanted.y_mm)), f64::from(wanted.radius_mm) / 1e3);
+        let fits = |(id, unit): &(&NodeId, &Unit)| {
+            wanted.vnf == "vAP"
+                && !unit.on
+                && unit.ssid == wanted.ssid
+                && (wanted.frequency_mhz == 0 || wanted.frequency_mhz == unit.frequency_mhz)
+                && self.services.iter().all(|service| service.unit != **id || service.vap == Vap::None)
+        };
+        let signal = |id: &NodeId| coverage.weakest_around(id, at, radius).map(|signal| signal.0);
+        let strong = units.iter().filter(fits).filter_map(|(id, unit)| Some((signal(id)?, id, unit)));
+        let strong = strong.filter(|(signal, ..)| *signal >= f64::from(wanted.signal_dbm));
+        strong.max_by(|(a, ..), (b, ..)| a.total_cmp(b)).map(|(_, id, unit)| (id, unit))
+    }
+
+    /// The ledger said something.
+    pub(crate) fn hear(&mut self, now: Timestamp, notice: &Notice) {
+        self.services.iter_mut().for_each(|service| service.provider.handle(now, notice));
+    }
+
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        self.services.iter().filter_map(|service| service.provider.next_deadline()).min()
+    }
+
+    /// Something happened in the domain.
+    pub(crate) fn observe(&mut self, event: &Event, desk: &mut Desk<'_>) {
+        match event {
+            Event::Vnf(life) => {
+                let deploying = |service: &&mut Service| {
+                    service.vap == Vap::Deploying && AccessPoint::vnf(&service.unit) == life.vnf
+                };
+                let Some(service) = self.services.iter_mut().find(deploying) else { return };
+                match life.state {
+                    VnfState::Started => service.deployed(desk),
+                    VnfState::Failed => service.failed(life.detail.as_deref().unwrap_or_default(), desk),
+                    VnfState::Stopped | VnfState::Died => {}
+                }
+            }
+            Event::Decision(Decision {
+                instruction: Instruction::Deploy { radio_unit, .. },
+                refused: Some(reason),
+                ..
+            }) => {
+                let deploying =
+                    |service: &&mut Service| service.vap == Vap::Deploying && service.unit == *radio_unit;
+                if let Some(service) = self.services.iter_mut().find(deploying) {
+                    service.failed(reason, desk);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, desk: &mut Desk<'_>) -> bool {
+        let mut worked = false;
+        let mut taken: Vec<NodeId> =
+            self.services.iter().filter(|s| s.vap != Vap::None).map(|s| s.unit.clone()).collect();
+        for service in &mut self.services {
+            worked |= service.work(ledger, &mut taken, desk);
+        }
+        self.services.retain(|service| service.vap != Vap::None || !service.provider.is_over());
+        worked
+    }
+}
+
+impl Service {
+    fn id(&self) -> ServiceId {
+        self.provider.id()
+    }
+
+    fn work(&mut self, ledger: &mut dyn Ledger, taken: &mut Vec<NodeId>, desk: &mut Desk<'_>) -> bool {
+        if !std::mem::replace(&mut self.noted, true) && !self.provider.is_over() {
+            desk.note(self.id(), Step::AnnouncementReceived, "");
+        }
+        if self.provider.next_deadline().is_some_and(|deadline| deadline <= desk.now) {
+            self.provider.expire(desk.now);
+        }
+        // What cannot be sealed is given back by itself.
+        let _ = self.provider.submit(desk.now, ledger);
+        let mut worked = false;
+        while let Some(step) = self.provider.poll_step() {
+            worked = true;
+            match step {
+                ProviderStep::Bidding => desk.note(self.id(), Step::BidSent, ""),
+                ProviderStep::Won if !self.provider.is_over() => self.won(taken, desk),
+                ProviderStep::Confirming => desk.note(self.id(), Step::ConfirmationSent, ""),
+                ProviderStep::Ended { charge, .. } => {
+                    self.take_down(desk);
+                    if charge > Wei(0) {
+                        ledger.submit(desk.now, Call::Withdraw);
+                    }
+                }
+                ProviderStep::Overdue => self.take_down(desk),
+                ProviderStep::Won
+                | ProviderStep::BidPlaced
+                | ProviderStep::Lost
+                | ProviderStep::Deployed
+                | ProviderStep::InUse => {}
+            }
+        }
+        worked
+    }
+
+    fn won(&mut self, taken: &mut Vec<NodeId>, desk: &mut Desk<'_>) {
+        desk.note(self.id(), Step::WinnerReceived, "");
+        match desk.settings.behaviour {
+            Behaviour::Idle | Behaviour::Silent => return,
+            Behaviour::Lying => return self.confirm(desk),
+            Behaviour::Honest => {}
+        }
+        if taken.contains(&self.unit) {
+            return self.failed("its radio unit serves another by now", desk);
+        }
+        taken.push(self.unit.clone());
+        self.vap = Vap::Deploying;
+        let access_point = AccessPoint {
+            ssid: self.ssid.clone(),
+            mobility_domain: self.mobility_domain,
+            key: Some(FtKey(desk.secret.ft_key(self.id()))),
+        };
+        desk.note(self.id(), Step::DeploymentStarted, format!("a({}) = {{vAP}}", self.unit));
+        desk.actions.instruct(Instruction::Deploy { radio_unit: self.unit.clone(), access_point });
+    }
+
+    fn deployed(&mut self, desk: &mut Desk<'_>) {
+        self.vap = Vap::Deployed;
+        desk.note(self.id(), Step::DeploymentFinished, "");
+        self.confirm(desk);
+    }
+
+    fn confirm(&mut self, desk: &Desk<'_>) {
+        let key = desk.secret.ft_key(self.id());
+        let [a, b, c, d, e, ..] = self.id().0;
+        self.provider.deployed(Attachment {
+            radio_unit: self.unit.to_string(),
+            ssid: self.ssid.clone(),
+            // A virtual access point has an address of its own: locally administered, and one for each service.
+            bssid: [0x02, a, b, c, d, e],
+            frequency_mhz: self.frequency_mhz,
+            pmk_r1: key,
+        });
+    }
+
+    fn failed(&mut self, why: &str, desk: &mut Desk<'_>) {
+        self.vap = Vap::None;
+        desk.note(self.id(), Step::DeploymentFailed, why);
+        self.provider.give_back();
+    }
+
+    fn take_down(&mut self, desk: &mut Desk<'_>) {
+        if std::mem::replace(&mut self.vap, Vap::None) != Vap::None {
+            desk.actions.instruct(Instruction::Remove { radio_unit: self.unit.clone() });
+            desk.note(self.id(), Step::TakenDown, format!("a({}) = {{}}", self.unit));
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! The creator's side: one robot, from its own domain's radio units to another domain's vAP and back. A robot that nobody
+//! serves is halted before it leaves coverage, and everything stays as it was.
+
+use std::time::Duration;
+
+use cotorra_graph::{AccessPoint, Event, FtKey, Instruction, NodeId, RobotContext, Timestamp, Walk};
+use cotorra_ledger::{
+    Attachment, Call, Ledger, Requirements,
+    negotiation::{Creator, CreatorStep},
+};
+
+use crate::{
+    coverage::Edge,
+    orchestrator::{Desk, steps},
+    steps::Step,
+};
+
+/// Between two attempts to attach.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// A robot of the domain.
+#[derive(Debug)]
+pub(crate) struct Journey {
+    walk: Walk,
+    ssid: String,
+    mobility_domain: u16,
+    stage: Stage,
+    attached_to: Option<NodeId>,
+    /// The radio unit of its own domain that it was attached to last.
+    own: Option<NodeId>,
+    /// Since when it is halted, if it is.
+    halted: Option<Timestamp>,
+    edge: Option<Edge>,
+    known: bool,
+}
+
+#[derive(Debug)]
+enum Stage {
+    /// Its own domain serves it.
+    Home,
+    /// A service is needed, and about to be announced.
+    Wanting(Requirements),
+    Negotiating(Box<Creator>),
+    /// A vAP is deployed, or so its provider says.
+    Attaching {
+        creator: Box<Creator>,
+        attachment: Attachment,
+        since: Timestamp,
+        next_try: Timestamp,
+    },
+    /// Another domain serves it.
+    Away {
+        creator: Box<Creator>,
+        radio_unit: NodeId,
+    },
+    /// It is to be served by its own domain again; what it used meanwhile is released then.
+    Returning {
+        creator: Option<Box<Creator>>,
+        to: NodeId,
+        next_try: Timestamp,
+    },
+    /// Nobody serves it beyond the edge.
+    GivenUp,
+}
+
+impl Journey {
+    pub(crate) fn new(walk: Walk, ssid: String, mobility_domain: u16) -> Self {
+        Self {
+            walk,
+            ssid,
+            mobility_domain,
+            stage: Stage::Home,
+            attached_to: None,
+            own: None,
+            halted: None,
+            edge: None,
+            known: false,
+        }
+    }
+
+    pub(crate) fn attached_to(&self) -> Option<&NodeId> {
+        self.attached_to.as_ref()
+    }
+
+    /// Whether it was heard of since the orchestrator was started.
+    pub(crate) fn is_known(&self) -> bool {
+        self.known
+    }
+
+    /// Whether it needs a service that it does not have.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.known && (matches!(self.stage, Stage::Wanting(_)) || self.is_stranded())
+    }
+
+    /// Whether another domain serves it, and nobody knows for what service.
+    fn is_stranded(&self) -> bool {
+        matches!(self.stage, Stage::Home) && self.attached_to.is_some() && self.attached_to != self.own
+    }
+
+    /// What is to be announced for it.
+    pub(crate) fn wanted(&self) -> Option<Requirements> {
+        match &self.stage {
+            Stage::Wanting(requirements) => Some(requirements.clone()),
+            _ => None,
+        }
+    }
+
+    /// Its service was announced before the orchestrator was started again.
+    pub(crate) fn resume(&mut self, mut creator: Creator) {
+        match self.attached_to.clone().filter(|_| self.is_stranded()) {
+            Some(radio_unit) => {
+                creator.attached();
+                self.stage = Stage::Away { creator: Box::new(creator), radio_unit };
+            }
+            None => self.begin(creator),
+        }
+    }
+
+    /// Its service is negotiated.
+    pub(crate) fn begin(&mut self, creator: Creator) {
+        self.stage = Stage::Negotiating(Box::new(creator));
+    }
+
+    pub(crate) fn creator(&mut self) -> Option<&mut Creator> {
+        match &mut self.stage {
+            Stage::Negotiating(creator) | Stage::Attaching { creator, .. } | Stage::Away { creator, .. } => {
+                Some(creator)
+            }
+            Stage::Returning { creator, .. } => creator.as_deref_mut(),
+            Stage::Home | Stage::Wanting(_) | Stage::GivenUp => None,
+        }
+    }
+
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        match &self.stage {
+            Stage::Negotiating(creator) => creator.next_deadline(),
+            Stage::Attaching { creator, next_try, .. } => {
+                Some(creator.next_deadline().map_or(*next_try, |at| at.min(*next_try)))
+            }
+            Stage::Away { creator, .. } => creator.next_deadline(),
+            Stage::Returning { next_try, .. } => Some(*next_try),
+            Stage::Home | Stage::Wanting(_) | Stage::GivenUp => None,
+        }
+    }
+
+    /// Something happened in the domain. `others` are the domain's robots and where they are attached.
+    pub(crate) fn observe(
+        &mut self,
+        robot: &NodeId,
+        event: &Event,
+        others: &[(NodeId, NodeId)],
+        desk: &mut Desk<'_>,
+    ) {
+        match event {
+            Event::Robot(context) if context.robot == *robot => {
+                self.note_attachment(context.attached_to(), desk);
+                self.foresee(context, desk);
+                self.known = true;
+                self.arrived(robot, others, desk);
+            }
+            Event::Handover(handover) if handover.robot == *robot => {
+                self.note_attachment(Some(&handover.to), desk);
+                self.arrived(robot, others, desk);
+            }
+            Event::Detached { robot: detached, from } if detached == robot => {
+                self.attached_to = None;
+                if matches!(&self.stage, Stage::Away { radio_unit, .. } if radio_unit == from) {
+                    self.abandoned(robot, desk, "the vAP is gone");
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn note_attachment(&mut self, radio_unit: Option<&NodeId>, desk: &Desk<'_>) {
+        self.attached_to = radio_unit.cloned();
+        if let Some(own) = radio_unit.filter(|unit| desk.units.contains_key(*unit)) {
+            self.own = Some(own.clone());
+        }
+    }
+
+    /// Looks where the walk leads, and does what is due before the edge.
+    fn foresee(&mut self, context: &RobotContext, desk: &mut Desk<'_>) {
+        let (pose, robot) = (&context.sensors.pose, &context.robot);
+        let speed = self.walk.speed_limit.max(context.sensors.velocity.linear);
+        let horizon = speed * desk.settings.lead.as_secs_f64();
+        self.edge = desk.coverage.edge(pose, &self.walk, context.waypoint, horizon);
+        let is_home = self.attached_to.as_ref().is_none_or(|unit| desk.units.contains_key(unit));
+        match (&self.stage, &self.edge) {
+            (Stage::Home, Some(edge)) if is_home => {
+                let needed = self.requirements(edge, desk);
+                self.stage = Stage::Wanting(needed);
+            }
+            (Stage::Away { .. }, None) => self.turn_back(pose.position(), desk),
+            (Stage::Home, None) if !is_home => self.turn_back(pose.position(), desk),
+            _ => {}
+        }
+        let at_edge = self.edge.is_some_and(|edge| edge.within(speed) <= desk.settings.stop);
+        let is_served = matches!(self.stage, Stage::Away { .. });
+        if at_edge && is_home && !is_served && self.halted.is_none() {
+            self.halt(robot, desk);
+        }
+    }
+
+    fn requirements(&self, edge: &Edge, desk: &Desk<'_>) -> Requirements {
+        let mm = |metres: f64| (metres * 1e3).round() as i32;
+        Requirements {
+            vnf: "vAP".to_owned(),
+            map: String::new(),
+            x_mm: mm(edge.place.x),
+            y_mm: mm(edge.place.y),
+            radius_mm: mm(desk.settings.radius_m).unsigned_abs(),
+            ssid: self.ssid.clone(),
+            mobility_domain: self.mobility_domain,
+            frequency_mhz: 0,
+            width_mhz: 20,
+            signal_dbm: desk.settings.edge.0.round() as i16,
+        }
+    }
+
+    fn halt(&mut self, robot: &NodeId, desk: &mut Desk<'_>) {
+        self.halted = Some(desk.now);
+        let halt = Instruction::Halt { robot: robot.clone() };
+        desk.actions.instruct_because(halt, "it would leave coverage, and nobody serves it there");
+        if let Some(creator) = self.creator() {
+            let id = creator.id();
+            desk.note(id, Step::Halted, "");
+        }
+    }
+
+    fn go(&mut self, robot: &NodeId, desk: &mut Desk<'_>) {
+        if self.halted.take().is_some() {
+            desk.actions.instruct(Instruction::Go { robot: robot.clone() });
+            if let Some(creator) = self.creator() {
+                let id = creator.id();
+                desk.note(id, Step::WentOn, "");
+            }
+        }
+    }
+
+    /// Sees whether it is attached where it is to be.
+    fn arrived(&mut self, robot: &NodeId, others: &[(NodeId, NodeId)], desk: &mut Desk<'_>) {
+        let Some(at) = self.attached_to.clone() else { return };
+        match std::mem::replace(&mut self.stage, Stage::Home) {
+            Stage::Attaching { mut creator, attachment, .. } if attachment.radio_unit == at.as_str() => {
+                desk.note(creator.id(), Step::Attached, format!("to {at}"));
+                creator.attached();
+                self.stage = Stage::Away { creator, radio_unit: at };
+                self.go(robot, desk);
+                self.release_own(robot, others, desk);
+            }
+            Stage::Returning { creator, to, .. } if to == at => {
+                self.go(robot, desk);
+                if let Some(mut creator) = creator {
+                    desk.note(creator.id(), Step::Returned, format!("to {at}"));
+                    creator.release();
+                    desk.closing.push(*creator);
+                }
+            }
+            other => self.stage = other,
+        }
+    }
+
+    /// The domain's radio units that nobody needs any more are off: a(R) = {}.
+    fn release_own(&mut self, robot: &NodeId, others: &[(NodeId, NodeId)], desk: &mut Desk<'_>) {
+        if !desk.settings.release {
+            return;
+        }
+        let Some(last) = self.own.clone() else { return };
+        let needed = others.iter().any(|(other, unit)| other != robot && *unit == last);
+        let is_on = desk.units.get(&last).is_some_and(|unit| unit.on);
+        let id = match self.creator() {
+            Some(creator) if is_on && !needed => creator.id(),
+            _ => return,
+        };
+        desk.actions.instruct(Instruction::Remove { radio_unit: last.clone() });
+        desk.note(id, Step::OwnRadioUnitReleased, format!("a({last}) = {{}}"));
+    }
+
+    /// The walk stays in the domain's coverage again.
+    fn turn_back(&mut self, at: cotorra_graph::Position, desk: &mut Desk<'_>) {
+        let Some((to, _)) = desk.coverage.strongest(at) else { return };
+        let to = to.clone();
+        let creator = match std::mem::replace(&mut self.stage, Stage::Home) {
+            Stage::Away { creator, .. } => Some(creator),
+            _ => None,
+        };
+        switch_on(&to, desk);
+        self.stage = Stage::Returning { creator, to, next_try: desk.now };
+    }
+
+    /// The vAP is gone, or its provider ended the service: the robot stops where it is, and its own domain serves it
+    /// again if it can.
+    fn abandoned(&mut self, robot: &NodeId, desk: &mut Desk<'_>, why: &str) {
+        let (mut creator, radio_unit) = match std::mem::replace(&mut self.stage, Stage::GivenUp) {
+            Stage::Away { creator, radio_unit } => (creator, radio_unit),
+            other => return self.stage = other,
+        };
+        desk.note(creator.id(), Step::Failed, why);
+        self.halted = Some(desk.now);
+        let halt = Instruction::Halt { robot: robot.clone() };
+        desk.actions.instruct_because(halt, format!("`{radio_unit}` serves it no longer"));
+        creator.release();
+        desk.closing.push(*creator);
+        let Some(to) = self.own.clone() else { return };
+        switch_on(&to, desk);
+        self.stage = Stage::Returning { creator: None, to, next_try: desk.now };
+    }
+
+    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, desk: &mut Desk<'_>) -> bool {
+        self.attach(desk);
+        let Some(creator) = self.creator() else { return false };
+        let id = creator.id();
+        let reached = steps(creator, ledger, desk.now);
+        let worked = !reached.is_empty();
+        for step in reached {
+            match step {
+                CreatorStep::Announcing => desk.note(id, Step::Announced, ""),
+                CreatorStep::BidReceived { provider, price, endpoint } => {
+                    desk.note(id, Step::BidReceived, format!("{price} by {provider} {endpoint}").trim_end());
+                }
+                CreatorStep::BidRejected { provider, reason } => {
+                    desk.note(id, Step::BidRejected, format!("that by {provider}: {reason}"));
+                }
+                CreatorStep::Choosing { provider, price } => {
+                    desk.note(id, Step::WinnerChosen, format!("{provider} for {price}"));
+                }
+                CreatorStep::Deployed(attachment) => self.deployed(attachment, desk),
+                CreatorStep::InUse => desk.note(id, Step::InUse, ""),
+                CreatorStep::Ended(outcome) => {
+                    desk.note(id, Step::Ended, format!("{outcome:?}"));
+                    ledger.submit(desk.now, Call::Withdraw);
+                    let robot = self.walk.robot.clone();
+                    self.abandoned(&robot, desk, "its provider ended the service");
+                }
+                CreatorStep::Failed(failure) => {
+                    desk.note(id, Step::Failed, failure.to_string());
+                    let stage = std::mem::replace(&mut self.stage, Stage::GivenUp);
+                    if let Stage::Negotiating(creator) | Stage::Attaching { creator, .. } = stage {
+                        desk.closing.push(*creator);
+                    }
+                }
+                CreatorStep::Announced | CreatorStep::Chosen => {}
+            }
+        }
+        worked
+    }
+
+    /// The winner says how to attach.
+    fn deployed(&mut self, attachment: Attachment, desk: &mut Desk<'_>) {
+        let Stage::Negotiating(creator) = std::mem::replace(&mut self.stage, Stage::Home) else { return };
+        desk.note(creator.id(), Step::ConfirmationReceived, attachment.radio_unit.clone());
+        let (since, next_try) = (desk.now, desk.now);
+        if let Ok(radio_unit) = attachment.radio_unit.parse() {
+            let access_point = AccessPoint {
+                ssid: attachment.ssid.clone(),
+                mobility_domain: self.mobility_domain,
+                key: Some(FtKey(attachment.pmk_r1)),
+            };
+            let robot = self.walk.robot.clone();
+            desk.actions.instruct(Instruction::Provision { robot, radio_unit, access_point });
+        }
+        self.stage = Stage::Attaching { creator, attachment, since, next_try };
+        self.attach(desk);
+    }
+
+    /// Tries to attach to where it is to be attached. A vAP that is not in reach yet may be later: it is given up only
+    /// once the robot has to wait for it.
+    fn attach(&mut self, desk: &mut Desk<'_>) {
+        let robot = self.walk.robot.clone();
+        let halted = self.halted;
+        let (to, next_try) = match &mut self.stage {
+            Stage::Attaching { creator, attachment, since, next_try } => {
+                let waits_since = halted.map(|halted| halted.max(*since));
+                if waits_since.is_some_and(|since| desk.now.since(since) >= desk.settings.attach_within) {
+                    creator.unusable();
+                    *next_try = Timestamp::MAX;
+                }
+                (attachment.radio_unit.parse().ok(), next_try)
+            }
+            Stage::Returning { to, next_try, .. } => {
+                (desk.units.get(to).is_some_and(|unit| unit.on).then(|| to.clone()), next_try)
+            }
+            _ => return,
+        };
+        if *next_try > desk.now {
+            return;
+        }
+        *next_try = desk.now + RETRY;
+        if let Some(radio_unit) = to {
+            desk.actions.instruct(Instruction::Attach { robot, radio_unit });
+        }
+    }
+}
+
+/// Has one of the domain's own radio units serve its robots.
+fn switch_on(radio_unit: &NodeId, desk: &mut Desk<'_>) {
+    let Some(unit) = desk.units.get(radio_unit).filter(|unit| !unit.on) else { return };
+    let access_point =
+        AccessPoint { ssid: unit.ssid.clone(), mobility_domain: unit.mobility_domain, key: None };
+    desk.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
+}

@@ -1,0 +1,23 @@
+//! The orchestrator of one administrative domain, and its ledger client: where a robot is about to leave the domain's
+//! coverage it asks other domains for a virtual access point, and it offers its own radio units to others.
+//!
+//! [`Federation`] is the plug-in, one a domain. What it negotiates, and how, is `cotorra_ledger`'s; when it needs a
+//! service is [`Coverage`]'s to foresee. The published system is the COTORRA letter's second validation
+//! (arXiv 2101.07676).
+#![forbid(unsafe_code)]
+
+mod coverage;
+#[cfg(feature = "ethereum")]
+mod ethereum;
+mod hosting;
+mod journey;
+mod ledgers;
+mod orchestrator;
+mod settings;
+mod steps;
+
+pub use coverage::{Coverage, Edge};
+pub use ledgers::{LedgerError, Ledgers};
+pub use orchestrator::{Federation, FederationError};
+pub use settings::{Behaviour, InvalidSettings, LedgerChoice, Network, Settings};
+pub use steps::Step;

@@ -1,0 +1,343 @@
+//! The plug-in: what happens in its domain and what the ledger says goes to the journeys of its robots and to the radio
+//! units that it hosts others on; what they want goes back.
+
+use std::{collections::BTreeMap, mem};
+
+use cotorra_graph::{AccessPoint, DomainId, Event, Instruction, NodeId, Testbed, Timestamp, VnfState};
+use cotorra_ledger::{
+    Call, Event as Said, Ledger, Notice, Secret, ServiceId,
+    negotiation::{Creator, CreatorStep, Policy, Request},
+};
+use cotorra_plugin::{Actions, Plugin};
+
+use crate::{
+    coverage::Coverage,
+    hosting::Hosting,
+    journey::Journey,
+    ledgers::{LedgerError, Ledgers},
+    settings::{InvalidSettings, Settings},
+    steps::{Step, process},
+};
+
+/// Announcements of an operator are looked for among so many numbers after the last that is known.
+const UNKNOWN: u64 = 1000;
+
+/// Why a domain has no orchestrator.
+#[derive(Debug, thiserror::Error)]
+pub enum FederationError {
+    /// Its settings are wrong.
+    #[error(transparent)]
+    Settings(#[from] InvalidSettings),
+    /// It has no ledger.
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    /// It is bound to no domain.
+    #[error("it orchestrates one domain: add `domain:` with its name")]
+    NoDomain,
+}
+
+/// A radio unit of the domain.
+#[derive(Debug)]
+pub(crate) struct Unit {
+    pub(crate) ssid: String,
+    pub(crate) mobility_domain: u16,
+    pub(crate) frequency_mhz: u16,
+    /// Whether it serves.
+    pub(crate) on: bool,
+}
+
+/// What both roles have at hand while they decide.
+pub(crate) struct Desk<'a> {
+    pub(crate) now: Timestamp,
+    pub(crate) settings: &'a Settings,
+    pub(crate) secret: &'a Secret,
+    pub(crate) coverage: &'a Coverage,
+    pub(crate) units: &'a mut BTreeMap<NodeId, Unit>,
+    /// Services that are to end.
+    pub(crate) closing: &'a mut Vec<Creator>,
+    pub(crate) actions: &'a mut Actions,
+}
+
+impl Desk<'_> {
+    /// Keeps in the history that a step was reached.
+    pub(crate) fn note(&mut self, id: ServiceId, step: Step, detail: impl Into<String>) {
+        let note = Instruction::Note { process: process(id), step: step.to_string() };
+        match detail.into() {
+            detail if detail.is_empty() => self.actions.instruct(note),
+            detail => self.actions.instruct_because(note, detail),
+        }
+    }
+}
+
+/// The orchestrator of one domain.
+pub struct Federation {
+    settings: Settings,
+    ledger: Box<dyn Ledger>,
+    secret: Secret,
+    /// The domain's name, by which it registers.
+    name: String,
+    /// The frame that positions are in, for which all domains of a testbed have one name.
+    map: String,
+    coverage: Coverage,
+    units: BTreeMap<NodeId, Unit>,
+    journeys: BTreeMap<NodeId, Journey>,
+    hosting: Hosting,
+    closing: Vec<Creator>,
+    /// Own services that the chain knows from before this orchestrator was started.
+    resumed: Vec<Creator>,
+    /// How many services were announced.
+    announced: u64,
+    /// Whether all was heard that the chain has said so far.
+    caught_up: bool,
+}
+
+impl Federation {
+    /// Reads the settings of a testbed file, and opens the domain's ledger.
+    ///
+    /// # Errors
+    /// [`FederationError`].
+    pub fn open(
+        settings: &serde_json::Map<String, serde_json::Value>,
+        domain: Option<&DomainId>,
+        seed: u64,
+        ledgers: &mut Ledgers,
+    ) -> Result<Self, FederationError> {
+        let domain = domain.ok_or(FederationError::NoDomain)?;
+        let settings = Settings::decode(settings)?;
+        let (ledger, secret) = ledgers.open(&settings.ledger, domain, seed)?;
+        Ok(Self::new(settings, domain, ledger, secret))
+    }
+
+    /// The orchestrator of a domain on a ledger.
+    pub fn new(settings: Settings, domain: &DomainId, ledger: Box<dyn Ledger>, secret: Secret) -> Self {
+        Self {
+            coverage: Coverage::of(&empty(), settings.edge),
+            settings,
+            ledger,
+            secret,
+            name: domain.to_string(),
+            map: String::new(),
+            units: BTreeMap::new(),
+            journeys: BTreeMap::new(),
+            hosting: Hosting::default(),
+            closing: Vec::new(),
+            resumed: Vec::new(),
+            announced: 0,
+            caught_up: false,
+        }
+    }
+
+    /// Calls a role with what it needs.
+    fn with<R>(
+        &mut self,
+        now: Timestamp,
+        actions: &mut Actions,
+        call: impl FnOnce(&mut BTreeMap<NodeId, Journey>, &mut Hosting, &mut dyn Ledger, &mut Desk<'_>) -> R,
+    ) -> R {
+        let mut desk = Desk {
+            now,
+            settings: &self.settings,
+            secret: &self.secret,
+            coverage: &self.coverage,
+            units: &mut self.units,
+            closing: &mut self.closing,
+            actions,
+        };
+        call(&mut self.journeys, &mut self.hosting, &mut *self.ledger, &mut desk)
+    }
+
+    /// Hears what the ledger has to say, and does what follows.
+    fn turn(&mut self, now: Timestamp, actions: &mut Actions) {
+        while let Some(notice) = self.ledger.poll(now) {
+            self.hear(now, &notice);
+        }
+        if !self.caught_up {
+            return;
+        }
+        self.announce(now);
+        while self.work(now, actions) {}
+        self.closing.retain(|creator| !creator.is_over());
+    }
+
+    fn hear(&mut self, now: Timestamp, notice: &Notice) {
+        match notice {
+            Notice::Head { .. } => self.caught_up = true,
+            Notice::Event(said @ Said::ServiceAnnounced { creator, .. }) => {
+                if *creator == self.ledger.account() {
+                    self.resume(now, said);
+                } else {
+                    let account = self.ledger.account();
+                    let (units, coverage) = (&self.units, &self.coverage);
+                    self.hosting.consider(
+                        said,
+                        account,
+                        &self.secret,
+                        &self.settings,
+                        &self.map,
+                        units,
+                        coverage,
+                    );
+                }
+            }
+            _ => {}
+        }
+        let journeys = self.journeys.values_mut().filter_map(Journey::creator);
+        for creator in journeys.chain(&mut self.closing).chain(&mut self.resumed) {
+            creator.handle(now, notice);
+        }
+        self.hosting.hear(now, notice);
+    }
+
+    /// One of its own services that it does not know is one from before it was started again.
+    fn resume(&mut self, now: Timestamp, said: &Said) {
+        let Said::ServiceAnnounced { id, requirements, terms, .. } = said else { return };
+        let account = self.ledger.account();
+        let is_it = |number: &u64| ServiceId::of(account, self.secret.announcement_salt(*number)) == *id;
+        let Some(number) = (self.announced..self.announced + UNKNOWN).find(is_it) else { return };
+        self.announced = number + 1;
+        let request = Request { requirements: requirements.clone(), terms: *terms, policy: self.policy() };
+        let salt = self.secret.announcement_salt(number);
+        self.resumed.push(Creator::new(now, account, self.secret.clone(), salt, request));
+    }
+
+    fn policy(&self) -> Policy {
+        Policy {
+            highest: self.settings.highest_price.unwrap_or(cotorra_ledger::Price::MAX),
+            collect: self.settings.collect(),
+            enough: self.settings.enough,
+            patience: self.settings.patience,
+        }
+    }
+
+    /// Announces what robots need.
+    fn announce(&mut self, now: Timestamp) {
+        self.resumed.retain(|creator| !creator.is_over());
+        // Services from before go to the robots that need them, and end where there is none.
+        let all_known = self.journeys.values().all(Journey::is_known);
+        for mut creator in mem::take(&mut self.resumed) {
+            match self.journeys.values_mut().find(|journey| journey.is_lost()) {
+                Some(journey) => journey.resume(creator),
+                None if !all_known => self.resumed.push(creator),
+                None => {
+                    creator.release();
+                    self.closing.push(creator);
+                }
+            }
+        }
+        let policy = self.policy();
+        for journey in self.journeys.values_mut() {
+            let Some(mut requirements) = journey.wanted() else { continue };
+            requirements.map.clone_from(&self.map);
+            let salt = self.secret.announcement_salt(self.announced);
+            self.announced += 1;
+            let request = Request { requirements, terms: self.settings.terms(), policy };
+            let account = self.ledger.account();
+            journey.begin(Creator::new(now, account, self.secret.clone(), salt, request));
+        }
+    }
+
+    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    fn work(&mut self, now: Timestamp, actions: &mut Actions) -> bool {
+        let mut closing = mem::take(&mut self.closing);
+        let worked = self.with(now, actions, |journeys, hosting, ledger, desk| {
+            let mut worked = hosting.work(ledger, desk);
+            for journey in journeys.values_mut() {
+                worked |= journey.work(ledger, desk);
+            }
+            for creator in &mut closing {
+                for step in steps(creator, ledger, desk.now) {
+                    worked = true;
+                    if let CreatorStep::Ended(outcome) = step {
+                        desk.note(creator.id(), Step::Ended, format!("{outcome:?}"));
+                        // What was deposited and not charged.
+                        ledger.submit(desk.now, Call::Withdraw);
+                    }
+                }
+            }
+            worked
+        });
+        closing.append(&mut self.closing);
+        self.closing = closing;
+        worked
+    }
+}
+
+/// Lets a creator do what is due, and gives the steps that it reached.
+pub(crate) fn steps(creator: &mut Creator, ledger: &mut dyn Ledger, now: Timestamp) -> Vec<CreatorStep> {
+    if creator.next_deadline().is_some_and(|deadline| deadline <= now) {
+        creator.expire(now);
+    }
+    creator.submit(now, ledger);
+    std::iter::from_fn(|| creator.poll_step()).collect()
+}
+
+fn empty() -> cotorra_graph::HardwareGraph {
+    cotorra_graph::HardwareGraph {
+        domains: Vec::new(),
+        nodes: Vec::new(),
+        links: Vec::new(),
+        wireless: BTreeMap::new(),
+    }
+}
+
+impl Plugin for Federation {
+    fn start(&mut self, now: Timestamp, testbed: &Testbed, actions: &mut Actions) {
+        let graph = &testbed.graph;
+        self.map.clone_from(&testbed.name);
+        self.coverage = Coverage::of(graph, self.settings.edge);
+        let units = graph.radio_units().filter_map(|(node, unit)| {
+            let network = graph.wireless.get(&unit.network)?;
+            let ours = Unit {
+                ssid: unit.network.clone(),
+                mobility_domain: network.mobility_domain,
+                frequency_mhz: network.standard.frequency_mhz(unit.channel),
+                on: unit.serving,
+            };
+            Some((node.id.clone(), ours))
+        });
+        self.units = units.collect();
+        if self.settings.highest_price.is_some() {
+            let journeys = graph.robots().filter_map(|(node, robot)| {
+                let network = graph.wireless.get(&robot.network)?;
+                let journey = Journey::new(
+                    testbed.walk(&node.id)?.clone(),
+                    robot.network.clone(),
+                    network.mobility_domain,
+                );
+                Some((node.id.clone(), journey))
+            });
+            self.journeys = journeys.collect();
+        }
+        self.ledger.submit(now, Call::Register { name: self.name.clone() });
+        self.turn(now, actions);
+    }
+
+    fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions) {
+        if let Event::Vnf(life) = event
+            && let Some(unit) = self.units.get_mut(&life.node)
+            && life.vnf == AccessPoint::vnf(&life.node)
+        {
+            unit.on = life.state == VnfState::Started;
+        }
+        self.with(now, actions, |journeys, hosting, _, desk| {
+            hosting.observe(event, desk);
+            let others: Vec<_> = journeys
+                .iter()
+                .filter_map(|(robot, journey)| Some((robot.clone(), journey.attached_to()?.clone())))
+                .collect();
+            for (robot, journey) in journeys {
+                journey.observe(robot, event, &others, desk);
+            }
+        });
+        self.turn(now, actions);
+    }
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        let creators = self.journeys.values().filter_map(Journey::next_deadline);
+        creators.chain(self.hosting.next_deadline()).chain(self.ledger.next_deadline()).min()
+    }
+
+    fn expire(&mut self, now: Timestamp, actions: &mut Actions) {
+        self.turn(now, actions);
+    }
+}

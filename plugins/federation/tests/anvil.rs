@@ -1,0 +1,43 @@
+//! Domains on an anvil node that is started for them.
+
+use std::{
+    path::Path,
+    thread,
+    time::{Duration, Instant},
+};
+
+use cotorra_federation::{LedgerChoice, Ledgers};
+use cotorra_graph::Timestamp;
+use cotorra_ledger::{Call, Event, Notice, ethereum::anvil};
+
+#[test]
+fn domains_on_one_node_hear_each_other() {
+    let installed = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../contracts/node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
+    let program = std::env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
+    if !program.exists() {
+        assert!(
+            std::env::var_os("CI").is_none(),
+            "anvil is missing: npm install --prefix contracts --no-save"
+        );
+        return eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
+    }
+    let mut ledgers = Ledgers::default();
+    let choice = LedgerChoice::Anvil { block_period: Duration::from_millis(500), program: Some(program) };
+    let mut open = |name: &str| ledgers.open(&choice, &name.parse().unwrap(), 1).unwrap().0;
+    let (mut one, mut two) = (open("one"), open("two"));
+    assert_ne!(one.account(), two.account());
+    let began = Instant::now();
+    let now = || Timestamp::ZERO + began.elapsed();
+    one.submit(now(), Call::Register { name: "one".to_owned() });
+    loop {
+        let heard: Vec<_> = std::iter::from_fn(|| two.poll(now())).collect();
+        let registered = |notice: &Notice| matches!(notice, Notice::Event(Event::OperatorRegistered { name, .. }) if name == "one");
+        if heard.iter().any(registered) {
+            break;
+        }
+        // A limit only against hanging for ever.
+        assert!(began.elapsed() < Duration::from_secs(60), "two has heard nothing of one: {heard:?}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
