@@ -99,6 +99,11 @@ impl Outbox {
         self.entries.push_back(Entry { ticket, call, stage: Stage::Queued });
     }
 
+    /// Whether all that was submitted is final.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
     /// The chain has a head, and by it that many transactions of the operator.
     pub(crate) fn on_head(&mut self, number: u64, on_chain: u64) {
         self.head = number;

@@ -47,8 +47,6 @@ pub struct Settings {
 const POLL: Duration = Duration::from_millis(5);
 /// Between two attempts to connect.
 const RECONNECT: Duration = Duration::from_millis(500);
-/// Between two attempts to have a block's receipts.
-const RECEIPTS: Duration = Duration::from_millis(20);
 /// Nodes answer for so many blocks at once.
 const RANGE: u64 = 1000;
 /// What a call may take more than when it was tried, in percent and on top: what it writes depends on the time of its block, as with
@@ -223,8 +221,13 @@ impl Client {
             return Ok(());
         }
         self.is_connected = true;
-        let number = self.blocks.head().map_or(0, |block| block.number);
-        let mined = provider.get_transaction_count(self.key.signer.address()).await?;
+        let Some(&Block { number, hash, .. }) = self.blocks.head() else { return Ok(()) };
+        if !self.outbox.is_empty() {
+            // Without its receipts, what is on the chain would be taken for what is not.
+            node::await_receipts(provider, hash.0.into()).await?;
+        }
+        // By the head that was heard: the node may have another one already.
+        let mined = provider.get_transaction_count(self.key.signer.address()).number(number).await?;
         self.outbox.on_head(number, mined);
         Ok(())
     }
@@ -295,15 +298,13 @@ impl Client {
             return Ok(Vec::new());
         }
         let filter = Filter::new().address(contract).at_block_hash(header.hash);
-        loop {
-            // Some nodes have a block before they have its receipts, and find no logs in it until then.
-            let has_receipts = node::has_receipts(provider, header.hash).await?;
-            let events = self.events(provider, &filter).await?;
-            if has_receipts || !events.is_empty() {
-                return Ok(events);
-            }
-            tokio::time::sleep(RECEIPTS).await;
+        let events = self.events(provider, &filter).await?;
+        if !events.is_empty() {
+            return Ok(events);
         }
+        // Some nodes have a block before they have its receipts, and find no logs in it until then.
+        node::await_receipts(provider, header.hash).await?;
+        self.events(provider, &filter).await
     }
 
     async fn events(&self, provider: &RootProvider, filter: &Filter) -> Result<Vec<Event>, Over> {

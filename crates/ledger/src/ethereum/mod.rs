@@ -6,6 +6,7 @@ mod blocks;
 mod client;
 mod key;
 mod node;
+mod socket;
 
 pub use abi::{DecodeError, bytecode, decode_event, decode_refusal, encode};
 pub use client::{EthereumLedger, Settings};

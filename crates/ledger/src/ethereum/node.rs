@@ -6,7 +6,7 @@ use alloy::{
     consensus::TxEip1559,
     eips::{BlockId, BlockNumberOrTag, eip2718::Encodable2718},
     primitives::{B256, Bytes, TxKind},
-    providers::{Provider, ProviderBuilder, RootProvider, WsConnect},
+    providers::{Provider, ProviderBuilder, RootProvider},
     pubsub::Subscription,
     rpc::types::{Header, TransactionInput, TransactionReceipt, TransactionRequest},
     transports::{RpcError, TransportErrorKind},
@@ -16,7 +16,7 @@ use tokio::{
     time::Interval,
 };
 
-use super::{abi, key::Key};
+use super::{abi, key::Key, socket::AtOnce};
 use crate::values::Account;
 
 /// Why a network cannot be used.
@@ -89,8 +89,7 @@ pub(super) fn runtime() -> Result<Runtime, EthereumError> {
 }
 
 pub(super) async fn connect(url: &str) -> Result<RootProvider, Failed> {
-    // Whoever uses the connection reconnects: only it knows what is to be asked again.
-    ProviderBuilder::default().connect_ws(WsConnect::new(url).with_max_retries(0)).await
+    ProviderBuilder::default().connect_pubsub_with(AtOnce::new(url)).await
 }
 
 /// So long a network may take to have the contract in a block.
@@ -122,11 +121,21 @@ pub(super) async fn estimate(provider: &RootProvider, request: TransactionReques
     }
 }
 
-/// Whether a node has all receipts of a block. One that does not know the block has none of it to wait for.
-pub(super) async fn has_receipts(provider: &RootProvider, block: B256) -> Result<bool, Failed> {
-    let Some(block) = provider.get_block_by_hash(block).await? else { return Ok(true) };
-    let Some(last) = block.transactions.hashes().last() else { return Ok(true) };
-    Ok(provider.get_transaction_receipt(last).await?.is_some())
+/// Between two attempts to have a block's receipts, and how many there are.
+const RECEIPTS: (Duration, u32) = (Duration::from_millis(20), 500);
+
+/// Waits until a node has all receipts of a block: some have the block before them.
+pub(super) async fn await_receipts(provider: &RootProvider, block: B256) -> Result<(), Failed> {
+    for _ in 0..RECEIPTS.1 {
+        // One that does not know the block any more has nothing of it to wait for.
+        let Some(block) = provider.get_block_by_hash(block).await? else { return Ok(()) };
+        let Some(last) = block.transactions.hashes().last() else { return Ok(()) };
+        if provider.get_transaction_receipt(last).await?.is_some() {
+            return Ok(());
+        }
+        tokio::time::sleep(RECEIPTS.0).await;
+    }
+    Err(TransportErrorKind::custom_str(&format!("the node has the block {block}, but not its receipts")))
 }
 
 /// The heads of the chain as they come.

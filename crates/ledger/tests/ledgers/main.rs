@@ -4,6 +4,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod load;
 mod node;
 mod operator;
 
@@ -30,7 +31,7 @@ fn a_service_is_negotiated_used_and_paid() {
 #[test]
 fn a_service_is_negotiated_used_and_paid_on_an_existing_network() {
     match env::var("COTORRA_TEST_LEDGER") {
-        Ok(urls) => negotiate(&Node::existing(&urls.split([',', '\n']).collect::<Vec<_>>())),
+        Ok(urls) => negotiate(&Node::existing(&urls.split(',').collect::<Vec<_>>())),
         Err(_) => eprintln!("skipped: COTORRA_TEST_LEDGER names no network"),
     }
 }

@@ -27,6 +27,7 @@ pub struct Node {
     folder: TempDir,
     contract: Account,
     port: u16,
+    block_period: Option<Duration>,
     /// The nodes of a network that is there already.
     existing: Vec<String>,
 }
@@ -37,9 +38,15 @@ pub fn key(number: u8) -> Key {
 }
 
 impl Node {
-    /// A node; `None` where there is no anvil.
+    /// A node that makes a block for each transaction; `None` where there is no anvil.
     pub fn start() -> Option<Self> {
+        Self::start_with(None)
+    }
+
+    /// A node that makes a block each period.
+    pub fn start_with(block_period: Option<Duration>) -> Option<Self> {
         let mut node = Self {
+            block_period,
             anvil: None,
             program: program()?,
             folder: tempfile::tempdir().unwrap(),
@@ -48,9 +55,8 @@ impl Node {
             existing: Vec::new(),
         };
         node.restart();
-        let deployer = key(99);
-        node.enrich(deployer.account());
-        (node.contract, _) = ethereum::deploy(&node.url(1), &deployer).unwrap();
+        node.enrich(99);
+        (node.contract, _) = ethereum::deploy(&node.url(1), &key(99)).unwrap();
         Some(node)
     }
 
@@ -59,7 +65,7 @@ impl Node {
         let (contract, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
         let (anvil, program, folder) = (None, PathBuf::new(), tempfile::tempdir().unwrap());
         let existing = urls.iter().map(|url| (*url).to_owned()).collect();
-        Self { anvil, program, folder, contract, port: 0, existing }
+        Self { anvil, program, folder, contract, port: 0, block_period: None, existing }
     }
 
     /// The node again, with the chain that it had, where it was.
@@ -69,7 +75,7 @@ impl Node {
             program: Some(self.program.clone()),
             state,
             port: self.port,
-            block_period: None,
+            block_period: self.block_period,
         };
         let anvil = Anvil::start(&settings).unwrap();
         self.port = anvil.address().port();
@@ -89,16 +95,48 @@ impl Node {
         }
     }
 
-    fn enrich(&self, account: Account) {
-        if !self.existing.is_empty() {
-            return;
+    /// Gives an operator money. On a network that is there already, its genesis did, or [`Node::share`].
+    pub fn enrich(&self, number: u8) {
+        if self.existing.is_empty() {
+            let account = key(number).account();
+            self.rpc("anvil_setBalance", &format!("[\"{account}\", \"0xffffffffffffffffffff\"]"));
         }
-        self.rpc("anvil_setBalance", &format!("[\"{account}\", \"0xffffffffffffffffffff\"]"));
+    }
+
+    /// Shares the money of the deployer's account with other operators.
+    pub fn share(&self, numbers: impl Iterator<Item = u8>) {
+        use alloy::{
+            network::EthereumWallet, providers::*, rpc::types::TransactionRequest,
+            signers::local::PrivateKeySigner,
+        };
+        if self.existing.is_empty() {
+            return numbers.for_each(|number| self.enrich(number));
+        }
+        let share = async || {
+            let wallet = EthereumWallet::from(PrivateKeySigner::from_slice(&[99; 32]).unwrap());
+            let provider = ProviderBuilder::new().wallet(wallet).connect(&self.existing[0]).await.unwrap();
+            let first = provider.get_transaction_count(provider.default_signer_address()).await.unwrap();
+            let mut last = None;
+            // All that a wallet would ask the node for: not all of it is what every node knows.
+            for (nonce, number) in (first..).zip(numbers) {
+                let to = alloy::primitives::Address::from(key(number).account().0);
+                let request = TransactionRequest::default()
+                    .to(to)
+                    .value(alloy::primitives::U256::from(10_u128.pow(19)))
+                    .nonce(nonce)
+                    .gas_limit(21_000)
+                    .max_fee_per_gas(20_000_000_000)
+                    .max_priority_fee_per_gas(1_000_000_000);
+                last = Some(provider.send_transaction(request).await.unwrap());
+            }
+            last.unwrap().get_receipt().await.unwrap();
+        };
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(share());
     }
 
     /// A registered operator with money.
     pub fn operator(&self, number: u8) -> Operator {
-        self.enrich(key(number).account());
+        self.enrich(number);
         let mut operator = self.reconnect(number);
         operator.register();
         operator

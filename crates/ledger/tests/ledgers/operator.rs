@@ -33,9 +33,13 @@ impl Operator {
     }
 
     pub fn register(&mut self) {
-        let name = format!("operator {}", self.key.account());
-        let ticket = self.ledger.submit(self.now(), Call::Register { name });
+        let ticket = self.begin_registration();
         self.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
+    }
+
+    pub fn begin_registration(&mut self) -> Ticket {
+        let name = format!("operator {}", self.key.account());
+        self.ledger.submit(self.now(), Call::Register { name })
     }
 
     /// Announces another service.
@@ -68,7 +72,7 @@ impl Operator {
         }
     }
 
-    fn listen(&mut self) -> Vec<Notice> {
+    pub fn listen(&mut self) -> Vec<Notice> {
         let now = self.now();
         let heard: Vec<Notice> = std::iter::from_fn(|| self.ledger.poll(now)).collect();
         self.notices.extend(heard.iter().cloned());
@@ -96,7 +100,7 @@ pub fn policy() -> Policy {
     }
 }
 
-fn request(policy: Policy) -> Request {
+pub fn request(policy: Policy) -> Request {
     let requirements = Requirements {
         vnf: "vAP".to_owned(),
         map: "corridor".to_owned(),

@@ -21,7 +21,7 @@ use crate::{
 /// How long each step of a round may take before it is given up, more in each round.
 const TIMEOUTS: LinearTimeouts = LinearTimeouts {
     propose: Duration::from_millis(1000),
-    propose_delta: Duration::from_millis(500),
+    propose_delta: Duration::from_millis(1000),
     prevote: Duration::from_millis(500),
     prevote_delta: Duration::from_millis(500),
     precommit: Duration::from_millis(500),
