@@ -92,3 +92,6 @@ impl AccessPoints {
 fn life(radio_unit: &NodeId, state: VnfState, detail: Option<String>) -> Event {
     Event::Vnf(VnfEvent { vnf: AccessPoint::vnf(radio_unit), node: radio_unit.clone(), state, detail })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,4 +1,9 @@
 //! Domains on an anvil node that is started for them.
+#![allow(
+    clippy::disallowed_types,
+    clippy::disallowed_methods,
+    reason = "a real node makes blocks on the wall clock"
+)]
 
 use std::{
     path::Path,

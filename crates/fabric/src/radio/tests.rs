@@ -1,7 +1,7 @@
 //! What the radio promises, seen from the fabric: frames in, frames and events out, in virtual time.
 
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, DomainId, Driver, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
+    BitRate, Capacity, Conditions, Driver, FtKey, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
     PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard,
 };
 use proptest::prelude::*;
@@ -733,5 +733,111 @@ proptest! {
             let ended = counters.packets + counters.lost + counters.overflowed + world.radio.medium.waiting();
             prop_assert_eq!(world.pushed + counters.duplicated, ended);
         }
+    }
+}
+
+/// One robot near A, whose domain is another than B's; B is off.
+fn domains(roaming: Roaming) -> World {
+    let mut b = unit("B", 20.0, 6);
+    b.domain = DomainId::new("other").unwrap();
+    let NodeKind::RadioUnit(kind) = &mut b.kind else { panic!("a radio unit") };
+    kind.serving = false;
+    World::new(network(), vec![robot("r", 12.0, roaming), unit("A", 0.0, 1), b])
+}
+
+fn access_point(mobility_domain: u16, key: Option<u8>) -> AccessPoint {
+    AccessPoint { ssid: "lab".into(), mobility_domain, key: key.map(|byte| FtKey([byte; 32])) }
+}
+
+#[test]
+fn a_radio_unit_that_is_off_is_neither_heard_nor_attached_to() {
+    // By signal it would go over to B, which is nearer.
+    let mut world = domains(Roaming::Signal);
+    world.radio.scan(at(0), &id("r")).unwrap();
+    world.run(at(2_000));
+    assert_eq!(world.attached("r"), Some(world.port("A")));
+    let heard = world.radio.attachments(&id("r"));
+    assert!(heard.iter().all(|a| a.radio_unit != id("B") || a.signal.is_none()), "{heard:?}");
+    let attach = world.radio.attach(at(2_000), &id("r"), &id("B"));
+    assert_eq!(attach, Err(Refusal::NotServing(id("B"))));
+    assert_eq!(world.radio.switch_off(at(2_000), &id("B")), Err(Refusal::NotServing(id("B"))));
+}
+
+#[test]
+fn a_vap_is_deployed_once_and_for_the_network_that_its_radio_unit_is_made_for() {
+    let mut world = domains(Roaming::Instructed);
+    let other = AccessPoint { ssid: "other".into(), ..access_point(1, None) };
+    let refused = world.radio.switch_on(at(0), &id("B"), other).unwrap_err();
+    assert!(matches!(&refused, Refusal::OtherSsid { asked, .. } if asked == "other"), "{refused}");
+    world.radio.switch_on(at(0), &id("B"), access_point(1, None)).unwrap();
+    let again = world.radio.switch_on(at(0), &id("B"), access_point(1, None));
+    assert_eq!(again, Err(Refusal::Serving(id("B"))));
+}
+
+#[test]
+fn a_robot_of_another_domain_attaches_with_the_very_key_and_no_other() {
+    let mut world = domains(Roaming::Instructed);
+    world.radio.switch_on(at(0), &id("B"), access_point(1, Some(7))).unwrap();
+    let other_ssid = AccessPoint { ssid: "labs".into(), ..access_point(1, Some(7)) };
+    for wrong in [
+        None,
+        Some(access_point(1, Some(8))),
+        Some(access_point(2, Some(7))),
+        Some(access_point(1, None)),
+        Some(other_ssid),
+    ] {
+        if let Some(wrong) = wrong {
+            world.radio.provision(&id("r"), &id("B"), wrong).unwrap();
+        }
+        let refused = Refusal::NotAdmitted { robot: id("r"), radio_unit: id("B") };
+        assert_eq!(world.radio.attach(at(0), &id("r"), &id("B")), Err(refused));
+    }
+    assert_eq!(world.attached("r"), Some(world.port("A")), "it stays where it was");
+    world.radio.provision(&id("r"), &id("B"), access_point(1, Some(7))).unwrap();
+    world.radio.attach(at(0), &id("r"), &id("B")).unwrap();
+    world.run(at(100));
+    let events = world.events();
+    assert!(
+        matches!(&events[0].event, Event::Handover(h) if h.to == id("B") && h.fast && h.gap == ms(30)),
+        "{events:?}"
+    );
+}
+
+#[test]
+fn without_a_key_a_robot_that_lost_its_radio_unit_joins_no_other_domain() {
+    let mut world = domains(Roaming::Instructed);
+    world.radio.switch_on(at(0), &id("B"), access_point(1, None)).unwrap();
+    world.radio.switch_off(at(0), &id("A")).unwrap();
+    world.radio.move_robot(at(0), &id("r"), Position::new(20.0, 0.0)).unwrap();
+    world.run(at(5_000));
+    assert_eq!(world.attached("r"), None);
+}
+
+#[test]
+fn between_mobility_domains_there_is_no_fast_transition() {
+    let mut world = domains(Roaming::Instructed);
+    world.radio.switch_on(at(0), &id("B"), access_point(2, Some(7))).unwrap();
+    world.radio.provision(&id("r"), &id("B"), access_point(2, Some(7))).unwrap();
+    world.radio.attach(at(0), &id("r"), &id("B")).unwrap();
+    world.run(at(100));
+    assert!(matches!(&world.events()[0].event, Event::Handover(h) if !h.fast && h.gap == ms(70)));
+}
+
+#[test]
+fn who_is_with_a_vap_that_is_taken_down_loses_it_also_on_the_way_there() {
+    for off_at in [10, 200] {
+        let mut world = domains(Roaming::Instructed);
+        world.radio.switch_on(at(0), &id("B"), access_point(1, Some(7))).unwrap();
+        world.radio.provision(&id("r"), &id("B"), access_point(1, Some(7))).unwrap();
+        world.radio.attach(at(0), &id("r"), &id("B")).unwrap();
+        world.run(at(off_at));
+        world.radio.switch_off(at(off_at), &id("B")).unwrap();
+        world.run(at(5_000));
+        let detached = world
+            .events()
+            .into_iter()
+            .filter(|e| matches!(&e.event, Event::Detached { from, .. } if *from == id("B")));
+        assert_eq!(detached.count(), 1, "taken down after {off_at} ms");
+        assert_eq!(world.attached("r"), Some(world.port("A")), "it is back in its own domain");
     }
 }

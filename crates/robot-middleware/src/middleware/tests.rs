@@ -284,3 +284,31 @@ fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
     assert_eq!(of("robot1"), expected);
     assert_eq!(of("idle"), expected);
 }
+
+#[test]
+fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
+    let mut middleware = middleware();
+    let robot = id("robot1");
+    let forward = Velocity { linear: 0.3, angular: 0.0 };
+    middleware.advance(at(0), attached);
+    middleware.instruct(at(0), &robot, forward, 1).unwrap();
+    middleware.advance(at(500), attached);
+    let walked = middleware.sensors(&robot).unwrap().pose.x;
+    assert!(walked > 1.05, "{walked}");
+    middleware.halt(at(500), &robot, true).unwrap();
+    assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveRefused::Halted(robot.clone())));
+    let packet = middleware.poll_position(at(600), route).unwrap();
+    middleware.receive(at(600), &robot, &NavigationPacket::answering(&packet, 1, forward.into()));
+    let samples = events(&mut middleware);
+    let measured =
+        |stamped: &Stamped| matches!(&stamped.event, Event::ServiceTime(time) if time.took.is_some());
+    assert!(samples.iter().any(measured), "its service is measured all the same");
+    middleware.advance(at(2_000), attached);
+    let stopped = middleware.sensors(&robot).unwrap();
+    assert!(stopped.velocity.linear == 0.0 && stopped.pose.x < walked + 0.2, "{stopped:?}");
+    middleware.halt(at(2_000), &robot, false).unwrap();
+    middleware.instruct(at(2_000), &robot, forward, 1).unwrap();
+    middleware.advance(at(2_500), attached);
+    assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
+    assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveRefused::UnknownRobot(id("nobody"))));
+}

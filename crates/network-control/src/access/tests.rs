@@ -1,0 +1,91 @@
+use std::{cell::RefCell, path::Path};
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{HardwareGraph, Timestamp, testbed_file};
+
+use super::*;
+use crate::vim::InMemoryEngine;
+
+/// A fabric within reach.
+struct Here(RefCell<Fabric>);
+
+impl Network for Here {
+    fn with<R: Send + 'static>(
+        &self,
+        action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
+    ) -> Result<R, NetworkGone> {
+        Ok(action(&mut self.0.borrow_mut(), Timestamp::ZERO))
+    }
+}
+
+const TESTBED: &str = "
+name: off
+wireless: { lab: {} }
+nodes:
+  on: { kind: radio_unit, position: [0, 0], channel: 1 }
+  off: { kind: radio_unit, position: [9, 0], channel: 6, serving: false, deployment: 300 ms }
+  small: { kind: radio_unit, position: [9, 9], channel: 6, serving: false, cpus: 0.4 }
+links:
+  - { ends: [on, [off, small]] }
+";
+
+fn world() -> (HardwareGraph, Here, Vim<InMemoryEngine>, AccessPoints) {
+    let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+    let graph = testbed.graph;
+    let network = Here(RefCell::new(Fabric::new(&graph, 1).unwrap()));
+    let vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());
+    let access_points = AccessPoints::new(&graph);
+    (graph, network, vim, access_points)
+}
+
+fn id(name: &str) -> NodeId {
+    NodeId::new(name).unwrap()
+}
+
+fn at(ms: u64) -> Timestamp {
+    Timestamp::ZERO + Duration::from_millis(ms)
+}
+
+fn lab() -> AccessPoint {
+    AccessPoint { ssid: "lab".into(), mobility_domain: 1, key: None }
+}
+
+#[test]
+fn a_vap_serves_once_its_deployment_is_done() {
+    let (_, network, vim, mut access_points) = world();
+    access_points.deploy(at(100), &id("off"), lab(), &network, &vim).unwrap();
+    assert_eq!(access_points.next_deadline(), Some(at(400)));
+    assert_eq!(access_points.poll(at(399), &network).unwrap(), []);
+    let started = life(&id("off"), VnfState::Started, None);
+    assert_eq!(access_points.poll(at(400), &network).unwrap(), [started]);
+    assert_eq!(access_points.next_deadline(), None);
+    let stopped = life(&id("off"), VnfState::Stopped, None);
+    assert_eq!(access_points.remove(&id("off"), &network).unwrap(), [stopped]);
+    let refused = access_points.remove(&id("off"), &network).unwrap_err();
+    assert!(refused.0.contains("`off` is off"), "{refused}");
+}
+
+#[test]
+fn a_deployment_can_be_given_up() {
+    let (_, network, vim, mut access_points) = world();
+    access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap();
+    access_points.remove(&id("off"), &network).unwrap();
+    assert_eq!(access_points.poll(at(1000), &network).unwrap(), []);
+    access_points.deploy(at(1000), &id("off"), lab(), &network, &vim).unwrap();
+}
+
+#[test]
+fn what_cannot_be_deployed_is_refused_at_once() {
+    let (_, network, vim, mut access_points) = world();
+    let mut refused = |unit: &str, access_point: AccessPoint| {
+        access_points.deploy(at(0), &id(unit), access_point, &network, &vim).unwrap_err().0
+    };
+    assert!(refused("on", lab()).contains("deployed on `on` already"));
+    assert!(refused("nowhere", lab()).contains("no radio unit `nowhere`"));
+    assert!(refused("small", lab()).contains("needs 0.5 CPUs of `small`"));
+    let other = AccessPoint { ssid: "other".into(), ..lab() };
+    assert!(refused("off", other).contains("made for the network `lab`"));
+    access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap();
+    let again = access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap_err();
+    assert!(again.0.contains("is being deployed on `off` already"), "{again}");
+}
