@@ -35,6 +35,15 @@ impl Domains {
     }
 }
 
+/// What is told of an event to one who sees a domain, or all where there is no view.
+pub(crate) fn seen(view: Option<&DomainView>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
+    match view.map(|view| view.event(event)) {
+        None | Some(Some(Cow::Borrowed(_))) => Some(Arc::clone(event)),
+        Some(Some(Cow::Owned(part))) => Some(Arc::new(part)),
+        Some(None) => None,
+    }
+}
+
 /// An instruction that is not one domain's to give.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} is not of the domain `{domain}`, whose orchestrator changes its own nodes only")]

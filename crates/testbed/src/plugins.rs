@@ -2,7 +2,6 @@
 //! reported, and the testbed goes on.
 
 use std::{
-    borrow::Cow,
     collections::BTreeMap,
     fs::File,
     io,
@@ -25,7 +24,7 @@ use cotorra_okpi::Okpi;
 use cotorra_plugin::{Actions, Plugin};
 use cotorra_probing::Probing;
 
-use crate::domain::{DomainView, Domains};
+use crate::domain::{self, DomainView, Domains};
 
 /// A call that takes longer than this counts as hung.
 const LONGEST_CALL: Duration = Duration::from_secs(2);
@@ -274,11 +273,7 @@ impl PluginHost {
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for place in self.places.values() {
             let Place::Thread { view, events, .. } = place else { continue };
-            let seen = match view.as_ref().map(|view| view.event(event)) {
-                None | Some(Some(Cow::Borrowed(_))) => Arc::clone(event),
-                Some(Some(Cow::Owned(seen))) => Arc::new(seen),
-                Some(None) => continue,
-            };
+            let Some(seen) = domain::seen(view.as_deref(), event) else { continue };
             if events.try_send(seen).is_err() {
                 self.missed += 1;
             }

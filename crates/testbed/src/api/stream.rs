@@ -1,6 +1,6 @@
 //! What happens, as it happens: server-sent events; and in virtual time, when a plug-in has taken them in.
 
-use std::{borrow::Cow, convert::Infallible, pin::Pin, sync::Arc};
+use std::{convert::Infallible, pin::Pin, sync::Arc};
 
 use axum::{
     Extension, Json,
@@ -23,7 +23,7 @@ use super::{
     routes::plugin,
     types::{Done, Failure, FailureBody, Path, Query},
 };
-use crate::core_loop::Message;
+use crate::{core_loop::Message, domain};
 
 /// A stream of events to a plug-in that virtual time waits for.
 pub(crate) struct Follower {
@@ -141,13 +141,8 @@ pub(super) async fn done(
 
 /// What a caller is told of an event, if it asked for its kind.
 fn seen(caller: &Caller, kinds: Option<&[Kind]>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
-    let wanted = |event: &Stamped| kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&event.event)));
-    let seen = match caller.0.as_ref().map(|view| view.event(event)) {
-        None | Some(Some(Cow::Borrowed(_))) => Arc::clone(event),
-        Some(Some(Cow::Owned(seen))) => Arc::new(seen),
-        Some(None) => return None,
-    };
-    wanted(&seen).then_some(seen)
+    let seen = domain::seen(caller.0.as_deref(), event)?;
+    kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&seen.event))).then_some(seen)
 }
 
 /// Names of kinds with commas between.

@@ -77,21 +77,26 @@ fn serve(replay: bool) -> Served {
     }
 }
 
+/// Reads the head of an answer.
+fn answer(stream: TcpStream) -> (u16, BufReader<TcpStream>) {
+    let mut stream = BufReader::new(stream);
+    let mut line = String::new();
+    stream.read_line(&mut line).unwrap();
+    let status = line.split(' ').nth(1).unwrap().parse().unwrap();
+    while line != "\r\n" {
+        line.clear();
+        stream.read_line(&mut line).unwrap();
+    }
+    (status, stream)
+}
+
 impl Served {
     /// Asks, and reads the answer's head.
     fn open(&self, path: &str) -> (u16, BufReader<TcpStream>) {
         let mut stream = TcpStream::connect(self.server.address()).unwrap();
         write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             .unwrap();
-        let mut stream = BufReader::new(stream);
-        let mut line = String::new();
-        stream.read_line(&mut line).unwrap();
-        let status = line.split(' ').nth(1).unwrap().parse().unwrap();
-        while line != "\r\n" {
-            line.clear();
-            stream.read_line(&mut line).unwrap();
-        }
-        (status, stream)
+        answer(stream)
     }
 
     fn get(&self, path: &str) -> (u16, Value) {
@@ -282,15 +287,7 @@ links:
              application/json\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n{body}"
         )
         .unwrap();
-        let mut stream = BufReader::new(stream);
-        let mut line = String::new();
-        stream.read_line(&mut line).unwrap();
-        let status = line.split(' ').nth(1).unwrap().parse().unwrap();
-        while line != "\r\n" {
-            line.clear();
-            stream.read_line(&mut line).unwrap();
-        }
-        (status, stream)
+        answer(stream)
     }
 
     fn get(&self, token: &str, path: &str) -> (u16, Value) {
