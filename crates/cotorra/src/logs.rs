@@ -1,6 +1,7 @@
 //! Logs of a run: all of them in its folder, warnings on the terminal too, around the live view.
 
 use std::{
+    env,
     fs::File,
     io::{self, Write},
     path::Path,
@@ -8,22 +9,18 @@ use std::{
 };
 
 use indicatif::MultiProgress;
-use tracing::level_filters::LevelFilter;
 use tracing_subscriber::{EnvFilter, Layer, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
 /// Filters both logs, in `tracing_subscriber`'s syntax: `info,cotorra_fabric=trace`.
 const VARIABLE: &str = "COTORRA_LOG";
 
-/// Begins to log: warnings (more if `verbose`) to standard error, around what `view` shows, and more of them into a
+/// Begins to log: cotorra's warnings (more if `verbose`) to standard error, around what `view` shows, and more of them into a
 /// file that [`LogFile::open`] names later.
 pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
-    let (shown, kept) = match verbose {
-        0 => (LevelFilter::WARN, LevelFilter::INFO),
-        1 => (LevelFilter::INFO, LevelFilter::DEBUG),
-        _ => (LevelFilter::DEBUG, LevelFilter::TRACE),
-    };
-    let filter = |level: LevelFilter| {
-        EnvFilter::builder().with_default_directive(level.into()).with_env_var(VARIABLE).from_env_lossy()
+    let (shown, kept) = usual(verbose);
+    let filter = |usual: &str| {
+        let said = env::var(VARIABLE).ok().filter(|said| !said.is_empty());
+        EnvFilter::builder().parse_lossy(said.as_deref().unwrap_or(usual))
     };
     let file = LogFile::default();
     let (to_file, view) = (file.clone(), view.clone());
@@ -40,6 +37,16 @@ pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
         .with(kept_log.with_filter(filter(kept)))
         .init();
     file
+}
+
+/// What is shown, and what is kept.
+fn usual(verbose: u8) -> (&'static str, &'static str) {
+    match verbose {
+        // What libraries warn of is for who looks for a fault: RustDDS does for each datagram that finds no way.
+        0 => ("error,cotorra=warn", "info,rustdds=error"),
+        1 => ("info", "debug"),
+        _ => ("debug", "trace"),
+    }
 }
 
 /// Standard error, with the live view out of the way.
@@ -106,6 +113,28 @@ impl Write for LogFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_libraries_warn_of_is_shown_to_who_asks() {
+        let shown = |verbose| {
+            let log = LogFile::default();
+            let writer = log.clone();
+            let layer = fmt::layer().with_writer(move || writer.clone());
+            let filter = EnvFilter::builder().parse_lossy(usual(verbose).0);
+            tracing::subscriber::with_default(
+                tracing_subscriber::registry().with(layer.with_filter(filter)),
+                || {
+                    tracing::warn!(target: "rustdds::rtps", "theirs");
+                    tracing::error!(target: "rustdds::rtps", "their error");
+                    tracing::warn!(target: "cotorra_ros2::dds", "ours");
+                },
+            );
+            let Destination::Memory(text) = &*log.lock() else { panic!("no file was opened") };
+            ["theirs", "their error", "ours"].map(|what| String::from_utf8_lossy(text).contains(what))
+        };
+        assert_eq!(shown(0), [false, true, true]);
+        assert_eq!(shown(1), [true, true, true]);
+    }
 
     #[test]
     fn what_was_logged_before_the_file_existed_stands_at_its_beginning() {
