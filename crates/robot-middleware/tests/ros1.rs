@@ -6,6 +6,9 @@
 )]
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
+#[path = "../../ros1/tests/interop/process.rs"]
+#[allow(dead_code, reason = "what other tests use of it")]
+mod process;
 #[path = "../../ros1/tests/interop/ros.rs"]
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
 mod ros;
@@ -18,7 +21,8 @@ use cotorra_ros1::{
     Endpoint, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Text, Twist},
 };
-use ros::{PATIENCE, Ros, until};
+use process::{PATIENCE, until};
+use ros::Ros;
 
 /// A robot that is as it is told on /mood.
 const ROBOT: &str = r#"

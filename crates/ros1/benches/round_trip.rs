@@ -5,6 +5,9 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
+#[path = "../tests/interop/process.rs"]
+#[allow(dead_code, reason = "what tests use of it")]
+mod process;
 #[path = "../tests/interop/ros.rs"]
 #[allow(dead_code, reason = "what tests use of it")]
 mod ros;
@@ -21,7 +24,8 @@ use cotorra_ros1::{
     messages::{Header, LaserScan},
 };
 use hdrhistogram::Histogram;
-use ros::{PATIENCE, Ros, until};
+use process::{PATIENCE, until};
+use ros::Ros;
 
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;

@@ -8,6 +8,9 @@
 #[path = "../tests/interop/peer.rs"]
 #[allow(dead_code, reason = "what tests use of it")]
 mod peer;
+#[path = "../../ros1/tests/interop/process.rs"]
+#[allow(dead_code, reason = "what tests use of it")]
+mod process;
 
 use std::{
     thread,
@@ -19,7 +22,8 @@ use cotorra_ros2::{
     messages::{Header, LaserScan, Time},
 };
 use hdrhistogram::Histogram;
-use peer::{Meeting, PATIENCE, until};
+use peer::Meeting;
+use process::{PATIENCE, until};
 
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;

@@ -15,6 +15,10 @@ mod mariadb;
 mod netem;
 mod one_robot;
 mod plugin;
+#[path = "../../../ros1/tests/interop/process.rs"]
+#[allow(dead_code, reason = "what the tests of the nodes themselves use of it")]
+#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+mod process;
 mod recording;
 mod ros1;
 mod ros2;

@@ -7,7 +7,10 @@ use std::{
     time::Duration,
 };
 
-use crate::ros::{PATIENCE, Ros, until};
+use crate::{
+    process::{PATIENCE, until},
+    ros::Ros,
+};
 use cotorra_ros1::{
     CallError, Endpoint, Node, PublishOptions, Publisher, SubscribeOptions,
     messages::{EmptyRequest, EmptyService, OccupancyGrid, Text},

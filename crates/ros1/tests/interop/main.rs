@@ -4,5 +4,7 @@
 
 mod hostile;
 #[allow(dead_code, reason = "what other crates' tests use of it")]
+mod process;
+#[allow(dead_code, reason = "what other crates' tests use of it")]
 mod ros;
 mod tools;

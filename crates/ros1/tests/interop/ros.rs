@@ -1,39 +1,16 @@
 //! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes, all gone when the test is over.
-#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
 use std::{
     env, fs,
-    io::{self, Read},
     net::TcpListener,
-    os::unix::process::CommandExt,
     path::Path,
-    process::{Child, Command, Stdio},
-    sync::{Arc, Mutex},
-    thread,
-    time::{Duration, Instant},
+    process::{Command, Stdio},
 };
 
 use cotorra_ros1::{Endpoint, Node, NodeConfig};
 use tempfile::TempDir;
 
-/// How long anything may take; far more than it does, even on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Waits until the condition holds.
-pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
-    let began = Instant::now();
-    while !condition() {
-        assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
-        thread::sleep(Duration::from_millis(10));
-    }
-}
-
-/// Asserts that a text has all parts.
-pub fn contains(text: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(text.contains(part), "no `{part}` in:\n{text}");
-    }
-}
+use crate::process::{Process, until};
 
 /// A master with its own port and directory.
 pub struct Ros {
@@ -42,60 +19,9 @@ pub struct Ros {
     core: Option<Process>,
 }
 
-/// A process with its children, and what it printed. Killed when dropped.
-pub struct Process {
-    child: Child,
-    output: Arc<Mutex<Vec<u8>>>,
-}
-
-impl Process {
-    fn spawn(command: &mut Command) -> io::Result<Self> {
-        let (mut reader, writer) = io::pipe()?;
-        command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).process_group(0);
-        let child = command.spawn()?;
-        // The command holds the writing ends.
-        command.stdout(Stdio::null()).stderr(Stdio::null());
-        let output = Arc::new(Mutex::new(Vec::new()));
-        let collected = Arc::clone(&output);
-        thread::spawn(move || {
-            let mut piece = [0; 4096];
-            while let Ok(read @ 1..) = reader.read(&mut piece) {
-                collected.lock().unwrap().extend_from_slice(&piece[..read]);
-            }
-        });
-        Ok(Self { child, output })
-    }
-
-    /// What it printed until now.
-    pub fn output(&self) -> String {
-        String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
-    }
-
-    /// Ctrl-C, and waits for its end and that of all that it started.
-    pub fn interrupt(mut self) {
-        let group = self.child.id();
-        signal("INT", group);
-        until("a process ends by Ctrl-C", || self.child.try_wait().unwrap().is_some() && !signal("0", group));
-    }
-}
-
 /// Whether nobody has a port of loopback.
 fn is_free(port: u16) -> bool {
     TcpListener::bind(("127.0.0.1", port)).is_ok()
-}
-
-/// Signals a process and all that it started. Returns whether there is any.
-fn signal(name: &str, group: u32) -> bool {
-    let group = format!("-{group}");
-    let status = Command::new("kill").args(["-s", name, "--", &group]).stderr(Stdio::null()).status();
-    status.unwrap().success()
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        signal("KILL", self.child.id());
-        let _ = self.child.wait();
-    }
 }
 
 impl Ros {

@@ -2,7 +2,10 @@
 
 use std::{env, fs, time::Duration};
 
-use crate::ros::{PATIENCE, Ros, contains, until};
+use crate::{
+    process::{PATIENCE, contains, until},
+    ros::Ros,
+};
 use cotorra_ros1::{
     CallError, MasterServer, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time,
     Value,

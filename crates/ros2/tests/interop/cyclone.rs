@@ -3,48 +3,38 @@
 use std::time::Duration;
 
 use cotorra_ros2::{
-    Command, Qos,
-    messages::{
-        Clock, Header, LaserScan, MapMetaData, OccupancyGrid, Text, Time, Twist, TwistStamped, Vector3,
-    },
+    Command, Node, Qos,
+    messages::{Clock, LaserScan, Text, Time, Twist, TwistStamped, Vector3},
 };
 
-use crate::peer::{Meeting, PATIENCE, contains, publishing_until_printed, scan, until};
+use crate::{
+    both_ways::{Place, both_ways},
+    peer::{Meeting, publishing_until_printed},
+    process::{PATIENCE, Process, until},
+};
 
 /// Long enough for most messages.
 const SOON: Duration = Duration::from_millis(50);
 
-#[test]
-fn cyclone_reads_scans_however_they_are_published() {
-    // Reliable publishers are heard by who wants no more than best effort.
-    for (ours, theirs) in [(Qos::SENSORS, "sensors"), (Qos::COMMANDS, "commands"), (Qos::COMMANDS, "sensors")]
-    {
-        let meeting = Meeting::new();
-        let Some(peer) = meeting.cyclone("print", "LaserScan", "scan", theirs) else { return };
-        let node = meeting.node("robot");
-        let scans = node.publish::<LaserScan>("scan", ours).unwrap();
-        publishing_until_printed(|| scans.publish(&scan()), &peer, "ranges=[1.5, inf, 2.25]");
-        contains(&peer.output(), &["stamp=Time(sec=3, nanosec=9)", "frame_id='laser'", "range_max=12.0"]);
-        assert_eq!(scans.subscribers(), 1);
+struct Cyclone(Meeting);
+
+impl Place for Cyclone {
+    const FRAME: &'static str = "from cyclone";
+    const SCAN: &'static [&'static str] =
+        &["ranges=[1.5, inf, 2.25]", "stamp=Time(sec=3, nanosec=9)", "frame_id='laser'", "range_max=12.0"];
+    const MAP: &'static [&'static str] = &["width=500, height=400", "-1, 0, 1, 2, 3, 4"];
+    const COMMANDS: [&'static str; 2] = ["Twist(linear=Vector3(x=0.75", "frame_id='base'"];
+
+    fn node(&self, name: &str) -> Node {
+        self.0.node(name)
+    }
+
+    fn peer(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
+        self.0.cyclone(action, kind, topic, qos)
     }
 }
 
-#[test]
-fn cyclone_is_read_however_it_publishes() {
-    for (ours, theirs) in [(Qos::SENSORS, "sensors"), (Qos::COMMANDS, "commands"), (Qos::SENSORS, "commands")]
-    {
-        let meeting = Meeting::new();
-        let node = meeting.node("robot");
-        let scans = node.subscribe::<LaserScan>("scan", ours).unwrap();
-        let Some(peer) = meeting.cyclone("publish", "LaserScan", "scan", theirs) else { return };
-        let scan = scans.recv_timeout(PATIENCE).unwrap();
-        assert_eq!(scan.header.stamp, Time { sec: 5, nanosec: 7 });
-        assert_eq!((scan.header.frame_id.as_str(), scan.range_max), ("from cyclone", 12.0));
-        assert_eq!(scan.ranges, [1.5, f32::INFINITY, 2.25]);
-        assert_eq!((scans.publishers(), scans.malformed()), (1, 0));
-        drop(peer);
-    }
-}
+both_ways!(|| Some(Cyclone(Meeting::new())));
 
 #[test]
 fn who_asks_for_more_than_is_offered_is_not_connected() {
@@ -56,48 +46,6 @@ fn who_asks_for_more_than_is_offered_is_not_connected() {
     any.recv_timeout(PATIENCE).unwrap();
     assert_eq!((reliable.publishers(), any.publishers()), (0, 1));
     drop(peer);
-}
-
-#[test]
-fn latched_maps_reach_who_comes_later() {
-    let meeting = Meeting::new();
-    let node = meeting.node("maps");
-    let maps = node.publish::<OccupancyGrid>("map", Qos::LATCHED).unwrap();
-    let info = MapMetaData { resolution: 0.05, width: 200, height: 100, ..MapMetaData::default() };
-    let data = (0..20_000).map(|cell| (cell % 101) as i8 - 1).collect();
-    maps.publish(&OccupancyGrid { info, data, ..OccupancyGrid::default() });
-    let Some(peer) = meeting.cyclone("print", "OccupancyGrid", "map", "latched") else { return };
-    peer.prints("width=200, height=100");
-    peer.prints("-1, 0, 1, 2, 3, 4");
-
-    let Some(peer) = meeting.cyclone("latch", "OccupancyGrid", "their_map", "latched") else { return };
-    let maps = node.subscribe::<OccupancyGrid>("their_map", Qos::LATCHED).unwrap();
-    let map = maps.recv_timeout(PATIENCE).unwrap();
-    assert_eq!((map.info.width, map.data), (2, vec![-1, 100]));
-    drop(peer);
-}
-
-#[test]
-fn commands_go_both_ways_as_either_type() {
-    for (kind, printed) in [("Twist", "Twist(linear=Vector3(x=0.75"), ("TwistStamped", "frame_id='base'")] {
-        let meeting = Meeting::new();
-        let node = meeting.node("driver");
-        let commands = node.publish::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
-        let Some(peer) = meeting.cyclone("print", kind, "cmd_vel", "commands") else { return };
-        let header = Header { frame_id: "base".to_owned(), ..Header::default() };
-        let linear = Vector3 { x: 0.75, ..Vector3::default() };
-        let command = Command { header, twist: Twist { linear, ..Twist::default() } };
-        publishing_until_printed(|| commands.publish(&command), &peer, printed);
-        contains(&peer.output(), &["Vector3(x=0.75"]);
-        drop(peer);
-
-        let commands = node.subscribe::<Command>("their_cmd_vel", Qos::COMMANDS).unwrap();
-        let Some(peer) = meeting.cyclone("publish", kind, "their_cmd_vel", "commands") else { return };
-        let command = commands.recv_timeout(PATIENCE).unwrap();
-        assert_eq!((command.twist.linear.x, command.twist.angular.z), (0.25, -0.5));
-        assert_eq!(commands.malformed(), 0);
-        drop(peer);
-    }
 }
 
 #[test]

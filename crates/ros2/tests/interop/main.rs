@@ -1,9 +1,13 @@
 //! The node against other implementations of DDS with ROS 2's names, and Zenoh, and against itself.
 #![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
 
+mod both_ways;
 mod cyclone;
 mod fastdds;
 mod own;
 mod peer;
+#[path = "../../../ros1/tests/interop/process.rs"]
+#[allow(dead_code, reason = "what the tests of ROS 1 use of it")]
+mod process;
 #[cfg(feature = "zenoh")]
 mod zenoh;

@@ -5,7 +5,10 @@ use cotorra_ros2::{
     messages::{Clock, Text, Time, Twist, TwistStamped, Vector3},
 };
 
-use crate::peer::{Meeting, PATIENCE, until};
+use crate::{
+    peer::Meeting,
+    process::{PATIENCE, until},
+};
 
 fn text(data: &str) -> Text {
     Text { data: data.to_owned() }

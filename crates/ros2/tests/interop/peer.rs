@@ -1,19 +1,12 @@
 //! Other implementations of DDS for tests, as processes that end with the test; and what waits for them.
-#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
 use std::{
     env,
     fs::{self, File},
-    io::{self, Read},
     net::Ipv4Addr,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-    sync::{
-        Arc, Mutex,
-        atomic::{AtomicU32, Ordering},
-    },
-    thread,
-    time::{Duration, Instant},
+    process::{Command, Stdio},
+    sync::atomic::{AtomicU32, Ordering},
 };
 
 use cotorra_ros2::{
@@ -21,24 +14,7 @@ use cotorra_ros2::{
     messages::{Header, LaserScan, Time},
 };
 
-/// How long anything may take; far more than it does, even on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Waits until the condition holds.
-pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
-    let began = Instant::now();
-    while !condition() {
-        assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
-        thread::sleep(Duration::from_millis(10));
-    }
-}
-
-/// Asserts that a text has all parts.
-pub fn contains(text: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(text.contains(part), "no `{part}` in:\n{text}");
-    }
-}
+use crate::process::{Process, until};
 
 /// A scan that is like no other.
 pub fn scan() -> LaserScan {
@@ -118,14 +94,14 @@ impl Meeting {
     ) -> Option<Process> {
         command.arg(python("cyclonedds", "Cyclone DDS")?).args(["-u", "-c", include_str!("cyclone.py")]);
         command.args([&self.domain.to_string(), action, kind, topic, qos]);
-        Some(Process::start(&mut command))
+        Some(start(&mut command))
     }
 
     /// Starts Fast DDS: see `fastdds.cpp`. `None`, and a message, where it is not installed.
     pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         let mut command = Command::new(fast_dds_program()?);
         command.args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos]);
-        Some(Process::start(&mut command))
+        Some(start(&mut command))
     }
 
     fn dds_topic(&self, topic: &str) -> String {
@@ -169,55 +145,13 @@ fn found(there: bool, what: &str) -> bool {
     there
 }
 
-/// A process, and what it printed. Killed when dropped.
-pub struct Process {
-    child: Child,
-    output: Arc<Mutex<Vec<u8>>>,
-}
-
-impl Process {
-    /// Starts a peer, and waits until it says that it is ready.
-    pub fn start(command: &mut Command) -> Self {
-        let process = Self::spawn(command).unwrap();
-        until("the peer is ready", || {
-            let output = process.output();
-            assert!(!output.contains("Traceback"), "{output}");
-            output.contains("ready")
-        });
-        process
-    }
-
-    fn spawn(command: &mut Command) -> io::Result<Self> {
-        let (mut reader, writer) = io::pipe()?;
-        let mut child = command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).spawn()?;
-        // The command holds the writing ends.
-        command.stdout(Stdio::null()).stderr(Stdio::null());
-        let _ = child.stdin.take();
-        let output = Arc::new(Mutex::new(Vec::new()));
-        let collected = Arc::clone(&output);
-        thread::spawn(move || {
-            let mut piece = [0; 4096];
-            while let Ok(read @ 1..) = reader.read(&mut piece) {
-                collected.lock().unwrap().extend_from_slice(&piece[..read]);
-            }
-        });
-        Ok(Self { child, output })
-    }
-
-    /// What it printed until now.
-    pub fn output(&self) -> String {
-        String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
-    }
-
-    /// Waits until it printed that.
-    pub fn prints(&self, what: &str) {
-        until(&format!("it prints `{what}`"), || self.output().contains(what));
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// Starts a peer, and waits until it says that it is ready.
+pub fn start(command: &mut Command) -> Process {
+    let process = Process::spawn(command).unwrap();
+    until("the peer is ready", || {
+        let output = process.output();
+        assert!(!output.contains("Traceback"), "{output}");
+        output.contains("ready")
+    });
+    process
 }

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 store = get_typestore(Stores.ROS2_JAZZY)
 types = store.types
+packages = {"LaserScan": "sensor_msgs", "OccupancyGrid": "nav_msgs"}
 attached = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
 
 
@@ -64,6 +65,7 @@ def main(port, action, domain="0", kind="", topic="", qos=""):
         kept = session.liveliness().declare_subscriber(f"@ros2_lv/{domain}/**", tell, history=True)
         show("ready")
         time.sleep(3600)
+    kind = f"{packages.get(kind, 'geometry_msgs')}/msg/{kind}"
     dds_type, type_hash = kind.replace("/msg/", "::msg::dds_::") + "_", store.hash_rihs01(kind)
     key = f"{domain}/{topic.strip('/')}/{dds_type}/{type_hash}"
     profile = {"sensors": "2:2:1,5", "commands": "::,10", "latched": ":1:,1"}[qos] + ":,:,:,,"

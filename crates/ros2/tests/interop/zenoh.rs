@@ -7,7 +7,11 @@ use cotorra_ros2::{
     messages::{Header, LaserScan, MapMetaData, OccupancyGrid, Text, Time, Twist, TwistStamped, Vector3},
 };
 
-use crate::peer::{PATIENCE, Process, contains, publishing_until_printed, python, scan, until};
+use crate::{
+    both_ways::{Place, both_ways},
+    peer::{python, start},
+    process::{PATIENCE, Process, until},
+};
 
 const DOMAIN: u16 = 7;
 
@@ -41,102 +45,41 @@ impl Router {
     fn run(&self, arguments: &[&str]) -> Option<Process> {
         let mut command = process::Command::new(python("zenoh, rosbags", "Zenoh")?);
         command.args(["-u", "-c", include_str!("zenoh.py"), &self.port.to_string()]).args(arguments);
-        Some(Process::start(&mut command))
+        Some(start(&mut command))
     }
+}
 
-    /// A peer: see `zenoh.py`.
-    fn peer(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Process {
-        self.run(&[action, &DOMAIN.to_string(), kind, topic, qos]).unwrap()
-    }
+impl Place for Router {
+    const FRAME: &'static str = "from zenoh";
+    // With what is attached: when, and by whom.
+    const SCAN: &'static [&'static str] = &[
+        "ranges=array([1.5 ,  inf, 2.25]",
+        " True 16 ",
+        "sec=3, nanosec=9",
+        "frame_id='laser'",
+        "range_max=12.0",
+    ];
+    const MAP: &'static [&'static str] = &["width=500, height=400", "array([-1,  0,  1, ..., "];
+    const COMMANDS: [&'static str; 2] = ["Vector3(x=0.75", "frame_id='base'"];
 
-    /// A node of this crate.
     fn node(&self, name: &str) -> Node {
         let router = format!("tcp/127.0.0.1:{}", self.port);
         let middleware = Middleware::Zenoh { router };
         let namespace = "/tb2".to_owned();
         Node::new(NodeConfig { domain: DOMAIN, namespace, middleware, ..NodeConfig::new(name) }).unwrap()
     }
-}
 
-const SCAN: &str = "sensor_msgs/msg/LaserScan";
-
-#[test]
-fn scans_go_both_ways() {
-    let Some(router) = Router::start() else { return };
-    for (ours, theirs) in [(Qos::SENSORS, "sensors"), (Qos::COMMANDS, "commands")] {
-        let node = router.node("robot");
-        let scans = node.publish::<LaserScan>("scan", ours).unwrap();
-        let peer = router.peer("print", SCAN, "/tb2/scan", theirs);
-        publishing_until_printed(|| scans.publish(&scan()), &peer, "ranges=array([1.5 ,  inf, 2.25]");
-        contains(&peer.output(), &["sec=3, nanosec=9", "frame_id='laser'", "range_max=12.0"]);
-        let line = peer.output().lines().nth(1).unwrap().to_owned();
-        let (number, rest) = line.split_once(' ').unwrap();
-        assert!(number.parse::<u32>().unwrap() >= 1, "{line}");
-        assert!(rest.starts_with("True 16 "), "its time, and by whom: {line}");
-        until("the peer is known", || scans.subscribers() == 1);
-
-        let scans = node.subscribe::<LaserScan>("their_scan", ours).unwrap();
-        let peer = router.peer("publish", SCAN, "/tb2/their_scan", theirs);
-        let scan = scans.recv_timeout(PATIENCE).unwrap();
-        assert_eq!(scan.header.stamp, Time { sec: 5, nanosec: 7 });
-        assert_eq!((scan.header.frame_id.as_str(), scan.range_max), ("from zenoh", 12.0));
-        assert_eq!(scan.ranges, [1.5, f32::INFINITY, 2.25]);
-        until("the peer is known", || scans.publishers() == 1);
-        assert_eq!(scans.malformed(), 0);
-        drop(peer);
-        until("the peer is gone", || scans.publishers() == 0);
+    fn peer(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
+        self.run(&[action, &DOMAIN.to_string(), kind, &format!("/tb2/{topic}"), qos])
     }
 }
 
-#[test]
-fn commands_go_both_ways_as_either_type() {
-    let Some(router) = Router::start() else { return };
-    for (kind, printed) in [("Twist", "Vector3(x=0.75"), ("TwistStamped", "frame_id='base'")] {
-        let kind = format!("geometry_msgs/msg/{kind}");
-        let node = router.node("driver");
-        let commands = node.publish::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
-        let peer = router.peer("print", &kind, "/tb2/cmd_vel", "commands");
-        let header = Header { frame_id: "base".to_owned(), ..Header::default() };
-        let linear = Vector3 { x: 0.75, ..Vector3::default() };
-        let command = Command { header, twist: Twist { linear, ..Twist::default() } };
-        publishing_until_printed(|| commands.publish(&command), &peer, printed);
-        contains(&peer.output(), &["x=0.75"]);
-        assert_eq!(node.peers("cmd_vel").unwrap().subscribed, [kind.clone()].into());
-        drop(peer);
-
-        let commands = node.subscribe::<Command>("their_cmd_vel", Qos::COMMANDS).unwrap();
-        let peer = router.peer("publish", &kind, "/tb2/their_cmd_vel", "commands");
-        let command = commands.recv_timeout(PATIENCE).unwrap();
-        assert_eq!((command.twist.linear.x, command.twist.angular.z), (0.25, -0.5));
-        assert_eq!(commands.malformed(), 0);
-        drop(peer);
-    }
-}
-
-#[test]
-fn latched_maps_reach_who_comes_later() {
-    let Some(router) = Router::start() else { return };
-    let node = router.node("maps");
-    let maps = node.publish::<OccupancyGrid>("map", Qos::LATCHED).unwrap();
-    // Larger than what goes at once.
-    let info = MapMetaData { resolution: 0.05, width: 500, height: 400, ..MapMetaData::default() };
-    let data = (0..200_000).map(|cell| (cell % 101) as i8 - 1).collect();
-    maps.publish(&OccupancyGrid { info, data, ..OccupancyGrid::default() });
-    let peer = router.peer("print", "nav_msgs/msg/OccupancyGrid", "/tb2/map", "latched");
-    peer.prints("width=500, height=400");
-    contains(&peer.output(), &["array([-1,  0,  1, ..., "]);
-
-    let peer = router.peer("latch", "nav_msgs/msg/OccupancyGrid", "/tb2/their_map", "latched");
-    let maps = node.subscribe::<OccupancyGrid>("their_map", Qos::LATCHED).unwrap();
-    let map = maps.recv_timeout(PATIENCE).unwrap();
-    assert_eq!((map.info.width, map.data), (2, vec![-1, 100]));
-    drop(peer);
-}
+both_ways!(Router::start);
 
 #[test]
 fn nodes_and_what_they_have_are_told_and_taken_back() {
     let Some(router) = Router::start() else { return };
-    let graph = router.peer("graph", "", "", "");
+    let graph = router.run(&["graph", &DOMAIN.to_string()]).unwrap();
     let node = router.node("robot");
     let scans = node.publish::<LaserScan>("scan", Qos::SENSORS).unwrap();
     let commands = node.subscribe::<Command>("cmd_vel", Qos::COMMANDS).unwrap();
