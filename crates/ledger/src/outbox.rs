@@ -16,8 +16,8 @@ use crate::{
 
 /// So long nobody may include a transaction before it is sent again with a higher fee, in blocks.
 const PATIENCE_BLOCKS: u64 = 3;
-/// And in time: blocks may be far apart, or not come at all.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// And in time: a node that is busy may include it still. Where it does, some have the other one wait for ever, and all behind it.
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// What is to be done for a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
