@@ -10,7 +10,7 @@ use cotorra_graph::{Event, Instruction, NodeId, Stamped, Testbed};
 use cotorra_measurements::{History, Kind, PageRequest, RunId};
 use serde::Serialize;
 
-use crate::report::{FolderError, write};
+use crate::report::{FolderError, Quantiles, write};
 
 /// The files that [`Comparison::write`] makes.
 pub const FILES: [&str; 4] = ["federation.svg", "federation.md", "federation.json", "steps.csv"];
@@ -246,7 +246,7 @@ impl Comparison {
     /// The table over block periods, in Markdown. `how` says how it was run.
     pub fn to_markdown(&self, how: &str) -> String {
         let mut text = format!("From the announcement to the attachment ({how})\n\n");
-        text += "| block period | runs | total | least | most | bound | ours beyond the blocks, mean | most | vAP deployed in | \
+        text += "| block period | runs | total | least | most | bound | ours beyond the blocks, median | most | vAP deployed in | \
                  gap | without answer | lowest speed |\n|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for runs in self.by_period() {
             let all =
@@ -266,7 +266,7 @@ impl Comparison {
                 least(&totals),
                 most(&totals),
                 most(&all(&Federated::bound_s)),
-                mean_and_deviation(&beyond)[0],
+                Quantiles::of(beyond.clone()).map_or(0.0, |quantiles| quantiles.p50),
                 most(&beyond),
                 most(&all(&|run| run.deployment_s() * 1e3)),
                 most(&all(&|run| run.gap_s * 1e3)),
