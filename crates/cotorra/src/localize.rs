@@ -189,6 +189,6 @@ fn told(
         writeln!(told, "found at scan {}", pairs[begin].0 + 1).expect("writing into a string cannot fail");
     }
     let mut errors = Errors::default();
-    pairs[begin..].iter().for_each(|(_, estimate, truth)| errors.push(estimate, *truth));
+    pairs[begin..].iter().for_each(|(_, estimate, truth)| errors.push(&estimate.belief(), *truth));
     Ok(told + &format!("{errors}\n"))
 }

@@ -103,7 +103,7 @@ fn evaluate(folder: &Path) -> Result<(), Box<dyn Error>> {
             for (nth, scan) in scans.iter().enumerate() {
                 let estimate = localizer.observe(scan.robot, &scan.scan())?;
                 if let Some(truth) = reference.at(nth, scans.len(), scan.at) {
-                    errors.push(&estimate, truth);
+                    errors.push(&estimate.belief(), truth);
                 }
             }
             println!("{mode:10}  seed {seed}  {errors}");

@@ -8,6 +8,7 @@ use std::{
 };
 
 use crate::{
+    fast::sin_cos,
     field::Place,
     geometry::wrapped,
     parameters::{BIN, Parameters},
@@ -33,13 +34,19 @@ impl Binning {
     }
 
     pub fn bin(&self, place: Place) -> Bin {
-        let heading = (place.heading * (HEADINGS as f32 / TAU)).floor() as i32;
+        let heading = floor(place.heading * (HEADINGS as f32 / TAU));
         [
-            (place.column * self.bins_per_cell).floor() as i32,
-            (place.row * self.bins_per_cell).floor() as i32,
+            floor(place.column * self.bins_per_cell),
+            floor(place.row * self.bins_per_cell),
             heading.rem_euclid(HEADINGS),
         ]
     }
+}
+
+/// The whole number below; `f32::floor` is a call of a function on processors of the common denominator.
+fn floor(value: f32) -> i32 {
+    let towards_zero = value as i32;
+    towards_zero - i32::from(towards_zero as f32 > value)
 }
 
 /// Bins, numbered as they come.
@@ -121,7 +128,7 @@ impl Cluster {
         let mut weights: Vec<f64> = Vec::new();
         let number: Vec<usize> = (0..particles.len())
             .map(|particle| {
-                let bin = binning.bin(particles.place(particle));
+                let bin = binning.bin(particles.places.at(particle));
                 let number = bins.insert(bin);
                 if number == all.len() {
                     all.push(bin);
@@ -147,13 +154,14 @@ impl Cluster {
     }
 
     fn moments<M: Iterator<Item = usize>>(particles: &Particles, members: impl Fn() -> M) -> Self {
+        let places = &particles.places;
         let (mut weight, mut column, mut row, mut sin, mut cos) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for i in members() {
             let share = f64::from(particles.weight[i]);
-            let (s, c) = particles.heading[i].sin_cos();
+            let (s, c) = sin_cos(places.heading[i]);
             weight += share;
-            column += share * f64::from(particles.column[i]);
-            row += share * f64::from(particles.row[i]);
+            column += share * f64::from(places.column[i]);
+            row += share * f64::from(places.row[i]);
             sin += share * f64::from(s);
             cos += share * f64::from(c);
         }
@@ -162,9 +170,9 @@ impl Cluster {
         for i in members() {
             let share = f64::from(particles.weight[i]) / weight;
             let off = [
-                f64::from(particles.column[i]) - column,
-                f64::from(particles.row[i]) - row,
-                wrapped(f64::from(particles.heading[i]) - heading),
+                f64::from(places.column[i]) - column,
+                f64::from(places.row[i]) - row,
+                wrapped(f64::from(places.heading[i]) - heading),
             ];
             for (entry, value) in covariance.iter_mut().enumerate() {
                 *value += share * off[entry / 3] * off[entry % 3];

@@ -5,8 +5,10 @@
 //! [`carmen`] reads recorded logs, and [`trajectory`] compares what came of them with a reference.
 #![forbid(unsafe_code)]
 
+mod belief;
 mod bins;
 pub mod carmen;
+mod fast;
 mod field;
 mod geometry;
 mod localizer;
@@ -19,8 +21,9 @@ mod scan;
 pub mod trajectory;
 mod weights;
 
+pub use belief::Belief;
 pub use field::LikelihoodField;
 pub use geometry::Pose2;
-pub use localizer::{Estimate, LocalizationError, Localizer, nees};
+pub use localizer::{Estimate, LocalizationError, Localizer};
 pub use parameters::{BeamModel, MotionNoise, Parameters, Weighing};
 pub use scan::Scan;

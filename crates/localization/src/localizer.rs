@@ -3,12 +3,14 @@
 use std::sync::Arc;
 
 use crate::{
+    belief::{Belief, cholesky},
     bins::{Binning, Cluster},
+    fast::exp,
     field::{LikelihoodField, Place},
-    geometry::{Pose2, wrapped},
+    geometry::Pose2,
     motion::Motion,
     parameters::{Parameters, Weighing},
-    particles::{Elsewhere, Particles},
+    particles::{Elsewhere, Particles, Places},
     random::Stream,
     relocate::Candidates,
     scan::{Beams, Scan},
@@ -27,6 +29,13 @@ pub struct Estimate {
     /// Whether the scan was used: the robot had moved far enough since the last one that was. If not, the estimate is
     /// that of the last one, moved on by odometry.
     pub updated: bool,
+}
+
+impl Estimate {
+    /// Where, and how sure.
+    pub fn belief(&self) -> Belief {
+        Belief { pose: self.pose, covariance: self.covariance }
+    }
 }
 
 /// Why a filter cannot begin, or go on.
@@ -179,7 +188,7 @@ impl Localizer {
         self.odometry = Some(odometry);
         if let Some(step) = step {
             let motion = Motion::new(step, &self.parameters.motion);
-            motion.sample(&mut self.particles, self.field.resolution(), &mut self.random);
+            motion.sample(&mut self.particles.places, self.field.resolution(), &mut self.random);
         }
         if std::mem::take(&mut self.anywhere) && self.weighs_by_likelihood() {
             self.scatter();
@@ -194,9 +203,8 @@ impl Localizer {
     /// The estimate as of the last update, with what odometry says since.
     fn moved_on(&self, step: Pose2) -> Estimate {
         let last = self.estimate(false);
-        let motion = Motion::new(step, &self.parameters.motion);
-        let covariance = motion.propagate(last.pose.heading, &last.covariance);
-        Estimate { pose: last.pose * step, covariance, ..last }
+        let Belief { pose, covariance } = last.belief().moved_on(step, &self.parameters.motion);
+        Estimate { pose, covariance, ..last }
     }
 
     fn estimate(&self, updated: bool) -> Estimate {
@@ -228,10 +236,7 @@ impl Localizer {
     }
 
     fn score(&mut self) {
-        let particles = &self.particles;
-        let score = |particle| self.field.score(particles.place(particle), &self.beams);
-        self.scores.clear();
-        self.scores.extend((0..particles.len()).map(score));
+        self.field.score(&self.particles.places, &self.beams, &mut self.scores);
     }
 
     /// Weighs the particles by the scan.
@@ -248,7 +253,7 @@ impl Localizer {
             return self.recovery.see(sum, self.parameters.recovery);
         }
         let votes = self.beams.votes;
-        let typical = |(weight, score): (&f32, &f32)| f64::from(weight * (score / votes).exp());
+        let typical = |(weight, score): (&f32, &f32)| f64::from(weight * exp(score / votes));
         let seen: f64 = self.particles.weight.iter().zip(&self.scores).map(typical).sum();
         self.recovery.see(seen, self.parameters.recovery);
         let mut rest = 1.0;
@@ -286,7 +291,7 @@ impl Localizer {
     /// Moves each particle by a normal deviate, given the lower root of its covariance, in cells.
     fn jitter(&mut self, root: &[f64; 9]) {
         let root = root.map(|entry| entry as f32);
-        let Particles { column, row, heading, .. } = &mut self.particles;
+        let Places { column, row, heading } = &mut self.particles.places;
         for ((column, row), heading) in column.iter_mut().zip(row).zip(heading) {
             let [a, b, c] = [(); 3].map(|()| self.random.bell());
             *column += root[0] * a;
@@ -382,45 +387,4 @@ impl Recovery {
 fn in_cells(covariance: &[f64; 9], unit: f64) -> [f64; 9] {
     let scale = [unit.recip(), unit.recip(), 1.0];
     std::array::from_fn(|i| covariance[i] * scale[i / 3] * scale[i % 3])
-}
-
-/// The lower root of a covariance; where rounding left one without, the diagonal's.
-fn cholesky(c: &[f64; 9]) -> [f64; 9] {
-    let mut root = [0.0; 9];
-    for row in 0..3 {
-        for column in 0..=row {
-            let inner: f64 = (0..column).map(|k| root[row * 3 + k] * root[column * 3 + k]).sum();
-            let left = c[row * 3 + column] - inner;
-            root[row * 3 + column] = if row == column {
-                left.max(0.0).sqrt()
-            } else if root[column * 3 + column] > 0.0 {
-                left / root[column * 3 + column]
-            } else {
-                0.0
-            };
-        }
-    }
-    root
-}
-
-/// How far an estimate is off, as its own covariance sees it: eᵀ·C⁻¹·e, which is 3 on average for an estimate that
-/// knows how good it is (normalized estimation error squared; Bar-Shalom, Li and Kirubarajan 2001, section 5.4).
-/// `None` if the covariance has no inverse.
-pub fn nees(estimate: &Estimate, truth: Pose2) -> Option<f64> {
-    let error = [
-        estimate.pose.x - truth.x,
-        estimate.pose.y - truth.y,
-        wrapped(estimate.pose.heading - truth.heading),
-    ];
-    let root = cholesky(&estimate.covariance);
-    let mut whitened = [0.0; 3];
-    for row in 0..3 {
-        let inner: f64 = (0..row).map(|k| root[row * 3 + k] * whitened[k]).sum();
-        let diagonal = root[row * 3 + row];
-        if diagonal <= 0.0 {
-            return None;
-        }
-        whitened[row] = (error[row] - inner) / diagonal;
-    }
-    Some(whitened.iter().map(|part| part * part).sum())
 }

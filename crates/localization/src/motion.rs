@@ -3,9 +3,10 @@
 use std::f64::consts::PI;
 
 use crate::{
+    fast::sin_cos,
     geometry::{Pose2, wrapped},
     parameters::MotionNoise,
-    particles::Particles,
+    particles::Places,
     random::Stream,
 };
 
@@ -45,17 +46,17 @@ impl Motion {
     }
 
     /// Moves each particle by a step drawn from the model; `resolution` is the side of a cell, metres.
-    pub fn sample(&self, particles: &mut Particles, resolution: f64, random: &mut Stream) {
+    pub fn sample(&self, places: &mut Places, resolution: f64, random: &mut Stream) {
         let in_cells = resolution.recip() as f32;
         let [turn, way, turn_after] = [self.turn, self.way, self.turn_after].map(|mean| mean as f32);
         let [turn_deviation, way_deviation, turn_after_deviation] =
             [self.turn_deviation, self.way_deviation, self.turn_after_deviation]
                 .map(|deviation| deviation as f32);
-        let places = particles.column.iter_mut().zip(&mut particles.row).zip(&mut particles.heading);
+        let places = places.column.iter_mut().zip(&mut places.row).zip(&mut places.heading);
         for ((column, row), heading) in places {
             let direction = *heading + turn + turn_deviation * random.bell();
             let way = (way + way_deviation * random.bell()) * in_cells;
-            let (sin, cos) = direction.sin_cos();
+            let (sin, cos) = sin_cos(direction);
             *column += way * cos;
             *row += way * sin;
             *heading = direction + turn_after + turn_after_deviation * random.bell();
@@ -88,11 +89,11 @@ mod tests {
     use super::*;
     use crate::Parameters;
 
-    fn moved(step: Pose2, noise: &MotionNoise, count: usize) -> Particles {
-        let mut particles = Particles::default();
-        (0..count).for_each(|_| particles.push(Default::default(), 1.0));
-        Motion::new(step, noise).sample(&mut particles, 1.0, &mut Stream::new(3));
-        particles
+    fn moved(step: Pose2, noise: &MotionNoise, count: usize) -> Places {
+        let mut places = Places::default();
+        (0..count).for_each(|_| places.push(Default::default()));
+        Motion::new(step, noise).sample(&mut places, 1.0, &mut Stream::new(3));
+        places
     }
 
     #[test]

@@ -8,12 +8,38 @@ use crate::{
     random::Stream,
 };
 
-/// Weighted places, in cells of the field's table. Weights sum to 1 but while they are being changed.
+/// Places, in cells of the field's table.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Particles {
+pub(crate) struct Places {
     pub column: Vec<f32>,
     pub row: Vec<f32>,
     pub heading: Vec<f32>,
+}
+
+impl Places {
+    pub fn len(&self) -> usize {
+        self.heading.len()
+    }
+
+    pub fn clear(&mut self) {
+        [&mut self.column, &mut self.row, &mut self.heading].into_iter().for_each(Vec::clear);
+    }
+
+    pub fn push(&mut self, place: Place) {
+        self.column.push(place.column);
+        self.row.push(place.row);
+        self.heading.push(place.heading);
+    }
+
+    pub fn at(&self, nth: usize) -> Place {
+        Place { column: self.column[nth], row: self.row[nth], heading: self.heading[nth] }
+    }
+}
+
+/// Weighted places. Weights sum to 1 but while they are being changed.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Particles {
+    pub places: Places,
     pub weight: Vec<f32>,
 }
 
@@ -33,20 +59,13 @@ impl Particles {
     }
 
     pub fn clear(&mut self) {
-        for values in [&mut self.column, &mut self.row, &mut self.heading, &mut self.weight] {
-            values.clear();
-        }
+        self.places.clear();
+        self.weight.clear();
     }
 
     pub fn push(&mut self, place: Place, weight: f32) {
-        self.column.push(place.column);
-        self.row.push(place.row);
-        self.heading.push(place.heading);
+        self.places.push(place);
         self.weight.push(weight);
-    }
-
-    pub fn place(&self, particle: usize) -> Place {
-        Place { column: self.column[particle], row: self.row[particle], heading: self.heading[particle] }
     }
 
     /// Scales the weights to sum to 1. If all are 0, or one is no number, all become alike.
@@ -93,14 +112,15 @@ impl Particles {
                 drawn.push(place, 0.0);
                 place
             } else {
-                point = (point + GOLDEN).fract();
+                point += GOLDEN;
+                point -= if point < 1.0 { 0.0 } else { 1.0 };
                 let parent = parents.at(point);
                 children[parent] += 1;
                 // Only a first child can be in a new bin.
                 if children[parent] > 1 {
                     continue;
                 }
-                self.place(parent)
+                self.places.at(parent)
             };
             let known = bins.len();
             bins.insert(binning.bin(place));
@@ -110,7 +130,7 @@ impl Particles {
         }
         let strangers = drawn.len();
         for (parent, &count) in children.iter().enumerate() {
-            (0..count).for_each(|_| drawn.push(self.place(parent), 0.0));
+            (0..count).for_each(|_| drawn.push(self.places.at(parent), 0.0));
         }
         let share = strangers as f64 / drawn.len() as f64;
         let mass = elsewhere.mass.map_or(share, |mass| mass.min(share));
@@ -137,12 +157,14 @@ impl Parents {
                 sum
             })
             .collect();
-        cumulative.iter_mut().for_each(|reached| *reached /= sum);
+        let scale = sum.recip();
+        cumulative.iter_mut().for_each(|reached| *reached *= scale);
         let stretches = weights.len();
+        let length = (stretches as f64).recip();
         let mut cutpoints = Vec::with_capacity(stretches);
         let mut particle = 0;
         for stretch in 0..stretches {
-            let begin = stretch as f64 / stretches as f64;
+            let begin = stretch as f64 * length;
             while particle + 1 < stretches && cumulative[particle] <= begin {
                 particle += 1;
             }
@@ -196,7 +218,7 @@ mod tests {
             let drawn = drawn(&particles, &parameters);
             prop_assert_eq!(drawn.len(), 1000);
             for (i, &weight) in particles.weight.iter().enumerate() {
-                let count = drawn.column.iter().filter(|&&column| column == i as f32 * 100.0).count();
+                let count = drawn.places.column.iter().filter(|&&column| column == i as f32 * 100.0).count();
                 prop_assert!((count as f32 - weight * 1000.0).abs() < 6.0, "{} {}", count, weight);
             }
         }
@@ -230,9 +252,9 @@ mod tests {
         let elsewhere = Elsewhere { probability: 0.2, mass: Some(0.001), place: &mut place };
         let particles = weighted(&[1.0; 10]);
         particles.draw(&mut drawn, &Parameters::default(), &binning, &mut Stream::new(5), elsewhere);
-        let strangers = drawn.column.iter().filter(|&&column| column == -500.0).count();
+        let strangers = drawn.places.column.iter().filter(|&&column| column == -500.0).count();
         assert!((60..140).contains(&strangers), "{strangers} of {}", drawn.len());
-        let weights = drawn.column.iter().zip(&drawn.weight);
+        let weights = drawn.places.column.iter().zip(&drawn.weight);
         let mass: f32 = weights.filter(|(column, _)| **column == -500.0).map(|(_, weight)| weight).sum();
         assert!((mass - 0.001).abs() < 1e-6 && (drawn.weight.iter().sum::<f32>() - 1.0).abs() < 1e-4);
     }

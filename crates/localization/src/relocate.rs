@@ -4,6 +4,7 @@
 
 use crate::{
     field::{LikelihoodField, Place},
+    particles::Places,
     random::Stream,
     scan::Beams,
     weights,
@@ -32,48 +33,54 @@ impl Candidates {
     /// Looks for them among no more than `most` places of the map; `None` if it has no free space.
     pub fn find(field: &LikelihoodField, beams: &Beams, most: usize, random: &mut Stream) -> Option<Self> {
         let count = ((field.free_area() * DENSITY) as usize).clamp(KEPT, most.max(KEPT));
-        let pool: Option<Vec<Place>> = (0..count).map(|_| field.anywhere(random)).collect();
-        Some(Self::among(pool?, field, beams, random))
+        let mut pool = Places::default();
+        for _ in 0..count {
+            pool.push(field.anywhere(random)?);
+        }
+        Some(Self::among(pool, field, beams, random))
     }
 
     /// Looks for them about a place, to which odometry has led, but badly.
     pub fn near(place: Place, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
         let [way, turn] = [NEAR[0] / field.resolution() as f32, NEAR[1]];
         let mut off = |deviation: f32| deviation * random.bell();
-        let pool = (0..MOST_NEAR)
-            .map(|_| Place {
+        let mut pool = Places::default();
+        for _ in 0..MOST_NEAR {
+            pool.push(Place {
                 column: place.column + off(way),
                 row: place.row + off(way),
                 heading: place.heading + off(turn),
-            })
-            .collect();
+            });
+        }
         Self::among(pool, field, beams, random)
     }
 
-    fn among(pool: Vec<Place>, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
-        let mut pool: Vec<(f32, Place)> =
-            pool.into_iter().map(|place| (field.score(place, beams), place)).collect();
-        let best = |a: &(f32, Place), b: &(f32, Place)| b.0.total_cmp(&a.0);
-        pool.select_nth_unstable_by(KEPT - 1, best);
-        pool.truncate(KEPT);
+    fn among(pool: Places, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+        let mut scores = Vec::new();
+        field.score(&pool, beams, &mut scores);
+        let mut order: Vec<usize> = (0..pool.len()).collect();
+        order.select_nth_unstable_by(KEPT - 1, |&a, &b| scores[b].total_cmp(&scores[a]));
+        let mut best: Vec<(f32, Place)> =
+            order[..KEPT].iter().map(|&nth| (scores[nth], pool.at(nth))).collect();
         let in_cells = (FIRST_STEP[0] as f64 / field.resolution()) as f32;
-        for (score, place) in &mut pool {
-            let mut length = 1.0;
-            for _ in 0..STEPS {
-                let step = Place {
+        let (mut steps, mut length) = (Places::default(), 1.0);
+        for _ in 0..STEPS {
+            steps.clear();
+            for (_, place) in &best {
+                steps.push(Place {
                     column: place.column + in_cells * length * random.bell(),
                     row: place.row + in_cells * length * random.bell(),
                     heading: place.heading + FIRST_STEP[1] * length * random.bell(),
-                };
-                let there = field.score(step, beams);
-                if there > *score {
-                    (*score, *place) = (there, step);
-                }
-                length *= SHORTER;
+                });
             }
+            field.score(&steps, beams, &mut scores);
+            for (nth, best) in best.iter_mut().enumerate().filter(|(nth, best)| scores[*nth] > best.0) {
+                *best = (scores[nth], steps.at(nth));
+            }
+            length *= SHORTER;
         }
         // How likely one is beside another is not trusted far: one scan says little of which corridor it was.
-        let scores: Vec<f32> = pool.iter().map(|(score, _)| *score).collect();
+        let scores: Vec<f32> = best.iter().map(|(score, _)| *score).collect();
         let alike = vec![(KEPT as f32).recip(); KEPT];
         let share = weights::tempered(&alike, &scores, KEPT as f64 / 8.0);
         let mut weight = alike;
@@ -86,7 +93,7 @@ impl Candidates {
                 sum
             })
             .collect();
-        Self { places: pool.into_iter().map(|(_, place)| place).collect(), cumulative }
+        Self { places: best.into_iter().map(|(_, place)| place).collect(), cumulative }
     }
 
     /// Draws one.

@@ -30,9 +30,6 @@ impl Scan<'_> {
     }
 }
 
-/// So many beams are weighed at once; the last are filled up with beams of no weight.
-pub(crate) const LANES: usize = 8;
-
 /// The beams of a scan that are used.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Beams {
@@ -70,20 +67,12 @@ impl Beams {
             Weighing::Amcl => self.weight.resize(self.x.len(), 1.0),
         }
         self.votes = self.weight.iter().sum();
-        let filled = self.x.len().next_multiple_of(LANES);
-        for values in [&mut self.x, &mut self.y, &mut self.weight] {
-            values.resize(filled, 0.0);
-        }
     }
 
     /// About so many of them, evenly spaced.
     pub fn some(&self, count: usize) -> Self {
         let step = (self.x.len() / count.max(1)).max(1);
-        let every = |values: &[f32]| {
-            let mut some: Vec<f32> = values.iter().copied().step_by(step).collect();
-            some.resize(some.len().next_multiple_of(LANES), 0.0);
-            some
-        };
+        let every = |values: &[f32]| -> Vec<f32> { values.iter().copied().step_by(step).collect() };
         let weight = every(&self.weight);
         Self { x: every(&self.x), y: every(&self.y), votes: weight.iter().sum(), weight }
     }
@@ -96,7 +85,9 @@ impl Beams {
         self.weight.resize(beams, 1.0);
         for i in 0..beams {
             for j in i + 1..beams {
-                let distance = (self.x[i] - self.x[j]).hypot(self.y[i] - self.y[j]);
+                let (x, y) = (self.x[i] - self.x[j], self.y[i] - self.y[j]);
+                // No overflow is to be feared, which is what `hypot` takes care of.
+                let distance = (x * x + y * y).sqrt();
                 // Beams go round: once the ends part, those behind part more, but for corners that hide nothing much.
                 if distance >= length {
                     break;
@@ -132,9 +123,9 @@ mod tests {
 
     #[test]
     fn beams_are_spaced_as_amcl_spaces_them() {
-        // 361 beams in steps of ⌊360/119⌋ = 3: 121, filled up to 128.
+        // 361 beams in steps of ⌊360/119⌋ = 3: 121.
         let beams = taken(&[3.0; 361], Weighing::Amcl);
-        assert_eq!((beams.votes, beams.x.len()), (121.0, 128));
+        assert_eq!((beams.votes, beams.x.len()), (121.0, 121));
         // A scan of few beams gives them all.
         assert_eq!(taken(&[3.0; 90], Weighing::Amcl).votes, 90.0);
         assert_eq!(taken(&[], Weighing::Amcl).votes, 0.0);

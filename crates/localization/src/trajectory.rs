@@ -3,9 +3,9 @@
 use std::{fmt, io::BufRead};
 
 use crate::{
+    belief::Belief,
     carmen::{Log, LogError, LogProblem, Message},
     geometry::{Pose2, wrapped},
-    localizer::{Estimate, nees},
 };
 
 /// Where a robot was, over time.
@@ -129,11 +129,11 @@ pub struct Errors {
 }
 
 impl Errors {
-    /// Counts an estimate.
-    pub fn push(&mut self, estimate: &Estimate, reference: Pose2) {
-        self.position.push(estimate.pose.distance(reference));
-        self.heading.push(wrapped(estimate.pose.heading - reference.heading).abs());
-        self.nees.extend(nees(estimate, reference));
+    /// Counts what was believed.
+    pub fn push(&mut self, believed: &Belief, reference: Pose2) {
+        self.position.push(believed.pose.distance(reference));
+        self.heading.push(wrapped(believed.pose.heading - reference.heading).abs());
+        self.nees.extend(believed.nees(reference));
     }
 
     /// How many were counted.
@@ -144,6 +144,11 @@ impl Errors {
     /// Whether none was.
     pub fn is_empty(&self) -> bool {
         self.position.is_empty()
+    }
+
+    /// The errors of the position, metres, in the order in which they were counted.
+    pub fn positions(&self) -> &[f64] {
+        &self.position
     }
 
     /// Root mean square error of the position, metres.
@@ -171,7 +176,7 @@ impl Errors {
         self.position.iter().filter(|&&error| error > LOST).count() as f64 / self.len() as f64
     }
 
-    /// Mean of [`nees`]: 3 if the covariance is as large as the errors, more if it is too small.
+    /// Mean of [`Belief::nees`]: 3 if the covariance is as large as the errors, more if it is too small.
     pub fn mean_nees(&self) -> f64 {
         self.nees.iter().sum::<f64>() / self.nees.len() as f64
     }
@@ -239,9 +244,7 @@ mod tests {
         let mut errors = Errors::default();
         let covariance = [0.01, 0.0, 0.0, 0.0, 0.01, 0.0, 0.0, 0.0, 0.01];
         for x in [0.1, -0.1, 3.0] {
-            let estimate =
-                Estimate { pose: Pose2::new(x, 0.0, 0.0), covariance, particles: 1, updated: true };
-            errors.push(&estimate, Pose2::default());
+            errors.push(&Belief { pose: Pose2::new(x, 0.0, 0.0), covariance }, Pose2::default());
         }
         assert!((errors.position_rmse() - (9.02_f64 / 3.0).sqrt()).abs() < 1e-12);
         assert!((errors.lost() - 1.0 / 3.0).abs() < 1e-12);

@@ -1,24 +1,40 @@
 //! Weights from log-likelihoods, without overflow, and how much of a likelihood the particles can bear at once.
 
+use crate::fast::exp;
+
 /// Multiplies each weight by exp(share · score), up to a common factor.
 pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) {
     let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     for (weight, score) in weights.iter_mut().zip(scores) {
-        *weight *= (share * (score - best)).exp();
+        *weight *= exp(share * (score - best));
     }
 }
+
+/// So many weights are computed at once.
+const LANES: usize = 8;
 
 /// The largest share in (0, 1] of the log-likelihood that leaves as many effective particles as said, found to 1 %:
 /// one step of an annealed filter (Del Moral, Doucet and Jasra 2006, section 3.3).
 pub(crate) fn tempered(weights: &[f32], scores: &[f32], least: f64) -> f32 {
     let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let (chunks, left) = (weights.as_chunks::<LANES>(), scores.as_chunks::<LANES>());
+    let ((weights, weights_left), (scores, scores_left)) = (chunks, left);
     let bearable = |share: f32| {
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for (weight, score) in weights.iter().zip(scores) {
-            let weight = weight * (share * (score - best)).exp();
-            sum += weight;
-            squares += weight * weight;
+        // Each lane has its own sums, which are so added up at once.
+        let (mut sums, mut squares) = ([0.0; LANES], [0.0; LANES]);
+        for (weights, scores) in weights.iter().zip(scores) {
+            for lane in 0..LANES {
+                let weight = weights[lane] * exp(share * (scores[lane] - best));
+                sums[lane] += weight;
+                squares[lane] += weight * weight;
+            }
         }
+        for (lane, (weight, score)) in weights_left.iter().zip(scores_left).enumerate() {
+            let weight = weight * exp(share * (score - best));
+            sums[lane] += weight;
+            squares[lane] += weight * weight;
+        }
+        let (sum, squares): (f32, f32) = (sums.iter().sum(), squares.iter().sum());
         f64::from(sum * sum / squares) >= least
     };
     if bearable(1.0) {

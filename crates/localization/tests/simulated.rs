@@ -126,7 +126,7 @@ impl Drive {
         let mut errors = Errors::default();
         while self.go_on() {
             if let Some(estimate) = self.observe(localizer) {
-                errors.push(&estimate, self.truth());
+                errors.push(&estimate.belief(), self.truth());
             }
         }
         errors
