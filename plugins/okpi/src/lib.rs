@@ -70,7 +70,8 @@ impl Okpi {
     /// - `processing`: VNFs that take time, as `navigation: { service_rate: 500 /s, arrival_rate: 20 /s }`: the μ
     ///   and λ of an M/M/1 queue with processor sharing; by default none does;
     /// - `delays`: `events`, the default, learns of links as they change; `history` asks the history, at each new
-    ///   location, what was known of them, as the letter's did. It needs [`Okpi::asking`].
+    ///   location, what was known of them, as the letter's did. It needs [`Okpi::asking`];
+    /// - `services`: those that are orchestrated, as `[navigation]`; by default all are.
     ///
     /// What they name is checked by [`Okpi::for_testbed`].
     ///
@@ -109,7 +110,7 @@ impl Okpi {
         // A robot has one radio unit: its first service chooses.
         let mut chosen = None;
         for (service, decision) in now.services().iter().zip(&mut self.decisions) {
-            if service.robot != context.robot {
+            if service.robot != context.robot || !self.settings.orchestrates(&service.id) {
                 continue;
             }
             let is_new = decision.at.is_none_or(|at| at.distance(location) >= NEW_LOCATION_M);

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, num::NonZeroUsize, ops::RangeInclusive};
 
-use cotorra_graph::{NodeId, Position, Testbed, VnfId};
+use cotorra_graph::{NodeId, Position, ServiceId, Testbed, VnfId};
 use serde_json::{Map, Value};
 
 use crate::{coverage::Coverage, model::Queue, placement::Search};
@@ -15,6 +15,8 @@ pub(crate) struct Settings {
     /// The queues of VNFs whose processing takes time.
     pub(crate) processing: BTreeMap<VnfId, Queue>,
     pub(crate) delays: Delays,
+    /// The services that are orchestrated; `None` for all.
+    pub(crate) services: Option<Vec<ServiceId>>,
 }
 
 /// Where delays and throughputs of links come from.
@@ -33,7 +35,7 @@ pub enum InvalidSettings {
     /// There is no such setting.
     #[error(
         "`{0}` is not a setting of okpi; its settings are `gamma`, `k_paths`, `relax`, `floor`, `margin`, \
-         `coverage`, `hysteresis`, `processing` and `delays`"
+         `coverage`, `hysteresis`, `processing`, `delays` and `services`"
     )]
     Unknown(String),
     /// γ or the number of paths is none.
@@ -73,6 +75,9 @@ pub enum InvalidSettings {
          `navigation: {{ service_rate: 500 /s, arrival_rate: 20 /s }}`, with the service rate above 0 /s"
     )]
     Processing(Value),
+    /// Services are none.
+    #[error("services: {0} is not a list of services; write one like `[navigation]`")]
+    Services(Value),
     /// `delays` is neither.
     #[error("delays: {0} is neither `events` nor `history`")]
     Delays(Value),
@@ -106,7 +111,7 @@ impl Settings {
     pub(crate) fn decode(settings: &Map<String, Value>) -> Result<Self, InvalidSettings> {
         let mut search = Search::at(4);
         let (mut floor, mut margin, mut areas, mut hysteresis) = (None, None, None, None);
-        let (mut queues, mut delays) = (BTreeMap::new(), Delays::default());
+        let (mut queues, mut delays, mut services) = (BTreeMap::new(), Delays::default(), None);
         for (name, value) in settings {
             match name.as_str() {
                 "gamma" => search.gamma = count("gamma", value, 1000)? as u16,
@@ -133,6 +138,9 @@ impl Settings {
                         _ => return Err(InvalidSettings::Delays(value.clone())),
                     };
                 }
+                "services" => {
+                    services = Some(listed(value).ok_or_else(|| InvalidSettings::Services(value.clone()))?);
+                }
                 _ => return Err(InvalidSettings::Unknown(name.clone())),
             }
         }
@@ -147,11 +155,14 @@ impl Settings {
                 Coverage::Signal { floor_dbm: floor.unwrap_or(-80.0), margin_db: margin.unwrap_or(7.5) }
             }
         };
-        Ok(Self { search, coverage, processing: queues, delays })
+        Ok(Self { search, coverage, processing: queues, delays, services })
     }
-}
 
-impl Settings {
+    /// Whether a service is orchestrated.
+    pub(crate) fn orchestrates(&self, service: &ServiceId) -> bool {
+        self.services.as_ref().is_none_or(|services| services.contains(service))
+    }
+
     /// Whether all that is named exists in a testbed.
     ///
     /// # Errors
@@ -161,6 +172,9 @@ impl Settings {
             let units: Vec<_> = testbed.graph.radio_units().map(|(node, _)| node.id.as_str()).collect();
             check_names("coverage", "radio unit", areas.keys().map(NodeId::as_str), &units)?;
         }
+        let services: Vec<_> = testbed.services.iter().map(|service| service.id.as_str()).collect();
+        let wanted = self.services.iter().flatten().map(ServiceId::as_str);
+        check_names("services", "service", wanted, &services)?;
         let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
         let vnfs: Vec<_> = vnfs.map(|vnf| vnf.id.as_str()).collect();
         check_names("processing", "VNF", self.processing.keys().map(VnfId::as_str), &vnfs)
@@ -254,6 +268,10 @@ fn processing(value: &Value) -> Option<BTreeMap<VnfId, Queue>> {
     value.as_object()?.iter().map(queue).collect()
 }
 
+fn listed(value: &Value) -> Option<Vec<ServiceId>> {
+    value.as_array()?.iter().map(|name| ServiceId::new(name.as_str()?).ok()).collect()
+}
+
 /// The number before a unit.
 fn figure(value: &Value, unit: &str) -> Option<f64> {
     value.as_str()?.strip_suffix(unit)?.trim_end().parse().ok()
@@ -304,6 +322,8 @@ mod tests {
             (json!({ "gamma": 2.5 }), "gamma: 2.5 is not a whole number from 1 to 1000"),
             (json!({ "k_paths": "3" }), "k_paths: \"3\" is not a whole number from 1 to 3"),
             (json!({ "relax": 1 }), "relax: 1 is neither"),
+            (json!({ "services": "all" }), "services: \"all\" is not a list of services"),
+            (json!({ "services": [7] }), "services: [7] is not a list of services"),
             (json!({ "delays": "guessed" }), "delays: \"guessed\" is neither `events` nor `history`"),
             (
                 json!({ "floor": "-80" }),
@@ -331,7 +351,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_text_panics(text in "\\PC*") {
-            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing", "delays"] {
+            for name in ["gamma", "k_paths", "relax", "floor", "margin", "hysteresis", "coverage", "processing", "delays", "services"] {
                 let _ = decode(json!({ name: text }));
             }
         }

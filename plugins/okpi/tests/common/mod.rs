@@ -23,6 +23,7 @@ pub fn corridor() -> Testbed {
 /// on the way out and on the way back, which were about 0.8 m to either side.
 pub fn survey() -> Map<String, Value> {
     let settings = json!({
+        "services": ["navigation"],
         "hysteresis": "0.8 m",
         "coverage": {
             "R1": [[16.8, -60], [60, -60], [60, -25.35], [16.8, -25.35]],
