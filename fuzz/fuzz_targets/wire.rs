@@ -3,7 +3,7 @@
 
 use cotorra_plugin::{
     messages::{LaserScan, Message, OccupancyGrid, Odometry, TFMessage, TwistStamped},
-    wire::{NavigationPacket, PositionPacket},
+    wire::{Answer, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -21,6 +21,15 @@ fuzz_target!(|bytes: &[u8]| {
         NavigationPacket::decode(&again).expect("it was encoded here").encode(&mut twice);
         assert_eq!(again, twice);
     }
+    if let Ok(packet) = ScanPacket::decode(bytes) {
+        packet.encode(&mut again);
+        assert_eq!(ScanPacket::decode(&again).expect("it was encoded here"), packet);
+    }
+    if let Ok(packet) = PosePacket::decode(bytes) {
+        packet.encode(&mut again);
+        assert_eq!(PosePacket::decode(&again).expect("it was encoded here"), packet);
+    }
+    let _ = Answer::decode(bytes);
     let _ = LaserScan::decode(bytes);
     let _ = Odometry::decode(bytes);
     let _ = (TFMessage::decode(bytes), OccupancyGrid::decode(bytes), TwistStamped::decode(bytes));

@@ -161,6 +161,8 @@ pub enum Probe {
 pub enum BundledVnf {
     /// The brain: answers position packets with navigation packets.
     Navigation,
+    /// Monte Carlo localization: answers scans with poses.
+    Localization,
 }
 
 /// Bring a testbed up, run it, and report

@@ -72,8 +72,12 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
             clap_complete::generate(shell, &mut Cli::command(), "cotorra", &mut script);
             output::print(&String::from_utf8_lossy(&script))?;
         }
-        Command::Vnf { vnf: BundledVnf::Navigation } => {
-            match cotorra_testbed::navigation().into_diagnostic()? {}
+        Command::Vnf { vnf } => {
+            let served = match vnf {
+                BundledVnf::Navigation => cotorra_testbed::navigation(),
+                BundledVnf::Localization => cotorra_testbed::localization(),
+            };
+            match served.into_diagnostic()? {}
         }
         Command::Probe { probe } => bench::probe(&probe)?,
     }

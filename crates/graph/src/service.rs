@@ -53,6 +53,8 @@ pub enum Program {
     RobotDriver,
     /// The bundled brain, as the navigation VNF.
     Navigation,
+    /// Monte Carlo localization of the service's robot: scans in, poses with their covariance out.
+    Localization,
     /// Any program and its arguments, in the node's namespace.
     Command(Vec<String>),
 }
@@ -74,7 +76,7 @@ pub struct VirtualLink {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Kpis {
     /// Target of the service time: from the emission of a position packet to the reception of the navigation
-    /// packet that answers it.
+    /// packet that answers it. Of a service that localizes, from a scan to the pose.
     #[serde(rename = "service_time_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub service_time: Duration,

@@ -50,6 +50,13 @@ fn corridor_service_and_walk() {
         [&Program::RobotDriver, &Program::Navigation]
     );
     assert_eq!(service.vnfs[1].node, "cloud");
+    let localization = &corridor.services[1].vnfs[1];
+    assert_eq!((&localization.program, localization.node.as_str()), (&Program::Localization, "edge"));
+    // It fits beside navigation wherever that goes.
+    for server in ["fog", "edge", "cloud"] {
+        let capacity = corridor.graph.node(&id(server)).unwrap().capacity().unwrap();
+        assert!(capacity.cpus >= localization.cpus + service.vnfs[1].cpus);
+    }
     let walk = corridor.walk(&id("robot")).unwrap();
     assert_eq!(walk.waypoints.len(), 35);
     assert_eq!(walk.waypoints.first(), walk.waypoints.last());

@@ -31,11 +31,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`messages`] and [`wire`] are for VNFs, which talk to robots over the network under test.
+//! [`messages`], [`vnf`] and [`wire`] are for VNFs, which talk to robots over the network under test.
 #![forbid(unsafe_code)]
 
 pub mod client;
 pub mod messages;
+pub mod vnf;
 pub mod wire;
 
 use cotorra_graph::{Event, Instruction, Testbed, Timestamp};

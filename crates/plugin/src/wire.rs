@@ -1,4 +1,5 @@
-//! The service's datagrams: a robot's position packets and the navigation packets that answer them.
+//! The services' datagrams: a robot's position packets and the navigation packets that answer them; and its scans, and
+//! the poses that answer these ([`ScanPacket`], [`PosePacket`]).
 //!
 //! Everything that a navigation VNF must know to answer travels in the position packet, so that an instance on
 //! another server can take over with the next one. Both are a header of [`HEADER_LEN`] bytes, little endian like the
@@ -6,19 +7,22 @@
 //! in the other. The pose comes without stamp, which is in the header, and without covariance, which navigation does not
 //! need, and which would be most of the packet. Its frame is the map's.
 //!
-//!
 //! | bytes | field |
 //! |---|---|
 //! | 0..4 | magic, `ctra` |
 //! | 4 | version, 2 |
-//! | 5 | kind: 1 position, 2 navigation |
-//! | 6 | length of the robot's name; 0 in navigation packets |
+//! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose |
+//! | 6 | length of the robot's name; 0 in answers |
 //! | 7 | 0 |
 //! | 8..12 | sequence number |
 //! | 12..16 | next waypoint |
 //! | 16..24 | time of emission, ns since the run began |
 
+mod localization;
+
 use cotorra_graph::{NodeId, Timestamp};
+
+pub use localization::{LOCALIZATION_PORT, MAX_BEAMS, PosePacket, ScanPacket};
 
 use crate::messages::{Message, MessageError, Pose, Twist};
 
@@ -42,7 +46,7 @@ pub enum WireError {
     /// Made by another version of cotorra.
     #[error("the packet has version {0}, and this is version {VERSION}")]
     Version(u8),
-    /// A position packet where a navigation packet should be, or the other way round.
+    /// Another packet than should be there.
     #[error("the packet is of kind {found}, expected was {expected}")]
     Kind {
         /// What it says.
@@ -53,6 +57,20 @@ pub enum WireError {
     /// The robot's name can be no name.
     #[error("the robot's name is none")]
     Robot,
+    /// More bytes than the packet has.
+    #[error("{0} bytes are too many for a packet of the service")]
+    Long(usize),
+    /// A scan has other ranges than it says, or more than fit.
+    #[error("a scan of {announced} beams has {found} ranges")]
+    Beams {
+        /// Beams that it says.
+        announced: usize,
+        /// Ranges that it has.
+        found: usize,
+    },
+    /// NaN or infinity where only a number makes sense.
+    #[error("the packet says what is no finite number")]
+    NotFinite,
     /// The message behind the header is broken.
     #[error(transparent)]
     Message(#[from] MessageError),
@@ -89,14 +107,12 @@ impl PositionPacket {
     /// [`WireError`] if `datagram` is not exactly one position packet.
     pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
         let header = Header::read(datagram, Kind::Position)?;
-        let (name, message) =
-            header.rest.split_at_checked(header.name_len).ok_or(WireError::Short(datagram.len()))?;
-        let robot = std::str::from_utf8(name).ok().and_then(|name| NodeId::new(name).ok());
+        let (robot, message) = header.robot(datagram)?;
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
             waypoint: header.waypoint,
-            robot: robot.ok_or(WireError::Robot)?,
+            robot,
             pose: Pose::decode(message)?,
         })
     }
@@ -145,10 +161,35 @@ impl NavigationPacket {
     }
 }
 
+/// What answers a robot.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Answer {
+    /// How to move.
+    Navigation(NavigationPacket),
+    /// Where it was.
+    Pose(PosePacket),
+}
+
+impl Answer {
+    /// Reads an answer.
+    ///
+    /// # Errors
+    /// [`WireError`] if `datagram` is not exactly one.
+    pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
+        const POSE: u8 = Kind::Pose as u8;
+        match datagram.get(5) {
+            Some(&POSE) => PosePacket::decode(datagram).map(Self::Pose),
+            _ => NavigationPacket::decode(datagram).map(Self::Navigation),
+        }
+    }
+}
+
 #[derive(Clone, Copy)]
 enum Kind {
     Position = 1,
     Navigation = 2,
+    Scan = 3,
+    Pose = 4,
 }
 
 struct Header<'a> {
@@ -198,6 +239,14 @@ impl<'a> Header<'a> {
             emitted: Timestamp::from_nanos(u64::from_le_bytes(emitted)),
             rest,
         })
+    }
+
+    /// The robot's name, and what follows it.
+    fn robot(&self, datagram: &[u8]) -> Result<(NodeId, &'a [u8]), WireError> {
+        let (name, rest) =
+            self.rest.split_at_checked(self.name_len).ok_or(WireError::Short(datagram.len()))?;
+        let robot = std::str::from_utf8(name).ok().and_then(|name| NodeId::new(name).ok());
+        Ok((robot.ok_or(WireError::Robot)?, rest))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, RobotFault, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, RobotFault, SensorData, Timestamp, Velocity};
 
 use crate::lidar::Scan;
 
@@ -47,6 +47,12 @@ pub trait RobotDriver: Send {
 
     /// The last complete turn of its lidar; `None` before the first, and without one.
     fn scan(&self) -> Option<&Scan>;
+
+    /// Where it really is, as of the last advance or command; `None` where nobody knows. For the radio, which goes by where
+    /// things are, and for reports: nobody who decides is told.
+    fn truth(&self) -> Option<Pose> {
+        None
+    }
 
     /// What is wrong with it as of the last advance or command, in order and each once. While there is anything, the
     /// robot stands still and refuses commands.

@@ -1,5 +1,5 @@
-//! The Robot Middleware block: drives robots, collects what they sense into κ, keeps the robot's end of the
-//! navigation service, and passes instructions on. It knows no sockets and no clock: plain calls with the time as an
+//! The Robot Middleware block: drives robots, collects what they sense into κ, keeps the robot's end of the navigation and
+//! localization services, and passes instructions on. It knows no sockets and no clock: plain calls with the time as an
 //! argument, and events to poll. Only the links to robots that speak ROS have sockets, in threads of their own.
 //!
 //! [`RobotMiddleware`] is the way in. It drives any [`RobotDriver`]: a [`SimulatedRobot`], which needs nothing, or a
@@ -12,6 +12,7 @@ mod fixtures;
 mod heard;
 mod kobuki;
 mod lidar;
+mod localization;
 mod middleware;
 mod planar;
 mod random;
@@ -29,6 +30,7 @@ mod world;
 pub use driver::{CommandRefused, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use lidar::Scan;
+pub use localization::{LocalizationVnf, NotLocalized, Rejected};
 pub use middleware::{MoveRefused, RobotMiddleware, Route, SensedScan};
 pub use ros_driver::{Clock, RosDriver, RosLink};
 pub use ros_offer::{OfferedRobot, OfferedTime, RosOffer};

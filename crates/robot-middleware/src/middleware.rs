@@ -8,14 +8,16 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Event, Node, NodeId, Position, Program, RobotContext, RobotFault, SensorData, Stamped,
-    Testbed, Timestamp, Velocity,
+    Attachment, Event, Node, NodeId, NodeKind, Position, Program, RobotContext, RobotFault, SensorData,
+    Stamped, Testbed, Timestamp, Velocity,
 };
-use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
+use cotorra_localization::trajectory::Errors;
+use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
     lidar::Scan,
+    localization::{LocalizationEndpoint, believed, planar},
     service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
@@ -88,6 +90,7 @@ pub struct RobotMiddleware {
 struct Managed {
     driver: Box<dyn RobotDriver>,
     service: Option<ServiceEndpoint>,
+    localization: Option<Localized>,
     /// Its entry in `due`.
     due: Option<Timestamp>,
     /// Whether the last command was outside what the robot can do; told once, not with every packet.
@@ -98,6 +101,13 @@ struct Managed {
     told_scan: Option<Timestamp>,
     /// It stands still, whatever its navigation says.
     halted: bool,
+}
+
+/// A robot whose place a VNF finds.
+struct Localized {
+    endpoint: LocalizationEndpoint,
+    /// How far off it was each time κ was built, where somebody knows the truth.
+    errors: Errors,
 }
 
 impl RobotMiddleware {
@@ -135,7 +145,8 @@ impl RobotMiddleware {
 
     /// The middleware with all robots of a testbed, moved by what `drive` makes for each node; it may use the simulated
     /// robot that it is given, which stands where the robot starts. A robot has a navigation service if it has a walk
-    /// and a service of the testbed runs the robot's driver ([`Program::RobotDriver`]).
+    /// and a service of the testbed runs the robot's driver ([`Program::RobotDriver`]); it is localized by a VNF if one of
+    /// its services has one ([`Program::Localization`]), and else where its driver says that it is.
     ///
     /// # Errors
     /// That of `drive`, or [`SimulationError`] if a robot has no place to start from.
@@ -153,23 +164,39 @@ impl RobotMiddleware {
         for (node, _) in testbed.graph.robots() {
             let walk = testbed.walk(&node.id);
             let driver = drive(node, SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?)?;
-            let service = testbed.services.iter().find(|service| {
-                service.robot == node.id && service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver)
-            });
-            let endpoint = walk.zip(service).map(|(walk, service)| {
+            let of_robot = || testbed.services.iter().filter(|service| service.robot == node.id);
+            let runs = |service: &cotorra_graph::Service, program| {
+                service.vnfs.iter().any(|vnf| vnf.program == program)
+            };
+            let mut navigated =
+                of_robot().filter(|s| runs(s, Program::RobotDriver) && !runs(s, Program::Localization));
+            let endpoint = walk.zip(navigated.next()).map(|(walk, service)| {
                 ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
             });
             middleware.add(driver, endpoint);
+            if of_robot().any(|service| runs(service, Program::Localization)) {
+                middleware.localize(node);
+            }
         }
         Ok(middleware)
+    }
+
+    /// From now on a VNF finds a robot that is there: it stands where its driver has it.
+    fn localize(&mut self, node: &Node) {
+        if let (NodeKind::Robot(robot), Some(managed)) = (&node.kind, self.robots.get_mut(&node.id)) {
+            let SensorData { pose, odometry, .. } = managed.driver.sensors();
+            let endpoint = LocalizationEndpoint::new(node.id.clone(), robot.model, &pose, &odometry);
+            managed.localization = Some(Localized { endpoint, errors: Errors::default() });
+        }
     }
 
     /// Adds a robot, in place of one of that name.
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
         let (health, told_scan) = (Vec::new(), None);
-        let managed =
-            Managed { driver, service, due: None, flagged: false, health, told_scan, halted: false };
+        let (localization, due) = (None, None);
+        let (flagged, halted) = (false, false);
+        let managed = Managed { driver, service, localization, due, flagged, health, told_scan, halted };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
@@ -180,7 +207,8 @@ impl RobotMiddleware {
     /// Keeps `due` right after a call to a robot's service.
     fn note_due(&mut self, robot: &NodeId) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
-        let next = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
+        let service = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
+        let next = service.into_iter().chain(managed.scan_deadline()).min();
         let before = std::mem::replace(&mut managed.due, next);
         if before != next {
             before.map(|at| self.due.remove(&(at, robot.clone())));
@@ -203,16 +231,28 @@ impl RobotMiddleware {
 
     /// σ of a robot, now.
     pub fn sensors(&mut self, robot: &NodeId) -> Option<SensorData> {
-        self.driver(robot).map(RobotDriver::sensors)
+        let managed = self.robots.get_mut(robot)?;
+        managed.driver.advance(self.now);
+        Some(managed.sensors())
     }
 
-    /// Where the robots are, now.
+    /// Where the robots are, now: really, as far as anyone knows.
     pub fn positions(&mut self) -> impl Iterator<Item = (&NodeId, Position)> {
         let now = self.now;
         self.robots.iter_mut().map(move |(robot, managed)| {
             managed.driver.advance(now);
-            (robot, managed.driver.sensors().pose.position())
+            let pose = managed.driver.truth().unwrap_or_else(|| managed.sensors().pose);
+            (robot, pose.position())
         })
+    }
+
+    /// How far off localization was each time κ was built, of each robot that a VNF localizes and whose place is known.
+    pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
+        let localized =
+            self.robots.iter().filter_map(|(robot, managed)| Some((robot, managed.localization.as_ref()?)));
+        localized
+            .map(|(robot, localized)| (robot, &localized.errors))
+            .filter(|(_, errors)| !errors.is_empty())
     }
 
     /// The driver of a robot, for what only it knows, such as its last scan.
@@ -248,10 +288,11 @@ impl RobotMiddleware {
             if context_due {
                 managed.driver.advance(now);
                 managed.note_health(now, &mut self.events);
+                managed.look(now);
                 let context = RobotContext {
                     robot: robot.clone(),
                     attachments: attachments(robot),
-                    sensors: managed.driver.sensors(),
+                    sensors: managed.sensors(),
                     waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
                     health: managed.health.clone(),
                 };
@@ -261,7 +302,7 @@ impl RobotMiddleware {
                 }
             }
         }
-        due.iter().for_each(|robot| self.note_due(robot));
+        all.unwrap_or(due).iter().for_each(|robot| self.note_due(robot));
         while self.next_context <= now {
             self.next_context = self.next_context + self.context_interval;
         }
@@ -281,7 +322,7 @@ impl RobotMiddleware {
         for robot in self.due_by(now).into_iter().filter(is_due).collect::<Vec<_>>() {
             let managed = self.robots.get_mut(&robot)?;
             managed.driver.advance(now);
-            let pose = managed.driver.sensors().pose;
+            let pose = managed.sensors().pose;
             let service = managed.service.as_mut()?;
             // Where a robot is that is not well, nobody knows; and it would not follow the answer.
             if managed.driver.health().is_empty() {
@@ -293,6 +334,28 @@ impl RobotMiddleware {
             self.note_due(&robot);
         }
         None
+    }
+
+    /// A scan that is due, to be sent to the robot's localization VNF; `None` when no more are. Its emission is `now`.
+    ///
+    /// It goes out while no position packet is under way, if such a moment comes soon: it is ten times as long as one, and
+    /// would hold one up on the air.
+    pub fn poll_localization(&mut self, now: Timestamp) -> Option<ScanPacket> {
+        self.due_by(now).into_iter().find_map(|robot| {
+            let managed = self.robots.get_mut(&robot)?;
+            let quiet = managed.is_quiet();
+            let packet = managed.localization.as_mut()?.endpoint.emit(now, quiet)?;
+            self.note_due(&robot);
+            Some(packet)
+        })
+    }
+
+    /// A localization VNF's answer arrived at a robot. It believes that, and its odometry since the scan that was answered.
+    pub fn localized(&mut self, robot: &NodeId, packet: &PosePacket) {
+        if let Some(localized) = self.robots.get_mut(robot).and_then(|managed| managed.localization.as_mut())
+        {
+            localized.endpoint.receive(packet);
+        }
     }
 
     /// A navigation packet arrived at a robot. What it brings is told as events; the robot follows it unless it is
@@ -380,6 +443,38 @@ impl RobotMiddleware {
 }
 
 impl Managed {
+    /// σ: the driver's, with the place where localization has the robot.
+    fn sensors(&self) -> SensorData {
+        let sensed = self.driver.sensors();
+        match &self.localization {
+            Some(Localized { endpoint, .. }) => {
+                SensorData { pose: endpoint.pose(&sensed.odometry), ..sensed }
+            }
+            None => sensed,
+        }
+    }
+
+    fn is_quiet(&self) -> bool {
+        self.service.as_ref().is_none_or(ServiceEndpoint::is_quiet)
+    }
+
+    /// When a scan is to be sent.
+    fn scan_deadline(&self) -> Option<Timestamp> {
+        self.localization.as_ref()?.endpoint.next_deadline(self.is_quiet())
+    }
+
+    /// Localization looks at what the robot sees, and is compared with the truth.
+    fn look(&mut self, now: Timestamp) {
+        let Some(Localized { endpoint, errors }) = &mut self.localization else { return };
+        let odometry = self.driver.sensors().odometry;
+        // What a robot sees that is not well may be from anywhere.
+        let scan = self.driver.scan().filter(|_| self.driver.health().is_empty());
+        endpoint.look(now, &odometry, scan);
+        if let Some(truth) = self.driver.truth() {
+            errors.push(&believed(&endpoint.pose(&odometry)), planar(&truth));
+        }
+    }
+
     /// Commands the driver, and tells once if it was asked for what the robot cannot do.
     fn command(
         &mut self,

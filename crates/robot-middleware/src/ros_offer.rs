@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{NodeId, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, SensorData, Timestamp, Velocity};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
@@ -178,6 +178,10 @@ impl RobotDriver for OfferedRobot {
 
     fn scan(&self) -> Option<&Scan> {
         self.scan.as_ref()
+    }
+
+    fn truth(&self) -> Option<Pose> {
+        self.shared.lock().robot.truth()
     }
 }
 

@@ -96,6 +96,11 @@ impl ServiceEndpoint {
         self.finished() && !finished_before
     }
 
+    /// Whether no position packet is under way.
+    pub fn is_quiet(&self) -> bool {
+        self.pending.is_empty()
+    }
+
     /// When a position packet is due or an unanswered one is given up.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let emission = (!self.finished()).then_some(self.next_emission);

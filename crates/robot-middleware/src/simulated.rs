@@ -138,6 +138,10 @@ impl RobotDriver for SimulatedRobot {
     fn scan(&self) -> Option<&Scan> {
         self.lidar.scan()
     }
+
+    fn truth(&self) -> Option<Pose> {
+        Some(self.pose())
+    }
 }
 
 #[cfg(test)]

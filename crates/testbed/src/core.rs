@@ -12,8 +12,9 @@ use cotorra_graph::{
     Attachment, Decision, Event, Instruction, Node, NodeId, PluginId, Program, Stamped, Testbed, Timestamp,
     VnfId,
 };
+use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
-use cotorra_plugin::wire::{NAVIGATION_PORT, NavigationPacket};
+use cotorra_plugin::wire::{Answer, LOCALIZATION_PORT, NAVIGATION_PORT};
 use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
 use crate::{domain::Domains, robots::RobotError};
@@ -39,6 +40,8 @@ pub(crate) struct Core<N, E> {
     control: NetworkControl<N, E>,
     /// The navigation VNF of each robot.
     navigators: BTreeMap<NodeId, VnfId>,
+    /// The localization VNF of each robot that has one.
+    localizers: BTreeMap<NodeId, VnfId>,
     /// φ of each robot as last seen.
     attachments: BTreeMap<NodeId, Vec<Attachment>>,
     events: VecDeque<Stamped>,
@@ -60,14 +63,18 @@ impl<N: Network, E: Engine> Core<N, E> {
         engine: E,
         drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError>,
     ) -> Result<Self, RobotError> {
-        let navigation = |service: &cotorra_graph::Service| {
-            let vnf = service.vnfs.iter().find(|vnf| vnf.program == Program::Navigation)?;
-            Some((service.robot.clone(), vnf.id.clone()))
+        let of_robots = |program: Program| {
+            let of_service = |service: &cotorra_graph::Service| {
+                let vnf = service.vnfs.iter().find(|vnf| vnf.program == program)?;
+                Some((service.robot.clone(), vnf.id.clone()))
+            };
+            testbed.services.iter().filter_map(of_service).collect()
         };
         Ok(Self {
             middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
-            navigators: testbed.services.iter().filter_map(navigation).collect(),
+            navigators: of_robots(Program::Navigation),
+            localizers: of_robots(Program::Localization),
             attachments: BTreeMap::new(),
             domains: Domains::new(&testbed),
             testbed,
@@ -126,6 +133,10 @@ impl<N: Network, E: Engine> Core<N, E> {
         if !self.begun {
             return None;
         }
+        self.poll_position(now).or_else(|| self.poll_scan_packet(now))
+    }
+
+    fn poll_position(&mut self, now: Timestamp) -> Option<Datagram> {
         loop {
             let mut route = None;
             let packet = self.middleware.poll_position(now, |robot| {
@@ -145,12 +156,31 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
     }
 
-    /// A datagram arrived at a robot; what is no navigation packet is ignored.
+    fn poll_scan_packet(&mut self, now: Timestamp) -> Option<Datagram> {
+        loop {
+            let packet = self.middleware.poll_localization(now)?;
+            let node = self.localizers.get(&packet.robot).and_then(|vnf| self.control.node(vnf));
+            let address = node.and_then(|node| self.testbed.graph.address(node));
+            let Some(address) = address else { continue };
+            let mut bytes = Vec::with_capacity(1024);
+            packet.encode(&mut bytes);
+            let to = SocketAddrV4::new(address.ipv4, LOCALIZATION_PORT);
+            return Some(Datagram { robot: packet.robot, to, bytes });
+        }
+    }
+
+    /// A datagram arrived at a robot; what is no answer is ignored.
     pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, bytes: &[u8]) {
-        match NavigationPacket::decode(bytes) {
-            Ok(packet) => self.middleware.receive(at, robot, &packet),
+        match Answer::decode(bytes) {
+            Ok(Answer::Navigation(packet)) => self.middleware.receive(at, robot, &packet),
+            Ok(Answer::Pose(packet)) => self.middleware.localized(robot, &packet),
             Err(error) => tracing::debug!("{robot} received something else: {error}"),
         }
+    }
+
+    /// How far off localization was, of each robot that a VNF localizes and whose place is known.
+    pub(crate) fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
+        self.middleware.localization_errors()
     }
 
     /// Something happened in the network.

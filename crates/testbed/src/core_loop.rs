@@ -166,6 +166,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         let now = (self.now)();
         self.core.shut_down(now);
         self.publish();
+        self.readers.report.localized(self.core.localization_errors());
         (self.readers.report, now, end)
     }
 

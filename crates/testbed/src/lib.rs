@@ -4,12 +4,12 @@
 #![forbid(unsafe_code)]
 
 mod api;
+mod bundled;
 mod core;
 mod core_loop;
 mod domain;
 pub mod experiment;
 mod live;
-mod navigation;
 mod plugins;
 mod real_network;
 mod recorded;
@@ -22,14 +22,14 @@ mod simulate;
 pub mod sweep;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
+pub use bundled::{VnfError, localization, navigation};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use live::{Live, Snapshot};
-pub use navigation::{NavigationError, navigation};
 pub use plugins::PluginError;
 pub use recorded::{Recorded, RecordedError};
 pub use report::{
-    DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, Panel, Place, PlacementRecord,
-    Quantiles, RegionSummary, Report, Summary, draw,
+    DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,
+    Place, PlacementRecord, Quantiles, RegionSummary, Report, Summary, draw,
 };
 pub use robots::RobotError;
 pub use run::{Finished, Options, Run, RunError, Stopper, about, clean, leftovers};

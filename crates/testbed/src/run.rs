@@ -28,10 +28,10 @@ use tokio::sync::broadcast;
 
 use crate::{
     api::{self, ApiError, Listener, Server, Tokens},
+    bundled,
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     live::Live,
-    navigation,
     plugins::{Now, PluginError, PluginHost, Said},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
@@ -452,14 +452,14 @@ impl Launcher for NodeLauncher {
         Ok(Box::new(NodeProcess(child)))
     }
 
-    fn navigation(&self, vnf: &Vnf, _node: &NodeId) -> Command {
-        debug_assert_eq!(vnf.program, Program::Navigation);
+    fn bundled(&self, vnf: &Vnf, _node: &NodeId) -> Command {
+        let word = if vnf.program == Program::Localization { "localization" } else { "navigation" };
         // The very file that runs, even if another was put in its place since.
         let mut command = Command::new("/proc/self/exe");
-        command.args(["vnf", "navigation"]).env(navigation::TESTBED, &self.testbed_file);
-        command.env(navigation::SETTINGS, &self.settings);
+        command.args(["vnf", word]).env(bundled::TESTBED, &self.testbed_file);
+        command.env(bundled::SETTINGS, &self.settings);
         if let Some(robot) = self.robots.get(&vnf.id) {
-            command.env(navigation::ROBOT, robot.as_str());
+            command.env(bundled::ROBOT, robot.as_str());
         }
         command
     }

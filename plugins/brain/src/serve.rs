@@ -1,7 +1,4 @@
 //! The brain as the navigation VNF: position packets in, navigation packets out.
-//!
-//! The robot waits for the answer, so each is sent before anything else is looked at, by one thread that blocks on
-//! its socket.
 
 use std::{collections::BTreeMap, convert::Infallible, io, net::UdpSocket};
 
@@ -114,32 +111,16 @@ fn context(packet: &PositionPacket) -> RobotContext {
 /// # Errors
 /// What the socket cannot recover from.
 pub fn serve(mut vnf: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
-    let mut datagram = [0; 2048];
-    let mut answer = Vec::with_capacity(128);
-    let mut rejected = 0u64;
     let mut standstill: Option<String> = None;
     eprintln!("navigating `{}`", vnf.robot);
-    loop {
-        let (length, sender) = match socket.recv_from(&mut datagram) {
-            Ok(received) => received,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(error) => return Err(error),
-        };
-        match vnf.answer(&datagram[..length], &mut answer) {
-            // A robot that cannot be reached now emits its next position soon enough.
-            Ok(()) => drop(socket.send_to(&answer, sender)),
-            Err(reason) => {
-                rejected += 1;
-                if rejected.is_power_of_two() {
-                    eprintln!("ignored a packet from {sender}, number {rejected} so far: {reason}");
-                }
-            }
-        }
+    cotorra_plugin::vnf::serve(socket, |datagram, answer| {
+        let done = vnf.answer(datagram, answer);
         if vnf.standstill() != standstill.as_deref() {
             standstill = vnf.standstill().map(str::to_owned);
             eprintln!("{}", standstill.as_deref().unwrap_or("the way is open again"));
         }
-    }
+        done
+    })
 }
 
 #[cfg(test)]

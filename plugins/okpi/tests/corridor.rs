@@ -87,6 +87,11 @@ fn with(name: &str, value: Value) -> Map<String, Value> {
     settings
 }
 
+/// Without a survey.
+fn by_signal() -> Map<String, Value> {
+    Map::from_iter([("services".to_owned(), json!(["navigation"]))])
+}
+
 #[test]
 fn decides_as_published_where_it_was_published() {
     let changes = walk(&survey());
@@ -213,7 +218,9 @@ fn from_ten_levels_on_the_corridor_costs_what_it_must() {
 fn every_decision_on_the_way_out_and_back_is_the_optimum() {
     let testbed = corridor();
     for gamma in [10, 15, 50, 100] {
-        for settings in [with("gamma", json!(gamma)), Map::from_iter([("gamma".to_owned(), json!(gamma))])] {
+        let mut unsurveyed = by_signal();
+        unsurveyed.insert("gamma".to_owned(), json!(gamma));
+        for settings in [with("gamma", json!(gamma)), unsurveyed] {
             for change in walk(&settings) {
                 let (chain, infrastructure) = seen(&testbed, &[&change.unit]);
                 let optimum = exact::optimum(&chain, &infrastructure).unwrap();
@@ -226,10 +233,20 @@ fn every_decision_on_the_way_out_and_back_is_the_optimum() {
 
 #[test]
 fn by_signal_alone_the_nearest_of_each_segment_is_taken() {
-    let changes = walk(&Map::new());
+    let changes = walk(&by_signal());
     let out = [("R3", "cloud"), ("R2", "edge"), ("R4", "edge"), ("R5", "fog")];
     let back = [("R4", "edge"), ("R2", "edge"), ("R3", "cloud"), ("R1", "cloud")];
     assert_eq!(pairs(&changes), [out, back].concat(), "{changes:#?}");
+}
+
+#[test]
+fn all_services_are_orchestrated_unless_some_are_named() {
+    let mut okpi = Okpi::from_settings(&Map::new()).unwrap();
+    let mut actions = Actions::default();
+    okpi.start(Timestamp::ZERO, &corridor(), &mut actions);
+    let asked = told(&mut okpi, &context((25.5, -27.8), "R1"));
+    let place = Instruction::Place { vnf: "localization".parse().unwrap(), node: "cloud".parse().unwrap() };
+    assert_eq!(asked, [place], "it is cheapest there");
 }
 
 #[test]
@@ -337,6 +354,8 @@ fn what_the_testbed_does_not_have_cannot_be_set() {
     let expected = "coverage: the testbed has no radio unit `r44`; did you mean `R4`?";
     assert_eq!(said(&unit).as_deref(), Some(expected));
     let queue = json!({ "navigaton": { "service_rate": "500 /s", "arrival_rate": "20 /s" } });
+    let service = "services: the testbed has no service `navigaton`; did you mean `navigation`?";
+    assert_eq!(said(&with("services", json!(["navigaton"]))).as_deref(), Some(service));
     let expected = "processing: the testbed has no VNF `navigaton`; did you mean `navigation`?";
     assert_eq!(said(&with("processing", queue)).as_deref(), Some(expected));
 }

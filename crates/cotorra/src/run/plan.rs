@@ -87,6 +87,7 @@ fn program(vnf: &Vnf) -> String {
     match &vnf.program {
         Program::RobotDriver => format!("{} (robot driver)", vnf.id),
         Program::Navigation => format!("{} (bundled brain)", vnf.id),
+        Program::Localization => format!("{} (Monte Carlo localization)", vnf.id),
         Program::Command(words) => format!("{} ({})", vnf.id, words.join(" ")),
     }
 }

@@ -99,6 +99,16 @@ fn figures(summary: &Summary) -> Table {
             format!("{:.1} % of the samples took more than {target} ms", above * 100.0),
         ]);
     }
+    for localization in &summary.localization {
+        let Quantiles { p50, p95, max, .. } = localization.error_m;
+        let robot = if summary.localization.len() > 1 {
+            format!(" of {}", localization.robot)
+        } else {
+            String::new()
+        };
+        let text = format!("off by a median of {p50:.2} m, p95 {p95:.2} m, max {max:.2} m");
+        table.row([format!("localization{robot}"), text]);
+    }
     let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
     let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", millis(gaps.p50), millis(gaps.max)));
     table.row(["handovers".to_owned(), format!("{}{}", summary.handovers.len(), gaps.unwrap_or_default())]);

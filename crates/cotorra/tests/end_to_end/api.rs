@@ -13,7 +13,7 @@ fn robots_network_and_measurements_are_told_and_mistakes_are_refused() {
     let robot = run.get("/api/v1/robots/robot");
     assert!(robot["sensors"]["pose"]["x"].is_number(), "{robot:#}");
     assert_eq!(run.get("/api/v1/testbed")["name"], "corridor");
-    assert_eq!(run.get("/api/v1/network/placements").as_array().map(Vec::len), Some(2));
+    assert_eq!(run.get("/api/v1/network/placements").as_array().map(Vec::len), Some(4));
     assert!(!run.get("/api/v1/network/links").as_array().unwrap().is_empty());
     assert!(run.get("/openapi.json")["paths"].is_object());
 

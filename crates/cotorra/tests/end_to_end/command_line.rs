@@ -18,7 +18,7 @@ fn a_good_file_is_told_in_one_line() {
         "6 radio units",
         "1 switch",
         "3 servers",
-        "1 service",
+        "2 services of 4 VNFs",
         "plug-ins: probing",
     ] {
         assert!(text.contains(part), "{part} is not in {text}");

@@ -146,7 +146,7 @@ fn two_runs_are_set_side_by_side_wherever_they_are() {
         assert!(told.contains(part), "{part} is not in {told}");
     }
     assert!(
-        told.contains("R1-cloud forward") && !told.contains("R1-edge"),
+        told.contains("R1-cloud forward") && !told.contains("R1-fog"),
         "links that nothing crossed are left out"
     );
     let json = |arguments: &[&str]| -> Value {

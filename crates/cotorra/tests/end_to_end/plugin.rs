@@ -116,7 +116,7 @@ for event in testbed.stream("robot", "service_time", wake_every_s=0.35):
     asked, now_s = 1, event["at"] / 1e9
     assert {r["robot"] for r in testbed.robots()} == {"robot"}
     assert testbed.node("cloud")["address"] and len(testbed.links()) > 30
-    assert len(testbed.radio_units()) == 6 and len(testbed.placements()) == 2
+    assert len(testbed.radio_units()) == 6 and len(testbed.placements()) == 4
     assert [run["this"] for run in testbed.runs()] == [True]
     assert testbed.state(at_s=2.0)["at"] == 2e9 and testbed.state()["at"] > 4e9
     told = list(testbed.events("service_time", to_s=now_s + 1))

@@ -13,7 +13,11 @@ fn the_corridor_is_walked_and_measured() {
     let (summary, printed) = run.report();
     assert_eq!(summary["seed"], 7);
     assert_eq!(summary["target_ms"], 15.0);
-    assert_eq!(summary["pose_source"], "simulator");
+    assert_eq!(summary["pose_source"], "localization");
+    let localization = &summary["localization"][0];
+    assert_eq!(localization["robot"], "robot");
+    assert!(localization["samples"].as_u64().unwrap() > 100, "{localization:#}");
+    assert!(localization["error_m"]["p95"].as_f64().unwrap() < 0.3, "{localization:#}");
     assert!(summary["samples"].as_u64().unwrap() > 50, "{summary:#}");
     assert!(summary["above_target"].as_f64().is_some());
     for figure in ["p50", "p95", "p99", "max"] {
@@ -44,9 +48,26 @@ fn the_corridor_is_walked_and_measured() {
     assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
     let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
     assert_eq!(as_run, fs::read_to_string(corridor()).unwrap());
-    for log in ["cotorra.log", "navigation.log"] {
+    for log in ["cotorra.log", "navigation.log", "localization.log"] {
         assert!(run.folder.join("logs").join(log).exists(), "{log}");
     }
+}
+
+#[test]
+fn localization_moves_to_another_server_while_the_robot_walks() {
+    let mut run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
+    run.wait_for_service();
+    let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
+    let (status, body) = run.post("/api/v1/instructions", place);
+    assert_eq!(status, 200, "{body}");
+    let (summary, printed) = run.report();
+    let placed = summary["placements"].as_array().unwrap();
+    let served: Vec<_> = placed.iter().filter(|p| p["vnf"] == "localization").map(|p| &p["node"]).collect();
+    assert_eq!(served, ["edge", "fog"]);
+    assert!(summary["localization"][0]["error_m"]["max"].as_f64().unwrap() < 0.5, "{summary:#}");
+    assert!(printed.contains("localization  off by a median of"), "{printed}");
+    let log = fs::read_to_string(run.folder.join("logs/localization.log")).unwrap();
+    assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");
 }
 
 #[test]

@@ -590,11 +590,13 @@ impl Builder<'_> {
             (Some(word), None) => match word.value {
                 ProgramWord::RobotDriver => Some(Program::RobotDriver),
                 ProgramWord::Navigation => Some(Program::Navigation),
+                ProgramWord::Localization => Some(Program::Localization),
             },
             (None, Some(command)) => self.command(command).map(Program::Command),
             (None, None) => {
                 self.sink.error(span, "nothing says what this VNF runs").help(
-                    "add `program: navigation`, `program: robot_driver`, or `command: [program, argument]`",
+                    "add `program: navigation`, `program: localization`, `program: robot_driver`, or \
+                     `command: [program, argument]`",
                 );
                 None
             }

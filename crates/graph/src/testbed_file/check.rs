@@ -14,7 +14,7 @@ use crate::{
     testbed::Testbed,
     units::Position,
     yaml::{
-        Sink,
+        Sink, Span,
         decode::{Either, Spanned, words},
     },
 };
@@ -244,7 +244,7 @@ fn amount(cpus: f64, memory_bytes: u64) -> String {
     format!("{cpus} CPU{s} and {:.2} GB", memory_bytes as f64 / 1e9)
 }
 
-/// Navigation answers the position packets of a robot on its walk.
+/// Navigation answers the position packets of a robot on its walk, localization its scans, on a map.
 fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
     for ((id, r), vnf) in record.vnfs.0.iter().zip(&service.vnfs) {
         let place = r.program.as_ref().map_or(&id.span, |program| &program.span);
@@ -253,13 +253,15 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
                 sink.error(place, format!("a robot driver that is not pinned to `{}`", service.robot))
                     .help(format!("write `pinned_to: {}`, the robot that the service serves", service.robot));
             }
-            Program::Navigation => {
-                if !service.vnfs.iter().any(|v| v.program == Program::RobotDriver) {
-                    sink.error(place, "navigation without a robot driver").help(format!(
-                        "add a VNF before it, such as `driver: {{ program: robot_driver, pinned_to: {} }}`",
-                        service.robot
-                    ));
+            Program::Localization => {
+                driven("localization", place, service, sink);
+                if testbed.map.is_none() {
+                    sink.error(place, "localization without a map")
+                        .help("name the map on which it finds the robot, under `map:`");
                 }
+            }
+            Program::Navigation => {
+                driven("navigation", place, service, sink);
                 if testbed.walk(&service.robot).is_none() {
                     sink.error(place, format!("navigation for `{}`, which has no walk", service.robot))
                         .help(format!("say where it goes, under `walks:`, at `{}:`", service.robot));
@@ -271,6 +273,16 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
     if service.vnfs.is_empty() {
         sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))
             .help("describe them under `vnfs:`, in the order in which packets visit them");
+    }
+}
+
+/// What answers a robot is in a service with the robot's driver.
+fn driven(what: &str, place: &Span, service: &Service, sink: &mut Sink) {
+    if !service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
+        sink.error(place, format!("{what} without a robot driver")).help(format!(
+            "add a VNF before it, such as `driver: {{ program: robot_driver, pinned_to: {} }}`",
+            service.robot
+        ));
     }
 }
 

@@ -466,7 +466,7 @@ record! {
     /// What a service must keep.
     KpisRecord {
         /// Target of the service time: from the emission of a position packet to the reception of the navigation
-        /// packet that answers it.
+        /// packet that answers it. Of a service that localizes, from a scan to the pose.
         service_time: Spanned<Duration>,
         /// Probability that all nodes and links in use work.
         reliability: Option<Spanned<Probability>>,
@@ -501,6 +501,7 @@ record! {
 pub(crate) enum ProgramWord {
     RobotDriver,
     Navigation,
+    Localization,
 }
 
 record! {
@@ -621,4 +622,5 @@ choice!(JitterDistribution, "distribution", {
 choice!(ProgramWord, "bundled program", {
     "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";
     "navigation" => Self::Navigation, "the bundled brain";
+    "localization" => Self::Localization, "Monte Carlo localization: scans in, poses with their covariance out";
 });

@@ -58,8 +58,8 @@ pub trait Launcher: Send + Sync + 'static {
         cgroup_procs: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>>;
 
-    /// The program and arguments of the bundled navigation VNF.
-    fn navigation(&self, vnf: &Vnf, node: &NodeId) -> Command;
+    /// The program and arguments of a bundled VNF: navigation or localization. It prints [`READY`] once it serves.
+    fn bundled(&self, vnf: &Vnf, node: &NodeId) -> Command;
 
     /// Called from another thread when [`Engine::poll`] has something new.
     fn wake(&self);
@@ -95,7 +95,7 @@ impl<L: Launcher> ProcessEngine<L> {
 
     fn command(&self, vnf: &Vnf, node: &NodeId) -> Result<Command, String> {
         let mut command = match &vnf.program {
-            Program::Navigation => self.launcher.navigation(vnf, node),
+            Program::Navigation | Program::Localization => self.launcher.bundled(vnf, node),
             Program::Command(words) => {
                 let (program, arguments) = words.split_first().ok_or("its command is empty")?;
                 let mut command = Command::new(program);
@@ -118,7 +118,7 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
         let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
         writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
-        let says_ready = vnf.program == Program::Navigation;
+        let says_ready = matches!(vnf.program, Program::Navigation | Program::Localization);
         let both = log.try_clone().and_then(|stderr| Ok((stderr, log.try_clone()?))).map_err(in_log)?;
         command.stdin(Stdio::null()).stderr(both.0);
         command.stdout(if says_ready { Stdio::piped() } else { both.1.into() });

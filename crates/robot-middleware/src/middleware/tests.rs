@@ -312,3 +312,52 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
     assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveRefused::UnknownRobot(id("nobody"))));
 }
+
+#[test]
+fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it_is() {
+    let mut testbed = testbed();
+    let localization = Service {
+        id: ServiceId::new("localization").unwrap(),
+        vnfs: testbed.services[0]
+            .vnfs
+            .iter()
+            .cloned()
+            .map(|mut vnf| {
+                if vnf.program == Program::Navigation {
+                    vnf.program = Program::Localization;
+                }
+                vnf
+            })
+            .collect(),
+        ..testbed.services[0].clone()
+    };
+    // Whichever service is first.
+    testbed.services.insert(0, localization);
+    let mut middleware = RobotMiddleware::simulated(&testbed, 1, ms(100)).unwrap();
+    let (mut scans, mut last) = (Vec::new(), None);
+    for now in (0..8000).step_by(50) {
+        middleware.advance(at(now), attached);
+        while let Some(position) = middleware.poll_position(at(now), route) {
+            assert_eq!(position.pose, (&middleware.sensors(&id("robot1")).unwrap().pose).into());
+            let velocity = Velocity { linear: 0.3, angular: 0.1 };
+            let answer = NavigationPacket::answering(&position, 1, velocity.into());
+            assert_eq!(middleware.poll_localization(at(now)), None, "a position packet is under way");
+            middleware.receive(at(now), &id("robot1"), &answer);
+        }
+        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now))));
+        last = service_times(&events(&mut middleware)).last().map(|time| time.service.clone()).or(last);
+    }
+    assert_eq!(last, Some(ServiceId::new("navigation").unwrap()));
+    assert!((8..12).contains(&scans.len()), "{} scans", scans.len());
+    let believed = middleware.sensors(&id("robot1")).unwrap().pose;
+    let truth = middleware.driver(&id("robot1")).unwrap().truth().unwrap();
+    assert_eq!((believed.source, truth.source), (PoseSource::Localization, PoseSource::Simulator));
+    assert_ne!(believed.position(), truth.position());
+    let positions: BTreeMap<_, _> = middleware.positions().collect();
+    assert_eq!(positions[&id("robot1")], truth.position());
+    // The other robot has nobody who localizes it.
+    assert_eq!(middleware.sensors(&id("idle")).unwrap().pose.source, PoseSource::Simulator);
+    let errors: Vec<_> =
+        middleware.localization_errors().map(|(robot, errors)| (robot.clone(), errors.len())).collect();
+    assert_eq!(errors, [(id("robot1"), 80)]);
+}

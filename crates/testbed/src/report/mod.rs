@@ -1,4 +1,5 @@
-//! What a run leaves: the summary, the samples, the published figure's layout. Everything is read off the events.
+//! What a run leaves: the summary, the samples, the published figure's layout. All but how far
+//! off localization was is read off the events.
 
 mod figure;
 mod folder;
@@ -10,6 +11,6 @@ pub(crate) use folder::write;
 pub use folder::{FolderError, Place, RunFolder};
 pub(crate) use summary::took_ms;
 pub use summary::{
-    DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, Losses, PlacementRecord, Quantiles,
-    RegionSummary, Report, Summary,
+    DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
+    Quantiles, RegionSummary, Report, Summary,
 };

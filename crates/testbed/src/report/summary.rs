@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, Position, ServiceTime, Stamped, Testbed, Timestamp, VnfId,
+    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed, Timestamp,
+    VnfId,
 };
+use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
 
 /// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
@@ -45,12 +47,28 @@ pub struct Summary {
     pub placements: Vec<PlacementRecord>,
     /// Whether the emulator did what it was asked.
     pub fidelity: Fidelity,
-    /// Where the robots' poses came from.
-    pub pose_source: &'static str,
+    /// Where the robots' poses came from, as told last; `None` where there is no robot.
+    pub pose_source: Option<PoseSource>,
+    /// How far off localization was, of each robot that a VNF localized and whose place is known.
+    pub localization: Vec<LocalizationSummary>,
     /// Plug-ins that were cut off, with the reason.
     pub plugin_faults: Vec<String>,
     /// Events that the history had no room for.
     pub history_dropped: u64,
+}
+
+/// How far off a robot's localization was, each time that κ was collected.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LocalizationSummary {
+    /// The robot.
+    pub robot: NodeId,
+    /// How often it was compared.
+    pub samples: usize,
+    /// From where it was believed to be to where it was, metres.
+    pub error_m: Quantiles,
+    /// Mean of the normalized estimation error squared: 3 if the covariance is as large as the errors, more if it is too
+    /// small.
+    pub nees: f64,
 }
 
 /// Quantiles by linear interpolation between closest ranks.
@@ -222,6 +240,8 @@ pub struct Report {
     decisions: Vec<DecisionRecord>,
     lateness: Lateness,
     faults: Vec<String>,
+    localization: Vec<LocalizationSummary>,
+    pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
     /// Where each robot was last.
@@ -241,6 +261,8 @@ impl Report {
             decisions: Vec::new(),
             lateness: Lateness::default(),
             faults: Vec::new(),
+            localization: Vec::new(),
+            pose_source: None,
             robots: testbed
                 .services
                 .iter()
@@ -257,6 +279,7 @@ impl Report {
             Event::ServiceTime(sample) => self.samples.push(sample.clone()),
             Event::Robot(context) => {
                 let position = context.sensors.pose.position();
+                self.pose_source = Some(context.sensors.pose.source);
                 match self.positions.get_mut(&context.robot) {
                     Some(last) => *last = position,
                     None => drop(self.positions.insert(context.robot.clone(), position)),
@@ -289,6 +312,16 @@ impl Report {
             Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
             _ => {}
         }
+    }
+
+    /// Takes in how far off localization was; no event tells it, because nobody who decides may know.
+    pub(crate) fn localized<'a>(&mut self, errors: impl Iterator<Item = (&'a NodeId, &'a Errors)>) {
+        let summary = |(robot, errors): (&NodeId, &Errors)| {
+            let error_m = Quantiles::of(errors.positions().to_vec())?;
+            let (robot, samples, nees) = (robot.clone(), errors.len(), errors.mean_nees());
+            Some(LocalizationSummary { robot, samples, error_m, nees })
+        };
+        self.localization = errors.filter_map(summary).collect();
     }
 
     fn position_for(&self, vnf: &VnfId) -> Option<Position> {
@@ -337,7 +370,8 @@ impl Report {
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
             fidelity: Fidelity::of(self.lateness, losses.frames_dropped),
-            pose_source: "simulator",
+            pose_source: self.pose_source,
+            localization: self.localization.clone(),
             plugin_faults: self.faults.clone(),
             history_dropped: losses.history_dropped,
         }

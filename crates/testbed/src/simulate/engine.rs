@@ -1,4 +1,4 @@
-//! What runs VNFs in virtual time: the navigation VNF as a part of the simulation.
+//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation.
 
 use std::{
     cell::RefCell,
@@ -9,39 +9,69 @@ use std::{
 use cotorra_brain::NavigationVnf;
 use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
 use cotorra_network_control::vim::{Engine, EngineEvent, InstanceId, Outcome};
+use cotorra_plugin::wire::{LOCALIZATION_PORT, NAVIGATION_PORT};
+use cotorra_robot_middleware::LocalizationVnf;
 
-/// The navigation VNFs that serve on each node.
-#[derive(Clone, Default)]
-pub(super) struct Navigation(Rc<RefCell<Serving>>);
+/// An instance of a bundled VNF.
+#[derive(Clone)]
+enum Bundled {
+    Navigation(NavigationVnf),
+    Localization(Box<LocalizationVnf>),
+}
 
-impl Navigation {
-    /// Writes what the VNF on a node answers to a datagram; false if none does.
-    pub(super) fn answer(&self, node: &NodeId, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
-        self.0.borrow_mut().get_mut(node).is_some_and(|instances| {
-            instances.iter_mut().any(|(_, vnf)| vnf.answer(datagram, answer).is_ok())
-        })
+impl Bundled {
+    /// Writes the answer to a datagram that came to that port; false if there is none.
+    fn answer(&mut self, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
+        match self {
+            Self::Navigation(vnf) => port == NAVIGATION_PORT && vnf.answer(datagram, answer).is_ok(),
+            Self::Localization(vnf) => port == LOCALIZATION_PORT && vnf.answer(datagram, answer).is_ok(),
+        }
     }
 }
 
 /// By node, in the order in which they were started.
-type Serving = BTreeMap<NodeId, Vec<(InstanceId, NavigationVnf)>>;
+type Instances = BTreeMap<NodeId, Vec<(InstanceId, Bundled)>>;
 
-/// Runs the navigation VNF as a part of the simulation; an instance is ready at once.
+/// The VNFs that serve on each node.
+#[derive(Clone, Default)]
+pub(super) struct Serving(Rc<RefCell<Instances>>);
+
+impl Serving {
+    /// Writes what the VNFs on a node answer to a datagram that came to that port; false if none does.
+    pub(super) fn answer(&self, node: &NodeId, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
+        self.0
+            .borrow_mut()
+            .get_mut(node)
+            .is_some_and(|instances| instances.iter_mut().any(|(_, vnf)| vnf.answer(port, datagram, answer)))
+    }
+}
+
+/// Runs the bundled VNFs as parts of the simulation; an instance is ready at once.
 pub(super) struct VirtualEngine {
     /// What an instance begins as, by VNF.
-    planned: BTreeMap<VnfId, NavigationVnf>,
-    serving: Navigation,
+    planned: BTreeMap<VnfId, Bundled>,
+    serving: Serving,
     running: BTreeMap<InstanceId, NodeId>,
     happened: VecDeque<EngineEvent>,
 }
 
 impl VirtualEngine {
-    /// Plans all walks.
-    pub(super) fn new(testbed: &Testbed, serving: Navigation) -> Self {
-        let by_robot = NavigationVnf::of_all(testbed);
+    /// Plans all walks, and prepares the map.
+    pub(super) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Self {
+        let navigations = NavigationVnf::of_all(testbed);
+        let localizations = LocalizationVnf::of_all(testbed, seed);
         let planned = testbed.services.iter().flat_map(|service| {
-            let planned = by_robot.get(&service.robot);
-            service.vnfs.iter().filter_map(move |vnf| Some((vnf.id.clone(), planned?.clone())))
+            let (navigations, localizations) = (&navigations, &localizations);
+            service.vnfs.iter().filter_map(move |vnf| {
+                let bundled = match vnf.program {
+                    Program::Navigation => Bundled::Navigation(navigations.get(&service.robot)?.clone()),
+                    Program::Localization => {
+                        Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
+                    }
+                    Program::RobotDriver | Program::Command(_) => return None,
+                };
+                Some((vnf.id.clone(), bundled))
+            })
         });
         Self { planned: planned.collect(), serving, running: BTreeMap::new(), happened: VecDeque::new() }
     }
@@ -49,11 +79,11 @@ impl VirtualEngine {
 
 impl Engine for VirtualEngine {
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
-        if vnf.program != Program::Navigation {
-            return Err("only the bundled navigation VNF runs in virtual time".to_owned());
+        if !matches!(vnf.program, Program::Navigation | Program::Localization) {
+            return Err("only the bundled VNFs run in virtual time".to_owned());
         }
-        let navigation = self.planned.get(&vnf.id).ok_or("its robot has no walk")?.clone();
-        self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, navigation));
+        let bundled = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
+        self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, bundled));
         self.running.insert(instance, node.clone());
         self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
         Ok(())

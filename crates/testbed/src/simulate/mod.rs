@@ -21,13 +21,14 @@ use cotorra_federation::Ledgers;
 use cotorra_graph::{
     Event, HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
 };
+use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::Refused;
-use cotorra_plugin::{Actions, Plugin, wire::NAVIGATION_PORT};
+use cotorra_plugin::{Actions, Plugin};
 use cotorra_robot_middleware::SensedScan;
 
 pub use self::run::simulate;
 use self::{
-    engine::{Navigation, VirtualEngine},
+    engine::{Serving, VirtualEngine},
     network::VirtualNetwork,
 };
 use crate::{
@@ -45,7 +46,7 @@ const ROBOT_PORT: u16 = 40_000;
 pub struct Simulation {
     core: Core<VirtualNetwork, VirtualEngine>,
     network: VirtualNetwork,
-    navigation: Navigation,
+    serving: Serving,
     plugins: Vec<Hosted>,
     /// What orchestrators share.
     _ledgers: Ledgers,
@@ -86,8 +87,8 @@ impl Simulation {
     /// The same, on ledgers that may know of runs before.
     fn on(testbed: Arc<Testbed>, seed: u64, ledgers: Ledgers) -> Result<Self, RunError> {
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, seed)?);
-        let navigation = Navigation::default();
-        let engine = VirtualEngine::new(&testbed, navigation.clone());
+        let serving = Serving::default();
+        let engine = VirtualEngine::new(&testbed, seed, serving.clone());
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, simulated)?;
         let domains = Domains::new(&testbed);
         let mut bundled = Bundled::new(&testbed, seed, ledgers);
@@ -107,7 +108,7 @@ impl Simulation {
         let mut simulation = Self {
             core,
             network,
-            navigation,
+            serving,
             plugins,
             _ledgers: ledgers,
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
@@ -190,6 +191,11 @@ impl Simulation {
         self.core.poll_scan()
     }
 
+    /// How far off localization was so far, of each robot that a VNF localizes.
+    pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
+        self.core.localization_errors()
+    }
+
     /// Whether every walk is done; never where there is none.
     pub fn is_finished(&self) -> bool {
         self.core.is_finished()
@@ -201,7 +207,7 @@ impl Simulation {
             let (Some(from), Some(to)) = (self.port(&datagram.robot), self.port_at(*datagram.to.ip())) else {
                 continue;
             };
-            self.send(now, (from, ROBOT_PORT), (to, NAVIGATION_PORT), &datagram.bytes);
+            self.send(now, (from, ROBOT_PORT), (to, datagram.to.port()), &datagram.bytes);
         }
         loop {
             let mut delivered = Vec::new();
@@ -226,10 +232,9 @@ impl Simulation {
             return self.core.receive(now, &host, datagram.payload);
         }
         let mut answer = Vec::with_capacity(128);
-        let answered =
-            datagram.to == NAVIGATION_PORT && self.navigation.answer(&host, datagram.payload, &mut answer);
+        let answered = self.serving.answer(&host, datagram.to, datagram.payload, &mut answer);
         if let (true, Some(sender)) = (answered, self.port_at(datagram.sender)) {
-            self.send(now, (port, NAVIGATION_PORT), (sender, datagram.from), &answer);
+            self.send(now, (port, datagram.to), (sender, datagram.from), &answer);
         }
     }
 

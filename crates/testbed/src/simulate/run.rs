@@ -106,7 +106,8 @@ pub(super) fn simulate_with(
     };
     drop(apart);
     books.catch_up()?;
-    let Books { report, recorder, .. } = books;
+    let Books { mut report, recorder, .. } = books;
+    report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
     let summary = report.summary(now, end.as_str(), losses);

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use cotorra_graph::Instruction;
+use cotorra_graph::{Instruction, PoseSource};
 
 use super::*;
 use crate::{
@@ -57,6 +57,7 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
     assert_eq!(1 + spikes.windows(2).filter(|s| apart(s)).count(), probes);
     assert!(spikes.iter().all(|s| s.took.unwrap().as_millis() <= 180));
     assert_eq!(summary.unanswered, 0);
+    assert_eq!(summary.pose_source, Some(PoseSource::Localization));
 }
 
 #[test]
@@ -127,6 +128,88 @@ fn whenever_a_vnf_moves_every_position_packet_is_answered() {
     }
     assert_eq!((node.as_str(), switched.len()), ("cloud", 101));
     assert!(samples > 330, "{samples} samples");
+}
+
+/// Where localization ran, and how far off it was, over the first minute; it goes to each of these nodes in turn.
+fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajectory::Errors) {
+    let mut simulation = Simulation::new(corridor(), 1).unwrap();
+    let mut moves = nodes.iter().enumerate();
+    let mut next = 10.0;
+    let mut served = Vec::new();
+    while simulation.step().as_secs_f64() < 60.0 {
+        while let Some(event) = simulation.poll_event() {
+            match event.event {
+                Event::Placement(placement) if placement.vnf.as_str() == "localization" => {
+                    served.push(placement.node.to_string());
+                }
+                Event::Robot(context) => {
+                    assert_eq!(context.sensors.pose.source, PoseSource::Localization);
+                    assert!(context.sensors.pose.covariance[0] < 0.1, "{:?}", context.sensors.pose);
+                }
+                _ => {}
+            }
+        }
+        if simulation.network.now.get().as_secs_f64() > next
+            && let Some((_, node)) = moves.next()
+        {
+            next += 10.0;
+            let place =
+                Instruction::Place { vnf: "localization".parse().unwrap(), node: node.parse().unwrap() };
+            simulation.instruct("test".parse().unwrap(), place, None).unwrap();
+        }
+    }
+    let (_, errors) = simulation.localization_errors().next().unwrap();
+    (served, errors.clone())
+}
+
+#[test]
+fn localization_goes_from_node_to_node_and_never_loses_the_robot() {
+    let (stayed, there) = localized_on(&[]);
+    let (served, errors) = localized_on(&["fog", "robot", "cloud", "edge"]);
+    assert_eq!(stayed, ["edge"]);
+    assert_eq!(served, ["edge", "fog", "robot", "cloud", "edge"]);
+    for errors in [there, errors] {
+        assert!(errors.len() > 550);
+        assert!(errors.position_rmse() < 0.1 && errors.position_quantile(1.0) < 0.3, "{errors}");
+        assert!((0.3..6.0).contains(&errors.mean_nees()), "{errors}");
+    }
+}
+
+#[test]
+fn a_robot_that_nobody_localizes_knows_less_and_less_and_is_found_again() {
+    let mut testbed = Testbed::clone(&corridor());
+    // Nothing crosses this link until it is repaired.
+    let cut = |loss| Instruction::Condition {
+        link: "R1-edge".parse().unwrap(),
+        direction: None,
+        change: cotorra_graph::ConditionChange {
+            loss: Some(cotorra_graph::Loss::Independent {
+                rate: cotorra_graph::Probability::new(loss).unwrap(),
+            }),
+            ..Default::default()
+        },
+    };
+    testbed.plugins.clear();
+    let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
+    let spread = |pose: &cotorra_graph::Pose| (pose.covariance[0] + pose.covariance[4]).sqrt();
+    let mut spreads = Vec::new();
+    let mut conditions = [(5.0, 1.0), (25.0, 0.0)].into_iter().peekable();
+    while simulation.step().as_secs_f64() < 32.0 {
+        while let Some(Stamped { at, event }) = simulation.poll_event() {
+            if let Event::Robot(context) = event {
+                spreads.push((at.as_secs_f64(), spread(&context.sensors.pose)));
+            }
+        }
+        let now = simulation.network.now.get().as_secs_f64();
+        if let Some((_, loss)) = conditions.next_if(|(at, _)| *at <= now) {
+            simulation.instruct("test".parse().unwrap(), cut(loss), None).unwrap();
+        }
+    }
+    let at = |time: f64| spreads.iter().find(|(at, _)| *at >= time).unwrap().1;
+    assert!(at(24.9) > 2.0 * at(4.9), "{} m after {} m", at(24.9), at(4.9));
+    assert!(at(28.0) < 1.5 * at(4.9), "{} m after {} m", at(28.0), at(24.9));
+    let (_, errors) = simulation.localization_errors().next().unwrap();
+    assert!(errors.position_quantile(1.0) < 0.5 && errors.mean_nees() < 9.0, "{errors}");
 }
 
 #[test]

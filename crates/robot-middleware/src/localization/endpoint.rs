@@ -1,0 +1,167 @@
+//! The robot's end: when a scan is sent, and where the robot believes to be between the answers.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_graph::{NodeId, Pose, RobotModel, Timestamp};
+use cotorra_localization::{Belief, Parameters, Pose2};
+use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
+
+use super::{believed, parameters, planar, told};
+use crate::lidar::Scan;
+
+/// A scan without an answer for so long is followed by the next, however little the robot went since.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// An answer that comes later than that is no use any more.
+const GIVEN_UP: Duration = Duration::from_secs(3);
+/// A scan waits so long at most for a moment in which no position packet is under way.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// How far off the place may be where a robot is put down, deviations in metres and radians.
+const PUT_DOWN: [f64; 2] = [0.1, 0.05];
+
+/// The robot's end of the localization service, as a state machine.
+///
+/// A scan goes out when the robot went or turned so far, by its odometry, that the filter wants one. Between two answers,
+/// and without any, the robot goes on from the last one by odometry, and knows less and less where it is.
+#[derive(Debug, Clone)]
+pub(crate) struct LocalizationEndpoint {
+    robot: NodeId,
+    parameters: Parameters,
+    /// What is known, and since then each scan without an answer.
+    pub(super) trail: VecDeque<Mark>,
+    /// The number of the scan whose answer is believed.
+    since: Option<u32>,
+    /// Number of the next scan.
+    sequence: u32,
+    /// Odometry when the robot was looked at last.
+    looked: Option<(Timestamp, Pose2)>,
+    /// When the last scan that was looked at began.
+    seen: Option<Timestamp>,
+    /// The scan that is to be sent, and since when.
+    waiting: Option<(Timestamp, ScanPacket)>,
+}
+
+/// Where the robot was when a scan was sent.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Mark {
+    /// The scan; `None` where the robot was put down.
+    scan: Option<(u32, Timestamp)>,
+    odometry: Pose2,
+    believed: Belief,
+}
+
+impl LocalizationEndpoint {
+    /// A robot that was put down about there.
+    pub fn new(robot: NodeId, model: RobotModel, start: &Pose, odometry: &Pose) -> Self {
+        let [way, turn] = PUT_DOWN.map(|deviation| deviation * deviation);
+        let covariance = [way, 0.0, 0.0, 0.0, way, 0.0, 0.0, 0.0, turn];
+        let believed = Belief { pose: planar(start), covariance };
+        Self {
+            robot,
+            parameters: parameters(model),
+            trail: VecDeque::from([Mark { scan: None, odometry: planar(odometry), believed }]),
+            since: None,
+            sequence: 0,
+            looked: None,
+            seen: None,
+            waiting: None,
+        }
+    }
+
+    /// Where the robot believes to be, with odometry as it is now.
+    pub fn pose(&self, odometry: &Pose) -> Pose {
+        told(&self.belief(planar(odometry)))
+    }
+
+    fn belief(&self, odometry: Pose2) -> Belief {
+        let mark = self.trail.back().expect("the trail has a mark, and keeps one");
+        mark.believed.moved_on(mark.odometry.step_to(odometry), &self.parameters.motion)
+    }
+
+    /// The robot is looked at: its odometry, and the last turn of its lidar, which may be due to be sent.
+    pub fn look(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
+        let odometry = planar(odometry);
+        let before = self.looked.replace((now, odometry));
+        let given_up = |mark: &Mark| mark.scan.is_some_and(|(_, emitted)| now.since(emitted) > GIVEN_UP);
+        while self.trail.get(1).is_some_and(given_up) {
+            self.trail.pop_front();
+        }
+        let Some(scan) = scan.filter(|scan| self.seen.replace(scan.at) != Some(scan.at)) else { return };
+        // The first after a pause may be from before it.
+        let Some((at, from)) = before.filter(|_| self.is_wanted(now, odometry)) else { return };
+        let rays = scan.ranges.len().saturating_sub(1);
+        let swept = scan.ray_interval * u32::try_from(rays).unwrap_or(u32::MAX);
+        let share = (swept.as_secs_f64() / now.since(at).as_secs_f64().max(1e-9)).min(1.0);
+        let Pose2 { x, y, heading } = from.step_to(odometry);
+        let step = scan.ranges.len().div_ceil(MAX_BEAMS).max(1);
+        let usable = |range: &f32| if f64::from(*range) < scan.range_max { *range } else { f32::INFINITY };
+        let ranges = ScanPacket::in_millimetres(scan.ranges.iter().step_by(step).map(usable)).collect();
+        let packet = ScanPacket {
+            sequence: self.sequence,
+            emitted: now,
+            robot: self.robot.clone(),
+            odometry: [odometry.x, odometry.y, odometry.heading],
+            sweep: [x, y, heading].map(|part| (share * part) as f32),
+            believed: told(&self.belief(odometry)),
+            since: self.since,
+            first_angle: scan.first_angle as f32,
+            angle_step: (scan.angle_step * step as f64) as f32,
+            ranges,
+        };
+        self.waiting = Some((now, packet));
+    }
+
+    /// Whether the filter would use a scan from there.
+    fn is_wanted(&self, now: Timestamp, odometry: Pose2) -> bool {
+        let mark = self.trail.back().expect("the trail has a mark, and keeps one");
+        let step = mark.odometry.step_to(odometry);
+        let far = step.x.hypot(step.y) >= self.parameters.update_distance
+            || step.heading.abs() >= self.parameters.update_angle;
+        let unanswered = match mark.scan {
+            None => true,
+            Some((sequence, emitted)) => self.since != Some(sequence) && now.since(emitted) >= PATIENCE,
+        };
+        self.waiting.is_none() && (far || unanswered)
+    }
+
+    /// When a scan is to be sent that waits for a moment in which no position packet is under way; `quiet` if this is one.
+    pub fn next_deadline(&self, quiet: bool) -> Option<Timestamp> {
+        let (since, _) = self.waiting.as_ref()?;
+        Some(if quiet { *since } else { *since + LONGEST_WAIT })
+    }
+
+    /// The scan that is to be sent.
+    pub fn emit(&mut self, now: Timestamp, quiet: bool) -> Option<ScanPacket> {
+        self.next_deadline(quiet).filter(|at| *at <= now)?;
+        let (_, packet) = self.waiting.take()?;
+        let packet = ScanPacket { emitted: now, ..packet };
+        let [x, y, heading] = packet.odometry;
+        self.trail.push_back(Mark {
+            scan: Some((packet.sequence, now)),
+            odometry: Pose2::new(x, y, heading),
+            believed: believed(&packet.believed),
+        });
+        self.sequence = self.sequence.wrapping_add(1);
+        Some(packet)
+    }
+
+    /// An answer arrived; one that is to no scan of the trail, or impossible, changes nothing.
+    pub fn receive(&mut self, packet: &PosePacket) {
+        let asked = Some((packet.sequence, packet.emitted));
+        let Some(place) = self.trail.iter().position(|mark| mark.scan == asked) else { return };
+        let possible = [0, 4, 8].iter().all(|&entry| packet.pose.covariance[entry] >= 0.0);
+        if !possible || self.since == Some(packet.sequence) {
+            return;
+        }
+        self.since = Some(packet.sequence);
+        self.trail.drain(..place);
+        let mut last = self.trail[0];
+        last.believed = believed(&packet.pose);
+        self.trail[0] = last;
+        // What was sent since then is believed from there.
+        for mark in self.trail.iter_mut().skip(1) {
+            let step = last.odometry.step_to(mark.odometry);
+            mark.believed = last.believed.moved_on(step, &self.parameters.motion);
+            last = *mark;
+        }
+    }
+}

@@ -1,0 +1,248 @@
+use std::{collections::VecDeque, sync::Arc};
+
+use cotorra_graph::{DomainId, HardwareGraph, Node, NodeId, PoseSource, Testbed, Timestamp, Velocity};
+use cotorra_plugin::wire::{PosePacket, ScanPacket};
+
+use super::*;
+use crate::{
+    driver::RobotDriver,
+    fixtures::{id, robot, room, walk},
+    simulated::SimulatedRobot,
+    world::World,
+};
+
+fn at(ms: u64) -> Timestamp {
+    Timestamp::from_nanos(ms * 1_000_000)
+}
+
+/// A testbed with a robot in a room; nobody navigates it.
+fn testbed() -> Testbed {
+    let graph = HardwareGraph {
+        domains: vec![DomainId::new("main").unwrap()],
+        nodes: vec![robot("robot1", None)],
+        links: Vec::new(),
+        wireless: Default::default(),
+    };
+    let text = "name: test\nnodes: { a: { kind: switch } }\n";
+    let empty = cotorra_graph::testbed_file::parse("test.yaml", text, std::path::Path::new("")).unwrap();
+    Testbed { graph, map: Some(room(6.0, 4.0)), ..empty }
+}
+
+fn vnf() -> LocalizationVnf {
+    LocalizationVnf::new(&testbed(), &id("robot1"), 1).unwrap()
+}
+
+/// A robot that drives in a circle, looked at each 100 ms, as the middleware does.
+struct Drive {
+    robot: SimulatedRobot,
+    endpoint: LocalizationEndpoint,
+    ms: u64,
+}
+
+impl Drive {
+    fn new(seed: u64) -> Self {
+        let node: Node = robot("robot1", None);
+        let world = Arc::new(World::new(&room(6.0, 4.0)));
+        let walk = walk("robot1", &[(3.0, 1.0), (5.0, 1.0)]);
+        let robot = SimulatedRobot::new(&node, Some(&walk), world, seed).unwrap();
+        let sensors = robot.sensors();
+        let endpoint =
+            LocalizationEndpoint::new(id("robot1"), RobotModel::Turtlebot2, &sensors.pose, &sensors.odometry);
+        Self { robot, endpoint, ms: 0 }
+    }
+
+    /// Goes on to the next look, and gives the scan that is then sent.
+    fn look(&mut self) -> Option<ScanPacket> {
+        let circle = Velocity { linear: 0.3, angular: 0.3 };
+        self.robot.command(at(self.ms), circle).unwrap();
+        self.ms += 100;
+        self.robot.advance(at(self.ms));
+        self.endpoint.look(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
+        self.endpoint.emit(at(self.ms), true)
+    }
+
+    fn believed(&self) -> Pose {
+        self.endpoint.pose(&self.robot.sensors().odometry)
+    }
+
+    fn error(&self) -> f64 {
+        planar(&self.believed()).distance(planar(&self.robot.pose()))
+    }
+
+    fn spread(&self) -> f64 {
+        let covariance = self.believed().covariance;
+        (covariance[0] + covariance[4]).sqrt()
+    }
+}
+
+/// What an instance answers to a scan, by way of bytes.
+fn answered(vnf: &mut LocalizationVnf, packet: &ScanPacket) -> PosePacket {
+    let (mut bytes, mut answer) = (Vec::new(), Vec::new());
+    packet.encode(&mut bytes);
+    vnf.answer(&bytes, &mut answer).unwrap();
+    PosePacket::decode(&answer).unwrap()
+}
+
+#[test]
+fn a_scan_goes_out_when_the_robot_went_far_enough_and_its_answer_is_believed() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let mut emitted = Vec::new();
+    for _ in 0..600 {
+        if let Some(packet) = drive.look() {
+            emitted.push(packet.emitted);
+            let answer = answered(&mut vnf, &packet);
+            drive.endpoint.receive(&answer);
+        }
+        assert_eq!(drive.believed().source, PoseSource::Localization);
+        assert!(drive.error() < 0.15, "{} m off after {} ms", drive.error(), drive.ms);
+        assert!(drive.spread() < 0.2 || emitted.len() < 3, "{} m", drive.spread());
+    }
+    // 0.25 m or 0.2 rad, whichever comes first: at 0.3 rad/s that is each 0.7 s.
+    assert!((80..90).contains(&emitted.len()), "{}", emitted.len());
+}
+
+#[test]
+fn without_an_answer_the_robot_goes_by_odometry_and_knows_less_and_less() {
+    let mut drive = Drive::new(1);
+    let (mut headings, mut sent, start) = (Vec::new(), 0, drive.spread());
+    for _ in 0..600 {
+        sent += usize::from(drive.look().is_some());
+        headings.push(drive.believed().covariance[8]);
+    }
+    assert!(headings.windows(2).all(|pair| pair[0] <= pair[1]), "it never knows more of its heading");
+    // 18 m, in circles.
+    assert!(drive.spread() > 1.5 * start && drive.spread() < 2.0, "{}", drive.spread());
+    assert!(drive.error() < 3.0 * drive.spread());
+    assert!(sent > 80, "it goes on asking");
+    assert!(drive.endpoint.trail.len() < 10, "{} marks", drive.endpoint.trail.len());
+}
+
+#[test]
+fn a_robot_that_stands_asks_again_until_it_is_answered() {
+    let mut drive = Drive::new(1);
+    let mut look = |ms: u64| {
+        drive.robot.advance(at(ms));
+        drive.endpoint.look(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
+        (drive.endpoint.emit(at(ms), true), drive.endpoint.clone())
+    };
+    let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
+    assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
+    // The answer to any of them will do.
+    let answer = answered(&mut vnf(), &sent[3]);
+    drive.endpoint.receive(&answer);
+    let more = (36..80).filter_map(|i| {
+        drive.robot.advance(at(100 * i));
+        drive.endpoint.look(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
+        drive.endpoint.emit(at(100 * i), true)
+    });
+    assert_eq!(more.count(), 0);
+}
+
+#[test]
+fn an_answer_that_comes_late_is_believed_as_of_its_scan() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let mut under_way: VecDeque<PosePacket> = VecDeque::new();
+    let mut longest = 0;
+    for _ in 0..600 {
+        if let Some(packet) = drive.look() {
+            under_way.push_back(answered(&mut vnf, &packet));
+        }
+        longest = longest.max(drive.endpoint.trail.len());
+        // Each answer takes 2 s, so that three scans are under way.
+        while let Some(answer) =
+            under_way.pop_front_if(|p| drive.ms >= p.emitted.as_nanos() / 1_000_000 + 2000)
+        {
+            drive.endpoint.receive(&answer);
+        }
+        assert!(drive.error() < 0.2, "{} m off after {} ms", drive.error(), drive.ms);
+    }
+    assert!(longest >= 3);
+}
+
+#[test]
+fn another_instance_takes_over_and_the_first_one_comes_back() {
+    let (mut drive, mut instances) = (Drive::new(1), [vnf(), vnf()]);
+    for look in 0..900 {
+        // Each serves for 10 s, with nothing said between them.
+        let serving = usize::from(look / 100 % 2 == 1);
+        if let Some(packet) = drive.look() {
+            drive.endpoint.receive(&answered(&mut instances[serving], &packet));
+        }
+        assert!(drive.error() < 0.15, "{} m off after {} ms", drive.error(), drive.ms);
+    }
+}
+
+#[test]
+fn answers_that_are_none_change_nothing() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let packet = loop {
+        if let Some(packet) = drive.look() {
+            break packet;
+        }
+    };
+    let answer = answered(&mut vnf, &packet);
+    let before = drive.believed();
+    let mut impossible = answer.pose;
+    impossible.covariance[4] = -1.0;
+    for wrong in [
+        PosePacket { sequence: packet.sequence + 1, ..answer },
+        PosePacket { emitted: at(7), ..answer },
+        PosePacket { pose: impossible, ..answer },
+    ] {
+        drive.endpoint.receive(&wrong);
+        assert_eq!(drive.believed(), before);
+    }
+    drive.endpoint.receive(&answer);
+    let after = drive.believed();
+    assert_ne!(after, before);
+    // Once is enough.
+    drive.endpoint.receive(&PosePacket { pose: impossible, ..answer.clone() });
+    drive.endpoint.receive(&answer);
+    assert_eq!(drive.believed(), after);
+}
+
+#[test]
+fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
+    let mut drive = Drive::new(1);
+    let emitted = loop {
+        drive.ms += 100;
+        drive.robot.advance(at(drive.ms));
+        drive.endpoint.look(at(drive.ms), &drive.robot.sensors().odometry, drive.robot.scan());
+        if drive.endpoint.next_deadline(true).is_some() {
+            break drive.ms;
+        }
+    };
+    assert_eq!(drive.endpoint.next_deadline(false), Some(at(emitted + 100)));
+    assert_eq!(drive.endpoint.emit(at(emitted + 99), false), None);
+    let packet = drive.endpoint.clone().emit(at(emitted + 30), true).unwrap();
+    assert_eq!(packet.emitted, at(emitted + 30));
+    assert!(drive.endpoint.emit(at(emitted + 100), false).is_some());
+    assert_eq!(drive.endpoint.next_deadline(true), None);
+}
+
+#[test]
+fn an_instance_answers_its_robot_once_and_in_order() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let mut sent = Vec::new();
+    while sent.len() < 2 {
+        sent.extend(drive.look());
+    }
+    let (mut bytes, mut answer) = (Vec::new(), Vec::new());
+    assert!(matches!(vnf.answer(b"hello", &mut answer), Err(Rejected::Malformed(_))));
+    let stranger = ScanPacket { robot: NodeId::new("robot2").unwrap(), ..sent[0].clone() };
+    stranger.encode(&mut bytes);
+    assert!(matches!(vnf.answer(&bytes, &mut answer), Err(Rejected::Stranger(robot)) if robot == "robot2"));
+    let first = answered(&mut vnf, &sent[1]);
+    assert_eq!(answered(&mut vnf, &sent[1]), first, "a packet that came twice");
+    sent[0].encode(&mut bytes);
+    assert!(matches!(vnf.answer(&bytes, &mut answer), Err(Rejected::Overtaken(0))));
+}
+
+#[test]
+fn a_robot_that_is_nowhere_and_a_map_that_is_none_are_errors() {
+    let unknown = LocalizationVnf::new(&testbed(), &id("robot2"), 1).unwrap_err();
+    assert_eq!(unknown.to_string(), "there is no robot `robot2`");
+    let nowhere = Testbed { map: None, ..testbed() };
+    let unknown = LocalizationVnf::new(&nowhere, &id("robot1"), 1).unwrap_err();
+    assert_eq!(unknown.to_string(), "testbed `test` has no map");
+}

@@ -1,0 +1,167 @@
+//! The VNF's end: keeps a particle filter for one robot, and answers its scans.
+//!
+//! An instance that starts on another node, or comes back after another one served, begins from what the robot believes:
+//! it says so in each scan.
+
+use std::{collections::BTreeMap, fmt, sync::Arc};
+
+use cotorra_graph::{NodeId, Pose, Program, RobotModel, Testbed};
+use cotorra_localization::{LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan};
+use cotorra_plugin::wire::{PosePacket, ScanPacket, WireError};
+
+use super::{believed, parameters, told};
+
+/// Why a robot cannot be localized.
+#[derive(Debug, thiserror::Error)]
+pub enum NotLocalized {
+    /// There is no such robot.
+    #[error("there is no robot `{0}`")]
+    NoRobot(NodeId),
+    /// There is nothing to be localized on.
+    #[error("testbed `{0}` has no map")]
+    NoMap(String),
+}
+
+/// Why a datagram gets no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum Rejected {
+    /// It is no scan.
+    #[error(transparent)]
+    Malformed(#[from] WireError),
+    /// It is from another robot than the one that is served.
+    #[error("it is from `{0}`, another robot than the one that is served here")]
+    Stranger(NodeId),
+    /// A later scan was answered before.
+    #[error("scan {0} was overtaken")]
+    Overtaken(u32),
+    /// What the robot believes is no place.
+    #[error(transparent)]
+    Nowhere(#[from] LocalizationError),
+}
+
+/// The localization VNF of one robot, without its socket. A clone serves as another instance, and shares the map.
+#[derive(Clone)]
+pub struct LocalizationVnf {
+    robot: NodeId,
+    field: Arc<LikelihoodField>,
+    parameters: Parameters,
+    seed: u64,
+    served: Option<Served>,
+    ranges: Vec<f32>,
+}
+
+/// What came of the scans so far.
+#[derive(Clone)]
+struct Served {
+    localizer: Localizer,
+    /// The last scan.
+    sequence: u32,
+    answer: Pose,
+}
+
+impl fmt::Debug for LocalizationVnf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let scan = self.served.as_ref().map(|served| served.sequence);
+        f.debug_struct("LocalizationVnf")
+            .field("robot", &self.robot)
+            .field("scan", &scan)
+            .finish_non_exhaustive()
+    }
+}
+
+impl LocalizationVnf {
+    /// Prepares the map for the robot's filter, which takes some milliseconds.
+    ///
+    /// # Errors
+    /// [`NotLocalized`].
+    pub fn new(testbed: &Testbed, robot: &NodeId, seed: u64) -> Result<Self, NotLocalized> {
+        let found = testbed.graph.robots().find(|(node, _)| node.id == *robot);
+        let model =
+            found.map(|(_, robot)| robot.model).ok_or_else(|| NotLocalized::NoRobot(robot.clone()))?;
+        let map = testbed.map.as_ref().ok_or_else(|| NotLocalized::NoMap(testbed.name.clone()))?;
+        let field = Arc::new(LikelihoodField::new(map, &parameters(model)));
+        Ok(Self::with(robot.clone(), model, field, seed))
+    }
+
+    fn with(robot: NodeId, model: RobotModel, field: Arc<LikelihoodField>, seed: u64) -> Self {
+        Self { robot, field, parameters: parameters(model), seed, served: None, ranges: Vec::new() }
+    }
+
+    /// The localization VNF of each robot that has one; none without a map. They share what is prepared of it.
+    pub fn of_all(testbed: &Testbed, seed: u64) -> BTreeMap<NodeId, Self> {
+        let wanted = |robot: &NodeId| {
+            let mut services = testbed.services.iter().filter(|service| service.robot == *robot);
+            services.any(|service| service.vnfs.iter().any(|vnf| vnf.program == Program::Localization))
+        };
+        let mut fields: Vec<(RobotModel, Arc<LikelihoodField>)> = Vec::new();
+        let robots = testbed.graph.robots().filter(|(node, _)| wanted(&node.id));
+        robots
+            .filter_map(|(node, robot)| {
+                let model = robot.model;
+                let known = fields.iter().find(|(of, _)| *of == model).map(|(_, field)| Arc::clone(field));
+                let field = match known {
+                    Some(field) => field,
+                    None => {
+                        let field = Arc::new(LikelihoodField::new(testbed.map.as_ref()?, &parameters(model)));
+                        fields.push((model, Arc::clone(&field)));
+                        field
+                    }
+                };
+                Some((node.id.clone(), Self::with(node.id.clone(), model, field, seed)))
+            })
+            .collect()
+    }
+
+    /// Which robot it serves.
+    pub fn robot(&self) -> &NodeId {
+        &self.robot
+    }
+
+    /// Writes the answer to a datagram to `answer`, in place of what it held.
+    ///
+    /// # Errors
+    /// [`Rejected`] if there is none.
+    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), Rejected> {
+        let packet = ScanPacket::decode(datagram)?;
+        if packet.robot != self.robot {
+            return Err(Rejected::Stranger(packet.robot));
+        }
+        let pose = self.localize(&packet)?;
+        PosePacket { sequence: packet.sequence, emitted: packet.emitted, pose }.encode(answer);
+        Ok(())
+    }
+
+    fn localize(&mut self, packet: &ScanPacket) -> Result<Pose, Rejected> {
+        match &self.served {
+            Some(served) if packet.sequence == served.sequence => return Ok(served.answer),
+            Some(served) if packet.sequence < served.sequence => {
+                return Err(Rejected::Overtaken(packet.sequence));
+            }
+            _ => {}
+        }
+        // Whoever answered last knows best; an answer of this one that got lost is no less true for that.
+        let continues = |served: &Served| packet.since.is_none_or(|since| since <= served.sequence);
+        let mut localizer = match self.served.take().filter(continues) {
+            Some(served) => served.localizer,
+            None => {
+                let start = believed(&packet.believed);
+                let field = Arc::clone(&self.field);
+                Localizer::at(field, self.parameters, self.seed, start.pose, &start.covariance)?
+            }
+        };
+        self.ranges.clear();
+        self.ranges.extend(packet.in_metres());
+        let [x, y, heading] = packet.sweep.map(f64::from);
+        let scan = Scan {
+            angle_min: packet.first_angle.into(),
+            angle_increment: packet.angle_step.into(),
+            ranges: &self.ranges,
+            mount: Pose2::default(),
+            sweep: Pose2::new(x, y, heading),
+        };
+        let [x, y, heading] = packet.odometry;
+        let answer = told(&localizer.observe(Pose2::new(x, y, heading), &scan)?.belief());
+        self.served = Some(Served { localizer, sequence: packet.sequence, answer });
+        Ok(answer)
+    }
+}
