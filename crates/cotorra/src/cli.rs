@@ -15,6 +15,7 @@ use cotorra_testbed::sweep::Axis;
 
 use crate::{
     history::{HISTORY_VARIABLE, Place},
+    link::Link,
     netem::Netem,
     stamp::Stamp,
 };
@@ -46,6 +47,7 @@ Examples:
   cotorra experiment okpi                          repeat the published comparison
   cotorra history series latest service            what did the last run measure?
   cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
+  cotorra link set lan-cloud --delay 40ms          change what a link does meanwhile
 
 Exit status:
   0  done
@@ -99,6 +101,11 @@ Examples:
     Doctor,
     Clean(CleanArgs),
     Exec(ExecArgs),
+    /// Show, change and test links of the running testbed
+    Link {
+        #[command(subcommand)]
+        link: Link,
+    },
     /// Measure a path of any network by STAMP (RFC 8762), or answer those who do
     Stamp {
         #[command(subcommand)]

@@ -10,10 +10,12 @@ mod doctor;
 mod exec;
 mod experiment;
 mod history;
+mod link;
 mod localize;
 mod logs;
 mod netem;
 mod output;
+mod quantity;
 mod replay;
 mod run;
 mod signals;
@@ -64,6 +66,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Doctor => doctor::doctor()?,
         Command::Clean(args) => clean::clean(&args)?,
         Command::Exec(args) => match exec::exec(&args)? {},
+        Command::Link { link } => link::link(&link)?,
         Command::Stamp { stamp } => stamp::stamp(&stamp)?,
         Command::Bench(args) => bench::bench(&args)?,
         Command::Netem { netem } => netem::netem(&netem)?,

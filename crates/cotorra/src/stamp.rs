@@ -231,7 +231,8 @@ fn text(address: SocketAddr, measured: &Measurement) -> String {
         let row = |delays: Delays| {
             let [min, mean, p50, p99, max] =
                 [delays.min, delays.mean, delays.p50, delays.p99, delays.max].map(ms);
-            format!("  {name:10}  min {min}  mean {mean}  p50 {p50}  p99 {p99}  max {max} ms\n")
+            let jitter = delays.jitter.map(|jitter| format!("  jitter {}", ms(jitter))).unwrap_or_default();
+            format!("  {name:10}  min {min}  mean {mean}  p50 {p50}  p99 {p99}  max {max}{jitter} ms\n")
         };
         delays.map(row).unwrap_or_default()
     };
@@ -239,12 +240,11 @@ fn text(address: SocketAddr, measured: &Measurement) -> String {
     let ways = measured.forward_loss.zip(measured.backward_loss);
     let ways = ways.map(|(there, back)| format!("; there {}, back {}", percent(there), percent(back)));
     format!(
-        "{address}: {} packets\n{}{}{}{}  loss        {} packets, {}{}\n",
+        "{address}: {} packets\n{}{}{}  loss        {} packets, {}{}\n",
         measured.sent,
         row("round trip", measured.round_trip),
         row("there", measured.forward),
         row("back", measured.backward),
-        measured.jitter.map(|jitter| format!("  jitter      {} ms\n", ms(jitter))).unwrap_or_default(),
         measured.lost,
         percent(measured.loss()),
         ways.unwrap_or_default(),
@@ -257,7 +257,7 @@ fn json(measured: &Measurement) -> String {
         delays.map(|delays| {
             serde_json::json!({
                 "min": ms(delays.min), "mean": ms(delays.mean), "p50": ms(delays.p50), "p99": ms(delays.p99),
-                "max": ms(delays.max),
+                "max": ms(delays.max), "jitter": delays.jitter.map(ms),
             })
         })
     };
@@ -269,7 +269,6 @@ fn json(measured: &Measurement) -> String {
         "round_trip_ms": delays(measured.round_trip),
         "forward_ms": delays(measured.forward),
         "backward_ms": delays(measured.backward),
-        "jitter_ms": measured.jitter.map(ms),
     });
     format!("{object}\n")
 }

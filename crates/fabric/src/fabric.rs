@@ -4,20 +4,23 @@
 use std::collections::{HashMap, VecDeque};
 
 use cotorra_graph::{
-    AccessPoint, Attachment, ConditionChange, Direction, HardwareGraph, HostAddress, Lateness, LinkContext,
-    LinkId, Node, NodeId, NodeKind, Position, RadioContext, Stamped, Timestamp,
+    AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
+    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Rate, Stamped,
+    ThroughputTest, Timestamp,
 };
 
 use crate::{
     frame::Frame,
     lateness::Histogram,
-    pipe::{Packet, Pipe},
+    pipe::{Packet, Pipe, Purpose},
     pool::Pool,
+    probes::Probes,
     radio::{Arrival, Radio},
     random::stream,
     routes::{Routes, Target, Vertex},
     settings::{Refusal, Settings},
     timers::Timers,
+    trial::Trials,
 };
 
 /// A host's place in [`HardwareGraph::hosts`], from 0; its interface has the addresses [`HostAddress::of`] that.
@@ -86,13 +89,15 @@ pub struct Fabric {
     /// By edge of the routes: forward and backward of each link in turn.
     pipes: Vec<Pipe>,
     timers: Timers,
+    probes: Probes,
+    trials: Trials,
     radio: Radio,
     radio_deadline: Option<Timestamp>,
     arrivals: Vec<Arrival>,
     /// Addresses that hosts use beside their own.
     learnt: HashMap<[u8; 6], PortId>,
     /// Packets that have come to a vertex and go on from there at once.
-    pending: Vec<(usize, Packet)>,
+    pending: Vec<(usize, Frame, Target)>,
     /// Frames to hand out, with their due times.
     outbox: VecDeque<(Timestamp, PortId, Frame)>,
     pool: Pool,
@@ -184,7 +189,9 @@ impl Fabric {
             links: graph.links.iter().map(|l| l.id.clone()).collect(),
             link_by_name,
             timers: Timers::new(pipes.len()),
+            trials: Trials::new(pipes.len()),
             pipes,
+            probes: Probes::none(),
             radio_deadline: radio.deadline(),
             radio,
             arrivals: Vec::new(),
@@ -225,7 +232,7 @@ impl Fabric {
         if is_robot {
             return self.on_air(frame, |radio, frame| radio.push_up(now, port, frame));
         }
-        self.leave(now, vertex, Packet { frame, target, entered: now });
+        self.leave(now, vertex, frame, target);
         self.settle(now);
     }
 
@@ -239,10 +246,8 @@ impl Fabric {
             self.lateness.record(now.since(due));
             deliver(port, frame);
         }
-        match (self.timers.next(), self.radio_deadline) {
-            (Some((wired, _)), Some(air)) => Some(wired.min(air)),
-            (wired, air) => wired.map(|(deadline, _)| deadline).or(air),
-        }
+        let wired = self.timers.next().map(|(deadline, _)| deadline);
+        [wired, self.radio_deadline, self.own_deadline()].into_iter().flatten().min()
     }
 
     /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`.
@@ -279,18 +284,58 @@ impl Fabric {
             self.pipes[edge].change(now, settings, &mut self.pool);
             self.timers.set(edge, self.pipes[edge].deadline());
         }
+        self.probes.change(index, effective(&self.pipes, index));
         Ok(())
+    }
+
+    /// Probes every wired link from now on, in both directions (STAMP, RFC 8762), with packets of its own that cross
+    /// links as any others do. They are in no counter.
+    pub fn probe_links(&mut self, now: Timestamp, settings: Probing) {
+        let now = self.advance(now);
+        let links = (0..self.links.len()).map(|link| effective(&self.pipes, link));
+        self.probes = Probes::new(settings, now, links);
+    }
+
+    /// Tests what one direction of a wired link carries, by packets that cross it as any others do, and are in no
+    /// counter. What came of it is in the link's context a second after the last was sent.
+    ///
+    /// # Errors
+    /// [`Refusal`] for a link that is not wired, a test without bounds, or one so soon after another.
+    pub fn test_throughput(
+        &mut self,
+        now: Timestamp,
+        link: &LinkId,
+        direction: Direction,
+        test: ThroughputTest,
+    ) -> Result<(), Refusal> {
+        let now = self.advance(now);
+        let Some(&index) = self.link_by_name.get(link) else {
+            return Err(match self.radio.has_link(link) {
+                true => Refusal::NotOnWireless("throughput test"),
+                false => Refusal::UnknownLink(link.clone()),
+            });
+        };
+        let edge = edge(index, direction);
+        let link_bps = rate_bps(&self.pipes[edge].settings().effective().rate);
+        self.trials.begin(now, (edge, link), test, link_bps)
     }
 
     /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
     /// then those of the air that are in use.
     pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
         let now = self.advance(now);
-        let directions = [Direction::Forward, Direction::Backward];
-        let wired = self.links.iter().enumerate().flat_map(|(i, link)| directions.map(|d| (i, link, d)));
-        let mut contexts: Vec<_> = wired
-            .map(|(i, link, direction)| self.pipes[edge(i, direction)].context(now, link.clone(), direction))
-            .collect();
+        let wired = self.links.iter().enumerate().flat_map(|(i, link)| {
+            let probed = self.probes.probed(now, i);
+            [Direction::Forward, Direction::Backward].map(|direction| {
+                let edge = edge(i, direction);
+                LinkContext {
+                    probed: probed.map(|both| both[direction as usize]),
+                    tested: self.trials.tested(now, edge),
+                    ..self.pipes[edge].context(now, link.clone(), direction)
+                }
+            })
+        });
+        let mut contexts: Vec<_> = wired.collect();
         contexts.extend(self.radio.link_contexts(now));
         contexts
     }
@@ -452,17 +497,58 @@ impl Fabric {
         loop {
             let wired = self.timers.next().filter(|(at, _)| *at <= now);
             let air = self.radio_deadline.filter(|at| *at <= now);
-            match (wired, air) {
-                (Some((at, edge)), air) if air.is_none_or(|air| at < air) => self.poll_pipe(at, edge),
-                (_, Some(at)) => self.poll_radio(at),
-                (_, None) => return now,
+            let own = self.own_deadline().filter(|at| *at <= now);
+            match (wired, air, own) {
+                (wired, air, Some(at))
+                    if wired.is_none_or(|(wired, _)| at < wired) && air.is_none_or(|air| at < air) =>
+                {
+                    self.send_own(at);
+                }
+                (Some((at, edge)), air, _) if air.is_none_or(|air| at < air) => self.poll_pipe(at, edge),
+                (_, Some(at), _) => self.poll_radio(at),
+                (..) => return now,
+            }
+        }
+    }
+
+    /// When a packet that only measures is due.
+    fn own_deadline(&self) -> Option<Timestamp> {
+        [self.probes.deadline(), self.trials.deadline()].into_iter().flatten().min()
+    }
+
+    fn send_own(&mut self, at: Timestamp) {
+        let probe = self.probes.poll(at, |length| self.pool.take(length));
+        let probe = probe.map(|(link, frame)| (edge(link, Direction::Forward), frame, Purpose::Probe));
+        let trial = self.trials.poll(at, |length| self.pool.take(length));
+        let trial = trial.map(|(edge, frame)| (edge, frame, Purpose::Trial));
+        for (edge, frame, purpose) in probe.into_iter().chain(trial) {
+            self.cross(at, edge, Packet { frame, purpose, entered: at });
+        }
+        self.settle(at);
+    }
+
+    /// A packet has crossed an edge; a probe turns back or ends here, others go on.
+    fn crossed(&mut self, now: Timestamp, edge: usize, packet: Packet) {
+        match packet.purpose {
+            Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
+            Purpose::Trial => {
+                self.trials.crossed(now, edge);
+                self.pool.put(packet.frame);
+            }
+            Purpose::Probe => {
+                let (link, direction) =
+                    (edge / 2, if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward });
+                if let Some(frame) = self.probes.crossed(now, link, direction, packet.frame) {
+                    let back = self::edge(link, Direction::Backward);
+                    self.cross(now, back, Packet { frame, purpose: Purpose::Probe, entered: now });
+                }
             }
         }
     }
 
     fn poll_pipe(&mut self, at: Timestamp, edge: usize) {
         while let Some(packet) = self.pipes[edge].poll(at, self.now, &mut self.pool) {
-            self.pending.push((self.routes.end(edge), packet));
+            self.crossed(at, edge, packet);
             self.settle(at);
         }
         self.timers.set(edge, self.pipes[edge].deadline());
@@ -479,7 +565,7 @@ impl Fabric {
                 continue;
             }
             match self.target(from, vertex, &frame) {
-                Some(target) => self.pending.push((vertex, Packet { frame, target, entered: due })),
+                Some(target) => self.pending.push((vertex, frame, target)),
                 None => self.drop_unroutable(frame),
             }
             self.settle(due);
@@ -489,51 +575,52 @@ impl Fabric {
 
     /// Leads on all packets that go on at once.
     fn settle(&mut self, now: Timestamp) {
-        while let Some((vertex, packet)) = self.pending.pop() {
+        while let Some((vertex, frame, target)) = self.pending.pop() {
             let here = self.port_of_vertex[vertex];
-            match &packet.target {
+            match &target {
                 Target::Port(port) if here == Some(*port) => {
-                    self.outbox.push_back((now, *port, packet.frame));
+                    self.outbox.push_back((now, *port, frame));
                     continue;
                 }
                 Target::Port(_) => {}
                 Target::All { source, .. } => {
                     if let Some(port) = here.filter(|port| port != source) {
-                        let copy = self.pool.copy(&packet.frame);
+                        let copy = self.pool.copy(&frame);
                         self.outbox.push_back((now, port, copy));
                     }
                 }
             }
             if self.routes.vertex(vertex).forwards {
-                self.leave(now, vertex, packet);
+                self.leave(now, vertex, frame, target);
             } else {
-                self.pool.put(packet.frame);
+                self.pool.put(frame);
             }
         }
     }
 
     /// Sends a packet on from a vertex.
-    fn leave(&mut self, now: Timestamp, vertex: usize, packet: Packet) {
-        match &packet.target {
+    fn leave(&mut self, now: Timestamp, vertex: usize, frame: Frame, target: Target) {
+        let to = |frame, target| Packet { frame, purpose: Purpose::Target(target), entered: now };
+        match &target {
             &Target::Port(port) => match self.hop(vertex, port) {
-                Some(Hop::Edge(edge)) => self.cross(now, edge, packet),
+                Some(Hop::Edge(edge)) => self.cross(now, edge, to(frame, target)),
                 Some(Hop::Air) => {
                     let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
-                    self.on_air(packet.frame, |radio, frame| radio.push_down(now, unit, port, frame));
+                    self.on_air(frame, |radio, frame| radio.push_down(now, unit, port, frame));
                 }
-                None => self.drop_unroutable(packet.frame),
+                None => self.drop_unroutable(frame),
             },
             Target::All { tree, source } => {
                 for edge in tree.branches(vertex) {
-                    let frame = self.pool.copy(&packet.frame);
-                    self.cross(now, edge, Packet { frame, target: packet.target.clone(), entered: now });
+                    let copy = self.pool.copy(&frame);
+                    self.cross(now, edge, to(copy, target.clone()));
                 }
                 match self.port_of_vertex[vertex] {
                     Some(unit) if self.routes.vertex(vertex).forwards => {
                         let source = *source;
-                        self.on_air(packet.frame, |radio, frame| radio.push_group(now, unit, source, frame));
+                        self.on_air(frame, |radio, frame| radio.push_group(now, unit, source, frame));
                     }
-                    _ => self.pool.put(packet.frame),
+                    _ => self.pool.put(frame),
                 }
             }
         }
@@ -541,7 +628,7 @@ impl Fabric {
 
     fn cross(&mut self, now: Timestamp, edge: usize, packet: Packet) {
         match self.pipes[edge].push(now, packet, &mut self.pool) {
-            Some(packet) => self.pending.push((self.routes.end(edge), packet)),
+            Some(packet) => self.crossed(now, edge, packet),
             None => self.timers.set(edge, self.pipes[edge].deadline()),
         }
     }
@@ -620,6 +707,21 @@ impl Fabric {
 
 /// Set in the first byte of an address of many hosts (IEEE 802, the I/G bit).
 const GROUP: u8 = 0x01;
+
+/// What a rate comes to, bit/s.
+pub(crate) fn rate_bps(rate: &Rate) -> f64 {
+    match rate {
+        Rate::Unlimited => f64::INFINITY,
+        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
+        Rate::Trace { trace } => trace.mean_bits_per_second(),
+    }
+}
+
+/// What both directions of a link do.
+fn effective(pipes: &[Pipe], link: usize) -> [&Conditions; 2] {
+    [Direction::Forward, Direction::Backward]
+        .map(|direction| pipes[edge(link, direction)].settings().effective())
+}
 
 /// The edge of a link's direction.
 fn edge(link: usize, direction: Direction) -> usize {

@@ -65,6 +65,8 @@
 //!   behind the transmitter come loss, corruption, duplication, and delay with jitter that keeps order.
 //! - **The air.** A robot's frames cross it to and from the radio unit that it is attached to, which takes airtime,
 //!   retries, and a handover's gap.
+//! - **Measurements.** [Probes](Fabric::probe_links) and [tests](Fabric::test_throughput) of wired links are packets
+//!   like others on the way, are for no host, and in no counter.
 //! - **Offloads.** A super-packet stays whole where nothing on its way needs packets, and counts as its packets
 //!   everywhere; random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum that was left undone
 //!   stays so, unless the packet is corrupted.
@@ -81,13 +83,16 @@ mod lateness;
 mod meter;
 mod pipe;
 mod pool;
+mod probes;
 mod radio;
 mod random;
 mod routes;
 mod settings;
 mod timers;
 mod transmitter;
+mod trial;
 
 pub use fabric::{Drops, Fabric, FabricError, PortId};
 pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use settings::Refusal;
+pub use trial::Trial;

@@ -17,18 +17,34 @@ use crate::{
     transmitter::Transmitter,
 };
 
+/// What a frame is on a link for.
+#[derive(Debug, Clone)]
+pub(crate) enum Purpose {
+    /// To get there.
+    Target(Target),
+    /// To measure the link's delay.
+    Probe,
+    /// To measure what it carries.
+    Trial,
+}
+
 /// A frame on its way through the fabric.
 #[derive(Debug)]
 pub(crate) struct Packet {
     pub(crate) frame: Frame,
-    pub(crate) target: Target,
+    pub(crate) purpose: Purpose,
     /// When it came to the link that it is on.
     pub(crate) entered: Timestamp,
 }
 
 impl Packet {
+    /// Whether it is somebody's, and so counts for what the link gave; packets that measure tell that by themselves.
+    fn counts(&self) -> bool {
+        matches!(self.purpose, Purpose::Target(_))
+    }
+
     fn copy(&self, pool: &mut Pool) -> Self {
-        Self { frame: pool.copy(&self.frame), target: self.target.clone(), entered: self.entered }
+        Self { frame: pool.copy(&self.frame), purpose: self.purpose.clone(), entered: self.entered }
     }
 }
 
@@ -108,6 +124,8 @@ impl Pipe {
             direction,
             delay: self.meter.delay(now),
             throughput_bps: self.meter.throughput_bps(now),
+            probed: None,
+            tested: None,
             asked: self.settings.asked().clone(),
             scale: self.settings.scale(),
             effective: self.settings.effective().clone(),
@@ -118,7 +136,7 @@ impl Pipe {
     /// A packet comes to the link. Where nothing holds it, it is returned and has crossed already.
     pub(crate) fn push(&mut self, now: Timestamp, mut packet: Packet, pool: &mut Pool) -> Option<Packet> {
         if self.clear && self.line.is_empty() {
-            self.meter.crossed(now, now, packet.frame.wire_packets(), packet.frame.wire_bytes());
+            self.count_crossing(&packet, now);
             self.lateness.record(Duration::ZERO);
             return Some(packet);
         }
@@ -151,10 +169,16 @@ impl Pipe {
             return None;
         }
         let InFlight { due, packet, .. } = self.line.pop_front()?;
-        let frame = &packet.frame;
-        self.meter.crossed(packet.entered, due, frame.wire_packets(), frame.wire_bytes());
+        self.count_crossing(&packet, due);
         self.lateness.record(now.since(due));
         Some(packet)
+    }
+
+    fn count_crossing(&mut self, packet: &Packet, left: Timestamp) {
+        if packet.counts() {
+            let frame = &packet.frame;
+            self.meter.crossed(packet.entered, left, frame.wire_packets(), frame.wire_bytes());
+        }
     }
 
     /// Goes on with other settings. All that was due by `now` has been polled.
@@ -206,7 +230,9 @@ impl Pipe {
             self.queued_bytes += packet.frame.wire_bytes();
             self.queue.push_back(packet);
         } else {
-            self.meter.counters.overflowed += u64::from(packet.frame.wire_packets());
+            if packet.counts() {
+                self.meter.counters.overflowed += u64::from(packet.frame.wire_packets());
+            }
             pool.put(packet.frame);
         }
     }
@@ -240,9 +266,9 @@ impl Pipe {
             return each(self, packet, pool);
         }
         let mut cut = std::mem::take(&mut self.cut);
-        let Packet { frame, target, entered } = packet;
+        let Packet { frame, purpose, entered } = packet;
         frame
-            .segment_with(pool, |frame| cut.push(Packet { frame, target: target.clone(), entered }))
+            .segment_with(pool, |frame| cut.push(Packet { frame, purpose: purpose.clone(), entered }))
             .expect("a frame's offload is checked where it enters the fabric");
         cut.drain(..).for_each(|packet| each(self, packet, pool));
         self.cut = cut;
@@ -258,13 +284,14 @@ impl Pipe {
     }
 
     fn impair(&mut self, sent: Timestamp, mut packet: Packet, pool: &mut Pool) {
+        let counts = u64::from(packet.counts());
         if self.impairments.loses() {
-            self.meter.counters.lost += 1;
+            self.meter.counters.lost += counts;
             return pool.put(packet.frame);
         }
-        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(&mut packet.frame));
+        self.meter.counters.corrupted += counts * u64::from(self.impairments.corrupts(&mut packet.frame));
         let copy = self.impairments.duplicates().then(|| packet.copy(pool));
-        self.meter.counters.duplicated += u64::from(copy.is_some());
+        self.meter.counters.duplicated += counts * u64::from(copy.is_some());
         if self.impairments.reorders() {
             for packet in [Some(packet), copy].into_iter().flatten() {
                 self.overtake(sent, packet);

@@ -107,6 +107,20 @@ pub enum Refusal {
     /// A queue for nothing.
     #[error("a queue limit of 0 cannot be: give 1 or more packets or bytes")]
     Queue,
+    /// A test that is too short to tell anything, or disturbs for too long.
+    #[error("a throughput test of {0:?} cannot be: it lasts from 10 ms to 10 s")]
+    TestDuration(Duration),
+    /// A test that would keep the emulator too busy.
+    #[error("a throughput test at {0} cannot be: 1 Gbit/s is the most")]
+    TestRate(BitRate),
+    /// A direction that was tested a moment ago, or is just now.
+    #[error("`{link}` rests from its last throughput test: ask again in {rest:?}")]
+    TestTooSoon {
+        /// The link.
+        link: LinkId,
+        /// For how much longer.
+        rest: Duration,
+    },
     /// A setting that only wired links have.
     #[error("a wireless link has no `{0}` of its own: its medium decides on it")]
     NotOnWireless(&'static str),

@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    active::{Probed, Tested},
     conditions::{Conditions, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
@@ -202,6 +203,12 @@ pub struct LinkContext {
     pub delay: Option<Duration>,
     /// λ: what crossed over the last second, bit/s.
     pub throughput_bps: f64,
+    /// What probes tell, whether or not anything else crosses; `None` for a link that is not probed, or not yet.
+    #[serde(default)]
+    pub probed: Option<Probed>,
+    /// What the last test of its throughput told; `None` before the first.
+    #[serde(default)]
+    pub tested: Option<Tested>,
     /// What it was asked to do.
     pub asked: Conditions,
     /// ψ and δ.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     access::AccessPoint,
+    active::ThroughputTest,
     conditions::ConditionChange,
     context::{
         Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime, Velocity,
@@ -210,6 +211,15 @@ pub enum Instruction {
         /// The step: a name of at most 128 characters.
         step: String,
     },
+    /// Test what one direction of a wired link carries; what came of it is in the link's context when the test is over.
+    TestThroughput {
+        /// The link.
+        link: LinkId,
+        /// The direction.
+        direction: Direction,
+        /// How long and how fast.
+        test: ThroughputTest,
+    },
 }
 
 impl Instruction {
@@ -227,6 +237,7 @@ impl Instruction {
             Self::Halt { .. } => "halt",
             Self::Go { .. } => "go",
             Self::Note { .. } => "note",
+            Self::TestThroughput { .. } => "test_throughput",
         }
     }
 

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod access;
+pub mod active;
 pub mod conditions;
 pub mod context;
 pub mod driver;
@@ -22,6 +23,7 @@ pub mod units;
 mod yaml;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
+pub use active::{Probed, Probing, Tested, ThroughputTest};
 pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
 };

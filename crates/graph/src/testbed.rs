@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    active::Probing,
     exposure::WaisSettings,
     hardware::HardwareGraph,
     id::{DomainId, NodeId, PluginId},
@@ -39,6 +40,8 @@ pub struct Testbed {
     pub wais: WaisSettings,
     /// Who emulates the wired links in real time.
     pub emulation: Emulation,
+    /// How its wired links are probed; `None` if they are not.
+    pub probes: Option<Probing>,
     /// How long its history keeps samples as they were recorded.
     pub retention: Retentions,
 }

@@ -20,7 +20,7 @@ use std::{
 
 use cotorra_graph::{
     Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
-    PoseSource, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
+    PoseSource, Probed, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
 };
 use cotorra_measurements::{
     CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo, export::Format,
@@ -60,8 +60,16 @@ fn link(n: u64) -> Stamped {
     let context = LinkContext {
         link: LINK_IDS[(place / 2) as usize].clone(),
         direction: if place % 2 == 0 { Direction::Forward } else { Direction::Backward },
-        delay: Some(std::time::Duration::from_nanos(1_000_000 + n % 1000)),
+        delay: Some(Duration::from_nanos(1_000_000 + n % 1000)),
         throughput_bps: n as f64 * 1.1,
+        probed: Some(Probed {
+            delay: Some(Duration::from_nanos(10_000_000 + n % 977)),
+            jitter: Some(Duration::from_nanos(n % 977)),
+            delay_age: Some(Duration::from_millis(230)),
+            loss: Some(0.0),
+            loss_age: Duration::from_millis(240),
+        }),
+        tested: None,
         asked: Conditions::default(),
         scale: Scale::default(),
         effective: Conditions::default(),
@@ -186,7 +194,9 @@ fn through_a_recorder_of(history: &History, samples: u64, sample: impl Fn(u64) -
 }
 
 const COLUMNS: &str = "run, t_ns, seq, link, direction, delay_ns, throughput_bps, delay_scale, drop_scale, asked, \
-     effective, packets, bytes, lost, overflowed, duplicated, corrupted";
+     effective, packets, bytes, lost, overflowed, duplicated, corrupted, probed_delay_ns, probed_jitter_ns, \
+     probed_delay_age_ns, probed_loss, probed_loss_age_ns, tested_bps, tested_offered_bps, tested_age_ns";
+const WIDTH: usize = 25;
 
 fn sqlite() {
     // What the engine can do: the same columns of the same table, bound by hand, in as big transactions.
@@ -199,7 +209,7 @@ fn sqlite() {
         let began = Instant::now();
         for batch in 0..BATCHES {
             let transaction = connection.transaction().unwrap();
-            let places = vec!["?"; 17].join(", ");
+            let places = vec!["?"; WIDTH].join(", ");
             let mut insert =
                 transaction.prepare(&format!("INSERT INTO link ({COLUMNS}) VALUES ({places})")).unwrap();
             for n in (batch * BATCH..(batch + 1) * BATCH).map(u64::cast_signed) {
@@ -222,7 +232,15 @@ fn sqlite() {
                         0,
                         0,
                         0,
-                        0
+                        0,
+                        10_000_000 + n % 977,
+                        n % 977,
+                        230_000_000,
+                        0.0,
+                        240_000_000,
+                        rusqlite::types::Null,
+                        rusqlite::types::Null,
+                        rusqlite::types::Null
                     ])
                     .unwrap();
             }
@@ -261,17 +279,17 @@ fn mariadb() {
         let mut connection = mysql::Conn::new(options).unwrap();
         // Of the sizes tried, none was faster.
         const ROWS: u64 = 500;
-        let row = format!("({})", vec!["?"; 17].join(", "));
+        let row = format!("({})", vec!["?"; WIDTH].join(", "));
         let sql = format!("INSERT INTO link ({COLUMNS}) VALUES {}", vec![row; ROWS as usize].join(", "));
         let statement = connection.prep(sql).unwrap();
         let began = Instant::now();
         for batch in 0..BATCHES {
             let mut transaction = connection.start_transaction(mysql::TxOpts::default()).unwrap();
             for first in (batch * BATCH..(batch + 1) * BATCH).step_by(ROWS as usize) {
-                let mut values = Vec::with_capacity(17 * ROWS as usize);
+                let mut values = Vec::with_capacity(WIDTH * ROWS as usize);
                 for n in (first..first + ROWS).map(u64::cast_signed) {
                     let (tick, place) = (n / (2 * LINKS as i64), n % (2 * LINKS as i64));
-                    use mysql::Value::{Double, Int};
+                    use mysql::Value::{Double, Int, NULL};
                     values.extend([
                         Int(1),
                         Int(tick * TICK as i64),
@@ -290,6 +308,14 @@ fn mariadb() {
                         Int(0),
                         Int(0),
                         Int(0),
+                        Int(10_000_000 + n % 977),
+                        Int(n % 977),
+                        Int(230_000_000),
+                        Double(0.0),
+                        Int(240_000_000),
+                        NULL,
+                        NULL,
+                        NULL,
                     ]);
                 }
                 transaction.exec_drop(&statement, mysql::Params::Positional(values)).unwrap();

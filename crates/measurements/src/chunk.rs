@@ -2,7 +2,8 @@
 //! a series lie among those of all others. A chunk is written when its stretch is over, holds all samples of it or is
 //! not there, and is never needed: what it says is in the rows as well.
 //!
-//! The count, the times, each column, and then figures of child rows by what they are of: the signals that a robot hears.
+//! The count, the times, each column, then figures of child rows by what they are of: the signals that a robot hears; and
+//! last, columns that older chunks do not have.
 //! Times are differences of differences; figures are the bits of 64-bit
 //! floats, those equal to the figure before taken away (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1)
 //! and the rest, trailing zeros first, a varint.
@@ -24,10 +25,18 @@ const MOST: usize = 20_000;
 /// Places, in [`table`], of the columns that a kind's chunks hold.
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
-        Kind::Link => &[2, 3, 4, 5],
+        Kind::Link => &[2, 3, 4, 5, 14, 15, 17],
         Kind::Robot => &[2, 3, 4, 28, 29, 31],
         Kind::Radio => &[2],
         _ => &[],
+    }
+}
+
+/// How many of these stand in front of the figures of child rows. What came later is behind them.
+const fn early(kind: Kind) -> usize {
+    match kind {
+        Kind::Link => 4,
+        _ => places(kind).len(),
     }
 }
 
@@ -42,15 +51,29 @@ pub(crate) const fn has_chunks(kind: Kind) -> bool {
 /// What is read of a chunk.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Part {
-    /// A column of its rows.
+    /// A column of its rows, by its place.
     Column(usize),
+    /// One of those behind so many and the figures of child rows, of which its kind has none.
+    LateColumn { early: usize, place: usize },
     /// The figures of child rows that are of what has this id.
     Children(i64),
 }
 
+impl Part {
+    /// The place of the column among all that chunks of its kind hold.
+    pub fn column(self) -> Option<usize> {
+        match self {
+            Self::Column(place) | Self::LateColumn { place, .. } => Some(place),
+            Self::Children(_) => None,
+        }
+    }
+}
+
 /// The place of a column in the chunks of a kind.
 pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
-    places(kind).iter().position(|place| table(kind).columns[*place] == column).map(Part::Column)
+    let place = places(kind).iter().position(|place| table(kind).columns[*place] == column)?;
+    let early = early(kind);
+    Some(if place < early { Part::Column(place) } else { Part::LateColumn { early, place } })
 }
 
 /// The figures of a row that chunks hold; NaN for what is no number.
@@ -117,14 +140,15 @@ impl Chunk {
             (before, step) = (times[*i], next);
         }
         let width = places(kind).len();
-        for column in 0..width {
+        let write_column = |column: usize, bytes: &mut Vec<u8>| {
             let mut before = 0_u64;
             for i in &order {
-                let bits = figures[i * width + column].to_bits();
-                write_unsigned((bits ^ before).swap_bytes(), &mut bytes);
-                before = bits;
+                let figure = figures[i * width + column].to_bits();
+                write_unsigned((figure ^ before).swap_bytes(), bytes);
+                before = figure;
             }
-        }
+        };
+        (0..early(kind)).for_each(|column| write_column(column, &mut bytes));
         let mut place = vec![0; order.len()];
         order.iter().zip(0..).for_each(|(i, sorted)| place[*i] = sorted);
         let mut by: BTreeMap<i64, Vec<(i64, f64)>> = BTreeMap::new();
@@ -147,6 +171,12 @@ impl Chunk {
                 (place, before) = (next, figure.to_bits());
             }
         }
+        let late = early(kind)..width;
+        // Of a link that nobody probes there is nothing to say.
+        let known = figures.chunks(width).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
+        if known {
+            late.for_each(|column| write_column(column, &mut bytes));
+        }
         Some(bytes)
     }
 }
@@ -161,8 +191,22 @@ fn read_unsigned(bytes: &mut Bytes<'_>) -> Result<u64, ReadError> {
     Ok(((n << 1) ^ (n >> 63)).cast_unsigned())
 }
 
+/// Calls `each` with times and the figures of the column that begins here.
+fn read_column(
+    bytes: &mut Bytes<'_>,
+    times: &[i64],
+    mut each: impl FnMut(i64, f64),
+) -> Result<(), ReadError> {
+    let mut bits = 0_u64;
+    for t in times {
+        bits ^= read_unsigned(bytes)?.swap_bytes();
+        each(*t, f64::from_bits(bits));
+    }
+    Ok(())
+}
+
 /// Calls `each` with the times and figures of a part. Gives whether the chunk says anything of that: those that an
-/// older cotorra wrote say nothing of child rows.
+/// older cotorra wrote say nothing of child rows or late columns.
 pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> Result<bool, ReadError> {
     let mut bytes = Bytes(chunk);
     let count = usize::try_from(bytes.plain_integer()?).unwrap_or(usize::MAX);
@@ -179,11 +223,18 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
     match part {
         Part::Column(place) => {
             bytes.skip(place * count)?;
-            let mut bits = 0_u64;
-            for t in times {
-                bits ^= read_unsigned(&mut bytes)?.swap_bytes();
-                each(t, f64::from_bits(bits));
+            read_column(&mut bytes, &times, each)?;
+        }
+        Part::LateColumn { early, place } => {
+            bytes.skip(early * count)?;
+            if bytes.plain_integer()? != 0 {
+                return Err(ReadError::Unreadable("a chunk has child rows where there are none".to_owned()));
             }
+            if bytes.0.is_empty() {
+                return Ok(false);
+            }
+            bytes.skip((place - early) * count)?;
+            read_column(&mut bytes, &times, each)?;
         }
         Part::Children(wanted) => {
             bytes.skip(WIDTH_WITH_CHILDREN * count)?;
@@ -224,10 +275,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_packed_is_read(samples in vec((any::<i64>(), any::<[u64; 4]>()), 0..50)) {
+        fn what_is_packed_is_read(samples in vec((any::<i64>(), any::<[u64; 7]>()), 0..50)) {
             let mut chunk = Chunk::default();
             for (t, bits) in &samples {
-                let mut row = vec![Value::Null; 14];
+                let mut row = vec![Value::Null; 22];
                 for (place, bits) in places(Kind::Link).iter().zip(bits) {
                     row[*place] = Value::Real(f64::from_bits(*bits));
                 }
@@ -236,9 +287,16 @@ mod tests {
             let bytes = chunk.finish(Kind::Link).unwrap();
             let mut sorted = samples.clone();
             sorted.sort_by_key(|(t, _)| *t);
-            for column in 0..4 {
+            for (column, place) in places(Kind::Link).iter().enumerate() {
+                let part = super::column(Kind::Link, table(Kind::Link).columns[*place]).unwrap();
                 let mut found = Vec::new();
-                read(&bytes, Part::Column(column), |t, x| found.push((t, x.to_bits()))).unwrap();
+                let said = read(&bytes, part, |t, x| found.push((t, x.to_bits()))).unwrap();
+                prop_assert!(said || column >= early(Kind::Link));
+                if !said {
+                    let late = |bits: &[u64; 7]| bits[early(Kind::Link)..].iter().all(|b| f64::from_bits(*b).is_nan());
+                    prop_assert!(samples.iter().all(|(_, bits)| late(bits)));
+                    continue;
+                }
                 prop_assert_eq!(found, sorted.iter().map(|(t, bits)| (*t, bits[column])).collect::<Vec<_>>());
             }
         }
@@ -246,6 +304,7 @@ mod tests {
         #[test]
         fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
             let _ = read(&bytes, Part::Column(place), |_, _| ());
+            let _ = read(&bytes, Part::LateColumn { early: 4, place: 4 + place }, |_, _| ());
             let _ = read(&bytes, Part::Children(place as i64), |_, _| ());
         }
 
@@ -273,12 +332,11 @@ mod tests {
 
     #[test]
     fn knows_its_columns() {
-        let place = |kind, name| match column(kind, name) {
-            Some(Part::Column(place)) => Some(place),
-            _ => None,
-        };
+        let place = |kind, name| column(kind, name).and_then(Part::column);
         assert_eq!(place(Kind::Link, "delay_ns"), Some(0));
         assert_eq!(place(Kind::Link, "drop_scale"), Some(3));
+        assert_eq!(place(Kind::Link, "probed_delay_ns"), Some(4));
+        assert_eq!(place(Kind::Link, "probed_loss"), Some(6));
         assert_eq!(place(Kind::Robot, "heading_rad"), Some(2));
         assert_eq!(place(Kind::Robot, "linear_mps"), Some(3));
         assert_eq!(place(Kind::Robot, "nearest_obstacle_m"), Some(5));
@@ -287,10 +345,20 @@ mod tests {
     }
 
     #[test]
+    fn an_older_chunk_says_nothing_of_what_came_later() {
+        // One sample at 1 ns: its count, its time, four columns of zeros, no child rows.
+        let older = [2, 2, 0, 0, 0, 0, 0];
+        let mut found = Vec::new();
+        assert!(read(&older, column(Kind::Link, "drop_scale").unwrap(), |t, x| found.push((t, x))).unwrap());
+        assert_eq!(found, [(1, 0.0)]);
+        assert!(!read(&older, column(Kind::Link, "probed_loss").unwrap(), |_, _| panic!("nothing")).unwrap());
+    }
+
+    #[test]
     fn a_steady_link_takes_few_bytes() {
         let mut chunk = Chunk::default();
         for n in 0..50_i64 {
-            let mut row = vec![Value::Null; 14];
+            let mut row = vec![Value::Null; 22];
             let figures =
                 [Value::Integer(10_000_000 + n * 137), Value::Real(1e6), Value::Real(1.0), Value::Real(1.0)];
             row[2..6].clone_from_slice(&figures);

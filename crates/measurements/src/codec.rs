@@ -58,6 +58,8 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "link", "direction", "delay_ns", "throughput_bps", "delay_scale", "drop_scale",
                 "asked", "effective",
                 "packets", "bytes", "lost", "overflowed", "duplicated", "corrupted",
+                "probed_delay_ns", "probed_jitter_ns", "probed_delay_age_ns", "probed_loss", "probed_loss_age_ns",
+                "tested_bps", "tested_offered_bps", "tested_age_ns",
             ],
             series: &["link", "direction"],
             children: None,

@@ -48,6 +48,12 @@ quantities! {
         DelayScale = "delay_scale", "", "delay_scale";
         /// δ.
         DropScale = "drop_scale", "", "drop_scale";
+        /// Delay by probes, ms.
+        ProbedDelay = "probed_delay", "ms", "probed_delay_ns";
+        /// Jitter by probes, ms.
+        ProbedJitter = "probed_jitter", "ms", "probed_jitter_ns";
+        /// Loss by probes, a share.
+        ProbedLoss = "probed_loss", "", "probed_loss";
     }
 }
 
@@ -82,7 +88,7 @@ quantities! {
 }
 
 /// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
-/// `delay_scale:…`, `drop_scale:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`,
+/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`,
 /// `turn:…`, `obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
 /// services if they are not said); `handover_gap:ROBOT` (likewise); `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -158,7 +164,7 @@ impl Figure {
         };
         match self {
             Self::Link(link, direction, quantity) => {
-                let factor = if *quantity == LinkQuantity::Delay { MS } else { 1.0 };
+                let factor = if quantity.unit() == "ms" { MS } else { 1.0 };
                 let series = Some(Series::Link(link.clone(), *direction));
                 Kept { series, ..plain(Kind::Link, quantity.column(), factor) }
             }
@@ -194,11 +200,19 @@ impl Figure {
             (Self::Link(link, direction, quantity), Event::Link(context))
                 if context.link == *link && context.direction == *direction =>
             {
+                let probed = context.probed;
                 match quantity {
                     LinkQuantity::Delay => context.delay.map(ms).into_iter().for_each(each),
                     LinkQuantity::Throughput => each(context.throughput_bps),
                     LinkQuantity::DelayScale => each(context.scale.delay_scale),
                     LinkQuantity::DropScale => each(context.scale.drop_scale),
+                    LinkQuantity::ProbedDelay => {
+                        probed.and_then(|p| p.delay).map(ms).into_iter().for_each(each)
+                    }
+                    LinkQuantity::ProbedJitter => {
+                        probed.and_then(|p| p.jitter).map(ms).into_iter().for_each(each)
+                    }
+                    LinkQuantity::ProbedLoss => probed.and_then(|p| p.loss).into_iter().for_each(each),
                 }
             }
             (Self::Robot(robot, quantity), Event::Robot(context)) if context.robot == *robot => {
@@ -301,8 +315,8 @@ impl fmt::Display for Figure {
 /// Why a text is no figure.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "`{0}` is not a figure: say delay, throughput, delay_scale or drop_scale with :LINK or :LINK:DIRECTION; x, y, \
-     heading, speed, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
+    "`{0}` is not a figure: say delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
+     with :LINK or :LINK:DIRECTION; x, y, heading, speed, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; lateness_p50, lateness_p99 or lateness_max"
 )]
 pub struct InvalidFigure(String);

@@ -7,9 +7,9 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AccessPoint, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover,
     Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId,
-    Placement, PluginId, Pose, PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext,
-    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Timestamp, Trace,
-    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
+    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest,
+    Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::vec,
@@ -195,9 +195,27 @@ prop_compose! {
         (asked, effective) in (similar_conditions(), similar_conditions()),
         (delay_scale, drop_scale) in (real(), real()),
         counters in counters(),
+        probed in of(probed()),
+        tested in of(tested()),
     ) -> LinkContext {
         let scale = Scale { delay_scale, drop_scale };
-        LinkContext { link, direction, delay, throughput_bps, asked, scale, effective, counters }
+        LinkContext { link, direction, delay, throughput_bps, probed, tested, asked, scale, effective, counters }
+    }
+}
+
+prop_compose! {
+    fn probed()(
+        (delay, jitter, delay_age) in (of(duration()), of(duration()), of(duration())),
+        loss in of(real()),
+        loss_age in duration(),
+    ) -> Probed {
+        Probed { delay, jitter, delay_age, loss, loss_age }
+    }
+}
+
+prop_compose! {
+    fn tested()(throughput_bps in real(), offered_bps in real(), age in duration()) -> Tested {
+        Tested { throughput_bps, offered_bps, age }
     }
 }
 
@@ -251,6 +269,10 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         node().prop_map(|robot| Instruction::Halt { robot }),
         node().prop_map(|robot| Instruction::Go { robot }),
         ("[a-z]{1,9}", "[a-z ]{1,9}").prop_map(|(process, step)| Instruction::Note { process, step }),
+        (link(), direction(), hours(), of(any::<u64>())).prop_map(|(link, direction, duration, rate)| {
+            let test = ThroughputTest { duration, rate_limit: rate.and_then(BitRate::from_bits_per_second) };
+            Instruction::TestThroughput { link, direction, test }
+        }),
     ]
 }
 

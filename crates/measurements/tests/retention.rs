@@ -43,6 +43,8 @@ fn link(name: &str, n: u64) -> Stamped {
         // Nothing crosses now and then.
         delay: (!n.is_multiple_of(7)).then(|| Duration::from_micros(1000 + n * 37 % 501)),
         throughput_bps: n as f64,
+        probed: None,
+        tested: None,
         asked: Conditions::default(),
         scale: Scale::default(),
         effective: Conditions::default(),

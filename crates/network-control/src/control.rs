@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     Attachment, ConditionChange, Direction, Event, Instruction, LinkContext, LinkId, NodeId, Placement,
-    Position, Service, Testbed, Timestamp, VirtualLinkMapping, VnfId,
+    Position, Service, Testbed, ThroughputTest, Timestamp, VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -38,6 +38,21 @@ pub trait Network {
         change: &ConditionChange,
     ) -> Result<Vec<LinkContext>, Refused> {
         change_fabric(self, link, direction, change)
+    }
+
+    /// Begins to test what one direction of a link carries; what came of it is in its context later.
+    ///
+    /// # Errors
+    /// [`Refused`] with the reason; then no packet was sent.
+    fn test_throughput(
+        &self,
+        link: &LinkId,
+        direction: Direction,
+        test: ThroughputTest,
+    ) -> Result<(), Refused> {
+        let link = link.clone();
+        let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
+        self.with(begin).map_err(refused)?.map_err(refused)
     }
 
     /// Completes what the fabric knows of links, where not only the fabric carries packets.
@@ -186,7 +201,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(events)
     }
 
-    /// Does what was asked: scans, attachments, placements and conditions. Movements are the Robot Middleware's.
+    /// Does what was asked: scans, attachments, placements, conditions and tests. Movements are the Robot Middleware's.
     ///
     /// # Errors
     /// [`Refused`] with the reason; then nothing changed.
@@ -208,6 +223,10 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             Instruction::Condition { link, direction, change } => {
                 let contexts = self.network.change(&link, direction, &change)?;
                 Ok(self.network.complete(now, contexts).into_iter().map(Event::Link).collect())
+            }
+            Instruction::TestThroughput { link, direction, test } => {
+                self.network.test_throughput(&link, direction, test)?;
+                Ok(Vec::new())
             }
             Instruction::Deploy { radio_unit, access_point } => {
                 self.access_points.deploy(now, &radio_unit, access_point, &self.network, &self.vim)?;

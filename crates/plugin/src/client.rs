@@ -249,7 +249,7 @@ impl Client {
         let TestbedBody { name, description, graph, services, walks, plugins, seed } =
             self.get("testbed", &[])?;
         let wais = WaisSettings::default();
-        let (emulation, retention) = (Emulation::default(), Default::default());
+        let (emulation, probes, retention) = (Emulation::default(), None, Default::default());
         let map = None;
         Ok(Testbed {
             name,
@@ -262,6 +262,7 @@ impl Client {
             wais,
             seed,
             emulation,
+            probes,
             retention,
         })
     }

@@ -240,12 +240,21 @@ impl Encoder {
         };
         let ms = |duration: std::time::Duration| duration.as_secs_f64() * 1e3;
         let counters = &context.counters;
+        let (probed, tested) = (&context.probed, &context.tested);
         let message = messages::LinkContext {
             header: Header::new(at, ""),
             link: context.link.to_string(),
             direction: direction.to_owned(),
             delay_ms: context.delay.map_or(f64::NAN, ms),
             throughput_bps: context.throughput_bps,
+            probed_delay_ms: probed.and_then(|probed| probed.delay).map_or(f64::NAN, ms),
+            probed_jitter_ms: probed.and_then(|probed| probed.jitter).map_or(f64::NAN, ms),
+            probed_delay_age_ms: probed.and_then(|probed| probed.delay_age).map_or(f64::NAN, ms),
+            probed_loss: probed.and_then(|probed| probed.loss).unwrap_or(f64::NAN),
+            probed_loss_age_ms: probed.map_or(f64::NAN, |probed| ms(probed.loss_age)),
+            tested_bps: tested.map_or(f64::NAN, |tested| tested.throughput_bps),
+            tested_offered_bps: tested.map_or(f64::NAN, |tested| tested.offered_bps),
+            tested_age_ms: tested.map_or(f64::NAN, |tested| ms(tested.age)),
             delay_scale: context.scale.delay_scale,
             drop_scale: context.scale.drop_scale,
             asked_delay_ms: ms(context.asked.delay),

@@ -98,6 +98,8 @@ fn events() -> Vec<Event> {
             direction: Direction::Backward,
             delay: Some(Duration::from_micros(4250)),
             throughput_bps: 1e6,
+            probed: None,
+            tested: None,
             asked: Conditions { delay: Duration::from_millis(4), ..Conditions::default() },
             scale: Scale { delay_scale: 2.0, drop_scale: 1.5 },
             effective: Conditions { delay: Duration::from_millis(8), ..Conditions::default() },

@@ -3,7 +3,7 @@
 //!
 //! A [`Session`] sends test packets and measures by the replies; a [`Reflector`] answers them. Neither has a clock nor
 //! a socket: the time is an argument, packets are bytes. Both work with other implementations, also with those of
-//! TWAMP Light (RFC 8762, section 4.6).
+//! TWAMP Light (RFC 8762, section 4.6). A [`Link`] is both sides in one hand.
 //!
 //! ```
 //! use std::time::Duration;
@@ -25,12 +25,14 @@
 #![forbid(unsafe_code)]
 
 mod extension;
+mod link;
 mod measurement;
 mod packet;
 mod reflector;
 mod session;
 mod utc;
 
+pub use link::{Link, Told};
 pub use measurement::{Delays, Measurement};
 pub use packet::{BASE_LENGTH, Malformed, PORT};
 pub use reflector::{Reflection, Reflector};

@@ -37,16 +37,22 @@ pub struct Delays {
     pub p99: Duration,
     /// The most.
     pub max: Duration,
+    /// The mean difference of two packets in a row, without its sign (packet delay variation by RFC 3393, of
+    /// consecutive packets as in RFC 5481, section 4.1). `None` if no two in a row were answered.
+    pub jitter: Option<Duration>,
 }
 
 impl Delays {
-    fn of(delays: impl Iterator<Item = Duration>) -> Option<Self> {
-        let mut sorted: Vec<_> = delays.collect();
+    /// Of packets in the order of sending; of some the delay is not known.
+    fn of(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Self> {
+        let mut sorted: Vec<_> = delays.clone().flatten().collect();
         sorted.sort_unstable();
         let rank = |share: usize| sorted[(sorted.len() * share).div_ceil(100).max(1) - 1];
         let (min, max) = (*sorted.first()?, *sorted.last()?);
         let mean = sorted.iter().sum::<Duration>() / sorted.len() as u32;
-        Some(Self { min, mean, p50: rank(50), p99: rank(99), max })
+        let pairs = delays.clone().zip(delays.skip(1)).filter_map(|(a, b)| Some(a?.abs_diff(b?)));
+        let (count, total) = pairs.fold((0, Duration::ZERO), |(n, total), pair| (n + 1, total + pair));
+        Some(Self { min, mean, p50: rank(50), p99: rank(99), max, jitter: total.checked_div(count) })
     }
 }
 
@@ -68,9 +74,6 @@ pub struct Measurement {
     pub forward: Option<Delays>,
     /// The way back, where both clocks are synchronised.
     pub backward: Option<Delays>,
-    /// The mean difference of the round trips of two packets in a row, without its sign (packet delay variation by
-    /// RFC 3393, of consecutive packets as in RFC 5481, section 4.1). `None` with fewer than two.
-    pub jitter: Option<Duration>,
     /// When the latest reply came.
     pub last_reply: Option<Utc>,
 }
@@ -93,20 +96,19 @@ impl Measurement {
         let lost = sent - samples.clone().count() as u32;
         let loss = counts.then(|| directions(samples.clone())).flatten();
         let way = |i: usize| {
-            let delays = samples.clone().filter_map(|sample| sample.one_way);
-            Delays::of(delays.map(|ways| Duration::from_nanos(ways[i].max(0).unsigned_abs())))
+            let one_way = |outcome: &Outcome| outcome.sample.and_then(|sample| sample.one_way);
+            let delay = |ways: [i64; 2]| Duration::from_nanos(ways[i].max(0).unsigned_abs());
+            Delays::of(outcomes.clone().map(|outcome| one_way(outcome).map(delay)))
         };
-        let pairs = outcomes.clone().zip(outcomes.skip(1)).filter_map(|(a, b)| a.sample.zip(b.sample));
-        let variations: Vec<_> = pairs.map(|(a, b)| a.round_trip.abs_diff(b.round_trip)).collect();
+        let round_trips = outcomes.clone().map(|outcome| outcome.sample.map(|sample| sample.round_trip));
         (sent > 0).then(|| Self {
             sent,
             lost,
             forward_loss: loss.map(|[forward, _]| forward),
             backward_loss: loss.map(|[_, backward]| backward),
-            round_trip: Delays::of(samples.clone().map(|sample| sample.round_trip)),
+            round_trip: Delays::of(round_trips),
             forward: way(0),
             backward: way(1),
-            jitter: variations.iter().sum::<Duration>().checked_div(variations.len() as u32),
             last_reply: samples.clone().map(|sample| sample.replied_at).max(),
         })
     }

@@ -25,6 +25,7 @@ use crate::{
 const CHECK: std::time::Duration = std::time::Duration::from_millis(200);
 
 /// What the core's thread is told.
+#[allow(clippy::large_enum_variant, reason = "they are sent one at a time, and taken apart at once")]
 pub(crate) enum Message {
     /// A robot received a datagram.
     Datagram {

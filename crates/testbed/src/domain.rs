@@ -203,7 +203,7 @@ impl DomainView {
             Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
             Instruction::Place { vnf, .. } if !self.vnfs.contains(vnf) => not_own(format!("the VNF `{vnf}`")),
             Instruction::Place { node: to, .. } => node(to),
-            Instruction::Condition { link, .. } => {
+            Instruction::Condition { link, .. } | Instruction::TestThroughput { link, .. } => {
                 let ends = self.ends(link);
                 let own = ends.is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
                 if own { Ok(()) } else { not_own(format!("the link `{link}`")) }

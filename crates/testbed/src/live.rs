@@ -25,6 +25,9 @@ pub struct Snapshot {
     /// d, λ and conditions of every link and direction.
     #[serde(skip)]
     pub links: BTreeMap<(LinkId, Direction), LinkContext>,
+    /// When they were told.
+    #[serde(skip)]
+    pub links_at: BTreeMap<(LinkId, Direction), Timestamp>,
     /// a(n).
     pub placements: BTreeMap<VnfId, Placement>,
     /// a(n1,n2).
@@ -64,6 +67,7 @@ impl Live {
                 now.radio_units.insert(context.radio_unit.clone(), context);
             }
             Event::Link(context) => {
+                now.links_at.insert((context.link.clone(), context.direction), *at);
                 now.links.insert((context.link.clone(), context.direction), context);
             }
             Event::Placement(placement) => {

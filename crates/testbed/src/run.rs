@@ -137,6 +137,15 @@ pub enum RunError {
     Panicked,
 }
 
+/// The fabric of a testbed, with probes on its links if it wants them.
+pub(crate) fn emulated(testbed: &Testbed, seed: u64) -> Result<Fabric, cotorra_fabric::FabricError> {
+    let mut fabric = Fabric::new(&testbed.graph, seed)?;
+    if let Some(probes) = testbed.probes {
+        fabric.probe_links(Timestamp::ZERO, probes);
+    }
+    Ok(fabric)
+}
+
 fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
     let what = what.into();
     move |source| RunError::System { what, source }
@@ -189,7 +198,6 @@ impl Run {
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
 
-        let fabric = Fabric::new(&testbed.graph, seed)?;
         let (tell, inbox) = mpsc::channel();
         let from_network = tell.clone();
         let events: cotorra_datapath::EventSink = Box::new(move |event| {
@@ -198,6 +206,11 @@ impl Run {
         });
         let let_cores_sleep = options.save_power;
         let kernel = kernel_network(&testbed)?;
+        let fabric = match kernel {
+            // What crosses no packet has nothing to measure.
+            Some(_) => Fabric::new(&testbed.graph, seed)?,
+            None => emulated(&testbed, seed)?,
+        };
         let with_events =
             cotorra_datapath::Options { events: Some(events), let_cores_sleep, kernel, ..Default::default() };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);

@@ -437,6 +437,8 @@ walks:
                 direction: Direction::Forward,
                 delay: None,
                 throughput_bps: 0.0,
+                probed: None,
+                tested: None,
                 asked: effective.clone(),
                 scale: Scale::default(),
                 effective,

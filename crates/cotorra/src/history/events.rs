@@ -6,7 +6,7 @@ use cotorra_graph::{Event, Instruction, Stamped};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::{Error, Source, more, seconds};
-use crate::{cli::EventsArgs, output};
+use crate::{cli::EventsArgs, link, output};
 
 /// Shows events.
 pub fn events(args: &EventsArgs) -> miette::Result<()> {
@@ -53,7 +53,14 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             let delay =
                 context.delay.map_or("no packet".to_owned(), |d| format!("{:.3} ms", d.as_secs_f64() * 1e3));
             let direction = format!("{:?}", context.direction).to_lowercase();
-            format!("{} {direction}: {delay}, {:.3} Mbit/s", context.link, context.throughput_bps / 1e6)
+            let probed =
+                context.probed.as_ref().map(|p| format!("; probes: {}", link::probed(p))).unwrap_or_default();
+            let does = link::conditions(&context.effective);
+            format!(
+                "{} {direction}: {delay}, {:.3} Mbit/s{probed}; does {does}",
+                context.link,
+                context.throughput_bps / 1e6
+            )
         }
         Event::Placement(placement) => format!("{} on {}", placement.vnf, placement.node),
         Event::VirtualLink(mapping) => {
@@ -118,5 +125,9 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::Halt { robot } => format!("halt {robot}"),
         Instruction::Go { robot } => format!("let {robot} go"),
         Instruction::Note { process, step } => format!("note {step} of {process}"),
+        Instruction::TestThroughput { link, direction, test } => {
+            let direction = format!("{direction:?}").to_lowercase();
+            format!("test the throughput of {link} {direction} for {:?}", test.duration)
+        }
     }
 }

@@ -4,7 +4,12 @@ use cotorra_graph::{LinkContext, RobotContext, Timestamp};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
 use super::{Error, Source, first_of, seconds};
-use crate::{cli::StateArgs, output, table::Table};
+use crate::{
+    cli::StateArgs,
+    link::{conditions, probed},
+    output,
+    table::Table,
+};
 
 /// No more rows of each table are shown.
 const ROWS: usize = 40;
@@ -54,8 +59,8 @@ fn describe(state: &GraphState) -> String {
     }
     section("Radio units", units, state.radio_units.len());
 
-    let mut links = Table::new("<<>>>>>>");
-    links.row(["link", "direction", "at, s", "delay, ms", "Mbit/s", "ψ", "δ", "lost"]);
+    let mut links = Table::new("<<>>><>>><");
+    links.row(["link", "direction", "at, s", "d, ms", "Mbit/s", "probes", "ψ", "δ", "lost", "does"]);
     state.links.iter().take(ROWS).for_each(|sample| links.row(link(sample)));
     section("Links", links, state.links.len());
 
@@ -91,7 +96,7 @@ fn robot(Sample { at, value }: &Sample<RobotContext>) -> [String; 8] {
     ]
 }
 
-fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 8] {
+fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 10] {
     let direction = format!("{:?}", value.direction).to_lowercase();
     [
         value.link.to_string(),
@@ -99,8 +104,10 @@ fn link(Sample { at, value }: &Sample<LinkContext>) -> [String; 8] {
         seconds(*at),
         value.delay.map_or("-".to_owned(), |delay| format!("{:.3}", delay.as_secs_f64() * 1e3)),
         format!("{:.3}", value.throughput_bps / 1e6),
+        value.probed.as_ref().map(probed).unwrap_or_default(),
         value.scale.delay_scale.to_string(),
         value.scale.drop_scale.to_string(),
         (value.counters.lost + value.counters.overflowed).to_string(),
+        conditions(&value.effective),
     ]
 }

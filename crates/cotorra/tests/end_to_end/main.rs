@@ -8,6 +8,7 @@ mod harness;
 mod history;
 mod history_server;
 mod interruption;
+mod link;
 mod localize;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 #[path = "../../../measurements/src/testing/mariadb.rs"]

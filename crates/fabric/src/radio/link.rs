@@ -104,6 +104,8 @@ impl WirelessLink {
             direction,
             delay: meter.delay(now),
             throughput_bps: meter.throughput_bps(now),
+            probed: None,
+            tested: None,
             asked: settings.asked().clone(),
             scale: settings.scale(),
             effective: settings.effective().clone(),

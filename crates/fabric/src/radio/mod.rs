@@ -463,6 +463,11 @@ impl Radio {
         self.links.iter().flatten().flat_map(|link| both(link)).collect()
     }
 
+    /// Whether there is such a wireless link.
+    pub(crate) fn has_link(&self, link: &LinkId) -> bool {
+        self.ends(link).is_some()
+    }
+
     /// Changes what a wireless link does in one direction or both, for all frames that are not on the air yet. Those
     /// that are profit from a shorter delay.
     ///

@@ -5,17 +5,20 @@ use std::{
     collections::{BTreeMap, HashMap, HashSet},
     path::Path,
     sync::Arc,
+    time::Duration,
 };
 
 use super::{
     check,
     records::{
-        ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProgramWord, RetentionRecord,
-        RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
+        ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProbesRecord, ProbesWord,
+        ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord, WaisRecord,
+        WalkRecord, WirelessRecord,
     },
     ros,
 };
 use crate::{
+    active::Probing,
     conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
     exposure::{GeoOrigin, WaisSettings},
     hardware::{
@@ -58,6 +61,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
     let domains = builder.domains;
+    let probes = probes(&record.probes, sink);
     let retention = retentions(&record.history.retention, sink);
     let testbed = Testbed {
         graph: HardwareGraph { domains, nodes: nodes?, links: links?, wireless: wireless? },
@@ -68,12 +72,29 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
         wais: wais?,
         seed: record.seed,
         emulation: record.emulation,
+        probes,
         retention,
         description: record.description.clone(),
         name: record.name.value.clone(),
     };
     check::check(&record, &testbed, sink);
     Some(testbed)
+}
+
+fn probes(record: &Either<ProbesWord, ProbesRecord>, sink: &mut Sink) -> Option<Probing> {
+    let Either::Long(ProbesRecord { interval, window }) = record else { return None };
+    let probing = Probing { interval: interval.value, window: window.value };
+    if probing.interval < Duration::from_millis(1) {
+        sink.error(&interval.span, "probes less than a millisecond apart")
+            .help("write `500 ms`, or any time from 1 ms on; `probes: none` switches them off");
+    } else if probing.window < probing.interval * 2 {
+        sink.error(&window.span, "this window has not even two probes")
+            .help(format!("write {:?} or more, or a shorter `interval`", probing.interval * 2));
+    } else if probing.window > probing.interval * Probing::MOST {
+        sink.error(&window.span, format!("this window has more than {} probes", Probing::MOST))
+            .help("write a shorter window, or a longer `interval`");
+    }
+    Some(probing)
 }
 
 pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentions {

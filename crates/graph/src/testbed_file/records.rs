@@ -46,8 +46,26 @@ record! {
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
+        /// How wired links are probed, or `none`.
+        probes: Either<ProbesWord, ProbesRecord> = {},
         /// How its history is kept.
         history: HistoryRecord = {},
+    }
+}
+
+/// No probes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ProbesWord {
+    None,
+}
+
+record! {
+    /// How wired links are probed by STAMP (RFC 8762).
+    ProbesRecord {
+        /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate.
+        interval: Spanned<Duration> = "500 ms",
+        /// How far back delay, jitter and loss look.
+        window: Spanned<Duration> = "10 s",
     }
 }
 
@@ -581,6 +599,9 @@ choice!(Emulation, "emulation", {
     "netem" => Self::NetEm, "the kernel, with bridges and NetEm, where it has them and there is no radio; else the fabric";
 });
 
+choice!(ProbesWord, "word for probes", {
+    "none" => Self::None, "no probes";
+});
 choice!(GapPolicy, "gap policy", {
     "hold" => Self::Hold, "both sides buffer, and send afterwards";
     "drop" => Self::Drop, "they are lost";

@@ -5,9 +5,9 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Jitter,
     JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement, PluginId, Pose,
-    PoseSource, Probability, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
-    ServiceId, ServiceTime, StationContext, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
-    VnfState,
+    PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
+    SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 
 use super::direction_of;
@@ -120,6 +120,18 @@ impl Columns<'_> {
             .collect()
     }
 
+    /// Every probe that told anything told the age of the loss.
+    fn probed(&mut self) -> Result<Option<Probed>> {
+        let [delay, jitter, delay_age] = [self.duration()?, self.duration()?, self.duration()?];
+        let (loss, loss_age) = (self.0.real()?, self.duration()?);
+        Ok(loss_age.map(|loss_age| Probed { delay, jitter, delay_age, loss, loss_age }))
+    }
+
+    fn tested(&mut self) -> Result<Option<Tested>> {
+        let (throughput_bps, offered_bps) = (self.real()?, self.real()?);
+        Ok(self.duration()?.map(|age| Tested { throughput_bps, offered_bps, age }))
+    }
+
     fn pose(&mut self) -> Result<Pose> {
         let (x, y, heading) = (self.real()?, self.real()?, self.real()?);
         let mut covariance = [0.0; 9];
@@ -188,6 +200,8 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                 duplicated: row.unsigned()?,
                 corrupted: row.unsigned()?,
             },
+            probed: row.probed()?,
+            tested: row.tested()?,
         }),
         Kind::Placement => Event::Placement(Placement { vnf: row.name()?, node: row.name()? }),
         Kind::VirtualLink => {
@@ -259,6 +273,11 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },
+        "test_throughput" => Instruction::TestThroughput {
+            link: subject.parse().map_err(unreadable)?,
+            direction: required(direction)?,
+            test: json(&required(change)?)?,
+        },
         "condition" => Instruction::Condition {
             link: subject.parse().map_err(unreadable)?,
             direction,

@@ -116,6 +116,15 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .unsigned(counters.overflowed)
                 .unsigned(counters.duplicated)
                 .unsigned(counters.corrupted);
+            let (probed, tested) = (&context.probed, &context.tested);
+            row.optional(probed.and_then(|probed| probed.delay), Fields::duration)
+                .optional(probed.and_then(|probed| probed.jitter), Fields::duration)
+                .optional(probed.and_then(|probed| probed.delay_age), Fields::duration)
+                .optional(probed.and_then(|probed| probed.loss), Fields::real)
+                .optional(probed.map(|probed| probed.loss_age), Fields::duration)
+                .optional(tested.map(|tested| tested.throughput_bps), Fields::real)
+                .optional(tested.map(|tested| tested.offered_bps), Fields::real)
+                .optional(tested.map(|tested| tested.age), Fields::duration);
         }
         Event::Placement(placement) => {
             row.name(placement.vnf.as_str()).name(placement.node.as_str());
@@ -205,6 +214,12 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
         Instruction::Place { vnf, node } => {
             put("place", vnf.as_str(), Some(node.as_str()));
             row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::TestThroughput { link, direction, test } => {
+            put("test_throughput", link.as_str(), None);
+            row.0.extend([const { Value::Null }; 3]);
+            let test = serde_json::to_string(test).expect("a test has no map keys that are not text");
+            row.direction(*direction).text(test);
         }
         Instruction::Condition { link, direction, change } => {
             put("condition", link.as_str(), None);

@@ -45,9 +45,11 @@ impl Shape {
 
     /// As that version of the format had it: without the columns that are newer, which are the last.
     pub fn in_version(mut self, version: u32) -> Self {
-        if version < 2 {
-            self.columns.retain(|(name, _)| *name != "health");
-        }
+        let newer = |name: &str| {
+            version < 2 && name == "health"
+                || version < 3 && (name.starts_with("probed_") || name.starts_with("tested_"))
+        };
+        self.columns.retain(|(name, _)| !newer(name));
         self
     }
 
@@ -77,7 +79,7 @@ const TEXTS: &[&str] = &[
 #[rustfmt::skip]
 const REALS: &[&str] = &[
     "load", "throughput_bps", "delay_scale", "drop_scale", "loss_rate", "loss_mean_burst", "duplication",
-    "corruption", "reordering",
+    "corruption", "reordering", "probed_loss", "tested_bps", "tested_offered_bps",
 ];
 const UNITS_OF_REALS: &[&str] = &["_m", "_rad", "_mps", "_radps", "_dbm", "_mbps", "_us"];
 

@@ -358,8 +358,8 @@ impl Reader {
                 None => chunk::column(kept.kind, kept.column),
                 Some(_) => named.last().map(|id| Part::Children(*id)),
             };
-            let of = match (part, kept.child) {
-                (Some(Part::Column(place)), _) => Of::Column(place),
+            let of = match (part.and_then(Part::column), kept.child) {
+                (Some(place), _) => Of::Column(place),
                 (_, child) => Of::Child(child.map(|(_, name)| name.to_owned()).unwrap_or_default()),
             };
             let mut stretches = self.engine(self.connection.prepare_cached(

@@ -216,6 +216,8 @@ fn forgets_what_was_rolled_back() {
                 direction: Direction::Forward,
                 delay: None,
                 throughput_bps: 0.0,
+                probed: None,
+                tested: None,
                 asked: Conditions::default(),
                 scale: Scale::default(),
                 effective: Conditions::default(),

@@ -124,6 +124,22 @@ message! {
         delay_ms: f64,
         /// λ: what crossed over the last second, bit/s.
         throughput_bps: f64,
+        /// Mean delay of its probes; NaN if none came back, as the jitter and its age.
+        probed_delay_ms: f64,
+        /// Mean difference of the delays of two probes in a row.
+        probed_jitter_ms: f64,
+        /// How long before this was told the latest probe came back.
+        probed_delay_age_ms: f64,
+        /// Share of its probes that got lost, 0 to 1; NaN if it is not known, as its age.
+        probed_loss: f64,
+        /// How long before this was told the latest probe was sent of which it is known.
+        probed_loss_age_ms: f64,
+        /// λ as its last test told; NaN before the first, as the two below.
+        tested_bps: f64,
+        /// At which rate the test sent.
+        tested_offered_bps: f64,
+        /// How long before this was told the test ended.
+        tested_age_ms: f64,
         /// ψ; 1 leaves it alone.
         delay_scale: f64,
         /// δ; 1 leaves it alone.

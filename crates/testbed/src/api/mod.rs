@@ -104,6 +104,7 @@ fn router() -> (Router<Context>, utoipa::openapi::OpenApi) {
         .routes(routes!(routes::robots))
         .routes(routes!(routes::robot))
         .routes(routes!(routes::links))
+        .routes(routes!(routes::test_throughput))
         .routes(routes!(routes::radio_units))
         .routes(routes!(routes::placements))
         .routes(routes!(routes::instruct))

@@ -1,12 +1,17 @@
 //! What is known right now, and instructions.
 
 use axum::{Extension, Json, extract::State, http::HeaderMap};
-use cotorra_graph::{LinkContext, NodeId, Placement, PluginId, RadioContext, RobotContext};
+use cotorra_graph::{
+    Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
+};
 
 use super::{
     Answer, Context,
     auth::Caller,
-    types::{Body, Done, Failure, FailureBody, InstructionBody, NodeBody, Path, TestbedBody},
+    types::{
+        Body, Done, Failure, FailureBody, InstructionBody, LinkBody, NodeBody, Path, TestbedBody,
+        ThroughputTestBody,
+    },
 };
 use crate::core_loop::Message;
 
@@ -68,13 +73,41 @@ pub(super) async fn robot(
 
 /// d, λ and conditions of every link, in both directions.
 #[utoipa::path(get, path = "/api/v1/network/links", tag = "network",
-    responses((status = 200, body = Vec<LinkContext>)))]
+    responses((status = 200, body = Vec<LinkBody>)))]
 pub(super) async fn links(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
-) -> Json<Vec<LinkContext>> {
-    let seen = |one: &&LinkContext| caller.keeps(|view| view.sees_link(&one.link));
-    Json(context.live.read(|now| now.links.values().filter(seen).cloned().collect()))
+) -> Json<Vec<LinkBody>> {
+    Json(context.live.read(|now| {
+        let told = now.links.values().zip(now.links_at.values());
+        let seen = told.filter(|(link, _)| caller.keeps(|view| view.sees_link(&link.link)));
+        seen.map(|(link, at)| LinkBody::new(link.clone(), now.at.since(*at))).collect()
+    }))
+}
+
+/// Test what one direction of a wired link carries, by packets that cross it.
+///
+/// It is bounded: 10 s and 1 Gbit/s at most, one test of a direction at a time, and none for four times as long
+/// afterwards. What came of it is in the link's `tested` a second after the last packet.
+#[utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
+    params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
+    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody)))]
+pub(super) async fn test_throughput(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path(link): Path<LinkId>,
+    headers: HeaderMap,
+    Body(body): Body<ThroughputTestBody>,
+) -> Answer<Done> {
+    let ThroughputTestBody { direction, duration_ms, rate_limit_bps } = body;
+    let duration = duration_ms.map(|ms| std::time::Duration::try_from_secs_f64(ms / 1e3)).transpose();
+    let duration = duration.map_err(|error| Failure::bad_request(format!("`duration_ms`: {error}")))?;
+    let test = ThroughputTest {
+        duration: duration.unwrap_or(ThroughputTest::default().duration),
+        rate_limit: rate_limit_bps,
+    };
+    let instruction = Instruction::TestThroughput { link, direction, test };
+    give(&context, &caller, &headers, InstructionBody { instruction, reason: None }).await
 }
 
 /// ι of every radio unit.
@@ -113,7 +146,7 @@ pub(super) fn plugin(caller: &Caller, headers: &HeaderMap) -> Result<Option<Plug
     }
 }
 
-/// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change a link's conditions.
+/// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change or test a link.
 ///
 /// The header `X-Cotorra-Plugin` names who asks; the decision is recorded under that name.
 #[utoipa::path(post, path = "/api/v1/instructions", tag = "instructions", request_body = InstructionBody,
@@ -125,10 +158,20 @@ pub(super) async fn instruct(
     headers: HeaderMap,
     Body(body): Body<InstructionBody>,
 ) -> Answer<Done> {
+    give(&context, &caller, &headers, body).await
+}
+
+/// Gives an instruction to the core, and waits for what comes of it.
+async fn give(
+    context: &Context,
+    caller: &Caller,
+    headers: &HeaderMap,
+    body: InstructionBody,
+) -> Answer<Done> {
     if let Some(view) = &caller.0 {
         view.check(&body.instruction).map_err(|reason| Failure::not_own(reason.to_string()))?;
     }
-    let plugin = plugin(&caller, &headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
+    let plugin = plugin(caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let message = Message::Instruct {
         plugin,

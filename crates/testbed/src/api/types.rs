@@ -1,6 +1,6 @@
 //! What the API takes and gives beside the types of the graph.
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use axum::{
     Json,
@@ -9,7 +9,8 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use cotorra_graph::{
-    HardwareGraph, HostAddress, Instruction, Node, PluginSpec, Service, Testbed, Timestamp, Walk,
+    BitRate, Direction, HardwareGraph, HostAddress, Instruction, LinkContext, Node, PluginSpec, Service,
+    Testbed, Timestamp, Walk,
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
@@ -52,6 +53,35 @@ pub(super) struct NodeBody {
     /// Its network namespace, for `nsenter --net=`; none for a switch.
     #[schema(value_type = Option<String>)]
     pub(super) namespace: Option<PathBuf>,
+}
+
+/// One direction of a link, and how long ago it was told so. Ages of what was measured actively count up to then.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct LinkBody {
+    #[serde(flatten)]
+    context: LinkContext,
+    /// Milliseconds.
+    age_ms: f64,
+}
+
+impl LinkBody {
+    pub(super) fn new(context: LinkContext, age: Duration) -> Self {
+        Self { context, age_ms: age.as_secs_f64() * 1e3 }
+    }
+}
+
+/// A test of a link's throughput.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ThroughputTestBody {
+    /// Which direction.
+    pub(super) direction: Direction,
+    /// How long packets are sent: 10 ms to 10 s; a second without it.
+    #[serde(default)]
+    pub(super) duration_ms: Option<f64>,
+    /// How fast, bit/s; without it a tenth faster than the link is asked to be, and 1 Gbit/s at most.
+    #[serde(default)]
+    pub(super) rate_limit_bps: Option<BitRate>,
 }
 
 /// A run in a history.

@@ -1,0 +1,161 @@
+//! What can be typed behind `cotorra link`.
+
+use std::{net::SocketAddr, time::Duration};
+
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
+use cotorra_graph::{
+    BitRate, ConditionChange, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability, Rate,
+    ThroughputTest,
+};
+
+use crate::{
+    cli::{DEFAULT_API, parse_duration},
+    quantity::{parse_rate, parse_share, parse_time},
+};
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Link {
+    Show(ShowArgs),
+    Set(SetArgs),
+    Test(TestArgs),
+}
+
+/// Show what links give, what was asked of them, and what they do
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra link show
+  cotorra link show lan-cloud --json")]
+pub struct ShowArgs {
+    /// The link; without it, all
+    pub link: Option<LinkId>,
+    /// Print JSON, times in milliseconds
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub api: ApiArgs,
+}
+
+/// Change what a link does, in one direction or both
+///
+/// What is not said stays as it is. The scales multiply the delay and divide the rate, whatever these are.
+#[derive(Debug, Args)]
+#[command(
+    group(ArgGroup::new("change").required(true).multiple(true)),
+    after_long_help = "\
+Examples:
+  cotorra link set lan-cloud --delay 40ms --rate 20Mbit/s
+  cotorra link set lan-cloud --delay-scale 2 --drop-scale 4     twice the delay, a quarter of the rate
+  cotorra link set lan-cloud --direction backward --loss 1% --burst 5"
+)]
+pub struct SetArgs {
+    /// The link
+    pub link: LinkId,
+    /// One direction; without it, both
+    #[arg(long, value_enum)]
+    pub direction: Option<Way>,
+    /// Delay, such as 10ms or 250us
+    #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "change")]
+    delay: Option<Duration>,
+    /// Standard deviation of the delay, normally distributed; 0ms for none
+    #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "change")]
+    jitter: Option<Duration>,
+    /// Share of packets that vanish, such as 1%
+    #[arg(long, value_name = "SHARE", value_parser = parse_share, group = "change")]
+    loss: Option<Probability>,
+    /// Lose so many packets in a row on average
+    #[arg(long, value_name = "PACKETS", requires = "loss")]
+    burst: Option<f64>,
+    /// Rate, such as 20Mbit/s
+    #[arg(long, value_name = "RATE", value_parser = parse_rate, group = "change")]
+    rate: Option<BitRate>,
+    /// ψ: multiplies the delay
+    #[arg(long, value_name = "NUMBER", group = "change")]
+    delay_scale: Option<f64>,
+    /// δ: divides the throughput
+    #[arg(long, value_name = "NUMBER", group = "change")]
+    drop_scale: Option<f64>,
+    #[command(flatten)]
+    pub api: ApiArgs,
+}
+
+/// Test what a wired link carries, by packets that cross it
+///
+/// Other packets share the link with those of the test meanwhile. It is bounded: 10 s and 1 Gbit/s at most, one test of a
+/// direction at a time, and none for four times as long afterwards. A link that carries all that was sent may carry more.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra link test lan-cloud
+  cotorra link test lan-cloud --direction backward --duration 3s --rate-limit 5Mbit/s")]
+pub struct TestArgs {
+    /// The link
+    pub link: LinkId,
+    /// The direction
+    #[arg(long, value_enum, default_value = "forward")]
+    pub direction: Way,
+    /// How long packets are sent: 10ms to 10s
+    #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = parse_duration)]
+    pub duration: Duration,
+    /// How fast; by default a tenth faster than the link is asked to be
+    #[arg(long, value_name = "RATE", value_parser = parse_rate)]
+    rate_limit: Option<BitRate>,
+    #[command(flatten)]
+    pub api: ApiArgs,
+}
+
+/// Which run.
+#[derive(Debug, Args)]
+pub struct ApiArgs {
+    /// Address of the run's API, as its terminal shows it
+    #[arg(long, value_name = "ADDR:PORT", default_value = DEFAULT_API)]
+    pub api: SocketAddr,
+}
+
+/// A direction of a link.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum Way {
+    /// From its first end to its second
+    Forward,
+    /// From its second end to its first
+    Backward,
+}
+
+impl From<Way> for Direction {
+    fn from(way: Way) -> Self {
+        match way {
+            Way::Forward => Self::Forward,
+            Way::Backward => Self::Backward,
+        }
+    }
+}
+
+impl SetArgs {
+    /// The change; the testbed says whether it can be.
+    pub fn change(&self) -> ConditionChange {
+        let loss = |rate: Probability| match self.burst {
+            _ if rate == Probability::ZERO => Loss::None,
+            None => Loss::Independent { rate },
+            Some(mean_burst) => Loss::Bursty { rate, mean_burst },
+        };
+        ConditionChange {
+            delay_ms: self.delay.map(|delay| delay.as_secs_f64() * 1e3),
+            jitter: self
+                .jitter
+                .map(|deviation| Jitter { deviation, distribution: JitterDistribution::default() }),
+            loss: self.loss.map(loss),
+            rate: self.rate.map(|bits_per_second| Rate::Fixed { bits_per_second }),
+            delay_scale: self.delay_scale,
+            drop_scale: self.drop_scale,
+            ..ConditionChange::default()
+        }
+    }
+}
+
+impl TestArgs {
+    /// The test; the testbed says whether it can be.
+    pub fn test(&self) -> ThroughputTest {
+        ThroughputTest { duration: self.duration, rate_limit: self.rate_limit }
+    }
+}

@@ -1,0 +1,188 @@
+//! `cotorra link`: links of the running testbed, over its API.
+
+mod args;
+
+use std::{thread, time::Duration};
+
+use cotorra_graph::{
+    Conditions, Instruction, LinkContext, LinkId, Loss, PluginId, Probed, QueueLimit, Rate, Tested,
+};
+use cotorra_plugin::client::{Client, ClientError};
+use indicatif::{ProgressBar, ProgressStyle};
+use miette::{IntoDiagnostic, miette};
+
+pub use self::args::Link;
+use self::args::{ApiArgs, SetArgs, ShowArgs, TestArgs};
+use crate::{output, run::token_text, table::Table};
+
+/// Results are told once a second, a second after the last packet.
+const PATIENCE: Duration = Duration::from_secs(5);
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Shows, changes or tests.
+pub fn link(what: &Link) -> miette::Result<()> {
+    match what {
+        Link::Show(args) => show(args),
+        Link::Set(args) => set(args),
+        Link::Test(args) => test(args),
+    }
+}
+
+fn client(args: &ApiArgs) -> miette::Result<Client> {
+    let client = Client::new(&format!("http://{}", args.api)).map_err(|error| explained(args, error))?;
+    let client = client.named(PluginId::new("command-line").expect("it is a name"));
+    Ok(match token_text() {
+        Some(token) => client.with_token(token),
+        None => client,
+    })
+}
+
+fn explained(args: &ApiArgs, error: ClientError) -> miette::Report {
+    match error {
+        ClientError::Unreachable { source, .. } => miette!(
+            help = "start one with `cotorra run`; if it says another address, name that with --api",
+            "no testbed answers at {}: {source}",
+            args.api
+        ),
+        other => miette!("{other}"),
+    }
+}
+
+/// The contexts of one link or all; links of the air are there once they are in use.
+fn links(client: &Client, args: &ApiArgs, wanted: Option<&LinkId>) -> miette::Result<Vec<LinkContext>> {
+    let mut links = client.links().map_err(|error| explained(args, error))?;
+    let Some(wanted) = wanted else { return Ok(links) };
+    let all: Vec<_> = links.iter().step_by(2).map(|context| context.link.to_string()).collect();
+    links.retain(|context| context.link == *wanted);
+    match links.is_empty() {
+        true => Err(miette!(help = format!("there are {}", all.join(", ")), "there is no link `{wanted}`")),
+        false => Ok(links),
+    }
+}
+
+fn show(args: &ShowArgs) -> miette::Result<()> {
+    let links = links(&client(&args.api)?, &args.api, args.link.as_ref())?;
+    output::print(&if args.json {
+        serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
+    } else {
+        table(&links)
+    })
+}
+
+fn set(args: &SetArgs) -> miette::Result<()> {
+    let client = client(&args.api)?;
+    links(&client, &args.api, Some(&args.link))?;
+    let direction = args.direction.map(Into::into);
+    let instruction = Instruction::Condition { link: args.link.clone(), direction, change: args.change() };
+    client.instruct(&instruction, None).map_err(|error| explained(&args.api, error))?;
+    output::print(&table(&links(&client, &args.api, Some(&args.link))?))
+}
+
+#[allow(clippy::disallowed_methods, reason = "whoever asks for a test waits for what it tells")]
+fn test(args: &TestArgs) -> miette::Result<()> {
+    let client = client(&args.api)?;
+    let direction = args.direction.into();
+    let told = || -> miette::Result<Option<Tested>> {
+        let both = links(&client, &args.api, Some(&args.link))?;
+        Ok(both.into_iter().find(|context| context.direction == direction).and_then(|its| its.tested))
+    };
+    told()?;
+    let test = args.test();
+    let instruction = Instruction::TestThroughput { link: args.link.clone(), direction, test };
+    client.instruct(&instruction, None).map_err(|error| explained(&args.api, error))?;
+    let looks = (test.duration + PATIENCE).div_duration_f64(LOOK).ceil() as u64;
+    let style = ProgressStyle::with_template("{bar:40} testing {msg}").expect("a template that is right");
+    let progress = ProgressBar::new(looks).with_style(style).with_message(args.link.to_string());
+    let result = (0..looks).find_map(|_| {
+        thread::sleep(LOOK);
+        progress.inc(1);
+        // The link rested before this test for longer than any result of it can be old.
+        told().map(|told| told.filter(|told| told.age < PATIENCE)).transpose()
+    });
+    progress.finish_and_clear();
+    let Tested { throughput_bps, offered_bps, .. } =
+        result.ok_or_else(|| miette!("the testbed does not tell what came of the test"))??;
+    let all = throughput_bps > 0.98 * offered_bps;
+    output::print(&format!(
+        "{} {}: {:.3} Mbit/s of {:.3} Mbit/s{}\n",
+        args.link,
+        format!("{direction:?}").to_lowercase(),
+        throughput_bps / 1e6,
+        offered_bps / 1e6,
+        if all { "; it may carry more" } else { "" }
+    ))
+}
+
+fn table(links: &[LinkContext]) -> String {
+    let mut table = Table::new("<<>>><>><");
+    table.row(["link", "direction", "d, ms", "λ, Mbit/s", "tested", "probes", "ψ", "δ", "does"]);
+    for context in links {
+        let tested = |tested: Tested| format!("{:.3} ({})", tested.throughput_bps / 1e6, ago(tested.age));
+        table.row([
+            context.link.to_string(),
+            format!("{:?}", context.direction).to_lowercase(),
+            context.delay.map_or("-".to_owned(), millis),
+            format!("{:.3}", context.throughput_bps / 1e6),
+            context.tested.map_or("-".to_owned(), tested),
+            context.probed.as_ref().map_or("-".to_owned(), probed),
+            context.scale.delay_scale.to_string(),
+            context.scale.drop_scale.to_string(),
+            conditions(&context.effective),
+        ]);
+    }
+    table.render("")
+}
+
+fn millis(duration: Duration) -> String {
+    format!("{:.3}", duration.as_secs_f64() * 1e3)
+}
+
+fn ago(age: Duration) -> String {
+    format!("{:.1} s ago", age.as_secs_f64())
+}
+
+/// What probes tell, in a few words.
+pub fn probed(probed: &Probed) -> String {
+    let delay = probed.delay.map(|delay| {
+        let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
+        let age = probed.delay_age.map(|age| format!(" ({})", ago(age))).unwrap_or_default();
+        format!("{}{jitter} ms{age}", millis(delay))
+    });
+    let loss = probed.loss.map(|loss| format!("{:.1} % lost ({})", loss * 100.0, ago(probed.loss_age)));
+    [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// What a link does to packets, in a few words.
+pub fn conditions(conditions: &Conditions) -> String {
+    let percent = |share: f64| format!("{:.3} %", share * 100.0);
+    let mut said = vec![format!("{} ms", millis(conditions.delay))];
+    if let Some(jitter) = conditions.jitter {
+        said[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
+    }
+    said.push(match &conditions.rate {
+        Rate::Unlimited => "unlimited".to_owned(),
+        Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
+        Rate::Trace { trace } => format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6),
+    });
+    match conditions.loss {
+        Loss::None => {}
+        Loss::Independent { rate } => said.push(format!("loss {}", percent(rate.get()))),
+        Loss::Bursty { rate, mean_burst } => {
+            said.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
+        }
+    }
+    let shares = [
+        ("duplication", conditions.duplication),
+        ("corruption", conditions.corruption),
+        ("reordering", conditions.reordering),
+    ];
+    said.extend(
+        shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(p.get()))),
+    );
+    match conditions.queue {
+        QueueLimit::Packets(1000) => {}
+        QueueLimit::Packets(packets) => said.push(format!("queue {packets} packets")),
+        QueueLimit::Bytes(bytes) => said.push(format!("queue {bytes} B")),
+    }
+    said.join(", ")
+}

@@ -1,0 +1,67 @@
+//! Figures with units, as they are typed.
+
+use std::time::Duration;
+
+use cotorra_graph::{BitRate, Probability};
+
+/// A figure in the base unit.
+fn quantity(text: &str, like: &str, units: &[(&str, f64)]) -> Result<f64, String> {
+    let text = text.trim();
+    let digits = |c: char| !(c.is_ascii_digit() || c == '.');
+    let (figure, unit) = text.split_at(text.find(digits).unwrap_or(text.len()));
+    let number: f64 = figure.parse().map_err(|_| format!("write it like {like}"))?;
+    let unit = unit.trim();
+    let Some((_, factor)) = units.iter().find(|(name, _)| *name == unit) else {
+        let names: Vec<_> = units.iter().map(|(name, _)| *name).collect();
+        return Err(format!("write it like {like}; units are {}", names.join(", ")));
+    };
+    Ok(number * factor)
+}
+
+/// A time of an hour at most.
+pub fn parse_time(text: &str) -> Result<Duration, String> {
+    let seconds =
+        quantity(text, "10ms", &[("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0)])?;
+    if seconds > 3600.0 {
+        return Err("it is one hour at most".to_owned());
+    }
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+/// A share, in percent.
+pub fn parse_share(text: &str) -> Result<Probability, String> {
+    let share = quantity(text, "1%", &[("%", 0.01)])?;
+    Probability::new(share).ok_or_else(|| "it is 100% at most".to_owned())
+}
+
+/// A rate.
+pub fn parse_rate(text: &str) -> Result<BitRate, String> {
+    let units = [("bit/s", 1.0), ("kbit/s", 1e3), ("Mbit/s", 1e6), ("Gbit/s", 1e9)];
+    let rate = quantity(text, "20Mbit/s", &units)?;
+    if rate > 8e12 {
+        return Err("it is 8000 Gbit/s at most".to_owned());
+    }
+    BitRate::from_bits_per_second(rate.round() as u64).ok_or_else(|| "it is 1 bit/s or more".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_have_units() {
+        assert_eq!(parse_time("250us"), Ok(Duration::from_micros(250)));
+        assert_eq!(parse_time("1.5 ms"), Ok(Duration::from_micros(1500)));
+        assert_eq!(parse_share("0.5%"), Ok(Probability::new(0.005).unwrap()));
+        assert_eq!(parse_rate("20Mbit/s"), Ok(BitRate::from_mbps(20.0).unwrap()));
+        for wrong in ["", "10", "ms", "-1ms", "1h", "61min", "1e3ms", "nanms"] {
+            assert!(parse_time(wrong).is_err(), "{wrong}");
+        }
+        for wrong in ["1", "101%", "0.01", "-1%"] {
+            assert!(parse_share(wrong).is_err(), "{wrong}");
+        }
+        for wrong in ["10", "0bit/s", "10mbit", "9000Gbit/s"] {
+            assert!(parse_rate(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Tests of what a direction of a link carries: packets at a rate, for a while, and the rate at which they come out.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{LinkId, Tested, ThroughputTest, Timestamp};
+
+use crate::{frame::Frame, settings::Refusal, timers::Timers};
+
+/// How long packets count that come out after the last was sent.
+const GRACE: Duration = Duration::from_secs(1);
+
+/// A test that goes on or is over. Whoever sends its packets asks it when.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    began: Timestamp,
+    test: ThroughputTest,
+    rate_bps: f64,
+    sent: u64,
+    arrived: u64,
+    /// When the first and the last packet arrived.
+    span: Option<[Timestamp; 2]>,
+}
+
+impl Trial {
+    /// Octets of a packet, Ethernet header included.
+    pub const BYTES: usize = 1514;
+    const BITS: f64 = Self::BYTES as f64 * 8.0;
+
+    /// A test that begins now, of a link that is asked to carry so many bit/s.
+    ///
+    /// # Errors
+    /// [`Refusal::TestDuration`] or [`Refusal::TestRate`] beyond the bounds.
+    pub fn new(now: Timestamp, test: ThroughputTest, link_bps: f64) -> Result<Self, Refusal> {
+        if !(ThroughputTest::SHORTEST..=ThroughputTest::LONGEST).contains(&test.duration) {
+            return Err(Refusal::TestDuration(test.duration));
+        }
+        let fastest = ThroughputTest::FASTEST_BPS as f64;
+        let rate_bps = match test.rate_limit {
+            Some(limit) if limit.bits_per_second() > ThroughputTest::FASTEST_BPS => {
+                return Err(Refusal::TestRate(limit));
+            }
+            Some(limit) => limit.bits_per_second() as f64,
+            None => (link_bps * 1.1).min(fastest),
+        };
+        Ok(Self { began: now, test, rate_bps, sent: 0, arrived: 0, span: None })
+    }
+
+    /// When the next packet is due; `None` after the last.
+    pub fn deadline(&self) -> Option<Timestamp> {
+        let after = Duration::from_secs_f64(self.sent as f64 * Self::BITS / self.rate_bps);
+        (after < self.test.duration).then(|| self.began + after)
+    }
+
+    /// Whether a packet is due; it counts as sent.
+    pub fn poll(&mut self, now: Timestamp) -> bool {
+        let due = self.deadline().is_some_and(|at| at <= now);
+        self.sent += u64::from(due);
+        due
+    }
+
+    /// One of its packets came out of the link.
+    pub fn arrived(&mut self, at: Timestamp) {
+        if !self.is_over(at) {
+            self.arrived += 1;
+            self.span = Some([self.span.map_or(at, |[first, _]| first), at]);
+        }
+    }
+
+    fn ended(&self) -> Timestamp {
+        self.began + self.test.duration
+    }
+
+    /// Whether all that counts has arrived.
+    pub fn is_over(&self, now: Timestamp) -> bool {
+        now >= self.ended() + GRACE
+    }
+
+    /// How long it is until there may be another.
+    pub fn rests_for(&self, now: Timestamp) -> Duration {
+        (self.ended() + self.test.duration * ThroughputTest::REST).max(self.ended() + GRACE).since(now)
+    }
+
+    /// What it told; `None` before it is over.
+    pub fn tested(&self, now: Timestamp) -> Option<Tested> {
+        let [first, last] = self.span.unwrap_or([self.began; 2]);
+        // From the first to the last there is a packet less. Those that nothing holds apart came as they were sent.
+        let bits = self.arrived.saturating_sub(1) as f64 * Self::BITS;
+        let throughput_bps = bits / last.since(first).as_secs_f64();
+        self.is_over(now).then(|| Tested {
+            throughput_bps: if throughput_bps.is_finite() { throughput_bps } else { 0.0 },
+            offered_bps: self.rate_bps,
+            age: now.since(self.ended()),
+        })
+    }
+}
+
+/// The tests of all directions of links.
+#[derive(Debug)]
+pub(crate) struct Trials {
+    of: BTreeMap<usize, Latest>,
+    timers: Timers,
+}
+
+#[derive(Debug)]
+struct Latest {
+    trial: Trial,
+    /// The one before, which tells until this one is over.
+    before: Option<Trial>,
+}
+
+impl Trials {
+    /// None yet, of so many edges.
+    pub(crate) fn new(edges: usize) -> Self {
+        Self { of: BTreeMap::new(), timers: Timers::new(edges) }
+    }
+
+    /// Begins a test of an edge of that link, which is asked to carry so many bit/s.
+    pub(crate) fn begin(
+        &mut self,
+        now: Timestamp,
+        (edge, link): (usize, &LinkId),
+        test: ThroughputTest,
+        link_bps: f64,
+    ) -> Result<(), Refusal> {
+        let trial = Trial::new(now, test, link_bps)?;
+        let before = self.of.get(&edge).map(|latest| latest.trial.clone());
+        let rest = before.as_ref().map_or(Duration::ZERO, |before| before.rests_for(now));
+        if !rest.is_zero() {
+            return Err(Refusal::TestTooSoon { link: link.clone(), rest });
+        }
+        self.timers.set(edge, trial.deadline());
+        self.of.insert(edge, Latest { trial, before });
+        Ok(())
+    }
+
+    /// When a packet is due.
+    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+        self.timers.next().map(|(at, _)| at)
+    }
+
+    /// The next packet that is due by then, in a buffer, and the edge that it goes over.
+    pub(crate) fn poll(
+        &mut self,
+        now: Timestamp,
+        buffer: impl FnOnce(usize) -> Vec<u8>,
+    ) -> Option<(usize, Frame)> {
+        let (_, edge) = self.timers.next().filter(|(at, _)| *at <= now)?;
+        let trial = &mut self.of.get_mut(&edge)?.trial;
+        let due = trial.poll(now);
+        self.timers.set(edge, trial.deadline());
+        due.then(|| {
+            let mut bytes = buffer(Trial::BYTES);
+            bytes.resize(Trial::BYTES, 0);
+            (edge, Frame::new(bytes))
+        })
+    }
+
+    /// A packet has crossed an edge.
+    pub(crate) fn crossed(&mut self, at: Timestamp, edge: usize) {
+        if let Some(latest) = self.of.get_mut(&edge) {
+            latest.trial.arrived(at);
+        }
+    }
+
+    /// What the last test of an edge told.
+    pub(crate) fn tested(&self, now: Timestamp, edge: usize) -> Option<Tested> {
+        let Latest { trial, before } = self.of.get(&edge)?;
+        trial.tested(now).or_else(|| before.as_ref()?.tested(now))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{BitRate, Direction, testbed_file};
+
+    use super::*;
+    use crate::Fabric;
+
+    /// A link with these keys.
+    fn fabric(keys: &str) -> (Fabric, LinkId) {
+        let text = format!(
+            "name: lab\nnodes:\n  a: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n  b: {{ kind: switch }}\n\
+             links:\n  - {{ ends: [a, b], {keys} }}\n"
+        );
+        let testbed = testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
+        (Fabric::new(&testbed.graph, 1).unwrap(), "a-b".parse().unwrap())
+    }
+
+    fn s(seconds: f64) -> Timestamp {
+        Timestamp::ZERO + Duration::from_secs_f64(seconds)
+    }
+
+    fn limit(mbps: f64) -> ThroughputTest {
+        ThroughputTest { rate_limit: BitRate::from_mbps(mbps), ..ThroughputTest::default() }
+    }
+
+    /// What the context says of the forward direction; the backward one was never tested.
+    fn tested(fabric: &mut Fabric, now: Timestamp) -> Option<Tested> {
+        let [forward, backward] = &fabric.link_contexts(now)[..] else { panic!("one link") };
+        assert_eq!(backward.tested, None);
+        forward.tested
+    }
+
+    #[test]
+    fn a_saturated_link_tells_what_it_carries() {
+        let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s");
+        fabric.test_throughput(s(1.0), &link, Direction::Forward, ThroughputTest::default()).unwrap();
+        assert_eq!(tested(&mut fabric, s(2.9)), None);
+        let told = tested(&mut fabric, s(3.5)).unwrap();
+        assert!((told.throughput_bps / 20e6 - 1.0).abs() < 1e-6, "{told:?}");
+        assert!((told.offered_bps / 22e6 - 1.0).abs() < 1e-9, "{told:?}");
+        assert_eq!(told.age, Duration::from_secs_f64(1.5));
+    }
+
+    #[test]
+    fn a_limit_bounds_what_is_sent_and_what_can_be_told() {
+        let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s, loss: 10 %");
+        fabric.test_throughput(s(0.0), &link, Direction::Forward, limit(2.0)).unwrap();
+        let told = tested(&mut fabric, s(3.0)).unwrap();
+        assert!((told.throughput_bps / 1.8e6 - 1.0).abs() < 0.1 && told.offered_bps == 2e6, "{told:?}");
+        let crossed = fabric.link_lateness(&link, Direction::Forward).unwrap().frames;
+        assert!((130..166).contains(&crossed), "of 166: 2 Mbit in packets of 1514 bytes");
+        assert_eq!(fabric.link_contexts(s(3.0))[0].counters, Default::default());
+    }
+
+    #[test]
+    fn a_link_rests_after_a_test_and_tells_the_last_meanwhile() {
+        let (mut fabric, link) = fabric("rate: 10 Mbit/s");
+        let mut test = |at, test| fabric.test_throughput(at, &link, Direction::Forward, test);
+        test(s(0.0), ThroughputTest::default()).unwrap();
+        let rest = Duration::from_secs(1);
+        let refused = test(s(4.0), ThroughputTest::default());
+        assert_eq!(refused, Err(Refusal::TestTooSoon { link: link.clone(), rest }));
+        test(s(5.0), limit(1.0)).unwrap();
+        let told = tested(&mut fabric, s(6.0)).unwrap();
+        assert!(told.throughput_bps > 9e6 && told.age == Duration::from_secs(5), "{told:?}");
+        assert_eq!(tested(&mut fabric, s(7.0)).unwrap().offered_bps, 1e6);
+    }
+
+    #[test]
+    fn what_is_not_bounded_is_refused() {
+        let (mut fabric, link) = fabric("rate: 10 Mbit/s");
+        let mut test = |link: &LinkId, test| fabric.test_throughput(s(0.0), link, Direction::Forward, test);
+        for duration in [Duration::ZERO, Duration::from_secs(11)] {
+            let refused = test(&link, ThroughputTest { duration, rate_limit: None });
+            assert_eq!(refused, Err(Refusal::TestDuration(duration)));
+        }
+        let fast = BitRate::from_mbps(1_001.0).unwrap();
+        assert_eq!(test(&link, limit(1_001.0)), Err(Refusal::TestRate(fast)));
+        let other: LinkId = "c-d".parse().unwrap();
+        assert_eq!(test(&other, limit(1.0)), Err(Refusal::UnknownLink(other.clone())));
+    }
+}

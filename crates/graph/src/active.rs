@@ -1,0 +1,104 @@
+//! Active measurements of links: what is asked for, and what they tell. Passive ones need no words of their own: what
+//! packets met that cross a link anyway is in its context.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::{BitRate, millis};
+
+/// How wired links are probed by STAMP (RFC 8762).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Probing {
+    /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate.
+    pub interval: Duration,
+    /// How far back what they tell looks.
+    pub window: Duration,
+}
+
+impl Probing {
+    /// As many probes as a window may hold.
+    pub const MOST: u32 = 10_000;
+}
+
+/// Two probes a second, over ten seconds.
+impl Default for Probing {
+    fn default() -> Self {
+        Self { interval: Duration::from_millis(500), window: Duration::from_secs(10) }
+    }
+}
+
+/// What probes tell of one direction of a link, each figure with its age.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Probed {
+    /// Mean delay; `None` if no probe came back.
+    #[serde(rename = "delay_ms", default, with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub delay: Option<Duration>,
+    /// Mean difference of the delays of two probes in a row (RFC 3393; RFC 5481, section 4.1).
+    #[serde(rename = "jitter_ms", default, with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub jitter: Option<Duration>,
+    /// Age of both: how long before this was told the latest probe came back.
+    #[serde(rename = "delay_age_ms", default, with = "millis::option")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+    pub delay_age: Option<Duration>,
+    /// Share of the probes that this direction lost, from 0 to 1; `None` if none came to it.
+    pub loss: Option<f64>,
+    /// Age of the loss: how long before this was told the latest probe was sent of which it is known.
+    #[serde(rename = "loss_age_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub loss_age: Duration,
+}
+
+/// A test of what a direction of a link carries: packets of 1500 bytes at a rate, for a while. It is bounded: 10 s at
+/// most, 1 Gbit/s at most, one at a time, and then four times as long none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ThroughputTest {
+    /// How long packets are sent, milliseconds: 10 ms to 10 s.
+    #[serde(rename = "duration_ms", default = "ThroughputTest::second", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub duration: Duration,
+    /// How fast, bit/s; by default a tenth faster than the link is asked to be, and 1 Gbit/s at most.
+    #[serde(rename = "rate_limit_bps", default, skip_serializing_if = "Option::is_none")]
+    pub rate_limit: Option<BitRate>,
+}
+
+impl ThroughputTest {
+    /// The shortest.
+    pub const SHORTEST: Duration = Duration::from_millis(10);
+    /// The longest.
+    pub const LONGEST: Duration = Duration::from_secs(10);
+    /// How many times as long as a test a direction has none after it.
+    pub const REST: u32 = 4;
+    /// The fastest.
+    pub const FASTEST_BPS: u64 = 1_000_000_000;
+
+    const fn second() -> Duration {
+        Duration::from_secs(1)
+    }
+}
+
+/// A second, as fast as the link can.
+impl Default for ThroughputTest {
+    fn default() -> Self {
+        Self { duration: Self::second(), rate_limit: None }
+    }
+}
+
+/// What the last test of a direction of a link told.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Tested {
+    /// λ: the rate at which its packets came out, beside whatever else crossed meanwhile, bit/s.
+    pub throughput_bps: f64,
+    /// The rate at which they were sent. Where it is no higher, the link may carry more.
+    pub offered_bps: f64,
+    /// How long before this was told it ended.
+    #[serde(rename = "age_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub age: Duration,
+}
