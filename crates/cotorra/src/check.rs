@@ -2,16 +2,38 @@
 
 use std::process::ExitCode;
 
+use cotorra_testbed::Rehearsal;
+
 use crate::{cli::CheckArgs, output, testbed_file};
+
+/// What is scripted for links, in a few words; nothing if nothing is.
+fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
+    let parts = [
+        (timed, "at a time", "conditions"),
+        (areas, "where a robot is", "conditions"),
+        (replayed, "of a recorded run", "changes"),
+    ];
+    let parts =
+        parts.into_iter().filter(|(n, ..)| *n > 0).map(|(n, when, what)| format!("{n} {what} {when}"));
+    let parts: Vec<_> = parts.collect();
+    if parts.is_empty() { String::new() } else { format!("; links: {}", parts.join(", ")) }
+}
 
 /// Checks every file, wrong ones too.
 pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
     let mut all_right = true;
     for file in &args.files {
         match testbed_file::load(file, &[]) {
-            Ok(loaded) => {
-                output::print(&format!("{}: {}\n", file.display(), testbed_file::overview(&loaded.testbed)))?;
-            }
+            Ok(loaded) => match cotorra_testbed::rehearse(&loaded.testbed) {
+                Ok(script) => {
+                    let overview = testbed_file::overview(&loaded.testbed) + &scripted(script);
+                    output::print(&format!("{}: {overview}\n", file.display()))?;
+                }
+                Err(error) => {
+                    all_right = false;
+                    eprintln!("{}: {error}", file.display());
+                }
+            },
             Err(error) => {
                 all_right = false;
                 error.show();

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     active::{Probed, Tested},
-    conditions::{Conditions, Scale},
+    conditions::{ConditionChange, Conditions, Jitter, JitterDistribution, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
     units::{Dbm, Timestamp, millis},
@@ -217,6 +217,26 @@ pub struct LinkContext {
     pub effective: Conditions,
     /// Packets and bytes so far.
     pub counters: LinkCounters,
+}
+
+impl LinkContext {
+    /// The change that makes any link do what was asked of this one, scaled as it was.
+    pub fn again(&self) -> ConditionChange {
+        let asked = self.asked.clone();
+        let none = Jitter { deviation: Duration::ZERO, distribution: JitterDistribution::default() };
+        ConditionChange {
+            delay_ms: Some(asked.delay.as_secs_f64() * 1e3),
+            jitter: Some(asked.jitter.unwrap_or(none)),
+            loss: Some(asked.loss),
+            duplication: Some(asked.duplication),
+            corruption: Some(asked.corruption),
+            reordering: Some(asked.reordering),
+            rate: Some(asked.rate),
+            queue: Some(asked.queue),
+            delay_scale: Some(self.scale.delay_scale),
+            drop_scale: Some(self.scale.drop_scale),
+        }
+    }
 }
 
 /// What one direction of a link did, in packets as they are on the wire.

@@ -15,6 +15,7 @@ pub mod map;
 pub mod map_server;
 mod propagation;
 mod routing;
+pub mod schedule;
 pub mod seed;
 pub mod service;
 pub mod testbed;
@@ -41,6 +42,7 @@ pub use hardware::{
 pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
 pub use routing::Route;
+pub use schedule::{Scheduled, Script, When};
 pub use service::{Kpis, Program, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,

@@ -10,6 +10,7 @@ use crate::{
     hardware::HardwareGraph,
     id::{DomainId, NodeId, PluginId},
     map::OccupancyGrid,
+    schedule::Script,
     service::Service,
     units::{Position, millis},
 };
@@ -40,6 +41,8 @@ pub struct Testbed {
     pub wais: WaisSettings,
     /// Who emulates the wired links in real time.
     pub emulation: Emulation,
+    /// What happens to its links by itself.
+    pub script: Script,
     /// How its wired links are probed; `None` if they are not.
     pub probes: Option<Probing>,
     /// How long its history keeps samples as they were recorded.

@@ -5,6 +5,7 @@ mod build;
 mod check;
 mod records;
 mod ros;
+mod script;
 mod setting;
 
 use std::path::Path;

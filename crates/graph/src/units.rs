@@ -205,6 +205,15 @@ impl Position {
     pub fn distance(self, other: Self) -> f64 {
         (self.x - other.x).hypot(self.y - other.y)
     }
+
+    /// Whether it is inside a polygon, by the even-odd rule.
+    pub fn is_within(self, polygon: &[Self]) -> bool {
+        let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
+        let crossed = |a: &Self, b: &Self| {
+            (a.y > self.y) != (b.y > self.y) && self.x < a.x + (self.y - a.y) / (b.y - a.y) * (b.x - a.x)
+        };
+        edges.filter(|(a, b)| crossed(a, b)).count() % 2 == 1
+    }
 }
 
 impl fmt::Display for Position {

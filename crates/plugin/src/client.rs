@@ -262,6 +262,7 @@ impl Client {
             wais,
             seed,
             emulation,
+            script: Default::default(),
             probes,
             retention,
         })

@@ -17,7 +17,14 @@ use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim
 use cotorra_plugin::wire::{Answer, LOCALIZATION_PORT, NAVIGATION_PORT};
 use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
-use crate::{domain::Domains, robots::RobotError};
+use crate::{
+    domain::Domains,
+    robots::RobotError,
+    script::{Change, Script},
+};
+
+/// Who asks for what is scripted.
+const SCHEDULE: &str = "schedule";
 
 /// How often κ is collected.
 const CONTEXT: Duration = Duration::from_millis(100);
@@ -45,6 +52,7 @@ pub(crate) struct Core<N, E> {
     /// φ of each robot as last seen.
     attachments: BTreeMap<NodeId, Vec<Attachment>>,
     events: VecDeque<Stamped>,
+    script: Script,
     next_context: Timestamp,
     next_observation: Timestamp,
     /// Robots stand until everything that they need serves.
@@ -61,6 +69,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         seed: u64,
         network: N,
         engine: E,
+        script: Script,
         drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, RobotError>,
     ) -> Result<Self, RobotError> {
         let of_robots = |program: Program| {
@@ -79,6 +88,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             domains: Domains::new(&testbed),
             testbed,
             events: VecDeque::new(),
+            script,
             next_context: Timestamp::ZERO,
             next_observation: Timestamp::ZERO,
             begun: false,
@@ -95,11 +105,14 @@ impl<N: Network, E: Engine> Core<N, E> {
     pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let events = self.control.poll(now)?;
         self.tell(now, events);
+        while let Some(change) = self.script.poll(now) {
+            self.change(now, change);
+        }
         self.begun |= self.control.all_ready();
         if self.begun {
             if now >= self.next_context {
                 self.next_context = now + CONTEXT;
-                self.locate()?;
+                self.locate(now)?;
             }
             let attachments = &self.attachments;
             self.middleware.advance(now, |robot| attachments.get(robot).cloned().unwrap_or_default());
@@ -112,10 +125,20 @@ impl<N: Network, E: Engine> Core<N, E> {
         Ok(())
     }
 
+    /// Changes a link as the script says.
+    fn change(&mut self, now: Timestamp, change: Change) {
+        let schedule = PluginId::new(SCHEDULE).expect("it is a name");
+        // A refusal is told with the decision.
+        let _ = self.instruct(now, schedule, change.instruction(), Some(change.reason));
+    }
+
     /// Tells the network where the robots are, and learns φ from it.
-    fn locate(&mut self) -> Result<(), NetworkGone> {
+    fn locate(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let places: Vec<_> =
             self.middleware.positions().map(|(robot, place)| (robot.clone(), place)).collect();
+        for change in self.script.moved(&places) {
+            self.change(now, change);
+        }
         let robots: Vec<_> = places.iter().map(|(robot, _)| robot.clone()).collect();
         let attachments = self.control.locate(places)?;
         self.attachments = robots.into_iter().zip(attachments).collect();
@@ -124,7 +147,8 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// When [`Core::advance`] has something to do.
     pub(crate) fn next_deadline(&self) -> Timestamp {
-        let control = self.control.next_deadline().unwrap_or(Timestamp::MAX).min(self.next_observation);
+        let by_itself = self.control.next_deadline().into_iter().chain(self.script.next_deadline());
+        let control = by_itself.fold(self.next_observation, Timestamp::min);
         if self.begun { control.min(self.next_context).min(self.middleware.next_deadline()) } else { control }
     }
 

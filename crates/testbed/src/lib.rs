@@ -18,6 +18,7 @@ mod report;
 mod retaining;
 mod robots;
 mod run;
+mod script;
 mod simulate;
 pub mod sweep;
 
@@ -33,4 +34,5 @@ pub use report::{
 };
 pub use robots::RobotError;
 pub use run::{Finished, Options, Run, RunError, Stopper, about, clean, leftovers};
+pub use script::{Rehearsal, ScriptError, rehearse};
 pub use simulate::{Simulation, simulate};

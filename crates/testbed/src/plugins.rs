@@ -479,6 +479,7 @@ mod tests {
             wais: Default::default(),
             seed: 1,
             emulation: Default::default(),
+            script: Default::default(),
             probes: None,
             retention: Default::default(),
         })

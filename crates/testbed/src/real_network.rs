@@ -77,7 +77,7 @@ impl Network for RealNetwork {
             if let Err(reason) = kernel.set(link, after.direction, &after.effective) {
                 for context in told.into_iter().chain([before]) {
                     // What was in force can be in force again.
-                    let _ = change_fabric(self, link, Some(context.direction), &back_to(context));
+                    let _ = change_fabric(self, link, Some(context.direction), &context.again());
                     let _ = kernel.set(link, context.direction, &context.effective);
                 }
                 return Err(Refused(reason.to_string()));
@@ -120,25 +120,5 @@ impl Network for RealNetwork {
             *seen = Seen { at: now, bytes };
         }
         contexts
-    }
-}
-
-/// What brings a direction of a link back to what it was.
-fn back_to(context: &LinkContext) -> ConditionChange {
-    let asked = context.asked.clone();
-    ConditionChange {
-        delay_ms: Some(asked.delay.as_secs_f64() * 1e3),
-        jitter: Some(asked.jitter.unwrap_or(cotorra_graph::Jitter {
-            deviation: std::time::Duration::ZERO,
-            distribution: Default::default(),
-        })),
-        loss: Some(asked.loss),
-        duplication: Some(asked.duplication),
-        corruption: Some(asked.corruption),
-        reordering: Some(asked.reordering),
-        rate: Some(asked.rate),
-        queue: Some(asked.queue),
-        delay_scale: Some(context.scale.delay_scale),
-        drop_scale: Some(context.scale.drop_scale),
     }
 }

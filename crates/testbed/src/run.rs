@@ -38,6 +38,7 @@ use crate::{
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
     retaining::Retaining,
     robots::{Masters, RobotError, Robots},
+    script::{Script, ScriptError},
 };
 
 /// Where the API listens unless it is told.
@@ -121,6 +122,9 @@ pub enum RunError {
     /// A robot.
     #[error(transparent)]
     Robot(#[from] RobotError),
+    /// What is scripted for links.
+    #[error(transparent)]
+    Script(Box<ScriptError>),
     /// A socket or a thread.
     #[error("cannot {what}: {source}")]
     System {
@@ -135,6 +139,12 @@ pub enum RunError {
     /// The core's thread panicked, which is a bug.
     #[error("the run broke off; please report this as a bug, with the run's folder")]
     Panicked,
+}
+
+impl From<ScriptError> for RunError {
+    fn from(error: ScriptError) -> Self {
+        Self::Script(Box::new(error))
+    }
 }
 
 /// The fabric of a testbed, with probes on its links if it wants them.
@@ -188,6 +198,7 @@ impl Run {
         clean();
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
+        let (script, _) = Script::load(&testbed)?;
         let moved = options.api.is_none();
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
@@ -245,7 +256,7 @@ impl Run {
         let network = RealNetwork::new(&datapath);
         let mut robots = Robots::new(Arc::clone(&testbed), Arc::clone(&datapath), now.clone());
         let drive = |node: &Node, robot: SimulatedRobot| robots.drive(node, robot);
-        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, drive)?;
+        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, script, drive)?;
 
         let namespaces = testbed
             .graph

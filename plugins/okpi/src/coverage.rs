@@ -61,16 +61,7 @@ impl Coverage {
 fn depth(polygon: &[Position], place: Position) -> f64 {
     let edges = || polygon.iter().zip(polygon.iter().cycle().skip(1));
     let distance = edges().map(|(&a, &b)| distance_to(a, b, place)).fold(f64::INFINITY, f64::min);
-    if contains(polygon, place) { distance } else { -distance }
-}
-
-/// Whether a place is inside a polygon, by the even-odd rule.
-pub(crate) fn contains(polygon: &[Position], place: Position) -> bool {
-    let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
-    let crossed = |a: &Position, b: &Position| {
-        (a.y > place.y) != (b.y > place.y) && place.x < a.x + (place.y - a.y) / (b.y - a.y) * (b.x - a.x)
-    };
-    edges.filter(|(a, b)| crossed(a, b)).count() % 2 == 1
+    if place.is_within(polygon) { distance } else { -distance }
 }
 
 /// Distance from a place to the line between two others.

@@ -115,7 +115,7 @@ impl Okpi {
             }
             let is_new = decision.at.is_none_or(|at| at.distance(location) >= NEW_LOCATION_M);
             // Beyond its area a service promises nothing.
-            let within = || service.kpis.area.as_ref().is_none_or(|area| coverage::contains(area, location));
+            let within = || service.kpis.area.as_ref().is_none_or(|area| location.is_within(area));
             if is_new {
                 if let Some(client) = self.client.as_ref().filter(|_| self.settings.delays == Delays::History)
                 {

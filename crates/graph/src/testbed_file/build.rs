@@ -11,11 +11,11 @@ use std::{
 use super::{
     check,
     records::{
-        ConditionsRecord, LinkRecord, NodeRecord, PathLossRecord, PluginRecord, ProbesRecord, ProbesWord,
-        ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord, WaisRecord,
-        WalkRecord, WirelessRecord,
+        ConditionsRecord, LinkRecord, LossRecord, NodeRecord, PathLossRecord, PluginRecord, ProbesRecord,
+        ProbesWord, ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord,
+        WaisRecord, WalkRecord, WirelessRecord,
     },
-    ros,
+    ros, script,
 };
 use crate::{
     active::Probing,
@@ -60,6 +60,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
     let walks: Option<Vec<_>> = each(&record.walks.0, |(robot, walk)| builder.walk(robot, walk));
     let plugins = builder.plugins();
     let wais = builder.wais(&record.wais);
+    let script = script::script(&mut builder, links.as_deref());
     let domains = builder.domains;
     let probes = probes(&record.probes, sink);
     let retention = retentions(&record.history.retention, sink);
@@ -72,6 +73,7 @@ pub(super) fn build(record: TestbedRecord, base_dir: &Path, sink: &mut Sink) -> 
         wais: wais?,
         seed: record.seed,
         emulation: record.emulation,
+        script: script?,
         probes,
         retention,
         description: record.description.clone(),
@@ -130,20 +132,26 @@ fn domains(listed: &[Spanned<DomainId>], sink: &mut Sink) -> Vec<DomainId> {
     }
 }
 
-struct Builder<'a> {
-    record: &'a TestbedRecord,
-    base_dir: &'a Path,
+pub(super) struct Builder<'a> {
+    pub(super) record: &'a TestbedRecord,
+    pub(super) base_dir: &'a Path,
     domains: Vec<DomainId>,
-    nodes: HashMap<&'a str, &'a NodeRecord>,
+    pub(super) nodes: HashMap<&'a str, &'a NodeRecord>,
     networks: Vec<&'a str>,
     /// By path, so that a trace is read once and shared; `None` when it cannot be read.
     traces: HashMap<String, Option<Arc<Trace>>>,
-    sink: &'a mut Sink,
+    pub(super) sink: &'a mut Sink,
 }
 
 impl Builder<'_> {
     /// Reports a name that nothing has.
-    fn dangling<'b>(&mut self, span: &Span, what: &str, name: &str, there: impl Iterator<Item = &'b str>) {
+    pub(super) fn dangling<'b>(
+        &mut self,
+        span: &Span,
+        what: &str,
+        name: &str,
+        there: impl Iterator<Item = &'b str>,
+    ) {
         dangling(span, what, name, there, self.sink);
     }
 
@@ -153,7 +161,7 @@ impl Builder<'_> {
     }
 
     /// The robot of that name, which must be there.
-    fn robot(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
+    pub(super) fn robot(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
         self.node_where(id, "robot", |node| matches!(node, NodeRecord::Robot(_)))
     }
 
@@ -457,9 +465,7 @@ impl Builder<'_> {
         }
         let loss = match pick!(loss) {
             None => Loss::None,
-            Some(Either::Short(rate)) if rate.get() == 0.0 => Loss::None,
-            Some(Either::Short(rate)) => Loss::Independent { rate: *rate },
-            Some(Either::Long(loss)) => self.bursty(&loss.rate, &loss.mean_burst)?,
+            Some(loss) => self.loss(loss)?,
         };
         // A rate and a trace are two answers to one question: a direction's own stands in for either of the link's.
         let from = own.filter(|own| own.rate.is_some() || own.trace.is_some()).unwrap_or(base);
@@ -491,6 +497,14 @@ impl Builder<'_> {
         }
     }
 
+    pub(super) fn loss(&mut self, loss: &Either<Probability, LossRecord>) -> Option<Loss> {
+        match loss {
+            Either::Short(rate) if rate.get() == 0.0 => Some(Loss::None),
+            Either::Short(rate) => Some(Loss::Independent { rate: *rate }),
+            Either::Long(loss) => self.bursty(&loss.rate, &loss.mean_burst),
+        }
+    }
+
     fn bursty(&mut self, rate: &Spanned<Probability>, mean_burst: &Spanned<Amount>) -> Option<Loss> {
         let (p, burst) = (rate.value.get(), mean_burst.value.0);
         if p == 1.0 {
@@ -515,7 +529,7 @@ impl Builder<'_> {
         None
     }
 
-    fn rate(&mut self, record: &ConditionsRecord, medium: BitRate) -> Option<Rate> {
+    pub(super) fn rate(&mut self, record: &ConditionsRecord, medium: BitRate) -> Option<Rate> {
         match (&record.rate, &record.trace) {
             (None, None) => Some(Rate::Fixed { bits_per_second: medium }),
             (Some(_), Some(trace)) => {

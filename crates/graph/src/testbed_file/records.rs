@@ -6,7 +6,7 @@ use crate::{
     conditions::{JitterDistribution, QueueLimit, Rate},
     driver::RosNetwork,
     exposure::IpNetwork,
-    hardware::{GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
+    hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
     testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
@@ -46,10 +46,49 @@ record! {
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
+        /// Where conditions of links come from beside what stands at them.
+        conditions: ReplayRecord = {},
+        /// What happens to links by itself, over time or where a robot is.
+        schedule: Vec<ScheduledRecord> = [],
         /// How wired links are probed, or `none`.
         probes: Either<ProbesWord, ProbesRecord> = {},
         /// How its history is kept.
         history: HistoryRecord = {},
+    }
+}
+
+record! {
+    /// Where conditions of links come from beside what stands at them.
+    ReplayRecord {
+        /// A recorded run whose conditions links of the same names get, over time: the folder of a run or of an export,
+        /// from this file's folder.
+        replay: Option<Spanned<String>>,
+    }
+}
+
+record! {
+    /// A change of links that happens by itself, `at` a time or `when` a robot is somewhere.
+    ScheduledRecord {
+        /// How long after the run began.
+        at: Option<Spanned<Duration>>,
+        /// Where a robot is to be.
+        when: Option<Spanned<WhenRecord>>,
+        /// The links, by name; that of a wireless one is `ROBOT~RADIO_UNIT`.
+        links: Spanned<Either<Spanned<LinkId>, Vec<Spanned<LinkId>>>>,
+        /// One direction. Without it: both.
+        direction: Option<Direction>,
+        /// What they do from then on; what is left out stays as it is.
+        set: Spanned<ConditionsRecord>,
+    }
+}
+
+record! {
+    /// Where a robot is to be. The change happens each time that it comes there.
+    WhenRecord {
+        /// The robot.
+        robot: Spanned<NodeId>,
+        /// Corners of a polygon.
+        within: Spanned<Vec<Position>>,
     }
 }
 
@@ -599,6 +638,10 @@ choice!(Emulation, "emulation", {
     "netem" => Self::NetEm, "the kernel, with bridges and NetEm, where it has them and there is no radio; else the fabric";
 });
 
+choice!(Direction, "direction", {
+    "forward" => Self::Forward, "from the link's first end to its second";
+    "backward" => Self::Backward, "from its second end to its first";
+});
 choice!(ProbesWord, "word for probes", {
     "none" => Self::None, "no probes";
 });

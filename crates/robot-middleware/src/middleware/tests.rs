@@ -52,6 +52,7 @@ fn testbed() -> Testbed {
         wais: Default::default(),
         emulation: Default::default(),
         seed: 1,
+        script: Default::default(),
         probes: None,
         retention: Default::default(),
     }

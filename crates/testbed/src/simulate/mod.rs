@@ -37,6 +37,7 @@ use crate::{
     plugins::{Bundled, PluginError, panic_text, programs},
     robots::simulated,
     run::{RunError, emulated},
+    script::Script,
 };
 
 /// The port from which robots send; any would do.
@@ -86,10 +87,11 @@ impl Simulation {
 
     /// The same, on ledgers that may know of runs before.
     fn on(testbed: Arc<Testbed>, seed: u64, ledgers: Ledgers) -> Result<Self, RunError> {
+        let (script, _) = Script::load(&testbed)?;
         let network = VirtualNetwork::new(emulated(&testbed, seed)?);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone());
-        let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, simulated)?;
+        let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, script, simulated)?;
         let domains = Domains::new(&testbed);
         let mut bundled = Bundled::new(&testbed, seed, ledgers);
         let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {

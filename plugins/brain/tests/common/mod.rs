@@ -61,6 +61,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         plugins: Vec::new(),
         wais: Default::default(),
         seed: 1,
+        script: Default::default(),
         probes: None,
         retention: Default::default(),
     }

@@ -1,0 +1,392 @@
+//! Conditions that change by themselves, over time, where a robot is, or as in a recorded run: what comes when. It asks
+//! for changes as plug-ins do, so that they are told, refused and recorded in the same way, whoever carries packets.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    path::{Path, PathBuf},
+};
+
+use cotorra_fabric::{Fabric, FabricError, Refusal};
+use cotorra_graph::{
+    ConditionChange, Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, Position,
+    Scale, Scheduled, Stamped, Testbed, Timestamp, When,
+};
+use cotorra_measurements::{History, Kind, Location, PageRequest, RunId, export::ExportError};
+
+use crate::recorded::{Recorded, RecordedError};
+
+/// Events between two questions to a history.
+const STEP: usize = 10_000;
+
+/// Why conditions cannot follow a testbed's script.
+#[derive(Debug, thiserror::Error)]
+pub enum ScriptError {
+    /// The folder is that of no run.
+    #[error("{} is neither the folder of a run nor that of an export: it has no history.sqlite, history.json or run.json", .0.display())]
+    NotARun(PathBuf),
+    /// What the folder says of its history cannot be read.
+    #[error(transparent)]
+    Recorded(#[from] RecordedError),
+    /// The run is in a history for which a folder has no password.
+    #[error("{} was recorded in {history}: export it (`cotorra history export`), and replay that", folder.display())]
+    Elsewhere {
+        /// The run's.
+        folder: PathBuf,
+        /// Where it is.
+        history: String,
+    },
+    /// The history does not answer.
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+    /// The export cannot be read.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// Nothing of it is about this testbed.
+    #[error("the run in {} tells of no link that this testbed has: it has {there}", folder.display())]
+    OtherLinks {
+        /// The run's.
+        folder: PathBuf,
+        /// Its links.
+        there: String,
+    },
+    /// A link would not do it.
+    #[error("{what}: `{link}` cannot do that: {refusal}")]
+    Refused {
+        /// Which part of the script.
+        what: String,
+        /// The link.
+        link: LinkId,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// The testbed makes no network.
+    #[error(transparent)]
+    Fabric(#[from] FabricError),
+}
+
+/// A change of one link, and which part of the script wants it.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Change {
+    link: LinkId,
+    direction: Option<Direction>,
+    change: ConditionChange,
+    pub(crate) reason: String,
+}
+
+impl Change {
+    pub(crate) fn instruction(&self) -> Instruction {
+        let Self { link, direction, change, .. } = self.clone();
+        Instruction::Condition { link, direction, change }
+    }
+}
+
+/// What is still to come.
+#[derive(Debug, Default)]
+pub(crate) struct Script {
+    /// In the order of time.
+    timed: VecDeque<(Timestamp, Change)>,
+    areas: Vec<Area>,
+}
+
+#[derive(Debug)]
+struct Area {
+    robot: NodeId,
+    corners: Vec<Position>,
+    inside: bool,
+    changes: Vec<Change>,
+}
+
+/// How much a script has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Rehearsal {
+    /// Changes at a time.
+    pub timed: usize,
+    /// Areas in which changes happen.
+    pub areas: usize,
+    /// Changes of a recorded run.
+    pub replayed: usize,
+}
+
+/// Goes through a testbed's script without a run.
+///
+/// # Errors
+/// [`ScriptError`], with what would not work.
+pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, ScriptError> {
+    Ok(Script::load(testbed)?.1)
+}
+
+impl Script {
+    /// What a testbed's file scripts, with what a recorded run adds to that, after a look at whether links can do it.
+    ///
+    /// # Errors
+    /// [`ScriptError`].
+    pub(crate) fn load(testbed: &Testbed) -> Result<(Self, Rehearsal), ScriptError> {
+        let mut timed = match &testbed.script.replay {
+            Some(folder) => replayed(folder, &testbed.graph)?,
+            None => Vec::new(),
+        };
+        let mut rehearsal = Rehearsal { replayed: timed.len(), ..Rehearsal::default() };
+        let mut areas = Vec::new();
+        for (place, entry) in testbed.script.schedule.iter().enumerate() {
+            let changes = changes(entry, place + 1);
+            match &entry.when {
+                When::At(at) => {
+                    rehearsal.timed += 1;
+                    timed.extend(changes.into_iter().map(|change| (Timestamp::ZERO + *at, change)));
+                }
+                When::Enters { robot, area } => {
+                    let (robot, corners) = (robot.clone(), area.clone());
+                    areas.push(Area { robot, corners, inside: false, changes });
+                }
+            }
+        }
+        rehearsal.areas = areas.len();
+        // What stands first happens first.
+        timed.sort_by_key(|(at, _)| *at);
+        let script = Self { timed: timed.into(), areas };
+        script.try_out(&testbed.graph)?;
+        Ok((script, rehearsal))
+    }
+
+    /// Whether links can do what is scripted: in turn what has a time, and by itself what has a place.
+    fn try_out(&self, graph: &HardwareGraph) -> Result<(), ScriptError> {
+        let mut fabric = Fabric::new(graph, 0)?;
+        for area in &self.areas {
+            let mut fresh = Fabric::new(graph, 0)?;
+            area.changes.iter().try_for_each(|change| try_change(&mut fresh, Timestamp::ZERO, change))?;
+        }
+        self.timed.iter().try_for_each(|(at, change)| try_change(&mut fabric, *at, change))
+    }
+
+    /// When something is due by itself.
+    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
+        self.timed.front().map(|(at, _)| *at)
+    }
+
+    /// What is due, in turn.
+    pub(crate) fn poll(&mut self, now: Timestamp) -> Option<Change> {
+        self.timed.pop_front_if(|(at, _)| *at <= now).map(|(_, change)| change)
+    }
+
+    /// What is due where robots are now.
+    pub(crate) fn moved(&mut self, robots: &[(NodeId, Position)]) -> Vec<Change> {
+        let mut due = Vec::new();
+        for area in &mut self.areas {
+            let Some((_, place)) = robots.iter().find(|(robot, _)| *robot == area.robot) else { continue };
+            let inside = place.is_within(&area.corners);
+            if inside && !area.inside {
+                due.extend(area.changes.iter().cloned());
+            }
+            area.inside = inside;
+        }
+        due
+    }
+}
+
+fn try_change(fabric: &mut Fabric, at: Timestamp, change: &Change) -> Result<(), ScriptError> {
+    let Change { link, direction, change, reason } = change;
+    let done = fabric.change(at, link, *direction, change);
+    done.map_err(|refusal| ScriptError::Refused { what: reason.clone(), link: link.clone(), refusal })
+}
+
+/// What an entry of the schedule asks of its links.
+fn changes(entry: &Scheduled, number: usize) -> Vec<Change> {
+    let reason = match &entry.when {
+        When::At(at) => format!("entry {number} of the schedule, at {at:?}"),
+        When::Enters { robot, .. } => format!("entry {number} of the schedule, where {robot} is"),
+    };
+    let change = |link: &LinkId| Change {
+        link: link.clone(),
+        direction: entry.direction,
+        change: entry.set.clone(),
+        reason: reason.clone(),
+    };
+    entry.links.iter().map(change).collect()
+}
+
+/// What happened to links of this graph in the run of a folder.
+fn replayed(folder: &Path, graph: &HardwareGraph) -> Result<Vec<(Timestamp, Change)>, ScriptError> {
+    let (history, run) = open(folder)?;
+    let mut last: BTreeMap<(LinkId, Direction), (Conditions, Scale)> = BTreeMap::new();
+    for link in &graph.links {
+        let [forward, backward] = link.scales;
+        last.insert((link.id.clone(), Direction::Forward), (link.forward.clone(), forward));
+        last.insert((link.id.clone(), Direction::Backward), (link.backward.clone(), backward));
+    }
+    let wireless: Vec<_> = graph
+        .robots()
+        .flat_map(|(robot, _)| graph.radio_units().map(|(unit, _)| LinkId::wireless(&robot.id, &unit.id)))
+        .collect();
+    let (mut changes, mut known, mut there) = (Vec::new(), false, std::collections::BTreeSet::new());
+    let mut request = PageRequest::first(STEP);
+    loop {
+        let page = history.events(run, &[Kind::Link], .., request)?;
+        for Stamped { at, event } in page.items {
+            let Event::Link(context) = event else { continue };
+            let key = (context.link.clone(), context.direction);
+            if !last.contains_key(&key) && !wireless.contains(&key.0) {
+                there.insert(key.0);
+                continue;
+            }
+            known = true;
+            let now = (context.asked.clone(), context.scale);
+            if last.get(&key) != Some(&now) {
+                let change = Change {
+                    link: key.0.clone(),
+                    direction: Some(key.1),
+                    change: context.again(),
+                    reason: "as in the recorded run".to_owned(),
+                };
+                changes.push((at, change));
+                last.insert(key, now);
+            }
+        }
+        let Some(next) = page.next else { break };
+        request = PageRequest::after(next, STEP);
+    }
+    if known {
+        return Ok(changes);
+    }
+    let there: Vec<_> = there.iter().map(LinkId::as_str).take(20).collect();
+    let there = if there.is_empty() { "none".to_owned() } else { there.join(", ") };
+    Err(ScriptError::OtherLinks { folder: folder.to_owned(), there })
+}
+
+/// The history of a run's folder, or of an export's, and the run in it.
+fn open(folder: &Path) -> Result<(History, RunId), ScriptError> {
+    let Recorded { history: name, run } = match Recorded::of_folder(folder) {
+        Ok(recorded) => recorded,
+        Err(RecordedError::NotARun(_)) => {
+            let history = History::in_memory()?;
+            let (run, _) = history.import(folder, |_| true).map_err(|error| match error {
+                ExportError::NotAnExport(_) => ScriptError::NotARun(folder.to_owned()),
+                other => other.into(),
+            })?;
+            return Ok((history, run));
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let Ok(location @ Location::File(_)) = name.parse() else {
+        return Err(ScriptError::Elsewhere { folder: folder.to_owned(), history: name });
+    };
+    let history = History::connect_to_read(&location)?;
+    let run = match run {
+        Some(run) => run,
+        None => match history.runs(None, 1)?.first() {
+            Some(first) => first.id,
+            None => return Err(ScriptError::NotARun(folder.to_owned())),
+        },
+    };
+    Ok((history, run))
+}
+
+#[cfg(test)]
+mod tests {
+    use cotorra_graph::{Decision, Event, testbed_file};
+
+    use super::*;
+    use crate::{Options, Place, simulate};
+
+    const LAB: &str = "name: lab\nnodes:\n  a: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n  b: { kind: switch }\n\
+                       links:\n  - { ends: [a, b], delay: 1 ms, rate: 10 Mbit/s }\n";
+
+    fn lab(more: &str) -> Testbed {
+        testbed_file::parse("lab.yaml", &format!("{LAB}{more}"), Path::new(""))
+            .unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// Runs it in virtual time, and gives its folder and what its history says of the link's forward direction: the
+    /// second, ψ, δ, and the delay in ms that it has, at each change.
+    fn run(testbed: &Testbed, until_s: u64, out: &Path) -> (PathBuf, Vec<(f64, f64, f64, f64)>) {
+        let until = Some(std::time::Duration::from_secs(until_s));
+        let options = Options { until, folder: Place::In(out.to_owned()), ..Options::default() };
+        let finished = simulate(testbed.clone(), "", &options, |_| true).unwrap();
+        let history = History::open(finished.folder.join("history.sqlite")).unwrap();
+        let page = history.events(finished.run, &[Kind::Link], .., PageRequest::first(STEP)).unwrap();
+        let mut told: Vec<(f64, f64, f64, f64)> = Vec::new();
+        for Stamped { at, event } in page.items {
+            let Event::Link(context) = event else { continue };
+            let Scale { delay_scale, drop_scale } = context.scale;
+            let ms = context.effective.delay.as_secs_f64() * 1e3;
+            let now = (at.as_secs_f64(), delay_scale, drop_scale, ms);
+            let is_new = told.last().is_none_or(|last| (last.1, last.2, last.3) != (now.1, now.2, now.3));
+            if context.direction == Direction::Forward && is_new {
+                told.push(now);
+            }
+        }
+        let decided = history.events(finished.run, &[Kind::Decision], .., PageRequest::first(STEP)).unwrap();
+        for Stamped { event, .. } in decided.items {
+            let Event::Decision(Decision { plugin, refused, .. }) = event else { continue };
+            assert_eq!((plugin.as_str(), refused), ("schedule", None));
+        }
+        (finished.folder, told)
+    }
+
+    #[test]
+    fn a_schedule_is_kept_to_the_moment_and_a_replay_repeats_it() {
+        let out = tempfile::tempdir().unwrap();
+        let scripted =
+            lab("schedule:\n  - { at: 4.5 s, links: a-b, set: { delay_scale: 1, drop_scale: 1 } }\n  \
+             - { at: 1250 ms, links: [a-b], set: { delay: 8 ms, delay_scale: 2.5, drop_scale: 4 } }\n");
+        let rehearsed = Rehearsal { timed: 2, areas: 0, replayed: 0 };
+        assert_eq!(rehearse(&scripted).unwrap(), rehearsed);
+        let (folder, told) = run(&scripted, 6, out.path());
+        let expected = [(0.0, 1.0, 1.0, 1.0), (1.25, 2.5, 4.0, 20.0), (4.5, 1.0, 1.0, 8.0)];
+        assert_eq!(told, expected);
+
+        let replay = lab(&format!("conditions: {{ replay: {} }}\n", folder.display()));
+        // Both directions, twice.
+        assert_eq!(rehearse(&replay).unwrap(), Rehearsal { replayed: 4, ..Rehearsal::default() });
+        assert_eq!(run(&replay, 6, out.path()).1, expected);
+    }
+
+    #[test]
+    fn a_robot_that_comes_into_an_area_changes_links_each_time() {
+        let mut script = Script {
+            timed: VecDeque::new(),
+            areas: vec![Area {
+                robot: "r".parse().unwrap(),
+                corners: vec![Position::new(0.0, 0.0), Position::new(2.0, 0.0), Position::new(0.0, 2.0)],
+                inside: false,
+                changes: vec![Change {
+                    link: "a-b".parse().unwrap(),
+                    direction: None,
+                    change: ConditionChange::default(),
+                    reason: String::new(),
+                }],
+            }],
+        };
+        let mut at = |robot: &str, x, y| script.moved(&[(robot.parse().unwrap(), Position::new(x, y))]).len();
+        let places = [
+            ("r", 3.0, 3.0),
+            ("s", 0.5, 0.5),
+            ("r", 0.5, 0.5),
+            ("r", 0.6, 0.5),
+            ("r", 1.5, 1.5),
+            ("r", 0.1, 0.1),
+        ];
+        assert_eq!(places.map(|(robot, x, y)| at(robot, x, y)), [0, 0, 1, 0, 0, 1]);
+    }
+
+    #[test]
+    fn what_cannot_be_is_told_before_a_run() {
+        let refused = |more: &str| rehearse(&lab(more)).unwrap_err().to_string();
+        assert_eq!(
+            refused("schedule:\n  - { at: 1 s, links: a-b, set: { delay_scale: 10000000 } }\n"),
+            "entry 1 of the schedule, at 1s: `a-b` cannot do that: a delay of 10000000 ms cannot be: it is between 0 ms \
+             and one hour, before and after scaling"
+        );
+        let empty = tempfile::tempdir().unwrap();
+        let said = refused(&format!("conditions: {{ replay: {} }}\n", empty.path().display()));
+        assert!(said.contains("neither the folder of a run nor that of an export"), "{said}");
+        let out = tempfile::tempdir().unwrap();
+        let other = testbed_file::parse(
+            "o.yaml",
+            &LAB.replace("ends: [a, b]", "id: other, ends: [a, b]"),
+            Path::new(""),
+        );
+        let (folder, _) = run(&other.unwrap(), 2, out.path());
+        let said = refused(&format!("conditions: {{ replay: {} }}\n", folder.display()));
+        assert!(said.contains("tells of no link that this testbed has: it has other"), "{said}");
+    }
+}
