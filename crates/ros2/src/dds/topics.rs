@@ -28,7 +28,7 @@ use crate::{
 };
 
 /// How long a publisher that ends waits until what it published reliably has arrived.
-const LAST_WORDS: Duration = Duration::from_millis(200);
+const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// A topic that the node publishes.
 pub struct Publication {
