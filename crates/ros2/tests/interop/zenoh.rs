@@ -4,7 +4,7 @@ use std::{net::TcpListener, process};
 
 use cotorra_ros2::{
     Command, Middleware, Node, NodeConfig, NodeError, Publisher, Qos, RecvError,
-    messages::{Header, LaserScan, MapMetaData, OccupancyGrid, Text, Time, Twist, TwistStamped, Vector3},
+    messages::{LaserScan, Text, TwistStamped},
 };
 
 use crate::{
