@@ -50,9 +50,7 @@ pub trait Network {
         direction: Direction,
         test: ThroughputTest,
     ) -> Result<(), Refused> {
-        let link = link.clone();
-        let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
-        self.with(begin).map_err(refused)?.map_err(refused)
+        test_fabric_throughput(self, link, direction, test)
     }
 
     /// Completes what the fabric knows of links, where not only the fabric carries packets.
@@ -77,6 +75,21 @@ pub fn change_fabric<N: Network + ?Sized>(
         Ok(fabric.link_contexts(now).into_iter().filter(|context| context.link == link).collect())
     };
     network.with(apply).map_err(refused)?
+}
+
+/// [`Network::test_throughput`] in the fabric.
+///
+/// # Errors
+/// As there.
+pub fn test_fabric_throughput<N: Network + ?Sized>(
+    network: &N,
+    link: &LinkId,
+    direction: Direction,
+    test: ThroughputTest,
+) -> Result<(), Refused> {
+    let link = link.clone();
+    let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
+    network.with(begin).map_err(refused)?.map_err(refused)
 }
 
 /// The emulated network was stopped.

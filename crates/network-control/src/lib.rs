@@ -9,4 +9,4 @@ mod access;
 mod control;
 pub mod vim;
 
-pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric};
+pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric, test_fabric_throughput};

@@ -10,9 +10,10 @@ use std::{
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    ConditionChange, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed, Timestamp,
+    ConditionChange, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed, ThroughputTest,
+    Timestamp,
 };
-use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric};
+use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric, test_fabric_throughput};
 
 /// The network that a datapath carries.
 pub(crate) struct RealNetwork {
@@ -85,6 +86,20 @@ impl Network for RealNetwork {
             told.push(before);
         }
         Ok(after)
+    }
+
+    fn test_throughput(
+        &self,
+        link: &LinkId,
+        direction: Direction,
+        test: ThroughputTest,
+    ) -> Result<(), Refused> {
+        if self.kernel.is_some() {
+            return Err(Refused(
+                "the kernel's NetEm carries this link, and only the fabric's can be tested".to_owned(),
+            ));
+        }
+        test_fabric_throughput(self, link, direction, test)
     }
 
     /// The kernel counts what the fabric does not see. What packets take nobody measures then: it is left out.

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed, Timestamp,
-    VnfId,
+    Emulation, Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed,
+    Timestamp, VnfId,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -187,9 +187,11 @@ pub struct LatenessSummary {
 }
 
 impl Fidelity {
-    fn of(lateness: Lateness, frames_dropped: u64) -> Self {
+    fn of(emulation: Emulation, lateness: Lateness, frames_dropped: u64) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
-        let (valid, reason) = if frames == 0 {
+        let (valid, reason) = if frames == 0 && emulation == Emulation::NetEm {
+            (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
+        } else if frames == 0 {
             (false, "no frame crossed the emulated network".to_owned())
         } else if frames_dropped as f64 > frames as f64 * VALID_DROPPED {
             (
@@ -233,6 +235,7 @@ pub struct Losses {
 pub struct Report {
     name: String,
     seed: u64,
+    emulation: Emulation,
     target_ms: Option<f64>,
     samples: Vec<ServiceTime>,
     handovers: Vec<HandoverRecord>,
@@ -254,6 +257,7 @@ impl Report {
         Self {
             name: testbed.name.clone(),
             seed,
+            emulation: testbed.emulation,
             target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
             samples: Vec::new(),
             handovers: Vec::new(),
@@ -369,7 +373,7 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.lateness, losses.frames_dropped),
+            fidelity: Fidelity::of(self.emulation, self.lateness, losses.frames_dropped),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             plugin_faults: self.faults.clone(),
@@ -464,11 +468,16 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        assert!(!Fidelity::of(Lateness::default(), 0).valid);
+        let fidelity = |lateness, dropped| Fidelity::of(Emulation::Fabric, lateness, dropped);
+        assert!(!fidelity(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
-        assert!(Fidelity::of(good, 0).valid);
-        assert!(!Fidelity::of(good, 1).valid);
-        let late = Fidelity::of(Lateness { p99_us: 1500.0, ..good }, 0);
+        assert!(fidelity(good, 0).valid);
+        assert!(!fidelity(good, 1).valid);
+        let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
+        let kernel = Fidelity::of(Emulation::NetEm, Lateness::default(), 0);
+        assert!(!kernel.valid && kernel.reason.contains("NetEm"), "{kernel:?}");
+        // Where the kernel could not, the fabric did, and says how well.
+        assert!(Fidelity::of(Emulation::NetEm, good, 0).valid);
     }
 }
