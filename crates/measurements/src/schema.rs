@@ -20,8 +20,9 @@ const OTHERWISE: &[(&str, &str)] = &[
     ("INTEGER PRIMARY KEY", "BIGINT AUTO_INCREMENT PRIMARY KEY"),
     ("INTEGER", "BIGINT"),
     ("REAL", "DOUBLE"),
-    // The longest name has 127 characters. The comparison is by bytes, as SQLite's.
-    ("TEXT NOT NULL UNIQUE", "VARCHAR(190) NOT NULL UNIQUE"),
+    // The longest name has 128 characters of 4 bytes at most. As bytes, for they are compared one by one, as SQLite does:
+    // to a server, texts that differ in spaces at their end alone are equal.
+    ("TEXT NOT NULL UNIQUE", "VARBINARY(760) NOT NULL UNIQUE"),
     ("TEXT", "LONGTEXT"),
     ("BLOB", "LONGBLOB"),
     ("WITHOUT ROWID", ""),
@@ -58,7 +59,7 @@ mod tests {
         assert!(statements.iter().any(|told| told == "ALTER TABLE link ADD COLUMN probed_loss DOUBLE"));
         assert_eq!(
             statements[1],
-            "CREATE TABLE IF NOT EXISTS name (\nid BIGINT AUTO_INCREMENT PRIMARY KEY,\ntext VARCHAR(190) NOT NULL UNIQUE\n) \
+            "CREATE TABLE IF NOT EXISTS name (\nid BIGINT AUTO_INCREMENT PRIMARY KEY,\ntext VARBINARY(760) NOT NULL UNIQUE\n) \
              ENGINE = InnoDB CHARACTER SET utf8mb4 COLLATE utf8mb4_bin"
         );
     }

@@ -1,6 +1,6 @@
 //! One promise for every engine: what an ordered list would answer.
 
-use cotorra_graph::Event;
+use cotorra_graph::{Decision, Event, Instruction};
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
@@ -115,6 +115,26 @@ fn gives_back_what_it_was_given() {
         prop_assert_eq!(all, sorted(events));
         Ok(())
     });
+}
+
+/// Names are told apart by every byte: by case, by accents however written, and by spaces at the end.
+#[test]
+fn tells_names_apart_by_every_byte() {
+    let longest = "\u{1f916}".repeat(128);
+    let steps = ["a", "a ", "a  ", "A", "á", "a\u{301}", " ", "  ", &longest];
+    let decision = |step: &str| Decision {
+        plugin: "p".parse().unwrap(),
+        instruction: Instruction::Note { process: "q".to_owned(), step: step.to_owned() },
+        reason: None,
+        refused: None,
+    };
+    let events =
+        steps.map(|step| Stamped { at: Timestamp::from_nanos(0), event: Event::Decision(decision(step)) });
+    for (store, run, other) in Engines::new().fresh() {
+        append(&*store, run, other, &events, events.len());
+        let told = pages(20, |page| store.events(run, &Selection::Kinds(&Kind::ALL), ALL, page).unwrap());
+        assert_eq!(told, events);
+    }
 }
 
 fn span(from: Timestamp, until: Timestamp) -> Span {
