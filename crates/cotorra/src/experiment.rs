@@ -4,7 +4,7 @@ mod federation;
 
 pub use federation::federation;
 
-use std::{path::Path, process::ExitCode};
+use std::{fs, path::Path, process::ExitCode};
 
 use cotorra_graph::testbed_file::Setting;
 use cotorra_measurements::Location;
@@ -61,10 +61,11 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         };
         let finished = if args.emulate {
             eprintln!("{} of {}: {}", i + 1, variants.len(), contender.name);
-            stage.emulate(loaded, &args.testbed, options)?
+            stage.emulate(loaded, &args.testbed, options)
         } else {
-            stage.simulate(loaded, &options, &format!("{}: ", contender.name))?
+            stage.simulate(loaded, &options, &format!("{}: ", contender.name))
         };
+        let finished = finished.inspect_err(|_| withdraw(&folder))?;
         if finished.was_stopped() {
             let folder = finished.folder.display().to_string();
             return Err(Error::Stopped { contender: contender.name, folder }.into());
@@ -79,6 +80,12 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     output::print(&describe(&comparison, &how, &walks, &folder, history.as_ref()))?;
     let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
+}
+
+/// Takes an experiment's folder away again where nothing came to be in it: what cannot begin leaves nothing behind.
+fn withdraw(folder: &Path) {
+    // What is not empty stays.
+    let _ = fs::remove_dir(folder).and_then(|()| folder.parent().map_or(Ok(()), fs::remove_dir));
 }
 
 fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {

@@ -3,6 +3,7 @@
 
 use std::{
     collections::BTreeMap,
+    env,
     fs::File,
     io,
     net::SocketAddr,
@@ -178,12 +179,89 @@ enum Place {
     Cut,
 }
 
+/// The plug-ins of a testbed, checked and made, before anything of the run is there: a mistake in a testbed file, or a ledger
+/// that cannot be had, leaves nothing behind.
+pub(crate) struct Prepared {
+    bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
+    ledgers: Ledgers,
+}
+
+impl Prepared {
+    /// Makes what is bundled, and looks for the programs of the others.
+    pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
+        check_programs(testbed)?;
+        let mut maker = Bundled::new(testbed, seed, Ledgers::default());
+        let mut bundled = BTreeMap::new();
+        for spec in &testbed.plugins {
+            if let PluginProgram::Bundled(name) = &spec.program {
+                bundled.insert(spec.id.clone(), maker.make(spec, name)?);
+            }
+        }
+        Ok(Self { bundled, ledgers: maker.into_ledgers() })
+    }
+
+    /// Starts all of them. `say` is called from their threads.
+    pub(crate) fn start(
+        mut self,
+        testbed: &Arc<Testbed>,
+        now: &Now,
+        api: SocketAddr,
+        logs: &Path,
+        say: &(impl Fn(Said) + Clone + Send + 'static),
+    ) -> Result<PluginHost, PluginError> {
+        let domains = Domains::new(testbed);
+        let mut host = PluginHost::new();
+        host.ledgers = self.ledgers;
+        for spec in &testbed.plugins {
+            let place = match &spec.program {
+                PluginProgram::Command(words) => spawn_process(spec, words, api, logs)?,
+                PluginProgram::Bundled(_) => {
+                    let plugin = self.bundled.remove(&spec.id).expect("each that is bundled was made");
+                    let view = domains.of_plugin(&spec.id).cloned();
+                    host.spawn_thread(spec.id.clone(), plugin, testbed, view, now, say.clone())
+                }
+            };
+            host.places.insert(spec.id.clone(), place);
+        }
+        Ok(host)
+    }
+}
+
+/// Looks whether the programs of plug-ins are there.
+pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
+    for spec in &testbed.plugins {
+        let PluginProgram::Command(words) = &spec.program else { continue };
+        let program = program(spec, words)?.0;
+        let is_there = if program.contains('/') {
+            Path::new(program).exists()
+        } else {
+            let folders = env::var_os("PATH").unwrap_or_default();
+            env::split_paths(&folders).any(|folder| folder.join(program).exists())
+        };
+        if !is_there {
+            let source = io::Error::from(io::ErrorKind::NotFound);
+            let plugin = spec.id.clone();
+            return Err(PluginError::Start { plugin, program: program.to_owned(), source });
+        }
+    }
+    Ok(())
+}
+
+/// The program of a plug-in, and its arguments.
+fn program<'a>(spec: &PluginSpec, words: &'a [String]) -> Result<(&'a String, &'a [String]), PluginError> {
+    words.split_first().ok_or_else(|| PluginError::Settings {
+        plugin: spec.id.clone(),
+        reason: "its command is empty".to_owned(),
+    })
+}
+
 /// All plug-ins of a run.
 pub(crate) struct PluginHost {
     places: BTreeMap<PluginId, Place>,
     budgets: BTreeMap<PluginId, Budget>,
     movers: BTreeMap<NodeId, PluginId>,
     missed: u64,
+    /// What bundled ones share: it ends with them.
     ledgers: Ledgers,
 }
 
@@ -197,33 +275,6 @@ impl PluginHost {
             missed: 0,
             ledgers: Ledgers::default(),
         }
-    }
-
-    /// Starts the plug-ins of a testbed. `say` is called from their threads.
-    pub(crate) fn start(
-        &mut self,
-        testbed: &Arc<Testbed>,
-        seed: u64,
-        now: &Now,
-        api: SocketAddr,
-        logs: &Path,
-        say: &(impl Fn(Said) + Clone + Send + 'static),
-    ) -> Result<(), PluginError> {
-        let mut bundled = Bundled::new(testbed, seed, Ledgers::default());
-        let domains = Domains::new(testbed);
-        for spec in &testbed.plugins {
-            let place = match &spec.program {
-                PluginProgram::Bundled(name) => {
-                    let plugin = bundled.make(spec, name)?;
-                    let view = domains.of_plugin(&spec.id).cloned();
-                    self.spawn_thread(spec.id.clone(), plugin, testbed, view, now, say.clone())
-                }
-                PluginProgram::Command(words) => spawn_process(spec, words, api, logs)?,
-            };
-            self.places.insert(spec.id.clone(), place);
-        }
-        self.ledgers = bundled.into_ledgers();
-        Ok(())
     }
 
     /// Starts the plug-ins of a testbed that are programs of their own, and no others; gives which they are.
@@ -371,10 +422,7 @@ fn spawn_process(
     api: SocketAddr,
     logs: &Path,
 ) -> Result<Place, PluginError> {
-    let (program, arguments) = words.split_first().ok_or_else(|| PluginError::Settings {
-        plugin: spec.id.clone(),
-        reason: "its command is empty".to_owned(),
-    })?;
+    let (program, arguments) = program(spec, words)?;
     let start = || {
         let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
         Command::new(program)

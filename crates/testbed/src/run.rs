@@ -32,7 +32,7 @@ use crate::{
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     live::Live,
-    plugins::{Now, PluginError, PluginHost, Said},
+    plugins::{Now, PluginError, Prepared, Said},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
@@ -193,13 +193,15 @@ impl Run {
     /// Brings a testbed up and sets it going. `text` is the testbed file, found at `file`.
     ///
     /// # Errors
-    /// [`RunError`]; then nothing is left but the run's folder.
+    /// [`RunError`]; then nothing is left but the run's folder, and not even that where the testbed file, a plug-in's settings or
+    /// its ledger are at fault.
     pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
         clean();
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
         let moved = options.api.is_none();
+        let plugins = Prepared::of(&testbed, seed)?;
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let info = run_info(&testbed, seed, text);
@@ -230,7 +232,6 @@ impl Run {
 
         let live = Live::default();
         let (stream, _) = broadcast::channel(STREAM);
-        let mut plugins = PluginHost::new();
         let to_core = tell.clone();
         let say = move |said| {
             let message = match said {
@@ -279,7 +280,7 @@ impl Run {
             },
         };
         let server = Server::start(listener, context, options.tokens)?;
-        plugins.start(&testbed, seed, &now, server.address(), &folder.logs(), &say)?;
+        let plugins = plugins.start(&testbed, &now, server.address(), &folder.logs(), &say)?;
 
         for (robot, socket) in &sockets {
             let socket = socket.try_clone().map_err(system("share a robot's socket"))?;

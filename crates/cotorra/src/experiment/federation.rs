@@ -70,10 +70,11 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         let what = format!("{name}: ");
         let finished = if args.emulate {
             eprintln!("{what}{} of {}", number + 1, planned.len());
-            stage.emulate(&plan.loaded, &args.testbed, options)?
+            stage.emulate(&plan.loaded, &args.testbed, options)
         } else {
-            stage.simulate(&plan.loaded, &options, &what)?
+            stage.simulate(&plan.loaded, &options, &what)
         };
+        let finished = finished.inspect_err(|_| super::withdraw(&folder))?;
         let at = finished.folder.display().to_string();
         if finished.was_stopped() {
             if runs.is_empty() {

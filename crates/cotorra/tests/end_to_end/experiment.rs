@@ -1,10 +1,10 @@
 //! Published experiments, repeated.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use serde_json::Value;
 
-use crate::harness::{corridor, cotorra, stderr, stdout};
+use crate::harness::{corridor, corridor_ending_in, cotorra, stderr, stdout};
 
 #[test]
 fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
@@ -95,4 +95,35 @@ fn a_robot_is_handed_to_another_domain_in_virtual_time() {
         .output()
         .unwrap();
     assert!(stderr(&real).contains("virtual time has only a modelled ledger"), "{}", stderr(&real));
+}
+
+#[test]
+fn what_plugins_refuse_leaves_no_folder_behind() {
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("runs");
+    let testbed = corridor().with_file_name("federation.yaml");
+    let with_program =
+        corridor_ending_in("plugins: [{ id: mine, command: [./no-such-program] }]", place.path());
+    let refused = |words: &[&str], testbed: &Path, set: &str| {
+        let output =
+            cotorra(words).arg(testbed).arg("--out").arg(&out).args(["--set", set]).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{words:?} {set}: {}", stderr(&output));
+        assert!(!out.exists(), "{words:?} {set} left something");
+        stderr(&output).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+    };
+    let run = ["run", "--headless"];
+    let simulated = ["run", "--headless", "--simulate"];
+    let experiment = ["experiment", "federation", "--headless", "--emulate", "--testbed"];
+    for words in [&run[..], &simulated, &experiment] {
+        let said = refused(words, &testbed, "plugins.orchestrator-1.settings.price=0");
+        assert!(said.contains("plug-in `orchestrator-1`: price: 0 is no price"), "{said}");
+    }
+    for words in [&run[..], &simulated] {
+        let said = refused(words, &with_program, "seed=2");
+        assert!(said.contains("cannot start `./no-such-program`"), "{said}");
+    }
+    if cfg!(not(feature = "ethereum")) {
+        let said = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
+        assert!(said.contains("`--features ethereum`"), "{said}");
+    }
 }

@@ -12,6 +12,7 @@ use super::{
 };
 use crate::{
     core_loop::End,
+    plugins,
     recorded::Recorded,
     report::{Losses, Report, RunFolder},
     run::{Finished, Options, RunError, about},
@@ -54,6 +55,7 @@ pub(super) fn simulate_with(
     if until.is_none() && testbed.walks.is_empty() {
         return Err(RunError::Endless);
     }
+    plugins::check_programs(&testbed)?;
     let mut simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
     // The calendar is not part of virtual time.
