@@ -8,7 +8,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    Diagnostics, Position, Testbed,
+    Diagnostics, Node, NodeKind, Position, Testbed,
     testbed_file::{self, Setting},
 };
 use miette::{LabeledSpan, NamedSource, Severity};
@@ -95,12 +95,16 @@ impl From<Diagnostics> for FileError {
 /// What a testbed holds, in one line.
 pub fn overview(testbed: &Testbed) -> String {
     let graph = &testbed.graph;
-    let switches = graph.nodes.len() - graph.hosts().count();
+    let others = |machine: bool| {
+        let is_one = |node: &&Node| matches!(node.kind, NodeKind::Machine(_)) == machine && !node.is_host();
+        graph.nodes.iter().filter(is_one).count()
+    };
     let nodes = [
         (graph.robots().count(), "robot"),
         (graph.radio_units().count(), "radio unit"),
-        (switches, "switch"),
+        (others(false), "switch"),
         (graph.servers().count(), "server"),
+        (others(true), "real machine"),
         (graph.links.len(), "link"),
     ];
     let mut text =

@@ -7,6 +7,8 @@ use std::{
     str::FromStr,
 };
 
+use serde::{Deserialize, Serialize};
+
 /// What a testbed file says about its WLAN Access Information Service.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WaisSettings {
@@ -28,7 +30,8 @@ pub struct GeoOrigin {
 }
 
 /// A network of IP addresses, such as `10.1.0.0/16` or `fd00::/8`; an address alone is a network of one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct IpNetwork {
     address: IpAddr,
     prefix: u8,
@@ -45,6 +48,16 @@ impl IpNetwork {
         Self { address: IpAddr::V4(Ipv4Addr::new(127, 0, 0, 0)), prefix: 8 },
         Self { address: IpAddr::V6(Ipv6Addr::LOCALHOST), prefix: 128 },
     ];
+
+    /// Its first address.
+    pub fn address(&self) -> IpAddr {
+        self.address
+    }
+
+    /// Bits that all its addresses have in common.
+    pub fn prefix(&self) -> u8 {
+        self.prefix
+    }
 
     /// Whether an address is in it. An IPv4 address that is written as an IPv6 one counts as IPv4.
     pub fn contains(&self, address: IpAddr) -> bool {
@@ -72,6 +85,16 @@ impl FromStr for IpNetwork {
             Some(digits) => digits.parse().ok().filter(|p| *p <= longest).ok_or_else(invalid)?,
             None => longest,
         };
+        let address = match address {
+            IpAddr::V4(v4) => {
+                let mask = u32::MAX.checked_shl(32 - u32::from(prefix)).unwrap_or(0);
+                IpAddr::from(Ipv4Addr::from_bits(v4.to_bits() & mask))
+            }
+            IpAddr::V6(v6) => {
+                let mask = u128::MAX.checked_shl(128 - u32::from(prefix)).unwrap_or(0);
+                IpAddr::from(Ipv6Addr::from_bits(v6.to_bits() & mask))
+            }
+        };
         Ok(Self { address, prefix })
     }
 }
@@ -79,6 +102,19 @@ impl FromStr for IpNetwork {
 impl fmt::Display for IpNetwork {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/{}", self.address, self.prefix)
+    }
+}
+
+impl TryFrom<String> for IpNetwork {
+    type Error = InvalidIpNetwork;
+    fn try_from(text: String) -> Result<Self, InvalidIpNetwork> {
+        text.parse()
+    }
+}
+
+impl From<IpNetwork> for String {
+    fn from(network: IpNetwork) -> Self {
+        network.to_string()
     }
 }
 
@@ -103,6 +139,8 @@ mod tests {
             assert!(!network(net).contains(outside.parse().unwrap()), "{net} {outside}");
         }
         assert_eq!(network("10.1.2.3").to_string(), "10.1.2.3/32");
+        assert_eq!(network("10.1.2.3/8"), network("10.0.0.0/8"));
+        assert_eq!(network("fd00::7/0").to_string(), "::/0");
         for wrong in ["", "10.0.0.0/33", "::/129", "10.0.0/8", "lab", "10.0.0.0/", "10.0.0.0/-1"] {
             assert!(wrong.parse::<IpNetwork>().is_err(), "{wrong}");
         }

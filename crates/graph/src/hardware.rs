@@ -1,12 +1,18 @@
 //! The hardware graph G: robots, radio units, switches and servers, and the links between them.
 
-use std::{collections::BTreeMap, net::Ipv4Addr, net::Ipv6Addr, time::Duration};
+use std::{
+    collections::{BTreeMap, HashMap},
+    net::Ipv4Addr,
+    net::Ipv6Addr,
+    time::Duration,
+};
 
 use serde::{Deserialize, Serialize};
 
 use crate::{
     conditions::{Conditions, Scale},
     driver::Driver,
+    exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId},
     units::{BitRate, Dbm, Position, millis},
 };
@@ -60,7 +66,29 @@ impl HardwareGraph {
         self.nodes.iter().filter(|n| n.is_host())
     }
 
-    /// The addresses of a host; `None` for a switch or an unknown name.
+    /// The links over interfaces of this machine, in order.
+    pub fn real_links(&self) -> impl Iterator<Item = RealLink<'_>> {
+        let machines: HashMap<_, _> =
+            self.nodes.iter().filter_map(|node| Some((&node.id, node.reached()?))).collect();
+        self.links.iter().filter_map(move |link| {
+            match link.ends.each_ref().map(|end| machines.get(end).copied()) {
+                [_, Some(reached)] => Some(RealLink { link, reached, leaving: Direction::Forward }),
+                [Some(reached), None] => Some(RealLink { link, reached, leaving: Direction::Backward }),
+                [None, None] => None,
+            }
+        })
+    }
+
+    /// The graph without real machines and the links between them: what is emulated as a whole.
+    pub fn without_machines(&self) -> Self {
+        let real: Vec<_> = self.real_links().map(|real| real.link.id.clone()).collect();
+        let mut graph = self.clone();
+        graph.nodes.retain(|node| !matches!(node.kind, NodeKind::Machine(_)));
+        graph.links.retain(|link| !real.contains(&link.id));
+        graph
+    }
+
+    /// The addresses of a host; `None` for any other node or an unknown name.
     pub fn address(&self, id: &NodeId) -> Option<HostAddress> {
         self.hosts().position(|n| n.id == *id).map(HostAddress::of)
     }
@@ -82,9 +110,9 @@ pub struct Node {
 }
 
 impl Node {
-    /// Whether it runs programs: all but switches do.
+    /// Whether it runs programs of cotorra's: all but switches and real machines do.
     pub fn is_host(&self) -> bool {
-        !matches!(self.kind, NodeKind::Switch)
+        !matches!(self.kind, NodeKind::Switch | NodeKind::Machine(_))
     }
 
     /// Whether it passes on frames that are not for it: switches and radio units do.
@@ -92,13 +120,21 @@ impl Node {
         matches!(self.kind, NodeKind::Switch | NodeKind::RadioUnit(_))
     }
 
-    /// What VNFs can take of it; `None` for a switch.
+    /// How it is reached, if it is a real machine and not this one.
+    pub fn reached(&self) -> Option<&Reached> {
+        match &self.kind {
+            NodeKind::Machine(machine) => machine.reached.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// What VNFs can take of it; `None` for a switch and a real machine.
     pub fn capacity(&self) -> Option<Capacity> {
         match &self.kind {
             NodeKind::Robot(r) => Some(r.capacity),
             NodeKind::RadioUnit(r) => Some(r.capacity),
             NodeKind::Server(s) => Some(s.capacity),
-            NodeKind::Switch => None,
+            NodeKind::Switch | NodeKind::Machine(_) => None,
         }
     }
 }
@@ -116,6 +152,8 @@ pub enum NodeKind {
     Switch,
     /// Runs VNFs.
     Server(Server),
+    /// A real machine.
+    Machine(Machine),
 }
 
 /// What VNFs can take of a node.
@@ -209,6 +247,37 @@ pub struct Server {
     pub cost: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
+}
+
+/// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
+/// emulated: on that interface, for the packets that whatever programs send there.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Machine {
+    /// How it is reached; `None` is this machine itself.
+    pub reached: Option<Reached>,
+}
+
+/// How a real machine is reached from this one.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Reached {
+    /// Through this interface of this machine, as `ip link` names it.
+    pub interface: String,
+    /// At these addresses; `None` is all behind the interface that no other machine has.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
+    pub address: Option<IpNetwork>,
+}
+
+/// A link over an interface of this machine.
+#[derive(Debug, Clone, Copy)]
+pub struct RealLink<'a> {
+    /// The link.
+    pub link: &'a Link,
+    /// What it leads over.
+    pub reached: &'a Reached,
+    /// The direction in which packets leave this machine; in the other one they arrive.
+    pub leaving: Direction,
 }
 
 /// How far from the robots a server is.

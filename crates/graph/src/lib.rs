@@ -36,8 +36,9 @@ pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, Ros
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use hardware::{
-    Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind,
-    PathLoss, RadioUnit, Roaming, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard, WirelessNetwork,
+    Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind,
+    PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
+    WifiStandard, WirelessNetwork,
 };
 pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};

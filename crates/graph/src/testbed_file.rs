@@ -3,6 +3,7 @@
 
 mod build;
 mod check;
+mod machines;
 mod records;
 mod ros;
 mod script;

@@ -75,6 +75,7 @@ fn kind(kind: &NodeKind) -> &'static str {
         NodeKind::Robot(_) => "robot",
         NodeKind::RadioUnit(_) => "radio unit",
         NodeKind::Switch => "switch",
+        NodeKind::Machine(_) => "machine",
         NodeKind::Server(server) => match server.tier {
             Tier::Fog => "server, fog",
             Tier::Edge => "server, edge",

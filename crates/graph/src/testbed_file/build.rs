@@ -11,9 +11,9 @@ use std::{
 use super::{
     check,
     records::{
-        ConditionsRecord, LinkRecord, LossRecord, NodeRecord, PathLossRecord, PluginRecord, ProbesRecord,
-        ProbesWord, ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord, TestbedRecord, VnfRecord,
-        WaisRecord, WalkRecord, WirelessRecord,
+        ConditionsRecord, LinkRecord, LossRecord, MachineRecord, NodeRecord, PathLossRecord, PluginRecord,
+        ProbesRecord, ProbesWord, ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord,
+        TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
     },
     ros, script,
 };
@@ -22,8 +22,8 @@ use crate::{
     conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
     exposure::{GeoOrigin, WaisSettings},
     hardware::{
-        Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Node, NodeKind, PathLoss, RadioUnit,
-        Robot, Server, Shadowing, WirelessNetwork,
+        Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind, PathLoss,
+        RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
     },
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId},
     map::OccupancyGrid,
@@ -109,6 +109,11 @@ pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentio
         Some(Retention { raw: *raw, step: step.value, keep: *keep })
     };
     Retentions { robots: of(&record.robots), radio_units: of(&record.radio_units), links: of(&record.links) }
+}
+
+/// Whether programs of cotorra's run on it.
+fn is_host(record: &NodeRecord) -> bool {
+    !matches!(record, NodeRecord::Switch(_) | NodeRecord::Machine(_))
 }
 
 /// Applies `f` to all before any that failed ends it, so that each one's mistakes show.
@@ -237,7 +242,7 @@ impl Builder<'_> {
 
     fn nodes(&mut self) -> Option<Vec<Node>> {
         let records = &self.record.nodes.0;
-        let hosts = records.iter().filter(|(_, n)| !matches!(n, NodeRecord::Switch(_)));
+        let hosts = records.iter().filter(|(_, n)| is_host(n));
         if let Some((id, _)) = hosts.clone().nth(HostAddress::MAX_HOSTS) {
             let message = format!("there are {} hosts", hosts.count());
             let help = format!("a testbed has addresses for {}", HostAddress::MAX_HOSTS);
@@ -264,7 +269,6 @@ impl Builder<'_> {
                 };
                 let nodes = &self.nodes;
                 let mut host = |node: &Spanned<NodeId>, sink: &mut Sink| {
-                    let is_host = |record: &NodeRecord| !matches!(record, NodeRecord::Switch(_));
                     find(nodes, node, "node with a network of its own", is_host, sink)
                 };
                 let driver = ros::driver(r, &id.value, &mut host, self.sink);
@@ -300,8 +304,32 @@ impl Builder<'_> {
                 };
                 (s.position, NodeKind::Server(server))
             }
+            NodeRecord::Machine(m) => (m.position, NodeKind::Machine(self.machine(m)?)),
         };
         Some(Node { id: id.value.clone(), domain: domain?, position, kind })
+    }
+
+    fn machine(&mut self, record: &MachineRecord) -> Option<Machine> {
+        let Some(interface) = &record.interface else {
+            if let Some(address) = &record.address {
+                self.sink
+                    .error(&address.span, "an address, and no interface through which it is reached")
+                    .help("name the interface, such as `interface: eth1`; `ip route get ADDRESS` says which it is");
+                return None;
+            }
+            return Some(Machine { reached: None });
+        };
+        // As the kernel has it (dev_valid_name).
+        let name = &interface.value;
+        let fits = |c: char| !c.is_whitespace() && !matches!(c, '/' | ':');
+        if !(1..=15).contains(&name.len()) || matches!(name.as_str(), "." | "..") || !name.chars().all(fits) {
+            self.sink
+                .error(&interface.span, format!("no interface can have the name `{name}`"))
+                .help("write one as `ip link` names it, such as `eth1`");
+            return None;
+        }
+        let address = record.address.as_ref().map(|address| address.value);
+        Some(Machine { reached: Some(Reached { interface: name.clone(), address }) })
     }
 
     fn domain(&mut self, wanted: Option<&Spanned<DomainId>>) -> Option<DomainId> {

@@ -3,7 +3,10 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::records::{NodeRecord, ServiceRecord, TestbedRecord};
+use super::{
+    machines::machines,
+    records::{NodeRecord, ServiceRecord, TestbedRecord},
+};
 use crate::{
     driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
@@ -22,6 +25,7 @@ use crate::{
 /// Checks the whole. Tables of the record and lists of the testbed have the same order.
 pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     links(record, &testbed.graph, sink);
+    machines(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
     let broken = !sink.is_empty();
@@ -36,19 +40,23 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     }
 }
 
-/// Links have names of their own.
-fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
-    let spans = record.links.iter().flat_map(|link| {
+/// Where each link of the graph stands in the file, in order.
+pub(super) fn places(record: &TestbedRecord) -> impl Iterator<Item = &Span> {
+    record.links.iter().flat_map(|link| {
         let ends = link.ends.value.iter().map(|end| match end {
             Either::Short(_) => 1,
             Either::Long(several) => several.len(),
         });
         let span = link.id.as_ref().map_or(&link.ends.span, |id| &id.span);
         std::iter::repeat_n(span, ends.product())
-    });
+    })
+}
+
+/// Links have names of their own.
+fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     let robots: HashSet<_> = graph.robots().map(|(robot, _)| robot.id.as_str()).collect();
     let mut seen = HashSet::new();
-    for (link, span) in graph.links.iter().zip(spans) {
+    for (link, span) in graph.links.iter().zip(places(record)) {
         if !seen.insert(&link.id) {
             sink.error(span, format!("the link `{}` is here twice", link.id))
                 .help("remove one of them, or give it an `id` of its own");
@@ -159,7 +167,7 @@ fn described(standard: WifiStandard) -> &'static str {
 /// reach each other: what one buffered for a station goes with it in a handover.
 fn reach(record: &TestbedRecord, graph: &HardwareGraph, topology: &Topology<'_>, sink: &mut Sink) -> bool {
     let is_server = |i: &usize| matches!(graph.nodes[*i].kind, NodeKind::Server(_));
-    let is_fixed = |i: &usize| !matches!(graph.nodes[*i].kind, NodeKind::Robot(_));
+    let is_fixed = |i: &usize| !matches!(graph.nodes[*i].kind, NodeKind::Robot(_) | NodeKind::Machine(_));
     let mut roots: Vec<_> = (0..graph.nodes.len()).filter(is_server).collect();
     if roots.is_empty() {
         roots.extend((0..graph.nodes.len()).find(is_fixed));
@@ -203,7 +211,11 @@ fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
             let place = r.pinned_to.as_ref().or(r.node.as_ref()).map_or(&id.span, |node| &node.span);
             let node = graph.node(&vnf.node).expect("the builder found it");
             let Some(capacity) = node.capacity() else {
-                sink.error(place, format!("`{}` is a switch, and a switch runs no VNF", node.id))
+                let what = match node.kind {
+                    NodeKind::Machine(_) => "a real machine, on which cotorra runs nothing",
+                    _ => "a switch, and a switch runs no VNF",
+                };
+                sink.error(place, format!("`{}` is {what}", node.id))
                     .help(format!("place it on one of {}", words(&able(graph, vnf))));
                 continue;
             };

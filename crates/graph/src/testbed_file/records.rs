@@ -235,6 +235,7 @@ tagged! {
         "radio_unit" => RadioUnit(RadioUnitRecord),
         "switch" => Switch(SwitchRecord),
         "server" => Server(ServerRecord),
+        "machine" => Machine(MachineRecord),
     }
 }
 
@@ -246,6 +247,7 @@ impl NodeRecord {
             Self::RadioUnit(r) => r.domain.as_ref(),
             Self::Switch(s) => s.domain.as_ref(),
             Self::Server(s) => s.domain.as_ref(),
+            Self::Machine(m) => m.domain.as_ref(),
         }
     }
 }
@@ -435,6 +437,23 @@ record! {
         cost: Amount = 1,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
+    }
+}
+
+record! {
+    /// A real machine: this one, or one that is reached through an interface of this one. Only the link between the two is
+    /// emulated, by the kernel's NetEm on that interface.
+    MachineRecord {
+        /// Domain that runs it. Without one: the first.
+        domain: Option<Spanned<DomainId>>,
+        /// Where it is, for pictures.
+        position: Option<Position>,
+        /// The interface of this machine through which it is reached, as `ip link` names it. Without one: it is this
+        /// machine.
+        interface: Option<Spanned<String>>,
+        /// Its address or network, such as `192.168.1.7`. Without one: all that is reached through the interface and is no
+        /// other node's.
+        address: Option<Spanned<IpNetwork>>,
     }
 }
 

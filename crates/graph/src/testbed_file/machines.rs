@@ -1,0 +1,79 @@
+//! What is wrong with the real machines of a testbed, and with the links between them: what is emulated and what is real
+//! are two networks, and no packet passes from one to the other.
+
+use std::collections::HashMap;
+
+use super::{check::places, records::TestbedRecord};
+use crate::{
+    conditions::Rate,
+    hardware::{HardwareGraph, NodeKind, Reached},
+    yaml::Sink,
+};
+
+/// Every real machine is reached from this one, over one link, by packets that are no other's.
+pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    if !graph.nodes.iter().any(|node| matches!(node.kind, NodeKind::Machine(_))) {
+        return;
+    }
+    let mut this = None;
+    let mut taken: HashMap<&Reached, _> = HashMap::new();
+    for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
+        let NodeKind::Machine(machine) = &node.kind else { continue };
+        let Some(reached) = &machine.reached else {
+            if let Some(first) = this.replace(&node.id) {
+                sink.error(&id.span, format!("`{first}` and `{}` are both this machine", node.id))
+                    .help("say through which `interface` the other is reached, or leave one out");
+            }
+            continue;
+        };
+        if let Some(other) = taken.insert(reached, &node.id) {
+            let what = match reached.address {
+                Some(address) => format!("{address}, which is reached"),
+                None => "all that is reached".to_owned(),
+            };
+            sink.error(
+                &id.span,
+                format!("`{other}` and `{}` are both {what} through {}", node.id, reached.interface),
+            )
+            .help("give each an `address` of its own, such as `address: 192.168.1.7`");
+        }
+        let links = graph.links.iter().filter(|link| link.ends.contains(&node.id)).count();
+        if links != 1 {
+            sink.error(&id.span, format!("`{}` has {links} links", node.id))
+                .help("link it once, to this machine: to a node with `kind: machine` and no `interface`");
+        }
+    }
+    links(record, graph, sink);
+}
+
+/// A link of a real machine leads from this one to another.
+fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let is_reached = |id| match &graph.node(id)?.kind {
+        NodeKind::Machine(machine) => Some(machine.reached.is_some()),
+        _ => None,
+    };
+    let is_trace = |rate: &Rate| matches!(rate, Rate::Trace { .. });
+    for (link, place) in graph.links.iter().zip(places(record)) {
+        let (what, help) = match link.ends.each_ref().map(is_reached) {
+            [None, None] => continue,
+            [Some(a), Some(b)] if a != b => {
+                if !is_trace(&link.forward.rate) && !is_trace(&link.backward.rate) {
+                    continue;
+                }
+                (
+                    "leads over a real interface, where NetEm plays no packet-delivery traces",
+                    "give it a `rate` in place of the `trace`",
+                )
+            }
+            [Some(_), Some(_)] => (
+                "does not lead over an interface of this machine",
+                "one end is this machine, `kind: machine` and no `interface`; the other one has an `interface`",
+            ),
+            _ => (
+                "leads from what is emulated to a real machine, and no packet passes there",
+                "link real machines to this one, a node with `kind: machine` and no `interface`",
+            ),
+        };
+        sink.error(place, format!("`{}` {what}", link.id)).help(help);
+    }
+}
