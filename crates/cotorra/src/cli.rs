@@ -259,7 +259,17 @@ pub struct RunArgs {
     /// core comes some 0.1 ms later.
     #[arg(long, conflicts_with = "simulate")]
     pub save_power: bool,
-    /// Only say what would be brought up
+    /// On interfaces that the testbed's links lead over, take the place of queueing disciplines that somebody put there; the
+    /// end of the run puts them back
+    #[arg(long)]
+    pub replace: bool,
+    /// Let a link lead over this interface though it is the loopback, or carries the default route
+    ///
+    /// Whoever reaches this machine over it shares the link's conditions, as long as the run goes on. Can be given several
+    /// times.
+    #[arg(long, value_name = "NAME")]
+    pub allow_interface: Vec<String>,
+    /// Only say what would be brought up, and done to interfaces of this machine
     #[arg(long)]
     pub dry_run: bool,
     /// Say more on standard error; twice for even more
@@ -842,8 +852,8 @@ pub struct CheckArgs {
 
 /// Remove what killed runs left behind
 ///
-/// Namespaces, interfaces and processes go with their run, however it ends. Control groups do not when a run is
-/// killed with SIGKILL; the next run removes them, or this.
+/// Namespaces, their interfaces and processes go with their run, however it ends. When a run is killed with SIGKILL, control
+/// groups do not, nor do conditions of this machine's own interfaces; the next run removes them, or this.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
     /// Only say what would be removed

@@ -12,7 +12,7 @@ use std::{
 const INTERRUPTED: i32 = 130;
 
 /// Listens to SIGINT, SIGTERM and SIGHUP from here on; the first one is received, the second ends the process.
-/// Nothing but control groups can be left behind by that, because all else lives only as long as the process.
+/// What can be left behind by that, control groups and conditions of interfaces of this machine, the next run removes.
 pub fn listen() -> Result<mpsc::Receiver<()>, ctrlc::Error> {
     let (tell, told) = mpsc::channel();
     let asked = AtomicBool::new(false);

@@ -20,6 +20,8 @@ pub struct Interface {
     pub index: u32,
     /// Its name.
     pub name: String,
+    /// Whether this machine talks to itself over it.
+    pub loopback: bool,
 }
 
 /// A discipline as the kernel told it.
@@ -199,6 +201,34 @@ impl Device {
         Ok(Plan(requests))
     }
 
+    /// What makes all of these rules, or changes them in place; see [`Self::set`].
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn set_all(&self, rules: &[Rule], replace: bool) -> Result<Plan, Refusal> {
+        let mut device = self.clone();
+        let mut requests = Vec::new();
+        for rule in rules {
+            requests.extend(device.set(rule, replace)?.0);
+            device.assume(rule)?;
+        }
+        Ok(Plan(requests))
+    }
+
+    /// Takes for granted that a rule was set.
+    fn assume(&mut self, rule: &Rule) -> Result<(), Refusal> {
+        match rule.side {
+            Side::Egress => self.egress = self.egress.with(rule.network, &rule.netem)?,
+            Side::Ingress => {
+                let detour = self.detour.clone().unwrap_or_else(|| self.new_detour());
+                self.detour = Some(detour.with(rule.network, &rule.netem)?);
+                self.hook.discipline.get_or_insert_with(|| "ingress".to_owned());
+                self.hook.redirects = true;
+            }
+        }
+        Ok(())
+    }
+
     /// Whether it is the detour of another interface's arriving packets.
     pub fn is_detour(&self) -> bool {
         self.interface.name.starts_with(DETOUR_NAME)
@@ -242,6 +272,16 @@ impl Device {
                 });
             }
             (Side::Ingress, None) => {}
+        }
+        Plan(requests)
+    }
+
+    /// What takes all rules away, and puts back what they replaced, wherever whoever was about to do so broke off.
+    pub fn restore(&self, replaced: Option<&Replaced>) -> Plan {
+        let mut requests = self.clear(Side::Ingress, None).0;
+        requests.extend(self.egress.clear());
+        if let Some(replaced) = replaced.filter(|_| self.foreign().is_none()) {
+            requests.push(self.egress.foreign(Verb::Add, replaced.handle, replaced));
         }
         Plan(requests)
     }
@@ -331,7 +371,9 @@ impl Interface {
         let index = word(body, 1)?;
         let rest = body.get(16..).unwrap_or_default();
         let name = attributes(rest)?.into_iter().find(|(kind, _)| *kind == 3).map(|(_, name)| text(name));
-        Ok(Self { index, name: name.ok_or(Malformed("an interface has no name"))? })
+        // IFF_LOOPBACK
+        let loopback = word(body, 2)? & 8 != 0;
+        Ok(Self { index, name: name.ok_or(Malformed("an interface has no name"))?, loopback })
     }
 }
 
@@ -398,9 +440,9 @@ pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>
 /// Reads bytes as everything that the kernel answers; for the fuzzer, which has no kernel.
 #[doc(hidden)]
 pub fn read_anything(bytes: &[u8]) {
-    let _ = (Interface::decode(bytes), decode_filter(bytes));
+    let _ = (Interface::decode(bytes), decode_filter(bytes), crate::route::ways(bytes));
     if let Ok(discipline) = SeenDiscipline::decode(bytes) {
-        let interface = Interface { index: discipline.interface, name: "fuzz".to_owned() };
+        let interface = Interface { index: discipline.interface, name: "fuzz".to_owned(), loopback: false };
         let seen =
             Seen { interfaces: vec![interface.clone()], disciplines: vec![discipline], ..Seen::default() };
         let _ = Device::new(&seen, &interface);

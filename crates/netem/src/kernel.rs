@@ -10,6 +10,7 @@ use crate::{
     handle::Network,
     netem::Netem,
     request::{Object, Question, Request, Verb},
+    route,
     rule::{Rule, Side},
 };
 
@@ -59,6 +60,13 @@ pub struct Kernel {
     socket: Socket,
 }
 
+impl Error {
+    /// An interface was there, and is no more.
+    pub(crate) fn gone(name: &str) -> Self {
+        Self::NoInterface { name: name.to_owned(), others: String::new() }
+    }
+}
+
 const ERROR: u16 = 2;
 const DONE: u16 = 3;
 const HEADER: usize = 16;
@@ -103,6 +111,18 @@ impl Kernel {
     pub fn devices(&self) -> Result<Vec<Device>, Error> {
         let seen = self.seen()?;
         seen.interfaces.clone().iter().map(|interface| self.device_of(seen.clone(), interface)).collect()
+    }
+
+    /// The interfaces, by index, that packets take to wherever no other route leads.
+    ///
+    /// # Errors
+    /// [`Error`].
+    pub fn default_routes(&self) -> Result<Vec<u32>, Error> {
+        let mut interfaces = Vec::new();
+        for body in self.ask(Question::Routes)? {
+            interfaces.extend(route::ways(&body)?);
+        }
+        Ok(interfaces)
     }
 
     /// The modules that this kernel neither has nor finds, found by trying on the loopback interface: do it in a network

@@ -65,6 +65,7 @@ pub(crate) struct Request {
 
 /// `RTM_NEWLINK` and the like: what makes; one more deletes, two more get.
 const LINK: u16 = 16;
+const ROUTE: u16 = 24;
 const QDISC: u16 = 36;
 const CLASS: u16 = 40;
 const FILTER: u16 = 44;
@@ -172,6 +173,7 @@ impl Request {
 pub(crate) enum Question {
     Links,
     Disciplines,
+    Routes,
     /// Of an interface, at a place.
     Filters(u32, Handle),
 }
@@ -181,6 +183,8 @@ impl Question {
         let (kind, body) = match self {
             Self::Links => (LINK, link(0, 0)),
             Self::Disciplines => (QDISC, tc(0, Handle(0), Handle(0), 0)),
+            // struct rtmsg, of all families.
+            Self::Routes => (ROUTE, vec![0; 12]),
             Self::Filters(index, parent) => (FILTER, tc(index, Handle(0), parent, 0)),
         };
         message(kind + 2, REQUEST | DUMP, number, &body)

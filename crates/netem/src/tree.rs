@@ -150,6 +150,34 @@ impl Tree {
         Ok(requests)
     }
 
+    /// The tree after [`Self::set`].
+    pub(crate) fn with(&self, network: Option<Network>, netem: &Netem) -> Result<Self, Refusal> {
+        let mut tree = self.clone();
+        if let Some(rule) = tree.rules.get_mut(&network) {
+            rule.netem = netem.clone();
+            return Ok(tree);
+        }
+        let (number, priority) = match (network, &tree.root) {
+            (None, Root::Default | Root::Plain | Root::Foreign { .. }) => {
+                tree.root = Root::Plain;
+                (0, 0)
+            }
+            _ => {
+                if tree.root != Root::Classes
+                    && let Some(all) = tree.rules.remove(&None)
+                {
+                    let (number, priority) = tree.free(None)?;
+                    tree.rules.insert(None, Installed { number, priority, ..all });
+                }
+                tree.root = Root::Classes;
+                tree.free(network)?
+            }
+        };
+        let installed = Installed { number, priority, netem: netem.clone(), counters: Counters::default() };
+        tree.rules.insert(network, installed);
+        Ok(tree)
+    }
+
     /// What takes the conditions of a network, or of all packets, away, while others stay.
     pub(crate) fn remove(&self, network: Option<Network>) -> Vec<Request> {
         let Some(rule) = self.rules.get(&network) else { return Vec::new() };

@@ -11,6 +11,7 @@ mod domain;
 pub mod experiment;
 mod live;
 mod plugins;
+mod real_links;
 mod real_network;
 mod recorded;
 pub mod replay;
@@ -27,12 +28,13 @@ pub use bundled::{VnfError, localization, navigation};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use live::{Live, Snapshot};
 pub use plugins::PluginError;
+pub use real_links::{RealLinkError, interface_plans};
 pub use recorded::{Recorded, RecordedError};
 pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,
     Place, PlacementRecord, Quantiles, RegionSummary, Report, Summary, draw,
 };
 pub use robots::RobotError;
-pub use run::{Finished, Options, Run, RunError, Stopper, about, clean, leftovers};
+pub use run::{Finished, Leftovers, Options, Run, RunError, Stopper, about, clean, leftovers};
 pub use script::{Rehearsal, ScriptError, rehearse};
 pub use simulate::{Simulation, simulate};

@@ -10,15 +10,18 @@ use std::{
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    ConditionChange, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed, ThroughputTest,
-    Timestamp,
+    ConditionChange, Conditions, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed,
+    ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric, test_fabric_throughput};
+
+use crate::real_links::RealLinks;
 
 /// The network that a datapath carries.
 pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
+    real: Option<RealLinks>,
     seen: Mutex<Seen>,
 }
 
@@ -37,7 +40,7 @@ pub(crate) fn kernel_network(testbed: &Testbed) -> Result<Option<KernelNetwork>,
     if testbed.emulation == Emulation::Fabric {
         return Ok(None);
     }
-    match KernelNetwork::start(&testbed.graph) {
+    match KernelNetwork::start(&testbed.graph.without_machines()) {
         Ok(network) => Ok(Some(network)),
         Err(NoKernelNetwork::Datapath(error)) => Err(error),
         Err(reason) => {
@@ -48,8 +51,33 @@ pub(crate) fn kernel_network(testbed: &Testbed) -> Result<Option<KernelNetwork>,
 }
 
 impl RealNetwork {
-    pub(crate) fn new(datapath: &Datapath) -> Self {
-        Self { handle: datapath.handle(), kernel: datapath.kernel(), seen: Mutex::default() }
+    pub(crate) fn new(datapath: &Datapath, real: Option<RealLinks>) -> Self {
+        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, seen: Mutex::default() }
+    }
+
+    /// Those who carry the packets of a link, if the fabric does not.
+    fn carrier(&self, link: &LinkId) -> Option<Carrier<'_>> {
+        let real = self.real.as_ref().filter(|real| real.has(link)).map(Carrier::Interface);
+        real.or_else(|| self.kernel.as_deref().map(Carrier::Kernel))
+    }
+}
+
+/// Who carries the packets of a link in place of the fabric.
+enum Carrier<'a> {
+    Kernel(&'a KernelNetwork),
+    Interface(&'a RealLinks),
+}
+
+impl Carrier<'_> {
+    fn set(&self, link: &LinkId, direction: Direction, conditions: &Conditions) -> Result<(), Refused> {
+        match self {
+            Self::Kernel(kernel) => {
+                kernel.set(link, direction, conditions).map_err(|e| Refused(e.to_string()))
+            }
+            Self::Interface(real) => {
+                real.set(link, direction, conditions).map_err(|e| Refused(e.to_string()))
+            }
+        }
     }
 }
 
@@ -67,7 +95,7 @@ impl Network for RealNetwork {
         direction: Option<Direction>,
         change: &ConditionChange,
     ) -> Result<Vec<LinkContext>, Refused> {
-        let Some(kernel) = &self.kernel else { return change_fabric(self, link, direction, change) };
+        let Some(carrier) = self.carrier(link) else { return change_fabric(self, link, direction, change) };
         // Changes nothing, and tells what is.
         let before = change_fabric(self, link, None, &ConditionChange::default())?;
         let after = change_fabric(self, link, direction, change)?;
@@ -75,13 +103,13 @@ impl Network for RealNetwork {
         for (before, after) in
             before.iter().zip(&after).filter(|(before, after)| before.effective != after.effective)
         {
-            if let Err(reason) = kernel.set(link, after.direction, &after.effective) {
+            if let Err(refused) = carrier.set(link, after.direction, &after.effective) {
                 for context in told.into_iter().chain([before]) {
                     // What was in force can be in force again.
                     let _ = change_fabric(self, link, Some(context.direction), &context.again());
-                    let _ = kernel.set(link, context.direction, &context.effective);
+                    let _ = carrier.set(link, context.direction, &context.effective);
                 }
-                return Err(Refused(reason.to_string()));
+                return Err(refused);
             }
             told.push(before);
         }
@@ -94,7 +122,7 @@ impl Network for RealNetwork {
         direction: Direction,
         test: ThroughputTest,
     ) -> Result<(), Refused> {
-        if self.kernel.is_some() {
+        if self.carrier(link).is_some() {
             return Err(Refused(
                 "the kernel's NetEm carries this link, and only the fabric's can be tested".to_owned(),
             ));
@@ -103,7 +131,11 @@ impl Network for RealNetwork {
     }
 
     /// The kernel counts what the fabric does not see. What packets take nobody measures then: it is left out.
-    fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+    fn complete(&self, now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+        let mut contexts = match &self.real {
+            Some(real) => real.complete(now, contexts),
+            None => contexts,
+        };
         let Some(kernel) = &self.kernel else { return contexts };
         let counted = match kernel.counters() {
             Ok(counted) => counted,

@@ -20,6 +20,7 @@ use cotorra_graph::{
     IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
 };
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
+use cotorra_netem::Confirmed;
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::SimulatedRobot;
@@ -33,6 +34,7 @@ use crate::{
     core_loop::{CoreLoop, End, Message, Readers, receive},
     live::Live,
     plugins::{Now, PluginError, Prepared, Said},
+    real_links::{RealLinkError, RealLinks, interface_plans},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
@@ -69,6 +71,8 @@ pub struct Options {
     pub wais_callbacks: Vec<IpNetwork>,
     /// Where the history is kept, in place of `history.sqlite` in the run's folder.
     pub history: Option<Location>,
+    /// What is meant, though it may do harm, of what testbed files ask of interfaces of this machine.
+    pub interfaces: Confirmed,
     /// How the run is recorded and watched besides.
     pub recording: Wanted,
 }
@@ -119,6 +123,9 @@ pub enum RunError {
     /// A plug-in.
     #[error(transparent)]
     Plugin(#[from] PluginError),
+    /// A link over an interface of this machine.
+    #[error(transparent)]
+    RealLink(#[from] RealLinkError),
     /// A robot.
     #[error(transparent)]
     Robot(#[from] RobotError),
@@ -194,12 +201,15 @@ impl Run {
     ///
     /// # Errors
     /// [`RunError`]; then nothing is left but the run's folder, and not even that where the testbed file, a plug-in's settings or
-    /// its ledger are at fault.
+    /// its ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
-        clean();
+        for kept in clean().kept {
+            tracing::warn!("what a killed run left stays: {kept}");
+        }
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
+        interface_plans(&testbed, &options.interfaces)?;
         let moved = options.api.is_none();
         let plugins = Prepared::of(&testbed, seed)?;
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
@@ -219,11 +229,13 @@ impl Run {
         });
         let let_cores_sleep = options.save_power;
         let kernel = kernel_network(&testbed)?;
-        let fabric = match kernel {
+        let mut fabric = match kernel {
             // What crosses no packet has nothing to measure.
             Some(_) => Fabric::new(&testbed.graph, seed)?,
             None => emulated(&testbed, seed)?,
         };
+        // Last of what can be refused; from here on the interfaces are put back at the end.
+        let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces)?;
         let with_events =
             cotorra_datapath::Options { events: Some(events), let_cores_sleep, kernel, ..Default::default() };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);
@@ -254,7 +266,7 @@ impl Run {
         };
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let engine = ProcessEngine::new(Arc::new(launcher), folder.logs(), cgroups);
-        let network = RealNetwork::new(&datapath);
+        let network = RealNetwork::new(&datapath, real);
         let mut robots = Robots::new(Arc::clone(&testbed), Arc::clone(&datapath), now.clone());
         let drive = |node: &Node, robot: SimulatedRobot| robots.drive(node, robot);
         let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, script, drive)?;
@@ -396,14 +408,33 @@ impl Drop for Run {
     }
 }
 
+/// What runs left behind whose process was killed.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Leftovers {
+    /// Control groups.
+    pub control_groups: Vec<PathBuf>,
+    /// Interfaces of this machine that still had conditions, by name.
+    pub interfaces: Vec<String>,
+    /// What could not be removed, and why.
+    pub kept: Vec<String>,
+}
+
 /// What [`clean`] would remove.
-pub fn leftovers() -> Vec<PathBuf> {
-    Cgroups::leftovers()
+pub fn leftovers() -> Leftovers {
+    let interfaces = cotorra_netem::leftovers().into_iter().map(|interface| interface.name).collect();
+    Leftovers { control_groups: Cgroups::leftovers(), interfaces, kept: Vec::new() }
 }
 
 /// Removes what runs left behind whose process was killed; gives what it removed.
-pub fn clean() -> Vec<PathBuf> {
-    Cgroups::clean()
+pub fn clean() -> Leftovers {
+    let mut cleaned = Leftovers { control_groups: Cgroups::clean(), ..Leftovers::default() };
+    for (interface, done) in cotorra_netem::put_back() {
+        match done {
+            Ok(()) => cleaned.interfaces.push(interface.name),
+            Err(error) => cleaned.kept.push(format!("{} cannot be put back: {error}", interface.name)),
+        }
+    }
+    cleaned
 }
 
 #[allow(

@@ -1,17 +1,13 @@
 //! `cotorra netem`: conditions of real interfaces of this machine, by the kernel's NetEm.
 
 mod args;
-mod record;
 mod show;
 
-use cotorra_netem::{Device, Error, Kernel, Plan, Rule, Side};
+use cotorra_netem::{Device, Error, Kernel, Plan, Record, Rule, Side};
 use miette::{IntoDiagnostic, miette};
 
 pub use self::args::Netem;
-use self::{
-    args::{ClearArgs, SetArgs, ShowArgs},
-    record::Record,
-};
+use self::args::{ClearArgs, SetArgs, ShowArgs};
 use crate::output;
 
 /// Sets, shows or clears.
@@ -48,17 +44,34 @@ fn explained(error: Error) -> miette::Report {
     miette!(help = help, "{error}")
 }
 
+/// What a run holds is changed there, and put back by it.
+fn is_free(record: &Record, name: &str) -> miette::Result<()> {
+    match record.owner {
+        None => Ok(()),
+        Some(owner) if owner.lives() => Err(miette!(
+            help = "`cotorra link set` changes the link that leads over it; the end of the run puts the interface back",
+            "`{name}` is held by a run, process {}",
+            owner.pid
+        )),
+        Some(_) => Err(miette!(
+            help = "`cotorra clean` puts it back",
+            "`{name}` still has the conditions of a run that was killed"
+        )),
+    }
+}
+
 fn set(args: &SetArgs) -> miette::Result<()> {
     let rule = args.rule().map_err(|reason| miette!("{reason}"))?;
     let kernel = Kernel::open().into_diagnostic()?;
     let (device, mut record) = device(&kernel, &args.packets.interface)?;
+    is_free(&record, &args.packets.interface)?;
     let plan = device.set(&rule, args.replace).into_diagnostic()?;
     if args.dry_run {
         return output::print(&plan.to_string());
     }
     record.note(&device, &rule);
     // What is replaced is written down before it is gone.
-    if let Err(error) = record.save(&device) {
+    if let Err(error) = record.save(device.interface()) {
         if record.replaced.is_some() {
             return Err(miette!("cannot write down what NetEm would take the place of: {error}"));
         }
@@ -66,7 +79,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
     }
     if let Err(error) = kernel.apply(&plan) {
         if device.rules().next().is_none() {
-            Record::forget(&device);
+            Record::forget(device.interface());
         }
         return Err(explained(error));
     }
@@ -124,6 +137,7 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
 fn clear(args: &ClearArgs) -> miette::Result<()> {
     let kernel = Kernel::open().into_diagnostic()?;
     let (device, record) = device(&kernel, &args.packets.interface)?;
+    is_free(&record, &args.packets.interface)?;
     let replaced = record.replaced.as_ref();
     let plans = match args.packets.which() {
         (Side::Egress, None) => {
@@ -144,7 +158,7 @@ fn clear(args: &ClearArgs) -> miette::Result<()> {
     }
     let left = kernel.device(&args.packets.interface).map_err(explained)?;
     if left.rules().next().is_none() {
-        Record::forget(&left);
+        Record::forget(left.interface());
     }
     let back = replaced.filter(|_| left.foreign().is_some()).map(|was| format!("; {} is back", was.kind));
     output::print(&format!("{}: cleared{}\n", device.interface().name, back.unwrap_or_default()))

@@ -14,8 +14,12 @@ use std::{
 };
 
 use cotorra_graph::DomainId;
+use cotorra_netem::{Confirmed, HoldError};
 use cotorra_recording::{RecordingPlace, Wanted};
-use cotorra_testbed::{Finished, Options, Place, Run, RunError, Summary, Token, Tokens, TokensError};
+use cotorra_testbed::{
+    Finished, Options, Place, RealLinkError, Run, RunError, Summary, Token, Tokens, TokensError,
+    interface_plans,
+};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
@@ -45,6 +49,9 @@ pub enum Error {
     #[diagnostic(help("`cotorra doctor` says what this machine can do, and what to do about the rest"))]
     Datapath(cotorra_datapath::Error),
     #[error(transparent)]
+    #[diagnostic(help("{}", help_for(.0)))]
+    RealLink(RealLinkError),
+    #[error(transparent)]
     Run(RunError),
     #[error("{TOKEN_VARIABLE} is too short to be a secret")]
     #[diagnostic(help("use 16 characters or more: {TOKEN_VARIABLE}=$(openssl rand -hex 16)"))]
@@ -64,8 +71,20 @@ impl From<RunError> for Error {
     fn from(error: RunError) -> Self {
         match error {
             RunError::Datapath(error) => Self::Datapath(error),
+            RunError::RealLink(error) => Self::RealLink(error),
             other => Self::Run(other),
         }
+    }
+}
+
+/// What to do about links over interfaces of this machine that cannot be.
+fn help_for(error: &RealLinkError) -> &'static str {
+    match error {
+        RealLinkError::Hold(HoldError::Netem(cotorra_netem::Error::Missing { .. })) => {
+            "links to real machines need the kernel's NetEm, as most distributions have it: `cotorra doctor` says what is \
+             missing; in virtual time (`--simulate`) the fabric emulates them"
+        }
+        _ => "`--dry-run` says what a run would do to interfaces of this machine, and changes nothing",
     }
 }
 
@@ -82,11 +101,16 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         save_power: args.save_power,
         settings: args.settings.clone(),
         wais_callbacks: args.wais_callbacks.clone(),
+        interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
         recording: wanted(&args),
     };
     if args.dry_run {
-        output::print(&plan::describe(&loaded.testbed, &args, history.as_ref()))?;
+        let interfaces = match args.simulate {
+            true => Vec::new(),
+            false => interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?,
+        };
+        output::print(&plan::describe(&loaded.testbed, &args, history.as_ref(), &interfaces))?;
         return Ok(ExitCode::SUCCESS);
     }
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;

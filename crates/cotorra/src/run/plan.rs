@@ -2,6 +2,7 @@
 
 use cotorra_graph::{NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
+use cotorra_netem::Plan;
 
 use crate::{
     cli::{DEFAULT_API, RunArgs},
@@ -11,7 +12,12 @@ use crate::{
 use cotorra_graph::{PluginProgram, Testbed};
 
 /// What a run with these arguments would bring up.
-pub fn describe(testbed: &Testbed, args: &RunArgs, history: Option<&Location>) -> String {
+pub fn describe(
+    testbed: &Testbed,
+    args: &RunArgs,
+    history: Option<&Location>,
+    interfaces: &[(String, Plan)],
+) -> String {
     let mut text =
         format!("{}: {}\n\nHosts, each with a network namespace:\n", args.file.display(), overview(testbed));
     let mut hosts = Table::new("<<<<<");
@@ -27,6 +33,11 @@ pub fn describe(testbed: &Testbed, args: &RunArgs, history: Option<&Location>) -
         ]);
     }
     text += &hosts.render("  ");
+    for (name, plan) in interfaces {
+        text +=
+            &format!("\nInterface {name} of this machine, put back at the end, in the words of tc and ip:\n");
+        plan.to_string().lines().for_each(|line| text += &format!("  {line}\n"));
+    }
     if !testbed.walks.is_empty() {
         text += "\nWalks:\n";
         let mut walks = Table::new("<>>");

@@ -14,6 +14,7 @@ mod localize;
 #[path = "../../../measurements/src/testing/mariadb.rs"]
 mod mariadb;
 mod netem;
+mod netem_links;
 mod one_robot;
 mod plugin;
 #[path = "../../../ros1/tests/interop/process.rs"]

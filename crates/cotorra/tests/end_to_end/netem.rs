@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use crate::harness::{Run, cotorra, project_file, stderr, stdout, wait_until};
 
 /// Runs a script in a network namespace of its own; `$COTORRA` is the program.
-fn script(lines: &str) -> Output {
+pub fn script(lines: &str) -> Output {
     let program = cotorra([""; 0]).get_program().to_owned();
     Command::new("unshare")
         .args(["--map-root-user", "--net", "sh", "-ec", lines])
@@ -18,7 +18,7 @@ fn script(lines: &str) -> Output {
 }
 
 /// Whether this kernel has NetEm, and lets this user have a namespace in which to use it.
-fn has_netem() -> bool {
+pub fn has_netem() -> bool {
     let tried = script("$COTORRA netem set lo --delay 1ms");
     let has = tried.status.success();
     if !has {

@@ -187,9 +187,10 @@ pub struct LatenessSummary {
 }
 
 impl Fidelity {
-    fn of(emulation: Emulation, lateness: Lateness, frames_dropped: u64) -> Self {
+    /// `kernel` says that packets crossed the kernel's NetEm, or may have.
+    fn of(kernel: bool, lateness: Lateness, frames_dropped: u64) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
-        let (valid, reason) = if frames == 0 && emulation == Emulation::NetEm {
+        let (valid, reason) = if frames == 0 && kernel {
             (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
         } else if frames == 0 {
             (false, "no frame crossed the emulated network".to_owned())
@@ -235,7 +236,7 @@ pub struct Losses {
 pub struct Report {
     name: String,
     seed: u64,
-    emulation: Emulation,
+    kernel: bool,
     target_ms: Option<f64>,
     samples: Vec<ServiceTime>,
     handovers: Vec<HandoverRecord>,
@@ -257,7 +258,7 @@ impl Report {
         Self {
             name: testbed.name.clone(),
             seed,
-            emulation: testbed.emulation,
+            kernel: testbed.emulation == Emulation::NetEm || testbed.graph.real_links().next().is_some(),
             target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
             samples: Vec::new(),
             handovers: Vec::new(),
@@ -373,7 +374,7 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.emulation, self.lateness, losses.frames_dropped),
+            fidelity: Fidelity::of(self.kernel, self.lateness, losses.frames_dropped),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             plugin_faults: self.faults.clone(),
@@ -468,16 +469,16 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        let fidelity = |lateness, dropped| Fidelity::of(Emulation::Fabric, lateness, dropped);
+        let fidelity = |lateness, dropped| Fidelity::of(false, lateness, dropped);
         assert!(!fidelity(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
         assert!(fidelity(good, 0).valid);
         assert!(!fidelity(good, 1).valid);
         let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
-        let kernel = Fidelity::of(Emulation::NetEm, Lateness::default(), 0);
+        let kernel = Fidelity::of(true, Lateness::default(), 0);
         assert!(!kernel.valid && kernel.reason.contains("NetEm"), "{kernel:?}");
         // Where the kernel could not, the fabric did, and says how well.
-        assert!(Fidelity::of(Emulation::NetEm, good, 0).valid);
+        assert!(Fidelity::of(true, good, 0).valid);
     }
 }

@@ -1,0 +1,208 @@
+//! Links of a testbed over real interfaces, in a network namespace of their own: a virtual Ethernet pair whose far end is
+//! elsewhere. What the kernel does is shown where `scripts/uml` runs this.
+
+use std::process::Output;
+
+use crate::{
+    harness::{stderr, stdout},
+    netem::{has_netem, script},
+};
+
+const TESTBED: &str = "\
+name: real
+nodes:
+  desk: { kind: machine }
+  arm: { kind: machine, interface: va, address: 10.9.0.2 }
+  leg: { kind: machine, interface: va, address: 10.9.0.3 }
+links:
+  - { ends: [desk, arm], delay: 10 ms }
+  - { ends: [desk, leg], forward: { loss: 100 % } }
+";
+
+/// Runs a script beside this machine's end, `va`, of a wire whose other end has two addresses.
+fn on_a_wire(testbed: &str, lines: &str) -> Output {
+    let folder = tempfile::tempdir().expect("there is room for a folder");
+    let file = folder.path().join("real.yaml");
+    std::fs::write(&file, testbed).expect("there is room for a file");
+    let set_up = "
+        cd $(dirname $FILE)
+        here=$(readlink /proc/self/ns/net)
+        unshare --net sleep 600 & far=$!
+        trap 'kill $far' EXIT
+        until [ \"$(readlink /proc/$far/ns/net)\" != \"$here\" ]; do :; done
+        ip link set lo up
+        ip link add va type veth peer name vb
+        ip link set vb netns $far
+        ip address add 10.9.0.1/24 dev va; ip link set va up
+        nsenter --net=/proc/$far/ns/net sh -ec '
+            for a in 10.9.0.2/24 10.9.0.3/24; do ip address add $a dev vb; done; ip link set vb up'
+        api=127.0.0.1:7799
+        start() { $COTORRA run $FILE --headless --api $api --until 600s \"$@\" >run.txt 2>&1 & run=$!
+            until grep -q '^API on' run.txt; do kill -0 $run || { cat run.txt; exit 1; }; sleep 0.1; done; }
+        ends() { wait $run || true; }
+        rtt() { ping -q -c 3 -i 0.2 $1 | sed -n 's,.*mdev = \\([0-9.]*\\)/.*,\\1,p'; }
+        qdiscs() { tc qdisc show dev va; ip -brief link show type ifb; }
+";
+    script(&format!("FILE={}\n{set_up}\n{lines}", file.display()))
+}
+
+fn lines(done: &Output) -> Vec<String> {
+    assert!(done.status.success(), "{}{}", stdout(done), stderr(done));
+    stdout(done).lines().map(str::to_owned).collect()
+}
+
+/// Whether this user can have namespaces of their own, be it without NetEm.
+fn has_namespaces() -> bool {
+    let tried = script("unshare --net ip link add va type veth");
+    if !tried.status.success() {
+        eprintln!("skipped: {}", stderr(&tried));
+    }
+    tried.status.success()
+}
+
+#[test]
+fn a_dry_run_says_what_would_be_done_to_which_interface() {
+    if !has_namespaces() {
+        return;
+    }
+    let done = on_a_wire(TESTBED, "$COTORRA run $FILE --dry-run; qdiscs");
+    let said = lines(&done);
+    let from = said.iter().position(|line| line.starts_with("Interface va of this machine")).unwrap();
+    let limit = "limit 9257";
+    let keeps = "delay 0ms";
+    let rate = "rate 10000000000bit";
+    let expected = format!(
+        "  tc qdisc add dev va root handle c070: htb
+  tc class add dev va parent c070: classid c070:1 htb rate 1tbit
+  tc qdisc add dev va parent c070:1 handle c071: netem {limit} delay 10ms {rate}
+  tc filter add dev va parent c070: protocol ip pref 1 u32 match ip dst 10.9.0.2/32 flowid c070:1
+  ip link add cotorra-i2 type ifb && ip link set cotorra-i2 up
+  tc qdisc add dev cotorra-i2 root handle c070: htb
+  tc class add dev cotorra-i2 parent c070: classid c070:1 htb rate 1tbit
+  tc qdisc add dev cotorra-i2 parent c070:1 handle c071: netem {limit} delay 10ms {rate}
+  tc filter add dev cotorra-i2 parent c070: protocol ip pref 1 u32 match ip src 10.9.0.2/32 flowid c070:1
+  tc qdisc add dev va ingress handle ffff:
+  tc filter add dev va parent ffff: protocol all pref 49264 u32 match u32 0 0 action mirred egress redirect index 1000
+  tc class add dev va parent c070: classid c070:2 htb rate 1tbit
+  tc qdisc add dev va parent c070:2 handle c072: netem limit 1000 {keeps} loss 100% {rate}
+  tc filter add dev va parent c070: protocol ip pref 2 u32 match ip dst 10.9.0.3/32 flowid c070:2
+  tc class add dev cotorra-i2 parent c070: classid c070:2 htb rate 1tbit
+  tc qdisc add dev cotorra-i2 parent c070:2 handle c072: netem limit 1000 {keeps} {rate}
+  tc filter add dev cotorra-i2 parent c070: protocol ip pref 2 u32 match ip src 10.9.0.3/32 flowid c070:2"
+    );
+    let index = said.iter().find_map(|line| line.split_once("cotorra-i")?.1.split_once(' ')).unwrap().0;
+    let expected = expected.replace("cotorra-i2", &format!("cotorra-i{index}"));
+    let expected: Vec<_> = expected.lines().collect();
+    assert_eq!(said[from + 1..][..expected.len()], expected);
+    assert!(said.last().unwrap().starts_with("qdisc noqueue 0:"), "nothing was done: {said:?}");
+}
+
+#[test]
+fn interfaces_that_are_somebody_elses_are_refused() {
+    if !has_namespaces() {
+        return;
+    }
+    for (prepare, interface, confirm, told) in [
+        ("", "lo", "--allow-interface lo", "`lo` is the loopback interface"),
+        ("ip route add default via 10.9.0.2", "va", "--allow-interface va", "`va` carries the default route"),
+        ("tc qdisc add dev va root handle 9: pfifo", "va", "--replace", "somebody put there (pfifo)"),
+        ("", "eth9", "", "there is no interface `eth9` here: there are"),
+    ] {
+        let testbed = TESTBED.replace("interface: va", &format!("interface: {interface}"));
+        let refused = on_a_wire(
+            &testbed,
+            &format!(
+                "{prepare}\n! $COTORRA run $FILE --headless --until 1s; qdiscs; ls runs 2>/dev/null || true"
+            ),
+        );
+        let before = if prepare.starts_with("tc") { "qdisc pfifo 9: root" } else { "qdisc noqueue 0: root" };
+        let left = lines(&refused);
+        assert!(
+            left[0].starts_with(before) && left.len() == 1,
+            "nothing was done, no folder is left: {left:?}"
+        );
+        let broken = stderr(&refused).replace('│', " ");
+        let said = broken.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(said.contains(told), "{interface}: {said}");
+        if !confirm.is_empty() {
+            assert!(said.contains(confirm.split(' ').next().unwrap()), "{interface}: {said}");
+            let planned = on_a_wire(&testbed, &format!("{prepare}\n$COTORRA run $FILE {confirm} --dry-run"));
+            let plan = lines(&planned).join("\n");
+            assert!(plan.contains(&format!("tc qdisc add dev {interface} root handle c070: htb")), "{plan}");
+        }
+    }
+}
+
+#[test]
+fn a_kernel_without_netem_is_told_by_name() {
+    if !has_namespaces() || has_netem() {
+        return;
+    }
+    let refused = on_a_wire(TESTBED, "! $COTORRA run $FILE --headless --until 1s; qdiscs");
+    assert!(lines(&refused)[0].starts_with("qdisc noqueue 0:"));
+    let said = stderr(&refused).replace('│', " ");
+    let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    let told = ["this kernel has no sch_", "/run", "needs root"];
+    assert!(told.iter().any(|part| said.contains(part)), "{said}");
+}
+
+#[test]
+fn a_real_link_has_its_conditions_as_long_as_the_run_goes_on() {
+    if !has_netem() {
+        return;
+    }
+    let done = on_a_wire(
+        TESTBED,
+        "tc qdisc add dev va root handle 9: pfifo limit 50
+         start --replace
+         rtt 10.9.0.2
+         ping -q -c 2 -i 0.2 -W 1 10.9.0.3 | grep -o '100% packet loss'
+         $COTORRA link set desk-arm --api $api --delay 10ms --delay-scale 3 >/dev/null
+         rtt 10.9.0.2
+         $COTORRA netem set va --delay 1ms 2>&1 | grep -o 'held by a run'
+         $COTORRA link set desk-leg --api $api --loss 0% >/dev/null
+         ping -q -c 2 -i 0.2 -W 1 10.9.0.3 | grep -o ' 0% packet loss'
+         until $COTORRA link show desk-arm --api $api --json | grep -q '\"packets\": [1-9]'; do sleep 0.2; done
+         kill -INT $run; ends
+         qdiscs; ls /run/cotorra/netem | grep -c -- -va.json || true",
+    );
+    let said = lines(&done);
+    let rtt = |line: &str| line.parse::<f64>().unwrap();
+    assert!(rtt(&said[0]) >= 20.0, "10 ms each way: {said:?}");
+    assert_eq!(said[1], "100% packet loss", "of the other address alone");
+    assert!(rtt(&said[2]) >= 60.0, "30 ms each way: {said:?}");
+    assert_eq!(said[3..5], ["held by a run", " 0% packet loss"]);
+    assert!(said[5].starts_with("qdisc pfifo 9: root"), "what was there is back: {said:?}");
+    assert_eq!(said[6..], ["0"], "no detour and no record are left");
+}
+
+#[test]
+fn what_a_killed_run_left_is_put_back() {
+    if !has_netem() {
+        return;
+    }
+    let done = on_a_wire(
+        TESTBED,
+        "tc qdisc add dev va root handle 9: pfifo limit 50
+         start --replace
+         kill -KILL $run; ends
+         tc qdisc show dev va | grep -c netem
+         $COTORRA clean --dry-run
+         $COTORRA clean
+         qdiscs
+         start --replace
+         kill -KILL $run; ends
+         start --replace
+         rtt 10.9.0.2
+         kill -INT $run; ends
+         qdiscs; ls /run/cotorra/netem | grep -c -- -va.json || true",
+    );
+    let said: Vec<_> = lines(&done).into_iter().filter(|line| !line.contains("control group")).collect();
+    assert_eq!(said[0], "2");
+    assert_eq!(said[1], "va: the conditions of a killed run would be removed");
+    assert_eq!(said[2], "va: the conditions of a killed run removed");
+    assert!(said[3].starts_with("qdisc pfifo 9: root"), "{said:?}");
+    assert!(said[4].parse::<f64>().unwrap() >= 20.0, "the next run begins as if nothing were left: {said:?}");
+    assert!(said[5].starts_with("qdisc pfifo 9: root"), "{said:?}");
+    assert_eq!(said[6..], ["0"]);
+}

@@ -1,0 +1,220 @@
+//! Links over interfaces of this machine: NetEm is on the interface itself, for the packets of whatever programs send there
+//! or hear from there. The fabric keeps the books of these links as of all others; no packet of theirs is in it.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::{Mutex, MutexGuard, PoisonError},
+};
+
+use cotorra_fabric::Fabric;
+use cotorra_graph::{
+    Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Reached, RealLink, Testbed,
+    Timestamp,
+};
+use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
+
+use crate::run::RunError;
+
+/// Why links cannot lead over interfaces of this machine, or not do what was asked. Nothing has changed then.
+#[derive(Debug, thiserror::Error)]
+pub enum RealLinkError {
+    /// NetEm cannot do that.
+    #[error("link `{link}`: {reason}")]
+    Setting {
+        /// The link.
+        link: LinkId,
+        /// What it cannot do.
+        reason: NotByNetem,
+    },
+    /// An interface, or the kernel.
+    #[error(transparent)]
+    Hold(#[from] HoldError),
+}
+
+/// The links of a testbed over interfaces of this machine, which it holds. Dropping it gives them back.
+pub(crate) struct RealLinks {
+    links: HashMap<LinkId, Place>,
+    hold: Mutex<Hold>,
+    seen: Mutex<Seen>,
+}
+
+/// Where a link is.
+struct Place {
+    reached: Reached,
+    leaving: Direction,
+}
+
+/// When links were looked at last, and the bytes that each had carried.
+#[derive(Default)]
+struct Seen {
+    at: Timestamp,
+    bytes: HashMap<(LinkId, Direction), u64>,
+}
+
+impl Place {
+    fn of(real: RealLink<'_>) -> Self {
+        Self { reached: real.reached.clone(), leaving: real.leaving }
+    }
+
+    /// Which packets of the interface cross the link in a direction.
+    fn packets(&self, direction: Direction) -> (Side, Option<Network>) {
+        let side = if direction == self.leaving { Side::Egress } else { Side::Ingress };
+        let network = self.reached.address.map(|address| {
+            Network::new(address.address(), address.prefix())
+                .expect("a network has no more bits than addresses")
+        });
+        (side, network)
+    }
+
+    fn rule(
+        &self,
+        link: &LinkId,
+        direction: Direction,
+        conditions: &Conditions,
+    ) -> Result<Rule, RealLinkError> {
+        let netem = Netem::try_from(conditions)
+            .map_err(|reason| RealLinkError::Setting { link: link.clone(), reason })?;
+        let (side, network) = self.packets(direction);
+        Ok(Rule { side, network, netem })
+    }
+}
+
+/// The rules of each interface, for what the fabric makes of its links.
+fn rules<'a>(
+    graph: &'a HardwareGraph,
+    contexts: &[LinkContext],
+) -> Result<BTreeMap<&'a str, Vec<Rule>>, RealLinkError> {
+    let mut rules: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for real in graph.real_links() {
+        let place = Place::of(real);
+        for context in contexts.iter().filter(|context| context.link == real.link.id) {
+            let rule = place.rule(&context.link, context.direction, &context.effective)?;
+            rules.entry(real.reached.interface.as_str()).or_default().push(rule);
+        }
+    }
+    Ok(rules)
+}
+
+/// What a run of the testbed would do to interfaces of this machine, by name.
+///
+/// # Errors
+/// [`RunError`], as the run would have it.
+pub fn interface_plans(testbed: &Testbed, confirmed: &Confirmed) -> Result<Vec<(String, Plan)>, RunError> {
+    if testbed.graph.real_links().next().is_none() {
+        return Ok(Vec::new());
+    }
+    let contexts = Fabric::new(&testbed.graph, testbed.seed)?.link_contexts(Timestamp::ZERO);
+    let hold = Hold::new().map_err(HoldError::from).map_err(RealLinkError::from)?;
+    let plan = |(name, rules): (&str, Vec<Rule>)| {
+        let plan = hold.plan(name, &rules, confirmed).map_err(RealLinkError::from)?;
+        Ok((name.to_owned(), plan))
+    };
+    rules(&testbed.graph, &contexts)?.into_iter().map(plan).collect()
+}
+
+impl RealLinks {
+    /// Lets links of the graph do what the fabric makes of them; `None` if none leads over an interface.
+    ///
+    /// # Errors
+    /// [`RealLinkError`].
+    pub(crate) fn begin(
+        graph: &HardwareGraph,
+        fabric: &mut Fabric,
+        confirmed: &Confirmed,
+    ) -> Result<Option<Self>, RealLinkError> {
+        let links: HashMap<_, _> =
+            graph.real_links().map(|real| (real.link.id.clone(), Place::of(real))).collect();
+        if links.is_empty() {
+            return Ok(None);
+        }
+        let mut hold = Hold::new().map_err(HoldError::from)?;
+        for (name, rules) in rules(graph, &fabric.link_contexts(Timestamp::ZERO))? {
+            hold.take(name, &rules, confirmed)?;
+            tracing::info!("{name} has the conditions of its links");
+        }
+        Ok(Some(Self { links, hold: Mutex::new(hold), seen: Mutex::default() }))
+    }
+
+    /// Whether a link leads over an interface of this machine.
+    pub(crate) fn has(&self, link: &LinkId) -> bool {
+        self.links.contains_key(link)
+    }
+
+    /// Gives one direction of such a link other conditions, in place; it does so when this returns.
+    ///
+    /// # Errors
+    /// [`RealLinkError`].
+    ///
+    /// # Panics
+    /// For any other link.
+    pub(crate) fn set(
+        &self,
+        link: &LinkId,
+        direction: Direction,
+        conditions: &Conditions,
+    ) -> Result<(), RealLinkError> {
+        let place = &self.links[link];
+        let rule = place.rule(link, direction, conditions)?;
+        Ok(self.hold().set(&place.reached.interface, &rule)?)
+    }
+
+    /// Completes the contexts of such links: λ and the counters are the interface's. d is nobody's measurement yet, and
+    /// what the fabric's own probes tell is not theirs.
+    pub(crate) fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
+        if !contexts.iter().any(|context| self.has(&context.link)) {
+            return contexts;
+        }
+        let hold = self.hold();
+        let mut counted = HashMap::new();
+        for (link, place) in &self.links {
+            let rules = match hold.rules(&place.reached.interface) {
+                Ok(rules) => rules,
+                Err(error) => {
+                    tracing::warn!("`{link}` does not tell what it carried: {error}");
+                    continue;
+                }
+            };
+            for direction in [Direction::Forward, Direction::Backward] {
+                let packets = place.packets(direction);
+                let rule = rules.iter().find(|(rule, _)| (rule.side, rule.network) == packets);
+                counted.extend(rule.map(|(_, counters)| ((link.clone(), direction), *counters)));
+            }
+        }
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let seconds = now.since(seen.at).as_secs_f64();
+        for context in contexts.iter_mut().filter(|context| self.has(&context.link)) {
+            (context.delay, context.probed) = (None, None);
+            let key = (context.link.clone(), context.direction);
+            let Some(counters) = counted.get(&key) else { continue };
+            let before = seen.bytes.get(&key).copied().unwrap_or(0);
+            if seconds > 0.0 {
+                context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
+            }
+            context.counters = LinkCounters {
+                packets: counters.packets,
+                bytes: counters.bytes,
+                // NetEm counts both as one.
+                lost: counters.dropped,
+                ..LinkCounters::default()
+            };
+        }
+        // Links that are asked for alone do not begin a new interval for all.
+        if contexts.iter().filter(|context| self.has(&context.link)).count() == 2 * self.links.len() {
+            let bytes = counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect();
+            *seen = Seen { at: now, bytes };
+        }
+        contexts
+    }
+
+    fn hold(&self) -> MutexGuard<'_, Hold> {
+        self.hold.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for RealLinks {
+    fn drop(&mut self) {
+        for (interface, error) in self.hold().release() {
+            tracing::error!("{} is not put back, which `cotorra clean` tries again: {error}", interface.name);
+        }
+    }
+}
