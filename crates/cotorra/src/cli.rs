@@ -9,9 +9,9 @@ use std::{
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use cotorra_graph::{IpNetwork, NodeId, testbed_file::Setting};
+use cotorra_graph::{DomainId, IpNetwork, NodeId, testbed_file::Setting};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
-use cotorra_testbed::sweep::Axis;
+use cotorra_testbed::{experiment::federation::Account, sweep::Axis};
 
 use crate::{
     history::{HISTORY_VARIABLE, Place},
@@ -398,11 +398,15 @@ pub struct OkpiArgs {
 Examples:
   cotorra experiment federation                            in virtual time, on a modelled ledger, in seconds
   cotorra experiment federation --runs 20 --block-period 5
-  cotorra experiment federation --emulate --block-period 1  with real packets and an anvil node, about a minute a run
+  cotorra experiment federation --emulate --block-period 1  with real packets and an anvil node, some three minutes a run
+  COTORRA_LEDGER_PASSWORD=… cotorra experiment federation --emulate --ledger wss://node.example --keys keys \\
+      --ledger domain-2=ws://127.0.0.1:8546                 on a network that is there already: domain 2 by a node of its own
+  scripts/ledger-network --block-period 1 -- cotorra experiment federation --emulate
+                                                            on a network of this machine with consensus
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct FederationArgs {
-    /// With real packets and an anvil node, which makes blocks alone: needs a cotorra built with --features ethereum
+    /// With real packets, on an anvil node, which makes blocks alone, or on --ledger: needs a cotorra built with --features ethereum
     #[arg(long, conflicts_with = "simulate")]
     pub emulate: bool,
     /// In virtual time on a modelled ledger, as without --emulate
@@ -411,8 +415,9 @@ pub struct FederationArgs {
     /// The testbed file
     #[arg(long, value_name = "FILE", default_value = "testbeds/federation.yaml")]
     pub testbed: PathBuf,
-    /// Seconds between blocks, several with commas between
-    #[arg(long, value_name = "SECONDS", value_delimiter = ',', default_value = "0.5,1,2,5,10", value_parser = parse_period)]
+    /// Seconds between blocks, several with commas between; on --ledger the network's own, timed unless it is given [default:
+    /// 0.5,1,2,5,10]
+    #[arg(long, value_name = "SECONDS", value_delimiter = ',', value_parser = parse_period)]
     pub block_period: Vec<Duration>,
     /// Runs with each block period
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -423,7 +428,7 @@ pub struct FederationArgs {
     /// Seed of the first run, in place of the file's; each other has the next
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// End each run after so much time, such as 60s or 2min
+    /// End each run after so much time, such as 60s or 2min [default: twice what the walk takes, and a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
     /// Folder in which the experiment gets a folder of its own
@@ -441,6 +446,62 @@ pub struct FederationArgs {
     /// Say more on standard error; twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
+    #[command(flatten)]
+    pub ledger: LedgerArgs,
+}
+
+/// An Ethereum network that is there already.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "An Ethereum network")]
+pub struct LedgerArgs {
+    /// WebSocket of a node (ws:// or wss://): a domain's, and without DOMAIN= that of all domains that have none of their own; several
+    /// with commas between
+    #[arg(long = "ledger", value_name = "[DOMAIN=]URL", env = "COTORRA_LEDGER", hide_env_values = true, value_delimiter = ',',
+        value_parser = parse_node, requires = "emulate", requires = "keys")]
+    pub nodes: Vec<LedgerNode>,
+    /// Folder with the domains' key stores, DOMAIN.json each (Web3 Secret Storage, version 3), whose password is in
+    /// COTORRA_LEDGER_PASSWORD
+    #[arg(long, value_name = "DIR", env = "COTORRA_LEDGER_KEYS")]
+    pub keys: Option<PathBuf>,
+    /// The contract, and the block that it was deployed in; without it the first domain deploys it
+    #[arg(long, value_name = "ADDRESS[@BLOCK]", env = "COTORRA_LEDGER_CONTRACT", value_parser = parse_contract)]
+    pub contract: Option<(Account, u64)>,
+    /// How many blocks make a transaction final: 0 where consensus is final at once
+    #[arg(long, value_name = "BLOCKS", env = "COTORRA_LEDGER_DEPTH", default_value_t = 0)]
+    pub depth: u64,
+    /// What the network is, for the figure and the table, as in "a network of 4 validators"
+    #[arg(long, value_name = "TEXT", env = "COTORRA_LEDGER_NETWORK")]
+    pub network: Option<String>,
+}
+
+/// A node, and the domain whose it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LedgerNode {
+    /// The domain; without one it is that of all domains that have none of their own.
+    pub domain: Option<DomainId>,
+    /// Its WebSocket.
+    pub url: String,
+}
+
+fn parse_node(text: &str) -> Result<LedgerNode, String> {
+    // URLs have `=`, too, but not before their `://`.
+    let (domain, url) = match text.split_once('=') {
+        Some((domain, url)) if !domain.contains("://") => {
+            (Some(domain.parse::<DomainId>().map_err(|e| e.to_string())?), url)
+        }
+        _ => (None, text),
+    };
+    let host = url.strip_prefix("ws://").or_else(|| url.strip_prefix("wss://"));
+    match host {
+        Some(host) if !host.is_empty() => Ok(LedgerNode { domain, url: url.to_owned() }),
+        _ => Err("write a WebSocket, as in ws://127.0.0.1:8546 or domain-2=wss://node.example".to_owned()),
+    }
+}
+
+fn parse_contract(text: &str) -> Result<(Account, u64), String> {
+    let (address, block) = text.split_once('@').unwrap_or((text, "0"));
+    let block = block.parse().map_err(|_| format!("`{block}` is no number of a block"))?;
+    Ok((address.parse::<Account>().map_err(|e| e.to_string())?, block))
 }
 
 /// Seconds between blocks.

@@ -25,7 +25,7 @@ pub enum Rejection {
 /// What a ledger tells.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
-    /// The chain has a new head. The events of its block come before it.
+    /// The chain has a new head. All that was said up to its block comes before it.
     Head {
         /// The block's number.
         number: u64,

@@ -1,14 +1,21 @@
 //! `cotorra-validator`: a consensus client for an Ethereum network of domains' own.
 #![forbid(unsafe_code)]
 
-use std::{path::PathBuf, process, sync::mpsc, time::Duration};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process,
+    sync::mpsc,
+    time::Duration,
+};
 
 use clap::{Parser, Subcommand};
 use cotorra_validator::{
     Account, Config, Key, Network, Node, Secret,
     local::{self, LocalError, LocalNetwork},
 };
-use miette::{IntoDiagnostic, Result, miette};
+use miette::{Context, IntoDiagnostic, Result, miette};
+use serde_json::Value;
 use tracing_subscriber::EnvFilter;
 
 /// One validator of a network of Ethereum nodes: it decides blocks with the others (BFT: two thirds of them), and drives its
@@ -88,7 +95,11 @@ struct Local {
     /// @ethereumjs/client's program.
     #[arg(long, default_value = "contracts/node_modules/@ethereumjs/client/dist/esm/bin/cli.js")]
     client: PathBuf,
-    /// A command to run on it, which has the nodes' WebSockets in COTORRA_TEST_LEDGER, with commas between; the network ends with it.
+    /// Folder with key stores (Web3 Secret Storage), whose accounts have money, too.
+    #[arg(long)]
+    keys: Option<PathBuf>,
+    /// A command to run on it; the network ends with it. It has the nodes' WebSockets in COTORRA_TEST_LEDGER, with commas between,
+    /// and in COTORRA_LEDGER, COTORRA_LEDGER_KEYS and COTORRA_LEDGER_NETWORK what `cotorra experiment federation` wants to know.
     #[arg(last = true)]
     command: Vec<String>,
 }
@@ -136,11 +147,14 @@ fn run(arguments: Run) -> Result<()> {
 fn local(arguments: Local) -> Result<()> {
     let (stop, stopped) = mpsc::channel();
     ctrlc::set_handler(move || _ = stop.send(())).into_diagnostic()?;
-    let folder = std::env::temp_dir().join(format!("cotorra-ledger-{}", std::process::id()));
-    std::fs::create_dir(&folder).into_diagnostic()?;
     let operators = || OPERATORS.iter().map(|account| account.parse().expect("they are accounts")).collect();
-    let funded = if arguments.fund.is_empty() { operators() } else { arguments.fund };
+    let mut funded = if arguments.fund.is_empty() { operators() } else { arguments.fund };
+    if let Some(keys) = &arguments.keys {
+        funded.extend(accounts(keys)?);
+    }
     let count = arguments.validators;
+    let folder = std::env::temp_dir().join(format!("cotorra-ledger-{}", process::id()));
+    fs::create_dir(&folder).into_diagnostic()?;
     eprintln!("starting {count} execution clients and {count} validators …");
     let settings = local::Settings {
         validators: count,
@@ -161,7 +175,16 @@ fn local(arguments: Local) -> Result<()> {
         match arguments.command.split_first() {
             Some((program, rest)) => {
                 let mut command = process::Command::new(program);
-                command.args(rest).env("COTORRA_TEST_LEDGER", urls.join(",")).status().into_diagnostic()
+                command.args(rest).env("COTORRA_TEST_LEDGER", urls.join(","));
+                // Whoever has no node of its own uses the first domain's.
+                let others = urls.iter().enumerate().skip(1);
+                let nodes = others.fold(urls[0].clone(), |nodes, (index, url)| {
+                    format!("{nodes},domain-{}={url}", index + 1)
+                });
+                command.env("COTORRA_LEDGER", nodes);
+                command.envs(arguments.keys.iter().map(|keys| ("COTORRA_LEDGER_KEYS", keys)));
+                let network = format!("a network of {count} validators (Tendermint consensus)");
+                command.env("COTORRA_LEDGER_NETWORK", network).status().into_diagnostic()
             }
             None => {
                 let _ = stopped.recv();
@@ -171,8 +194,24 @@ fn local(arguments: Local) -> Result<()> {
     });
     // What was not there before is not there afterwards; where it failed, its logs tell why.
     if matches!(result, Ok(_) | Err(LocalError::Stopped)) {
-        let _ = std::fs::remove_dir_all(&folder);
+        let _ = fs::remove_dir_all(&folder);
     }
     let status = result.into_diagnostic()??;
     if status.success() { Ok(()) } else { Err(miette!("{}: {status}", arguments.command.join(" "))) }
+}
+
+/// The accounts of the key stores in a folder.
+fn accounts(folder: &Path) -> Result<Vec<Account>> {
+    let mut accounts = Vec::new();
+    for entry in fs::read_dir(folder).into_diagnostic().wrap_err_with(|| folder.display().to_string())? {
+        let path = entry.into_diagnostic()?.path();
+        if path.extension().is_none_or(|extension| extension != "json") {
+            continue;
+        }
+        let store: Value = serde_json::from_slice(&fs::read(&path).into_diagnostic()?).into_diagnostic()?;
+        let address = store["address"].as_str().map(|address| address.trim_start_matches("0x"));
+        let account = address.and_then(|address| format!("0x{address}").parse().ok());
+        accounts.push(account.ok_or_else(|| miette!("{} is no key store with an address", path.display()))?);
+    }
+    if accounts.is_empty() { Err(miette!("{} has no key stores", folder.display())) } else { Ok(accounts) }
 }

@@ -1,13 +1,17 @@
 //! Real ledgers: an anvil node that is started with the run, and any Ethereum network.
 
-use std::{path::PathBuf, time::Duration};
+use std::{collections::BTreeSet, path::PathBuf, time::Duration};
 
 use cotorra_ledger::{
     Account, Ledger, Secret,
     ethereum::{self, EthereumLedger, Key, Password, anvil},
 };
 
-use crate::{ledgers::LedgerError, settings::Network};
+use crate::{
+    ledgers::LedgerError,
+    network::{Access, Network, PASSWORD},
+    settings::Joining,
+};
 
 /// The keys of anvil's accounts, which are the same on each such node, have its money, and are known to everybody.
 const KEYS: [&str; 10] = [
@@ -68,7 +72,7 @@ impl Node {
 }
 
 /// A domain's access to a network.
-pub(crate) fn open(network: &Network) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
+pub(crate) fn open(network: &Joining) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
     let password = match &network.password_file {
         Some(path) => Password::File(path.clone()),
         None => Password::Environment(network.password_variable.clone()),
@@ -76,6 +80,64 @@ pub(crate) fn open(network: &Network) -> Result<(Box<dyn Ledger>, Secret), Ledge
     let key = Key::open(&network.key_store, &password).map_err(real)?;
     let contract = network.contract.parse().map_err(real)?;
     connect(&network.url, contract, network.from_block, network.depth, key)
+}
+
+/// See [`Network::join`].
+pub(crate) fn join(
+    accesses: Vec<Access>,
+    contract: Option<(Account, u64)>,
+    depth: u64,
+    block_period: Option<Duration>,
+) -> Result<Network, LedgerError> {
+    let (mut keys, mut accounts, mut surveys) = (Vec::new(), BTreeSet::new(), Vec::new());
+    for access in &accesses {
+        let Access { domain, url, key_store } = access;
+        let of_domain = |reason: &dyn ToString| real(format!("{domain}: {}", reason.to_string()));
+        let key = Key::open(key_store, &Password::Environment(PASSWORD.to_owned()));
+        let key = key.map_err(|e| of_domain(&e))?;
+        let account = key.account();
+        if !accounts.insert(account) {
+            return Err(of_domain(&format!(
+                "another domain has the account {account}, too; each needs its own"
+            )));
+        }
+        let of_contract = contract.map(|(address, _)| address);
+        let survey = ethereum::survey(url, account, of_contract).map_err(|e| of_domain(&e))?;
+        if survey.balance.0 == 0 {
+            let poor =
+                format!("its account {account} has no money on the chain {} for fees", survey.chain_id);
+            return Err(of_domain(&poor));
+        }
+        if let Some(address) = of_contract.filter(|_| !survey.has_contract) {
+            let chain = survey.chain_id;
+            return Err(of_domain(&format!("there is no contract at {address} on the chain {chain}")));
+        }
+        keys.push(key);
+        surveys.push(survey);
+    }
+    let (Some(first), Some(key), Some(access)) = (surveys.first(), keys.first(), accesses.first()) else {
+        return Err(real("no domain has a ledger"));
+    };
+    let chain_id = first.chain_id;
+    if let Some(other) = surveys.iter().find(|survey| survey.chain_id != chain_id) {
+        let other = other.chain_id;
+        return Err(real(format!("the domains' nodes are of two chains, {chain_id} and {other}")));
+    }
+    let clients: BTreeSet<_> = surveys.iter().map(|survey| survey.client.clone()).collect();
+    let (contract, from_block) = match contract {
+        Some(there) => there,
+        None => ethereum::deploy(&access.url, key).map_err(real)?,
+    };
+    let block_period = match block_period {
+        Some(period) => period,
+        // To the hundredth: nobody sets it finer, and three blocks say no more.
+        None => {
+            let timed = ethereum::block_period(&access.url).map_err(real)?.as_secs_f64();
+            Duration::from_secs_f64((timed * 100.0).round().max(1.0) / 100.0)
+        }
+    };
+    let clients = clients.into_iter().collect();
+    Ok(Network { accesses, chain_id, clients, contract, from_block, depth, block_period })
 }
 
 fn connect(

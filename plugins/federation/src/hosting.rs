@@ -175,6 +175,7 @@ impl Service {
                 ProviderStep::Ended { charge, .. } => {
                     self.take_down(desk);
                     if charge > Wei(0) {
+                        desk.note(self.id(), Step::Paid, charge.to_string());
                         ledger.submit(desk.now, Call::Withdraw);
                     }
                 }

@@ -12,12 +12,15 @@ mod ethereum;
 mod hosting;
 mod journey;
 mod ledgers;
+mod network;
 mod orchestrator;
 mod settings;
 mod steps;
 
+pub use cotorra_ledger::Account;
 pub use coverage::{Coverage, Edge};
 pub use ledgers::{LedgerError, Ledgers};
+pub use network::{Access, Network, PASSWORD};
 pub use orchestrator::{Federation, FederationError};
-pub use settings::{Behaviour, InvalidSettings, LedgerChoice, Network, Settings};
+pub use settings::{Behaviour, InvalidSettings, Joining, LedgerChoice, Settings};
 pub use steps::Step;

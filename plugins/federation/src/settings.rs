@@ -7,6 +7,8 @@ use cotorra_ledger::{Price, Terms};
 use serde::{Deserialize, Deserializer, de::Error as _};
 use serde_json::{Map, Value};
 
+use crate::network::PASSWORD;
+
 /// What can be set.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -77,13 +79,13 @@ pub enum LedgerChoice {
         program: Option<PathBuf>,
     },
     /// An Ethereum network.
-    Ethereum(Network),
+    Ethereum(Joining),
 }
 
 /// How an Ethereum network is reached.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Network {
+pub struct Joining {
     /// A node's WebSocket.
     pub url: String,
     /// Where the contract is.
@@ -124,7 +126,7 @@ const fn published() -> Duration {
 }
 
 fn variable() -> String {
-    "COTORRA_LEDGER_PASSWORD".to_owned()
+    PASSWORD.to_owned()
 }
 
 impl Default for Settings {

@@ -65,6 +65,8 @@ steps! {
     Ended = "ended",
     /// The provider took the vAP down: a(R) = {}.
     TakenDown = "taken down",
+    /// The provider heard what the use is paid with.
+    Paid = "paid",
 }
 
 impl fmt::Display for Step {

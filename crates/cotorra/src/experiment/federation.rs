@@ -1,16 +1,23 @@
 //! `cotorra experiment federation`: the robot that leaves its domain's coverage, over ledgers with several block periods.
 
-use std::{process::ExitCode, time::Duration};
+use std::{
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::Duration,
+};
 
-use cotorra_graph::testbed_file::Setting;
+use cotorra_graph::{DomainId, testbed_file::Setting};
 use cotorra_measurements::{History, RunId};
 use cotorra_testbed::{
     FolderError, Options, Place, Recorded, RecordedError,
-    experiment::federation::{Comparison, FILES, Federated, NoFederation, settings},
+    experiment::federation::{
+        Access, Comparison, FILES, Federated, LedgerError, Network, NoFederation, On, domains, longest,
+        settings,
+    },
 };
 
 use crate::{
-    cli::FederationArgs,
+    cli::{FederationArgs, LedgerArgs, LedgerNode},
     output,
     run::{self, Stage},
     testbed_file::{self, Loaded, count},
@@ -30,7 +37,28 @@ enum Error {
     None { folder: String, source: NoFederation },
     #[error("stopped during a run, which is in {folder}; it was the first")]
     Stopped { folder: String },
+    #[error(transparent)]
+    Ledger(#[from] LedgerError),
+    #[error("a network has one block period: give --block-period one, or none to have it timed")]
+    Periods,
+    #[error("the testbed has no orchestrator of `{unknown}`; it has those of {domains}")]
+    NoSuchDomain { unknown: DomainId, domains: String },
+    #[error(
+        "`{domain}` has no node: add --ledger {domain}=ws://…, or one without a domain for all that have none"
+    )]
+    NoNode { domain: DomainId },
+    #[error("{keys}: {reason}", keys = keys.display())]
+    Keys { keys: PathBuf, reason: std::io::Error },
 }
+
+/// Between blocks where nothing else is asked for.
+const PERIODS: [Duration; 5] = [
+    Duration::from_millis(500),
+    Duration::from_secs(1),
+    Duration::from_secs(2),
+    Duration::from_secs(5),
+    Duration::from_secs(10),
+];
 
 /// A run that is to be.
 struct Planned {
@@ -42,16 +70,13 @@ struct Planned {
 
 /// Runs the robot's walk with each block period.
 pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
-    let planned = plan(args)?;
-    let how = if args.emulate {
-        "emulated with real packets, on an anvil node: one node without consensus"
-    } else {
-        "in virtual time, on a modelled ledger"
-    };
+    let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
     if args.dry_run {
-        output::print(&describe_plan(args, how, &planned))?;
+        output::print(&describe_plan(args, how)?)?;
         return Ok(ExitCode::SUCCESS);
     }
+    let (on, periods) = ledger(args)?;
+    let planned = plan(args, &on, &periods)?;
     let stage = Stage::set(args.headless, args.verbose, args.emulate)?;
     let folder = Place::In(args.out.clone()).create("experiment-federation").map_err(Error::from)?;
     // A run that goes wrong, or is stopped, takes nothing from those that did not.
@@ -60,7 +85,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         let name = format!("{number:03}-{}s", plan.block_period.as_secs_f64());
         let options = Options {
             seed: Some(plan.seed),
-            until: args.until,
+            until: Some(args.until.unwrap_or_else(|| longest(&plan.loaded.testbed))),
             folder: Place::At(folder.join(&name)),
             tokens: run::tokens()?,
             save_power: args.save_power,
@@ -99,9 +124,9 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     {
         return Err(Error::None { folder, source }.into());
     }
-    let comparison = Comparison { runs };
-    comparison.write(&folder, how).map_err(Error::from)?;
-    let mut text = comparison.to_markdown(how);
+    let comparison = Comparison { how: how.to_owned(), ledger: on.to_string(), runs };
+    comparison.write(&folder).map_err(Error::from)?;
+    let mut text = comparison.to_markdown();
     text += &format!("\n{}/\n  {}  {}\n", folder.display(), FILES.join("  "), count(planned.len(), "run"));
     for (folder, source) in &failed {
         text += &format!("NOT COUNTED: {folder}: {source}\n");
@@ -111,15 +136,59 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     Ok(if failed.is_empty() { invalid } else { ExitCode::from(run::NOT_VALID) })
 }
 
-fn plan(args: &FederationArgs) -> miette::Result<Vec<Planned>> {
+/// The ledger, and the block periods to be tried on it.
+fn ledger(args: &FederationArgs) -> miette::Result<(On, Vec<Duration>)> {
+    let periods = if args.block_period.is_empty() { PERIODS.to_vec() } else { args.block_period.clone() };
+    let LedgerArgs { nodes, keys, contract, depth, network: called } = &args.ledger;
+    // Nodes are given with keys only.
+    let Some(keys) = keys.as_deref().filter(|_| !nodes.is_empty()) else {
+        return Ok((if args.emulate { On::Anvil } else { On::Modelled }, periods));
+    };
+    let asked = match &args.block_period[..] {
+        [] => None,
+        [period] => Some(*period),
+        _ => return Err(Error::Periods.into()),
+    };
+    let accesses = accesses(args, nodes, keys)?;
+    eprintln!("looking at the network …");
+    let network = Network::join(accesses, *contract, *depth, asked).map_err(Error::from)?;
+    let Network { contract: address, from_block, block_period, .. } = &network;
+    let seconds = block_period.as_secs_f64();
+    if contract.is_none() {
+        eprintln!("the contract is new, and stays there: --contract {address}@{from_block} uses it again");
+    }
+    eprintln!("a block each {seconds:.2} s");
+    let periods = vec![*block_period];
+    Ok((On::Network { network, called: called.clone() }, periods))
+}
+
+/// How each domain gets to the network.
+fn accesses(args: &FederationArgs, nodes: &[LedgerNode], keys: &Path) -> miette::Result<Vec<Access>> {
+    let testbed = testbed_file::load(&args.testbed, &args.settings)?.testbed;
+    let domains = domains(&testbed);
+    if let Some(unknown) = nodes.iter().filter_map(|n| n.domain.as_ref()).find(|d| !domains.contains(d)) {
+        let domains = domains.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+        return Err(Error::NoSuchDomain { unknown: unknown.clone(), domains }.into());
+    }
+    let access = |domain: DomainId| {
+        let own = nodes.iter().find(|node| node.domain.as_ref() == Some(&domain));
+        let node = own.or_else(|| nodes.iter().find(|node| node.domain.is_none()));
+        let url = node.ok_or_else(|| Error::NoNode { domain: domain.clone() })?.url.clone();
+        let key_store = std::path::absolute(keys.join(format!("{domain}.json")));
+        let key_store = key_store.map_err(|reason| Error::Keys { keys: keys.to_owned(), reason })?;
+        Ok(Access { domain, url, key_store })
+    };
+    Ok(domains.into_iter().map(access).collect::<Result<_, Error>>()?)
+}
+
+fn plan(args: &FederationArgs, on: &On, periods: &[Duration]) -> miette::Result<Vec<Planned>> {
     let plain = testbed_file::load(&args.testbed, &args.settings)?;
-    let kind = if args.emulate { "anvil" } else { "modelled" };
     let mut planned = Vec::new();
-    for block_period in &args.block_period {
+    for block_period in periods {
         for number in 0..args.runs {
             // Spread over a block period, so that announcements come at all of its times.
             let phase = (f64::from(number) + 0.5) / f64::from(args.runs);
-            let for_blocks = settings(&plain.testbed, kind, *block_period, phase).into_iter();
+            let for_blocks = settings(&plain.testbed, on, *block_period, phase).into_iter();
             let for_blocks = for_blocks.map(|(path, value)| {
                 Setting::new(&path, &value).expect("paths and values of the experiment are settings")
             });
@@ -133,15 +202,21 @@ fn plan(args: &FederationArgs) -> miette::Result<Vec<Planned>> {
     Ok(planned)
 }
 
-fn describe_plan(args: &FederationArgs, how: &str, planned: &[Planned]) -> String {
-    let mut text = args.testbed.display().to_string();
-    if let Some(first) = planned.first() {
-        text += &format!(": {}\n\n", testbed_file::overview(&first.loaded.testbed));
-    }
-    for block_period in &args.block_period {
-        let seconds = block_period.as_secs_f64();
-        text += &format!("  {} with a block each {seconds} s, {how}\n", count(args.runs as usize, "run"));
+fn describe_plan(args: &FederationArgs, how: &str) -> miette::Result<String> {
+    let loaded = testbed_file::load(&args.testbed, &args.settings)?;
+    let mut text = format!("{}: {}\n\n", args.testbed.display(), testbed_file::overview(&loaded.testbed));
+    let runs = count(args.runs as usize, "run");
+    if args.ledger.nodes.is_empty() {
+        let (on, periods) = ledger(args)?;
+        for block_period in periods {
+            let seconds = block_period.as_secs_f64();
+            text += &format!("  {runs} with a block each {seconds} s, {how}, on {on}\n");
+        }
+    } else {
+        // Nobody is asked: a plan changes nothing, also on a ledger.
+        let called = args.ledger.network.as_deref().unwrap_or("an Ethereum network");
+        text += &format!("  {runs}, {how}, on {called}\n");
     }
     let folder = args.out.join("experiment-federation-<time>");
-    text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
+    Ok(text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  ")))
 }

@@ -1,6 +1,6 @@
 //! Published experiments, repeated.
 
-use std::{fs, path::Path};
+use std::{env, fs, path::Path};
 
 use serde_json::Value;
 
@@ -126,4 +126,45 @@ fn what_plugins_refuse_leaves_no_folder_behind() {
         let said = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
         assert!(said.contains("`--features ethereum`"), "{said}");
     }
+}
+
+/// On the network that `COTORRA_LEDGER` names, as scripts/ledger-network starts it.
+#[test]
+fn a_robot_is_handed_to_another_domain_on_a_network_that_is_there() {
+    if env::var_os("COTORRA_LEDGER").is_none() {
+        return eprintln!("skipped: COTORRA_LEDGER names no network (scripts/ledger-network does)");
+    }
+    let out = tempfile::tempdir().unwrap();
+    let run = |extra: &[&str]| {
+        let mut command = cotorra(["experiment", "federation", "--emulate", "--headless", "--testbed"]);
+        command.arg(corridor().with_file_name("federation.yaml")).arg("--out").arg(out.path());
+        // A short walk over the edge and back.
+        command.args(["--set", "walks.robot.waypoints=[[18.5,0],[26,0]]"]).args(extra).output().unwrap()
+    };
+    for (wrong, told) in [
+        (["--keys", "/nowhere"], "domain-1: the key store /nowhere/domain-1.json cannot be opened"),
+        (["--ledger", "domain-9=ws://127.0.0.1:9"], "no orchestrator of `domain-9`"),
+        (["--ledger", "ws://127.0.0.1:9"], "the ledger's node at ws://127.0.0.1:9"),
+        (["--contract", "0x00000000000000000000000000000000000000aa"], "there is no contract at 0x"),
+        (["--block-period", "1,2"], "a network has one block period"),
+    ] {
+        let refused = run(&wrong);
+        let said = stderr(&refused).split_whitespace().filter(|w| *w != "│").collect::<Vec<_>>().join(" ");
+        assert!(said.contains(told), "{wrong:?}: {said}");
+        assert_eq!(fs::read_dir(out.path()).unwrap().count(), 0, "{wrong:?} left something");
+    }
+
+    let output = run(&[]);
+    // A busy machine may spoil the figures, but not what happens. Nobody is in a hurry here.
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{} {}", stdout(&output), stderr(&output));
+    let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    let comparison: Value = serde_json::from_str(&read("federation.json")).unwrap();
+    let ledger = comparison["ledger"].as_str().unwrap();
+    let network = env::var("COTORRA_LEDGER_NETWORK").unwrap_or_else(|_| "an Ethereum network".to_owned());
+    assert!(ledger.starts_with(&network) && ledger.contains("; chain "), "{ledger}");
+    assert!(read("federation.svg").contains(&network) && stdout(&output).contains(ledger));
+    let run = &comparison["runs"][0];
+    assert_eq!(run["attachments"], serde_json::json!(["R3", "n_AP"]), "{run}");
+    assert_eq!(run["is_paid"], true, "{run}");
 }

@@ -251,6 +251,8 @@ impl Client {
             let parent = parent.ok_or_else(|| Over::Connection("a block is gone".to_owned()))?;
             news.push(parent.header);
         }
+        let head = news.first().expect("it begins with the head");
+        let head = Notice::Head { number: head.number, time: ChainTime(head.timestamp) };
         let oldest = news.last().expect("it begins with the head");
         for event in self.blocks.retract_to(BlockHash(oldest.parent_hash.0)) {
             self.tell(Notice::Retracted(event))?;
@@ -260,12 +262,11 @@ impl Client {
             for event in &events {
                 self.tell(Notice::Event(event.clone()))?;
             }
-            let time = ChainTime(header.timestamp);
-            self.tell(Notice::Head { number: header.number, time })?;
             self.next_block = Some(header.number + 1);
             self.blocks.push(Block { number: header.number, hash: BlockHash(header.hash.0), events });
         }
-        Ok(())
+        // Only now: whoever hears of a head takes what was said until then for the whole truth, and acts on it.
+        self.tell(head)
     }
 
     /// Tells what was said before the blocks that can be taken back.

@@ -7,8 +7,10 @@ mod client;
 mod key;
 mod node;
 mod socket;
+mod survey;
 
 pub use abi::{DecodeError, bytecode, decode_event, decode_refusal, encode};
 pub use client::{EthereumLedger, Settings};
 pub use key::{Key, KeyError, Password};
 pub use node::{EthereumError, deploy};
+pub use survey::{Survey, block_period, survey};

@@ -4,9 +4,11 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod failures;
 mod load;
 mod node;
 mod operator;
+mod proxy;
 
 use std::{
     env,
@@ -29,7 +31,7 @@ fn a_service_is_negotiated_used_and_paid() {
 /// On the network whose nodes `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546,ws://127.0.0.1:8646`; each operator uses
 /// another of them. Its genesis gives money to the operators of tests: the keys 0101…01, 0202…02, 0303…03 and 6363…63.
 #[test]
-fn a_service_is_negotiated_used_and_paid_on_an_existing_network() {
+fn a_service_is_negotiated_used_and_paid_on_a_network_that_is_there() {
     match env::var("COTORRA_TEST_LEDGER") {
         Ok(urls) => negotiate(&Node::existing(&urls.split(',').collect::<Vec<_>>())),
         Err(_) => eprintln!("skipped: COTORRA_TEST_LEDGER names no network"),
@@ -43,10 +45,10 @@ fn negotiate(node: &Node) {
         ProviderSide::new(node.operator(2), Price::new(9).unwrap()),
         ProviderSide::new(node.operator(3), Price::new(7).unwrap()),
     ];
-    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
     println!("from the registrations to the use: {:?}", began.elapsed());
     creator.negotiation.release();
-    until_all(&mut creator, &mut providers, |creator| creator.negotiation.is_over());
+    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     assert!(creator.has(|step| *step == CreatorStep::Deployed(attachment())));
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Released)));
     assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
@@ -134,13 +136,13 @@ fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
     let Some(mut node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::Announced));
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Announced));
     node.stop();
     creator
         .operator
         .until("the node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
     node.restart();
-    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
 }
 
 #[test]
@@ -148,20 +150,20 @@ fn an_operator_that_is_restarted_hears_all_that_was_said() {
     let Some(node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    until_all(&mut creator, &mut providers, |creator| creator.has(|step| *step == CreatorStep::Chosen));
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Chosen));
     // The creator's process ends, and a new one has its key and the salt.
     let mut again = CreatorSide::new(node.reconnect(1), policy());
     drop(creator);
-    until_all(&mut again, &mut providers, |creator| creator.has(|step| *step == CreatorStep::InUse));
+    until_all(&mut again, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
     again.negotiation.release();
-    until_all(&mut again, &mut providers, |creator| creator.negotiation.is_over());
+    until_all(&mut again, &mut providers, |creator, _| creator.negotiation.is_over());
 }
 
 #[test]
 fn nobody_answers_and_the_creator_hears_it_in_time() {
     let Some(node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
-    until_all(&mut creator, &mut [], |creator| creator.negotiation.is_over());
+    until_all(&mut creator, &mut [], |creator, _| creator.negotiation.is_over());
     assert!(creator.has(|step| *step == CreatorStep::Failed(Failure::NoBid)));
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
 }

@@ -2,6 +2,7 @@
 
 use std::{
     path::PathBuf,
+    sync::Mutex,
     thread,
     time::{Duration, Instant},
 };
@@ -19,7 +20,10 @@ use tempfile::TempDir;
 use crate::{common::program, operator::Operator};
 
 /// How long anything may take; far more than it does, even on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(300);
+
+/// The account with the money of an existing network is one test's at a time: its transactions have numbers.
+static DEPLOYER: Mutex<()> = Mutex::new(());
 
 pub struct Node {
     anvil: Option<Anvil>,
@@ -62,6 +66,7 @@ impl Node {
 
     /// The network with nodes at these WebSockets, on which the operators of tests have money; the contract is deployed anew.
     pub fn existing(urls: &[&str]) -> Self {
+        let _alone = DEPLOYER.lock();
         let (contract, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
         let (anvil, program, folder) = (None, PathBuf::new(), tempfile::tempdir().unwrap());
         let existing = urls.iter().map(|url| (*url).to_owned()).collect();
@@ -88,7 +93,7 @@ impl Node {
     }
 
     /// The node of an operator: each has another, where there are several.
-    fn url(&self, operator: u8) -> String {
+    pub fn url(&self, operator: u8) -> String {
         match self.existing.len() {
             0 => format!("ws://127.0.0.1:{}", self.port),
             count => self.existing[(usize::from(operator) - 1) % count].clone(),
@@ -112,6 +117,7 @@ impl Node {
         if self.existing.is_empty() {
             return numbers.for_each(|number| self.enrich(number));
         }
+        let _alone = DEPLOYER.lock();
         let share = async || {
             let wallet = EthereumWallet::from(PrivateKeySigner::from_slice(&[99; 32]).unwrap());
             let provider = ProviderBuilder::new().wallet(wallet).connect(&self.existing[0]).await.unwrap();
@@ -149,7 +155,12 @@ impl Node {
 
     /// An operator that may have been there before.
     pub fn reconnect(&self, number: u8) -> Operator {
-        let settings = Settings { url: self.url(number), contract: self.contract, from_block: 0, depth: 2 };
+        self.reconnect_at(number, self.url(number))
+    }
+
+    /// The same by another URL.
+    pub fn reconnect_at(&self, number: u8, url: String) -> Operator {
+        let settings = Settings { url, contract: self.contract, from_block: 0, depth: 2 };
         Operator::new(EthereumLedger::connect(settings, key(number)).unwrap(), key(number))
     }
 

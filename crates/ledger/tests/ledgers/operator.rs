@@ -7,7 +7,7 @@ use std::{
 
 use cotorra_graph::Timestamp;
 use cotorra_ledger::{
-    Attachment, Call, Event, Ledger, Notice, Price, Requirements, Terms, Ticket,
+    Account, Attachment, Call, Event, Ledger, Notice, Price, Requirements, Terms, Ticket, Wei,
     ethereum::{EthereumLedger, Key},
     negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Request},
 };
@@ -133,14 +133,27 @@ pub struct CreatorSide {
     pub negotiation: Creator,
     pub steps: Vec<CreatorStep>,
     heard: usize,
+    /// Whether the robot can attach to what was deployed.
+    attaches: bool,
 }
 
 impl CreatorSide {
     pub fn new(operator: Operator, policy: Policy) -> Self {
+        Self::asking(operator, request(policy).terms, policy)
+    }
+
+    /// One with terms of its own.
+    pub fn asking(operator: Operator, terms: Terms, policy: Policy) -> Self {
         let secret = operator.key.secret();
         let salt = secret.announcement_salt(1);
-        let negotiation = Creator::new(operator.now(), operator.key.account(), secret, salt, request(policy));
-        Self { operator, negotiation, steps: Vec::new(), heard: 0 }
+        let request = Request { terms, ..request(policy) };
+        let negotiation = Creator::new(operator.now(), operator.key.account(), secret, salt, request);
+        Self { operator, negotiation, steps: Vec::new(), heard: 0, attaches: true }
+    }
+
+    /// The robot cannot attach to what is deployed.
+    pub fn finds_nobody(&mut self) {
+        self.attaches = false;
     }
 
     /// Whether it came to a step.
@@ -162,8 +175,10 @@ impl CreatorSide {
         self.negotiation.expire(now);
         self.negotiation.submit(now, &mut self.operator.ledger);
         while let Some(step) = self.negotiation.poll_step() {
-            if matches!(step, CreatorStep::Deployed(_)) {
-                self.negotiation.attached();
+            match step {
+                CreatorStep::Deployed(_) if self.attaches => self.negotiation.attached(),
+                CreatorStep::Deployed(_) => self.negotiation.unusable(),
+                _ => {}
             }
             self.steps.push(step);
         }
@@ -171,23 +186,70 @@ impl CreatorSide {
     }
 }
 
+/// What a provider does that won.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Behaviour {
+    /// It deploys.
+    Honest,
+    /// Nothing.
+    Silent,
+    /// It tries to deploy, and cannot.
+    Fails,
+}
+
 /// Another domain.
 pub struct ProviderSide {
-    operator: Operator,
+    pub operator: Operator,
     price: Price,
     negotiation: Option<Provider>,
+    behaviour: Behaviour,
+    /// Whose services it bids for, if not for everybody's.
+    serves: Option<Account>,
     pub steps: Vec<ProviderStep>,
 }
 
 impl ProviderSide {
     pub fn new(operator: Operator, price: Price) -> Self {
-        Self { operator, price, negotiation: None, steps: Vec::new() }
+        Self {
+            operator,
+            price,
+            negotiation: None,
+            behaviour: Behaviour::Honest,
+            serves: None,
+            steps: Vec::new(),
+        }
+    }
+
+    /// It bids for this creator's services only.
+    pub fn serving(self, creator: Account) -> Self {
+        Self { serves: Some(creator), ..self }
+    }
+
+    pub fn behaving(self, behaviour: Behaviour) -> Self {
+        Self { behaviour, ..self }
+    }
+
+    /// It deploys after all.
+    pub fn deploy(&mut self) {
+        self.negotiation.as_mut().unwrap().deployed(attachment());
+    }
+
+    /// What it was paid, once it is over.
+    pub fn ended(&self) -> Option<Wei> {
+        self.steps.iter().find_map(|step| match step {
+            ProviderStep::Ended { charge, .. } => Some(*charge),
+            _ => None,
+        })
     }
 
     fn go_on(&mut self) {
         let now = self.operator.now();
         for notice in self.operator.listen() {
-            if let (Notice::Event(event), None) = (&notice, &self.negotiation) {
+            if let (Notice::Event(event), None) = (&notice, &self.negotiation)
+                && self.serves.is_none_or(
+                    |of| matches!(event, Event::ServiceAnnounced { creator, .. } if *creator == of),
+                )
+            {
                 let offer = Offer { price: self.price, endpoint: "http://domain-2:7700".to_owned() };
                 let key = &self.operator.key;
                 self.negotiation = Provider::new(key.account(), key.secret(), event, offer).unwrap();
@@ -199,8 +261,10 @@ impl ProviderSide {
         let Some(negotiation) = &mut self.negotiation else { return };
         negotiation.submit(now, &mut self.operator.ledger).unwrap();
         while let Some(step) = negotiation.poll_step() {
-            if step == ProviderStep::Won {
-                negotiation.deployed(attachment());
+            match self.behaviour {
+                Behaviour::Honest if step == ProviderStep::Won => negotiation.deployed(attachment()),
+                Behaviour::Fails if step == ProviderStep::Won => negotiation.give_back(),
+                _ => {}
             }
             self.steps.push(step);
         }
@@ -212,10 +276,10 @@ impl ProviderSide {
 pub fn until_all(
     creator: &mut CreatorSide,
     providers: &mut [ProviderSide],
-    condition: impl Fn(&CreatorSide) -> bool,
+    condition: impl Fn(&CreatorSide, &[ProviderSide]) -> bool,
 ) {
     let began = Instant::now();
-    while !condition(creator) {
+    while !condition(creator, providers) {
         creator.go_on();
         providers.iter_mut().for_each(ProviderSide::go_on);
         assert!(began.elapsed() < PATIENCE, "{:?} {:?}", creator.steps, creator.negotiation);

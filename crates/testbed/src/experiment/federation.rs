@@ -2,15 +2,21 @@
 //! orchestrator has found another domain's virtual access point by then, over a ledger with blocks.
 
 mod drawn;
+mod on;
 
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_federation::Step;
-use cotorra_graph::{Event, Instruction, NodeId, Stamped, Testbed};
+use cotorra_graph::{
+    DomainId, Event, Instruction, NodeId, PluginProgram, PluginSpec, Stamped, Testbed, Walk,
+};
 use cotorra_measurements::{History, Kind, PageRequest, RunId};
 use serde::Serialize;
 
 use crate::report::{FolderError, Quantiles, write};
+
+pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
+pub use on::On;
 
 /// The files that [`Comparison::write`] makes.
 pub const FILES: [&str; 4] = ["federation.svg", "federation.md", "federation.json", "steps.csv"];
@@ -78,6 +84,8 @@ pub struct Federated {
     pub longest_ms: f64,
     /// The lowest speed of the robot in that time, as a share of its median there.
     pub slowest: f64,
+    /// Whether the use was charged, and the provider heard it.
+    pub is_paid: bool,
 }
 
 impl Federated {
@@ -152,6 +160,7 @@ impl Federated {
             samples,
             longest_ms,
             slowest,
+            is_paid: steps.contains_key(Step::Paid.as_str()),
         })
     }
 
@@ -219,6 +228,10 @@ fn first_steps(events: &[Stamped]) -> BTreeMap<&str, f64> {
 /// All runs of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
+    /// How the network between the nodes was: emulated, or a model.
+    pub how: String,
+    /// Which ledger it was, as in `an anvil node: one node without consensus`.
+    pub ledger: String,
     /// As they were run.
     pub runs: Vec<Federated>,
 }
@@ -243,11 +256,12 @@ impl Comparison {
         periods
     }
 
-    /// The table over block periods, in Markdown. `how` says how it was run.
-    pub fn to_markdown(&self, how: &str) -> String {
-        let mut text = format!("From the announcement to the attachment ({how})\n\n");
+    /// The table over block periods, in Markdown.
+    pub fn to_markdown(&self) -> String {
+        let Self { how, ledger, .. } = self;
+        let mut text = format!("From the announcement to the attachment ({how}, on {ledger})\n\n");
         text += "| block period | runs | total | least | most | bound | ours beyond the blocks, median | most | vAP deployed in | \
-                 gap | without answer | lowest speed |\n|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+                 gap | without answer | lowest speed | paid for |\n|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
         for runs in self.by_period() {
             let all =
                 |figure: &dyn Fn(&Federated) -> f64| runs.iter().map(|run| figure(run)).collect::<Vec<_>>();
@@ -260,7 +274,7 @@ impl Comparison {
             let samples: usize = runs.iter().map(|run| run.samples).sum();
             let row = format!(
                 "| {} s | {} | {mean:.2} ± {deviation:.2} s | {:.2} s | {:.2} s | {:.2} s | {:.0} ms | {:.0} ms | {:.0} ms | {:.0} ms \
-                 | {lost} of {samples} | {:.0} % |\n",
+                 | {lost} of {samples} | {:.0} % | {} of {} |\n",
                 runs[0].block_period_s,
                 runs.len(),
                 least(&totals),
@@ -271,6 +285,8 @@ impl Comparison {
                 most(&all(&|run| run.deployment_s() * 1e3)),
                 most(&all(&|run| run.gap_s * 1e3)),
                 least(&all(&|run| run.slowest * 100.0)),
+                runs.iter().filter(|run| run.is_paid).count(),
+                runs.len(),
             );
             text += &row;
         }
@@ -292,16 +308,16 @@ impl Comparison {
     ///
     /// # Errors
     /// [`FolderError`].
-    pub fn write(&self, folder: &Path, how: &str) -> Result<(), FolderError> {
+    pub fn write(&self, folder: &Path) -> Result<(), FolderError> {
         let [figure, table, data, csv] = FILES;
         let periods = self.by_period();
         let published = periods.iter().find(|runs| runs[0].block_period_s == PUBLISHED_PERIOD_S);
         if let Some(runs) = published.or(periods.last()) {
             let mut runs = runs.clone();
             runs.sort_by(|a, b| a.total_s().total_cmp(&b.total_s()));
-            write(folder, figure, &drawn::draw(runs[runs.len() / 2]))?;
+            write(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
         }
-        write(folder, table, &self.to_markdown(how))?;
+        write(folder, table, &self.to_markdown())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
         write(folder, data, &(json + "\n"))?;
         let mut rows = String::from("block_period_s,run,seed");
@@ -325,23 +341,48 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 
 /// What the plug-ins of a testbed are to be set to so that they federate with these blocks. `phase`, from 0 to 1, is where in
 /// a block period the announcement comes, as far as that can be chosen.
-pub fn settings(testbed: &Testbed, kind: &str, block_period: Duration, phase: f64) -> Vec<(String, String)> {
+pub fn settings(testbed: &Testbed, on: &On, block_period: Duration, phase: f64) -> Vec<(String, String)> {
     let period = block_period.as_secs_f64();
+    // As an orchestrator does that knows its ledger's period. A network has other things to do, and is late now and then.
+    let (collect, late) = match on {
+        On::Modelled | On::Anvil => (1.25 * period, 0.0),
+        On::Network { .. } => (3.0 * period + 2.0, 2.0 * period + 4.0),
+    };
     // Four blocks, the deployment, some time to attach; halting takes time, too.
-    let lead = period * (f64::from(1 + BLOCKS_BETWEEN) + phase) + 4.0;
-    let orchestrators = testbed.plugins.iter().filter(
-        |spec| matches!(&spec.program, cotorra_graph::PluginProgram::Bundled(name) if name == "federation"),
-    );
-    orchestrators
+    let lead = period * (f64::from(1 + BLOCKS_BETWEEN) + phase) + 4.0 + late;
+    orchestrators(testbed)
         .flat_map(|spec| {
             let path = format!("plugins.{}.settings", spec.id);
             [
-                (format!("{path}.ledger"), format!("{{kind: {kind}, block_period: {period} s}}")),
+                (format!("{path}.ledger"), on.setting(spec.domain.as_ref(), block_period)),
                 (format!("{path}.lead"), format!("{lead:.3} s")),
                 (format!("{path}.patience"), format!("{:.0} s", lead + 60.0)),
+                (format!("{path}.collect"), format!("{collect:.3} s")),
             ]
         })
         .collect()
+}
+
+/// When a run is over for sure: a robot that is served by nobody would wait at the edge for ever.
+pub fn longest(testbed: &Testbed) -> Duration {
+    let walk = |walk: &Walk| {
+        let length: f64 = walk.waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
+        length / walk.speed_limit
+    };
+    let walks = testbed.walks.iter().map(walk).fold(0.0_f64, f64::max);
+    Duration::from_secs_f64((2.0 * walks).min(86_400.0)) + Duration::from_secs(60)
+}
+
+/// The plug-ins that are to federate.
+fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
+    let is =
+        |spec: &&PluginSpec| matches!(&spec.program, PluginProgram::Bundled(name) if name == "federation");
+    testbed.plugins.iter().filter(is)
+}
+
+/// The domains that are to federate, in the order of their plug-ins.
+pub fn domains(testbed: &Testbed) -> Vec<DomainId> {
+    orchestrators(testbed).filter_map(|spec| spec.domain.clone()).collect()
 }
 
 #[cfg(test)]

@@ -75,8 +75,8 @@ fn row_name(row: f64) -> String {
     name.to_owned()
 }
 
-/// Draws a run as SVG; time begins at the announcement.
-pub(super) fn draw(run: &Federated) -> String {
+/// Draws a run as SVG; time begins at the announcement. `ledger` says what was negotiated on.
+pub(super) fn draw(run: &Federated, ledger: &str) -> String {
     let begin = run.at(Step::Announced);
     let since = |step: Step| run.at(step) - begin;
     let total = run.total_s();
@@ -114,6 +114,8 @@ pub(super) fn draw(run: &Federated) -> String {
     for (name, x, y) in names {
         layout = layout.with_annotation(TextAnnotation::new(name, x, y).with_font_size(13));
     }
+    let below = TextAnnotation::new(format!("on {ledger}"), total / 2.0, 0.25).with_font_size(11);
+    layout = layout.with_annotation(below);
     let scene = Figure::new(1, 1)
         .with_plots(vec![plots])
         .with_layouts(vec![layout])

@@ -68,16 +68,20 @@ fn a_run_that_shows_none_says_how_far_it_went() {
 
 #[test]
 fn tables_figure_and_steps_are_written() {
-    let comparison =
-        Comparison { runs: vec![federated(), Federated { block_period_s: 1.0, ..federated() }, federated()] };
-    let table = comparison.to_markdown("modelled");
+    let comparison = Comparison {
+        how: "in virtual time".to_owned(),
+        ledger: On::Modelled.to_string(),
+        runs: vec![federated(), Federated { block_period_s: 1.0, ..federated() }, federated()],
+    };
+    let table = comparison.to_markdown();
+    assert!(table.contains("(in virtual time, on a modelled ledger)"), "{table}");
     assert!(table.contains("| 5 s | 2 | 18.16 ± 0.00 s | 18.16 s | 18.16 s | 20.44 s | 120 ms |"), "{table}");
     let folder = tempfile::tempdir().unwrap();
-    comparison.write(folder.path(), "modelled").unwrap();
+    comparison.write(folder.path()).unwrap();
     let read = |file: &str| std::fs::read_to_string(folder.path().join(file)).unwrap();
     let steps = read("steps.csv");
     assert_eq!((steps.lines().count(), steps.lines().next().unwrap().split(',').count()), (4, 18));
     assert!(steps.lines().all(|row| row.split(',').count() == 18), "{steps}");
     let figure = read("federation.svg");
-    assert!(figure.contains("n_AP (vAP)") && figure.contains("confirmation"));
+    assert!(figure.contains("n_AP (vAP)") && figure.contains("on a modelled ledger"));
 }

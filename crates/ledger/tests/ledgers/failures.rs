@@ -1,0 +1,271 @@
+//! What goes wrong between two domains, on a real ledger: each time all ends in order, and nobody pays for what it did not get.
+//! All of it at once, each with operators of its own.
+//!
+//! `COTORRA_TEST_LEDGER` names another ledger than an anvil node with a block each half second; there, each operator uses another of
+//! its nodes.
+
+use std::{env, panic, thread, time::Duration};
+
+use cotorra_ledger::{
+    Account, Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Terms, Ticket, Wei,
+    negotiation::{CreatorStep, Failure, Policy, ProviderStep},
+};
+
+use crate::{
+    node::{Node, PATIENCE, key},
+    operator::{Behaviour, CreatorSide, Operator, ProviderSide, attachment, policy, request, until_all},
+    proxy::Proxy,
+};
+
+/// The first of each scenario's keys; each has four.
+const KEYS: u8 = 120;
+
+type Scenario = (&'static str, fn(&Stage<'_>));
+
+const SCENARIOS: [Scenario; 9] = [
+    ("nobody bids", nobody_bids),
+    ("all bids are too dear", all_bids_are_too_dear),
+    ("the winner is silent", the_winner_is_silent),
+    ("the deployment fails", the_deployment_fails),
+    ("the provider lies", the_provider_lies),
+    ("the creator's node is away", the_creators_node_is_away),
+    ("the winner is cut off", the_winner_is_cut_off),
+    ("both are started again", both_are_started_again),
+    ("the announcement is replayed", the_announcement_is_replayed),
+];
+
+#[test]
+fn whatever_goes_wrong_ends_in_order() {
+    let node = match env::var("COTORRA_TEST_LEDGER") {
+        Ok(urls) => Node::existing(&urls.split(',').collect::<Vec<_>>()),
+        Err(_) => match Node::start_with(Some(Duration::from_millis(500))) {
+            Some(node) => node,
+            None => return,
+        },
+    };
+    node.share((0..4 * SCENARIOS.len() as u8).map(|index| KEYS + index));
+    thread::scope(|scope| {
+        let threads = SCENARIOS.iter().enumerate().map(|(index, (name, scenario))| {
+            let stage = Stage { node: &node, first: KEYS + 4 * index as u8 };
+            let play = move || scenario(&stage);
+            thread::Builder::new().name((*name).to_owned()).spawn_scoped(scope, play).unwrap()
+        });
+        for thread in threads.collect::<Vec<_>>() {
+            thread.join().unwrap_or_else(|reason| panic::resume_unwind(reason));
+        }
+    });
+}
+
+/// A ledger, and the keys of a scenario: the creator's, and then those of the providers.
+struct Stage<'a> {
+    node: &'a Node,
+    first: u8,
+}
+
+impl Stage<'_> {
+    fn operators(&self, count: u8) -> Vec<Operator> {
+        self.registered((0..count).map(|index| self.node.reconnect(self.first + index)).collect())
+    }
+
+    fn registered(&self, mut operators: Vec<Operator>) -> Vec<Operator> {
+        let tickets: Vec<Ticket> = operators.iter_mut().map(Operator::begin_registration).collect();
+        for (operator, ticket) in operators.iter_mut().zip(tickets) {
+            operator.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
+        }
+        operators
+    }
+
+    /// A provider of this scenario's creator.
+    fn provider(&self, operator: Operator, wei: u128) -> ProviderSide {
+        ProviderSide::new(operator, price(wei)).serving(key(self.first).account())
+    }
+
+    /// A creator, and a provider that behaves like that.
+    fn pair(&self, behaviour: Behaviour, terms: Terms) -> (CreatorSide, [ProviderSide; 1]) {
+        let mut operators = self.operators(2);
+        let provider = self.provider(operators.remove(1), 9).behaving(behaviour);
+        (CreatorSide::asking(operators.remove(0), terms, patient()), [provider])
+    }
+}
+
+fn price(wei: u128) -> Price {
+    Price::new(wei).unwrap()
+}
+
+/// One bid is enough; bids are waited for.
+fn patient() -> Policy {
+    Policy { enough: 1, collect: PATIENCE, patience: PATIENCE, ..policy() }
+}
+
+fn long() -> Terms {
+    request(policy()).terms
+}
+
+/// A winner that does not deploy within some seconds of the chain's is given up.
+fn short() -> Terms {
+    Terms { deploy_within: 8, ..long() }
+}
+
+fn failed(creator: &CreatorSide, with: Failure) {
+    let failures: Vec<_> = creator.steps.iter().filter(|s| matches!(s, CreatorStep::Failed(_))).collect();
+    assert_eq!(failures, [&CreatorStep::Failed(with)], "{:?}", creator.steps);
+    assert!(!creator.has(|step| *step == CreatorStep::InUse), "{:?}", creator.steps);
+}
+
+/// What an operator is paid out.
+fn withdrawn(operator: &mut Operator) -> Wei {
+    let account = operator.key.account();
+    operator.ledger.submit(operator.now(), Call::Withdraw);
+    let amount = |notices: &[Notice], of: Account| {
+        notices.iter().find_map(|notice| match notice {
+            Notice::Event(Event::Withdrawn { operator, amount, .. }) if *operator == of => Some(*amount),
+            _ => None,
+        })
+    };
+    operator.until("the payment", |notices| amount(notices, account).is_some());
+    amount(&operator.notices, account).unwrap()
+}
+
+/// The creator has all of its deposit back.
+fn nothing_was_paid(creator: &mut CreatorSide) {
+    assert_eq!(withdrawn(&mut creator.operator), price(9).times(long().use_for));
+}
+
+/// It comes to be used in spite of all, and is paid.
+fn used_and_paid(creator: &mut CreatorSide, providers: &mut [ProviderSide; 1]) {
+    until_all(creator, providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+    creator.negotiation.release();
+    until_all(creator, providers, |creator, providers| {
+        creator.negotiation.is_over() && providers[0].ended().is_some()
+    });
+    assert!(creator.has(|step| *step == CreatorStep::Deployed(attachment())));
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Released)));
+    assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
+    let charge = providers[0].ended().unwrap();
+    assert!(charge > Wei(0));
+    assert_eq!(withdrawn(&mut providers[0].operator), charge);
+    let Wei(rest) = withdrawn(&mut creator.operator);
+    assert_eq!(Wei(rest + charge.0), price(9).times(long().use_for));
+}
+
+fn nobody_bids(stage: &Stage<'_>) {
+    let policy = Policy { collect: Duration::from_secs(2), ..patient() };
+    let mut creator = CreatorSide::asking(stage.operators(1).remove(0), long(), policy);
+    until_all(&mut creator, &mut [], |creator, _| creator.negotiation.is_over());
+    failed(&creator, Failure::NoBid);
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
+}
+
+fn all_bids_are_too_dear(stage: &Stage<'_>) {
+    let mut operators = stage.operators(3);
+    // Long enough for both, wherever they are: who waits for bids does not know how many come.
+    let policy = Policy { collect: Duration::from_secs(20), ..patient() };
+    let mut providers = [500, 101].map(|wei| stage.provider(operators.pop().unwrap(), wei));
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), policy);
+    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    failed(&creator, Failure::NoGoodBid);
+    let rejected = creator.steps.iter().filter(|s| matches!(s, CreatorStep::BidRejected { .. })).count();
+    assert_eq!(rejected, 2, "{:?}", creator.steps);
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
+}
+
+fn the_winner_is_silent(stage: &Stage<'_>) {
+    let (mut creator, mut providers) = stage.pair(Behaviour::Silent, short());
+    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    failed(&creator, Failure::NotDeployed);
+    nothing_was_paid(&mut creator);
+}
+
+fn the_deployment_fails(stage: &Stage<'_>) {
+    let (mut creator, mut providers) = stage.pair(Behaviour::Fails, long());
+    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    failed(&creator, Failure::NotDeployed);
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Declined)));
+    nothing_was_paid(&mut creator);
+}
+
+fn the_provider_lies(stage: &Stage<'_>) {
+    let (mut creator, mut providers) = stage.pair(Behaviour::Honest, long());
+    // Nobody beacons where it says.
+    creator.finds_nobody();
+    until_all(&mut creator, &mut providers, |creator, providers| {
+        creator.negotiation.is_over() && providers[0].ended().is_some()
+    });
+    failed(&creator, Failure::Unusable);
+    assert_eq!(providers[0].ended(), Some(Wei(0)));
+    nothing_was_paid(&mut creator);
+}
+
+fn the_creators_node_is_away(stage: &Stage<'_>) {
+    let proxy = Proxy::before(&stage.node.url(stage.first));
+    let operators =
+        vec![stage.node.reconnect_at(stage.first, proxy.url()), stage.node.reconnect(stage.first + 1)];
+    let mut operators = stage.registered(operators);
+    let mut providers = [stage.provider(operators.remove(1), 9)];
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), patient());
+    until_all(&mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::Announcing)
+    });
+    proxy.cut();
+    creator
+        .operator
+        .until("its node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
+    proxy.mend();
+    used_and_paid(&mut creator, &mut providers);
+}
+
+fn the_winner_is_cut_off(stage: &Stage<'_>) {
+    let proxy = Proxy::before(&stage.node.url(stage.first + 1));
+    let operators =
+        vec![stage.node.reconnect(stage.first), stage.node.reconnect_at(stage.first + 1, proxy.url())];
+    let mut operators = stage.registered(operators);
+    let mut providers = [stage.provider(operators.remove(1), 9).behaving(Behaviour::Silent)];
+    let mut creator = CreatorSide::asking(operators.remove(0), short(), patient());
+    let has_won = |provider: &ProviderSide| provider.steps.contains(&ProviderStep::Won);
+    until_all(&mut creator, &mut providers, |_, providers| has_won(&providers[0]));
+    proxy.cut();
+    // It deploys, and cannot tell.
+    providers[0].deploy();
+    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    failed(&creator, Failure::NotDeployed);
+    nothing_was_paid(&mut creator);
+    proxy.mend();
+    // It hears that it is over, and takes it down.
+    until_all(&mut creator, &mut providers, |_, providers| providers[0].ended().is_some());
+    assert_eq!(providers[0].ended(), Some(Wei(0)));
+}
+
+fn both_are_started_again(stage: &Stage<'_>) {
+    let (mut creator, mut providers) = stage.pair(Behaviour::Silent, long());
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Chosen));
+    drop((creator, providers));
+    // New processes with the same keys: all else comes from the chain.
+    let mut creator = CreatorSide::asking(stage.node.reconnect(stage.first), long(), patient());
+    let mut providers = [stage.provider(stage.node.reconnect(stage.first + 1), 9)];
+    used_and_paid(&mut creator, &mut providers);
+    let announced = creator.operator.notices.iter().filter(
+        |notice| matches!(notice, Notice::Event(Event::ServiceAnnounced { creator: of, .. }) if *of == creator.operator.key.account()),
+    );
+    assert_eq!(announced.count(), 1, "it is the same service");
+}
+
+fn the_announcement_is_replayed(stage: &Stage<'_>) {
+    let mut operators = stage.operators(3);
+    let mut mallory = operators.pop().unwrap();
+    let mut providers = [stage.provider(operators.pop().unwrap(), 9)];
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), patient());
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Announced));
+    // Word for word, by the creator and by somebody else.
+    let secret = creator.operator.key.secret();
+    let salt = secret.announcement_salt(1);
+    let again = || {
+        let requirements = request(policy()).requirements;
+        Call::Announce { salt, key: secret.public_key(salt), requirements, terms: long() }
+    };
+    let refused = creator.operator.ledger.submit(creator.operator.now(), again());
+    let copied = mallory.ledger.submit(mallory.now(), again());
+    mallory.until("the copy", |notices| notices.contains(&Notice::Included(copied)));
+    let told = Notice::Refused(refused, Rejection::Contract(Refusal::AlreadyAnnounced));
+    used_and_paid(&mut creator, &mut providers);
+    assert!(creator.operator.notices.contains(&told), "{:?}", creator.operator.notices);
+}
