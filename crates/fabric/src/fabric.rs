@@ -14,8 +14,8 @@ use crate::{
     lateness::Histogram,
     pipe::{Packet, Pipe, Purpose},
     pool::Pool,
-    probes::Probes,
-    radio::{Arrival, Radio},
+    probes::{Over, Probes},
+    radio::{Arrival, Path, Radio},
     random::stream,
     routes::{Routes, Target, Vertex},
     settings::{Refusal, Settings},
@@ -288,12 +288,14 @@ impl Fabric {
         Ok(())
     }
 
-    /// Probes every wired link from now on, in both directions (STAMP, RFC 8762), with packets of its own that cross
-    /// links as any others do. They are in no counter.
+    /// Probes every wired link from now on, and each robot's present one, in both directions (STAMP, RFC 8762), with
+    /// packets of its own that cross links as any others do. They are in no counter.
     pub fn probe_links(&mut self, now: Timestamp, settings: Probing) {
         let now = self.advance(now);
-        let links = (0..self.links.len()).map(|link| effective(&self.pipes, link));
-        self.probes = Probes::new(settings, now, links);
+        let wires = (0..self.links.len()).map(|link| effective(&self.pipes, link));
+        let radio = &self.radio;
+        let stations = (0..radio.stations()).map(|robot| move |bytes: usize| radio.turns(robot, bytes));
+        self.probes = Probes::new(settings, now, wires, stations);
     }
 
     /// Tests what one direction of a wired link carries, by packets that cross it as any others do, and are in no
@@ -325,7 +327,7 @@ impl Fabric {
     pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
         let now = self.advance(now);
         let wired = self.links.iter().enumerate().flat_map(|(i, link)| {
-            let probed = self.probes.probed(now, i);
+            let probed = self.probes.probed(now, Over::Wire(i));
             [Direction::Forward, Direction::Backward].map(|direction| {
                 let edge = edge(i, direction);
                 LinkContext {
@@ -336,7 +338,8 @@ impl Fabric {
             })
         });
         let mut contexts: Vec<_> = wired.collect();
-        contexts.extend(self.radio.link_contexts(now));
+        let on_air = |robot, unit| self.probes.probed(now, Over::Air(robot, unit));
+        contexts.extend(self.radio.link_contexts(now, on_air));
         contexts
     }
 
@@ -517,14 +520,35 @@ impl Fabric {
     }
 
     fn send_own(&mut self, at: Timestamp) {
-        let probe = self.probes.poll(at, |length| self.pool.take(length));
-        let probe = probe.map(|(link, frame)| (edge(link, Direction::Forward), frame, Purpose::Probe));
-        let trial = self.trials.poll(at, |length| self.pool.take(length));
-        let trial = trial.map(|(edge, frame)| (edge, frame, Purpose::Trial));
-        for (edge, frame, purpose) in probe.into_iter().chain(trial) {
-            self.cross(at, edge, Packet { frame, purpose, entered: at });
+        let probe = self.probes.poll(at, |robot| self.radio.linked(robot), |length| self.pool.take(length));
+        if let Some((over, frame)) = probe {
+            self.probe(at, over, Direction::Forward, frame);
+        }
+        if let Some((edge, frame)) = self.trials.poll(at, |length| self.pool.take(length)) {
+            self.cross(at, edge, Packet { frame, purpose: Purpose::Trial, entered: at });
         }
         self.settle(at);
+    }
+
+    /// Sends a probe, or its answer.
+    fn probe(&mut self, now: Timestamp, over: Over, direction: Direction, frame: Frame) {
+        match over {
+            Over::Wire(link) => {
+                let packet = Packet { frame, purpose: Purpose::Probe, entered: now };
+                self.cross(now, edge(link, direction), packet);
+            }
+            Over::Air(robot, unit) => {
+                self.radio.probe(now, Path { robot, unit, direction }, frame);
+                self.radio_deadline = self.radio.deadline();
+            }
+        }
+    }
+
+    /// A probe or its answer has come to the other end.
+    fn probed(&mut self, now: Timestamp, over: Over, direction: Direction, frame: Frame) {
+        if let Some(answer) = self.probes.crossed(now, over, direction, frame) {
+            self.probe(now, over, Direction::Backward, answer);
+        }
     }
 
     /// A packet has crossed an edge; a probe turns back or ends here, others go on.
@@ -536,12 +560,8 @@ impl Fabric {
                 self.pool.put(packet.frame);
             }
             Purpose::Probe => {
-                let (link, direction) =
-                    (edge / 2, if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward });
-                if let Some(frame) = self.probes.crossed(now, link, direction, packet.frame) {
-                    let back = self::edge(link, Direction::Backward);
-                    self.cross(now, back, Packet { frame, purpose: Purpose::Probe, entered: now });
-                }
+                let direction = if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward };
+                self.probed(now, Over::Wire(edge / 2), direction, packet.frame);
             }
         }
     }
@@ -557,8 +577,12 @@ impl Fabric {
     fn poll_radio(&mut self, at: Timestamp) {
         let mut arrivals = std::mem::take(&mut self.arrivals);
         self.radio_deadline = self.radio.poll(at, &mut self.pool, &mut arrivals);
-        for Arrival { due, from, at, frame } in arrivals.drain(..) {
+        for Arrival { due, from, at, frame, probed } in arrivals.drain(..) {
             self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
+            if let Some(Path { robot, unit, direction }) = probed {
+                self.probed(due, Over::Air(robot, unit), direction, frame);
+                continue;
+            }
             let vertex = self.ports[at.0].vertex;
             if !self.routes.vertex(vertex).forwards {
                 self.outbox.push_back((due, at, frame));

@@ -1,6 +1,6 @@
-//! Two-way probes of wired links by STAMP (RFC 8762): what a link does to packets, measured by packets that cross it,
-//! whether or not any others do. A link's first end asks, its second end answers; both have the fabric's clock, so that
-//! each direction is told by itself.
+//! Two-way probes of links by STAMP (RFC 8762): what a link does to packets, measured by packets that cross it, whether
+//! or not any others do. A link's first end asks, its second end answers; both have the fabric's clock, so that each
+//! direction is told by itself. Of the links on the air, each robot's present one is probed.
 
 use std::time::Duration;
 
@@ -11,10 +11,11 @@ use crate::{
     checksum::{complement, fold, sum},
     fabric::rate_bps,
     frame::{ETHERNET_HEADER, Frame},
+    radio::{RadioUnitIndex, StationIndex},
     timers::Timers,
 };
 
-/// Of a link's rate, the most that its probes take.
+/// Of a link's rate, the most that its probes take; of the time on a channel, the most that those of all robots take.
 const SHARE: f64 = 0.01;
 
 /// Of no station to no station, IPv4.
@@ -28,37 +29,68 @@ const UDP_CHECKSUM: usize = HEADERS - 2;
 #[derive(Debug)]
 pub(crate) struct Probes {
     settings: Probing,
-    links: Vec<Link>,
+    wires: Vec<Link>,
+    stations: Vec<Station>,
+    /// Those of the wires, then those of the stations.
     timers: Timers,
+}
+
+/// What a probe goes over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Over {
+    /// A wired link, by its place in the graph.
+    Wire(usize),
+    /// A robot's link to a radio unit.
+    Air(StationIndex, RadioUnitIndex),
+}
+
+/// A robot's present link.
+#[derive(Debug)]
+struct Station {
+    with: Option<RadioUnitIndex>,
+    config: SessionConfig,
+    link: Link,
 }
 
 impl Probes {
     /// No probes at all.
     pub(crate) fn none() -> Self {
-        Self { settings: Probing::default(), links: Vec::new(), timers: Timers::new(0) }
+        let (wires, stations) = (Vec::new(), Vec::new());
+        Self { settings: Probing::default(), wires, stations, timers: Timers::new(0) }
     }
 
-    /// Probes of links with these conditions, forward and backward. They begin one after the other, so that they do
-    /// not come in bursts.
-    pub(crate) fn new<'a>(
+    /// Probes of wired links with these conditions, forward and backward, and of the links of robots, of which it is
+    /// said how long a frame of so many bytes keeps their channel, with one of each other robot. They begin one after
+    /// the other, so that they do not come in bursts.
+    pub(crate) fn new<'a, T>(
         settings: Probing,
         now: Timestamp,
-        links: impl ExactSizeIterator<Item = [&'a Conditions; 2]>,
-    ) -> Self {
-        let count = links.len();
-        let mut probes = Self { settings, links: Vec::with_capacity(count), timers: Timers::new(count) };
-        for (i, conditions) in links.enumerate() {
-            let begins = utc(now) + settings.interval.mul_f64(i as f64 / count as f64);
-            probes.links.push(Link::new(config(&settings, conditions, HEADERS), begins));
-            probes.arm(i);
-        }
+        wires: impl ExactSizeIterator<Item = [&'a Conditions; 2]>,
+        stations: impl ExactSizeIterator<Item = T>,
+    ) -> Self
+    where
+        T: FnOnce(usize) -> Duration,
+    {
+        let count = wires.len() + stations.len();
+        let begins = |i: usize| utc(now) + settings.interval.mul_f64(i as f64 / count as f64);
+        let first = wires.len();
+        let wires = wires
+            .enumerate()
+            .map(|(i, conditions)| Link::new(wired(&settings, conditions, HEADERS), begins(i)));
+        let stations = stations.enumerate().map(|(i, turns)| {
+            let config = on_air(&settings, turns(HEADERS + BASE_LENGTH));
+            Station { with: None, config, link: Link::new(config, begins(first + i)) }
+        });
+        let (wires, stations) = (wires.collect(), stations.collect());
+        let mut probes = Self { settings, wires, stations, timers: Timers::new(count) };
+        (0..count).for_each(|place| probes.arm(place));
         probes
     }
 
     /// A link has other conditions.
     pub(crate) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
-        if let Some(link) = self.links.get_mut(link) {
-            link.pace(config(&self.settings, conditions, HEADERS));
+        if let Some(link) = self.wires.get_mut(link) {
+            link.pace(wired(&self.settings, conditions, HEADERS));
         }
     }
 
@@ -67,28 +99,46 @@ impl Probes {
         self.timers.next().map(|(at, _)| at)
     }
 
-    /// The next probe that is due by then, in a buffer, and the link that it goes over.
+    /// The next probe that is due by then, in a buffer, and what it goes over: a robot's goes to the radio unit that it
+    /// is said to be with.
     pub(crate) fn poll(
         &mut self,
         now: Timestamp,
+        with: impl FnOnce(StationIndex) -> Option<RadioUnitIndex>,
         buffer: impl FnOnce(usize) -> Vec<u8>,
-    ) -> Option<(usize, Frame)> {
-        let (_, link) = self.timers.next().filter(|(at, _)| *at <= now)?;
-        let probe = self.links[link].poll(utc(now));
-        self.arm(link);
-        probe.map(|probe| (link, frame(&probe, buffer(HEADERS + probe.len()))))
+    ) -> Option<(Over, Frame)> {
+        let (_, place) = self.timers.next().filter(|(at, _)| *at <= now)?;
+        let (over, probe) = match place.checked_sub(self.wires.len()) {
+            None => (Some(Over::Wire(place)), self.wires[place].poll(utc(now))),
+            Some(robot) => {
+                let station = &mut self.stations[robot];
+                station.follow(utc(now), with(robot));
+                (station.with.map(|unit| Over::Air(robot, unit)), station.link.poll(utc(now)))
+            }
+        };
+        self.arm(place);
+        let (over, probe) = over.zip(probe)?;
+        Some((over, frame(&probe, buffer(HEADERS + probe.len()))))
     }
 
     /// A probe has crossed a link and gets its answer; `None` if its answer has crossed back, or if it is damaged.
     pub(crate) fn crossed(
         &mut self,
         now: Timestamp,
-        link: usize,
+        over: Over,
         direction: Direction,
         frame: Frame,
     ) -> Option<Frame> {
         let mut bytes = frame.into_bytes();
-        let probed = &mut self.links[link];
+        let (place, probed) = match over {
+            Over::Wire(link) => (link, &mut self.wires[link]),
+            Over::Air(robot, unit) => {
+                let place = self.wires.len() + robot;
+                let station = self.stations.get_mut(robot)?;
+                // It went over another link before, and its session is over.
+                (station.with == Some(unit)).then_some((place, &mut station.link))?
+            }
+        };
         let packet = payload(&bytes)?;
         match direction {
             Direction::Forward => {
@@ -99,28 +149,58 @@ impl Probes {
             Direction::Backward => {
                 // What is damaged in a way that the checksum does not see is nobody's answer.
                 let _ = probed.receive(packet, utc(now));
-                self.arm(link);
+                self.arm(place);
                 None
             }
         }
     }
 
-    /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it.
-    pub(crate) fn probed(&self, now: Timestamp, link: usize) -> Option<[Probed; 2]> {
-        Some(self.links.get(link)?.told(utc(now))?.map(probed))
+    /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it,
+    /// and for a link that a robot has left.
+    pub(crate) fn probed(&self, now: Timestamp, over: Over) -> Option<[Probed; 2]> {
+        let link = match over {
+            Over::Wire(link) => self.wires.get(link)?,
+            Over::Air(robot, unit) => {
+                &self.stations.get(robot).filter(|station| station.with == Some(unit))?.link
+            }
+        };
+        Some(link.told(utc(now))?.map(probed))
     }
 
-    fn arm(&mut self, link: usize) {
-        self.timers.set(link, self.links[link].deadline().map(timestamp));
+    fn arm(&mut self, place: usize) {
+        let link = match place.checked_sub(self.wires.len()) {
+            None => &self.wires[place],
+            Some(robot) => &self.stations[robot].link,
+        };
+        self.timers.set(place, link.deadline().map(timestamp));
     }
 }
 
-/// How a link with these conditions is probed, with so many octets around each packet.
-fn config(settings: &Probing, conditions: [&Conditions; 2], overhead: usize) -> SessionConfig {
+impl Station {
+    /// Probes the link with this radio unit from now on.
+    fn follow(&mut self, now: Utc, unit: Option<RadioUnitIndex>) {
+        if self.with != unit {
+            self.with = unit;
+            self.link = Link::new(self.config, now);
+        }
+    }
+}
+
+/// How a wired link with these conditions is probed, with so many octets around each packet.
+fn wired(settings: &Probing, conditions: [&Conditions; 2], overhead: usize) -> SessionConfig {
     let slowest = conditions.iter().map(|c| rate_bps(&c.rate)).fold(f64::INFINITY, f64::min);
     let config = SessionConfig { interval: settings.interval, ..SessionConfig::default() };
-    let config = config.within(SHARE, slowest, overhead);
-    // What is sent seldom is kept for longer.
+    patient(settings, config.within(SHARE, slowest, overhead))
+}
+
+/// How a robot's link is probed if a frame for each robot takes so long: there are two in each interval.
+fn on_air(settings: &Probing, turns: Duration) -> SessionConfig {
+    let interval = settings.interval.max(turns.mul_f64(2.0 / SHARE));
+    patient(settings, SessionConfig { interval, ..SessionConfig::default() })
+}
+
+/// What is sent seldom is kept for longer.
+fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
     let window = settings.window.max(config.interval.saturating_mul(4));
     SessionConfig { window, patience: window / 2, ..config }
 }
@@ -183,7 +263,7 @@ fn udp_sum(bytes: &[u8]) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{ConditionChange, LinkId, testbed_file};
+    use cotorra_graph::{ConditionChange, LinkContext, LinkId, NodeId, testbed_file};
 
     use super::*;
     use crate::Fabric;
@@ -294,5 +374,58 @@ mod tests {
         assert_eq!(probed(&mut fabric, now), None);
         let now = run(&mut fabric, now, 1);
         assert!(probed(&mut fabric, now).is_some());
+    }
+
+    /// So many robots at two radio units on one channel, probed from the beginning.
+    fn robots(count: usize) -> Fabric {
+        let robots: String = (0..count)
+            .map(|i| format!("  r{i}: {{ kind: robot, cpus: 1, memory: 1 GB, position: [1, 0] }}\n"))
+            .collect();
+        let text = format!(
+            "name: lab\nwireless:\n  lab: {{ standard: n, delay: 1 ms, rate: 8 Mbit/s, shadowing: {{ deviation: 0 dB }} }}\n\
+             nodes:\n  A: {{ kind: radio_unit, position: [0, 0], channel: 1 }}\n  \
+             B: {{ kind: radio_unit, position: [9, 0], channel: 1 }}\n{robots}\
+             links:\n  - {{ ends: [A, B] }}\n"
+        );
+        let testbed = testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
+        let mut fabric = Fabric::new(&testbed.graph, 1).unwrap();
+        fabric.probe_links(Timestamp::ZERO, Probing::default());
+        fabric
+    }
+
+    /// What is told of the wireless links that were in use, both directions of each.
+    fn on_air(fabric: &mut Fabric, now: Timestamp) -> Vec<(String, Option<Duration>)> {
+        let wireless = fabric.link_contexts(now).into_iter().filter(|context| context.link.as_str() != "A-B");
+        let told = |link: LinkContext| (link.link.to_string(), link.probed.and_then(|probed| probed.delay));
+        wireless.map(told).collect()
+    }
+
+    #[test]
+    fn the_link_that_a_robot_has_is_probed_and_the_one_that_it_had_is_not() {
+        let mut fabric = robots(1);
+        let now = run(&mut fabric, Timestamp::ZERO, 5);
+        // The delay covers the airtime of such short frames.
+        let millisecond = Some(Duration::from_millis(1));
+        let told = |link: &str, delay| vec![(link.to_owned(), delay); 2];
+        assert_eq!(on_air(&mut fabric, now), told("r0~A", millisecond));
+        let [robot, unit] = ["r0", "B"].map(|name| NodeId::new(name).unwrap());
+        fabric.attach(now, &robot, &unit).unwrap();
+        let now = run(&mut fabric, now, 5);
+        assert_eq!(on_air(&mut fabric, now), [told("r0~A", None), told("r0~B", millisecond)].concat());
+        assert!(fabric.link_contexts(now).iter().all(|link| link.counters == Default::default()));
+    }
+
+    #[test]
+    fn robots_give_no_more_than_a_hundredth_of_a_channel_to_probes() {
+        let mut fabric = robots(40);
+        let mut now = Timestamp::ZERO;
+        let mut loads = Vec::new();
+        for _ in 0..100 {
+            now = run(&mut fabric, now, 1);
+            loads.push(fabric.radio_contexts(now)[0].load);
+        }
+        let load = loads.iter().sum::<f64>() / loads.len() as f64;
+        assert!((0.001..=0.01).contains(&load), "{load}");
+        assert!(on_air(&mut fabric, now).iter().all(|(_, delay)| delay.is_some()));
     }
 }

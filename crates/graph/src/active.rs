@@ -7,10 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::{BitRate, millis};
 
-/// How wired links are probed by STAMP (RFC 8762).
+/// How links are probed by STAMP (RFC 8762): wired ones, and each robot's present one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Probing {
-    /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate.
+    /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate, or those
+    /// of all robots more than 1 % of a channel's time.
     pub interval: Duration,
     /// How far back what they tell looks.
     pub window: Duration,

@@ -43,7 +43,7 @@ pub struct Testbed {
     pub emulation: Emulation,
     /// What happens to its links by itself.
     pub script: Script,
-    /// How its wired links are probed; `None` if they are not.
+    /// How its links are probed; `None` if they are not.
     pub probes: Option<Probing>,
     /// How long its history keeps samples as they were recorded.
     pub retention: Retentions,

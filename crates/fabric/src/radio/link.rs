@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Rate, Scale, Timestamp,
-    WirelessNetwork,
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Probed, Rate, Scale,
+    Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -97,14 +97,19 @@ impl WirelessLink {
         self.receptions = Some((place, receptions));
     }
 
-    pub(super) fn context(&self, now: Timestamp, direction: Direction) -> LinkContext {
+    pub(super) fn context(
+        &self,
+        now: Timestamp,
+        direction: Direction,
+        probed: Option<Probed>,
+    ) -> LinkContext {
         let Lane { settings, meter, .. } = &self.lanes[direction as usize];
         LinkContext {
             link: self.id.clone(),
             direction,
             delay: meter.delay(now),
             throughput_bps: meter.throughput_bps(now),
-            probed: None,
+            probed,
             tested: None,
             asked: settings.asked().clone(),
             scale: settings.scale(),
@@ -158,16 +163,22 @@ impl Lane {
         }
     }
 
-    /// What becomes of a frame that was on the air from `start`; `None` if it is lost.
-    pub(super) fn land(&mut self, start: Timestamp, sent: &Exchange, frame: &mut Frame) -> Option<Landing> {
+    /// What becomes of a frame that was on the air from `start`, and whether that `counts`; `None` if it is lost.
+    pub(super) fn land(
+        &mut self,
+        start: Timestamp,
+        sent: &Exchange,
+        frame: &mut Frame,
+        counts: bool,
+    ) -> Option<Landing> {
         if !sent.received || self.impairments.loses() {
-            self.meter.counters.lost += 1;
+            self.meter.counters.lost += u64::from(counts);
             return None;
         }
-        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(frame));
+        self.meter.counters.corrupted += u64::from(self.impairments.corrupts(frame) && counts);
         let deviate = if self.impairments.reorders() { None } else { Some(self.impairments.deviate()) };
         let twice = self.impairments.duplicates();
-        self.meter.counters.duplicated += u64::from(twice);
+        self.meter.counters.duplicated += u64::from(twice && counts);
         let flight = Flight { start, first: sent.first, retries: sent.retries, deviate };
         Some(Landing { due: self.line_up(&flight), flight, twice })
     }

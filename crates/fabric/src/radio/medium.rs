@@ -15,6 +15,8 @@ pub(super) struct Waiting {
     pub(super) since: Timestamp,
     /// Of all stations, the one that is not to get it, since it sent it.
     pub(super) source: Option<StationIndex>,
+    /// Whether it only measures, and counts for nothing that the link gave.
+    pub(super) is_probe: bool,
 }
 
 /// A drop-tail queue.
@@ -318,7 +320,7 @@ mod tests {
     const LIMIT: QueueLimit = QueueLimit::Packets(100);
 
     fn waiting() -> Waiting {
-        Waiting { frame: Frame::new(vec![0; 100]), since: Timestamp::ZERO, source: None }
+        Waiting { frame: Frame::new(vec![0; 100]), since: Timestamp::ZERO, source: None, is_probe: false }
     }
 
     /// Radio units 0 and 1 on channel 0, 2 on channel 1; stations 0 and 1 with unit 0, 2 with unit 1, 3 with unit 2.

@@ -3,9 +3,14 @@
 //!
 //! - Path loss and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
 //! - [`medium`] shares each channel's airtime; [`link`] adds what emulation was asked to do.
-//! - [`access`] says which radio units serve, and whom; [`station`] is the state machine of an attachment; [`roaming`] decides from beacons.
+//! - [`hearing`] says who hears whom; [`air`] leads frames over it.
+//! - [`access`] says which radio units serve, and whom; [`station`] is the state machine of an attachment, [`roaming`]
+//!   decides from beacons, and [`attaching`] carries it out.
 
 mod access;
+mod air;
+mod attaching;
+mod hearing;
 mod link;
 mod medium;
 mod phy;
@@ -24,8 +29,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, Handover,
-    HardwareGraph, LinkContext, LinkId, NodeId, Position, QueueLimit, RadioContext, Roaming, Stamped,
+    AccessPoint, Attachment, ConditionChange, Dbm, Direction, DomainId, Event, GapPolicy, HardwareGraph,
+    LinkContext, LinkId, NodeId, Position, Probed, QueueLimit, RadioContext, Roaming, Stamped,
     StationContext, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -33,24 +38,24 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use self::{
     link::WirelessLink,
     medium::{Flow, Medium, Waiting},
-    phy::{Exchange, Phy, Reception},
-    roaming::{Beacons, Thresholds, Verdict, next_beacon},
+    phy::Phy,
+    roaming::{Beacons, Thresholds},
     shadowing::ShadowingField,
-    station::{Joined, Purpose, Station, Step},
+    station::{Purpose, Station},
 };
 use crate::{
     fabric::{FabricError, PortId},
     frame::Frame,
     pool::Pool,
-    random::{self, stream},
+    random::stream,
     settings::{Refusal, Settings},
     timers::Timers,
 };
 
 /// The place of a robot among the robots that have a wireless network.
-type StationIndex = usize;
+pub(crate) type StationIndex = usize;
 /// The place of a radio unit among those that serve a wireless network.
-type RadioUnitIndex = usize;
+pub(crate) type RadioUnitIndex = usize;
 
 /// A station without a radio unit looks for one this often while it moves.
 const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
@@ -66,6 +71,8 @@ pub(crate) struct Arrival {
     pub(crate) at: PortId,
     /// The frame.
     pub(crate) frame: Frame,
+    /// The way that it measured, if it is a probe.
+    pub(crate) probed: Option<Path>,
 }
 
 /// All robots' radios, all radio units and the air between them.
@@ -160,14 +167,15 @@ struct InFlight {
     since: Timestamp,
     flight: link::Flight,
     frame: Frame,
+    is_probe: bool,
 }
 
 /// One direction of one robot's link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Path {
-    robot: StationIndex,
-    unit: RadioUnitIndex,
-    direction: Direction,
+pub(crate) struct Path {
+    pub(crate) robot: StationIndex,
+    pub(crate) unit: RadioUnitIndex,
+    pub(crate) direction: Direction,
 }
 
 impl Radio {
@@ -272,7 +280,7 @@ impl Radio {
         let Some(Role::Robot(robot)) = self.role(robot) else { return self.lost.push(frame) };
         // A station that never had a radio unit has no carrier.
         let Some(unit) = self.robots[robot].home else { return self.lost.push(frame) };
-        self.enqueue(now, Path { robot, unit, direction: Direction::Forward }, frame);
+        self.enqueue(now, Path { robot, unit, direction: Direction::Forward }, frame, false);
     }
 
     /// A radio unit sends a frame to a robot. What comes to a radio unit after the robot has left it goes the way of
@@ -284,9 +292,36 @@ impl Radio {
         };
         let path = Path { robot, unit, direction: Direction::Backward };
         match (self.robots[robot].home, self.gap_policy(robot)) {
-            (Some(home), GapPolicy::Hold) => self.enqueue(now, Path { unit: home, ..path }, frame),
-            (Some(home), GapPolicy::Drop) if home == unit => self.enqueue(now, path, frame),
-            _ => self.lose(path, frame),
+            (Some(home), GapPolicy::Hold) => self.enqueue(now, Path { unit: home, ..path }, frame, false),
+            (Some(home), GapPolicy::Drop) if home == unit => self.enqueue(now, path, frame, false),
+            _ => self.lose(path, frame, false),
+        }
+    }
+
+    /// How many robots have a radio.
+    pub(crate) fn stations(&self) -> usize {
+        self.robots.len()
+    }
+
+    /// The radio unit that a robot's link is with: the one that it is attached to, or was last.
+    pub(crate) fn linked(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
+        self.robots[robot].home
+    }
+
+    /// How long a frame of so many bytes for each robot of a robot's network takes at the slowest rate, were all on one
+    /// channel.
+    pub(crate) fn turns(&self, robot: StationIndex, bytes: usize) -> Duration {
+        let network = self.robots[robot].network;
+        let robots = self.robots.iter().filter(|other| other.network == network).count();
+        self.networks[network].phy.group_airtime(bytes, true, 0.5) * robots as u32
+    }
+
+    /// A frame that only measures goes over a robot's link.
+    pub(crate) fn probe(&mut self, now: Timestamp, path: Path, frame: Frame) {
+        self.advance(now);
+        match self.robots[path.robot].home {
+            Some(home) if home == path.unit => self.enqueue(now, path, frame, true),
+            _ => self.lose(path, frame, true),
         }
     }
 
@@ -302,7 +337,7 @@ impl Radio {
         if self.group(unit, source).next().is_none() {
             return self.lost.push(frame);
         }
-        let waiting = Waiting { frame, since: now, source };
+        let waiting = Waiting { frame, since: now, source, is_probe: false };
         match self.medium.push(Flow::Group(unit), waiting, QueueLimit::default()) {
             Ok(()) => self.serve(self.medium.channel(unit), now),
             Err(frame) => {
@@ -331,14 +366,19 @@ impl Radio {
         self.advance(now);
         self.lost.drain(..).for_each(|frame| pool.put(frame));
         while self.in_flight.peek().is_some_and(|Reverse(f)| f.due <= now) {
-            let Some(Reverse(InFlight { due, path, since, frame, .. })) = self.in_flight.pop() else { break };
-            self.lane(path).meter().crossed(since, due, 1, frame.wire_bytes());
+            let Some(Reverse(InFlight { due, path, since, frame, is_probe, .. })) = self.in_flight.pop()
+            else {
+                break;
+            };
+            if !is_probe {
+                self.lane(path).meter().crossed(since, due, 1, frame.wire_bytes());
+            }
             let (robot, unit) = (self.robots[path.robot].port, self.units[path.unit].port);
             let (from, at) = match path.direction {
                 Direction::Forward => (robot, unit),
                 Direction::Backward => (unit, robot),
             };
-            out.push(Arrival { due, from, at, frame });
+            out.push(Arrival { due, from, at, frame, probed: is_probe.then_some(path) });
         }
         self.deadline()
     }
@@ -456,11 +496,18 @@ impl Radio {
 
     /// Both directions of every wireless link that a robot was attached by, or that was changed. The others have
     /// nothing to tell but what their network says.
-    pub(crate) fn link_contexts(&self, now: Timestamp) -> Vec<LinkContext> {
-        let both = |link: &WirelessLink| {
-            [Direction::Forward, Direction::Backward].map(|direction| link.context(now, direction))
+    pub(crate) fn link_contexts(
+        &self,
+        now: Timestamp,
+        probed: impl Fn(StationIndex, RadioUnitIndex) -> Option<[Probed; 2]>,
+    ) -> Vec<LinkContext> {
+        let both = |(pair, link): (usize, &WirelessLink)| {
+            let probed = probed(pair / self.units.len(), pair % self.units.len());
+            [Direction::Forward, Direction::Backward]
+                .map(|direction| link.context(now, direction, probed.map(|both| both[direction as usize])))
         };
-        self.links.iter().flatten().flat_map(|link| both(link)).collect()
+        let links = self.links.iter().enumerate().filter_map(|(pair, link)| Some((pair, link.as_deref()?)));
+        links.flat_map(both).collect()
     }
 
     /// Whether there is such a wireless link.
@@ -545,317 +592,6 @@ impl Radio {
 
     fn tell(&mut self, at: Timestamp, event: Event) {
         self.events.push_back(Stamped { at, event });
-    }
-}
-
-/// What is heard where.
-impl Radio {
-    /// Received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which are
-    /// the same both ways.
-    fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
-        let (r, u) = (&self.robots[robot], &self.units[unit]);
-        let WirelessNetwork { path_loss, shadowing, .. } = self.networks[r.network].spec;
-        let field = self.fields[self.pair(robot, unit)].get_or_init(|| {
-            let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
-            ShadowingField::new(shadowing, stream(self.seed, &label))
-        });
-        let loss = path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz) + field.at(r.position);
-        [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
-    }
-
-    /// What the radio unit makes of the robot, and the robot of it.
-    fn receptions(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Reception; 2] {
-        let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
-        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 - spec.noise_floor.0))
-    }
-
-    /// The signal of a radio unit that a robot can hear and be heard by.
-    fn hears(&self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
-        self.units[unit].serves.as_ref()?;
-        let sensitivity = self.networks[self.units[unit].network].sensitivity;
-        let [up, down] = self.signals(robot, unit);
-        (up >= sensitivity && down >= sensitivity).then_some(down)
-    }
-
-    /// Notes what a robot hears of all radio units of its network.
-    fn listen(&mut self, robot: StationIndex) {
-        let mut heard = std::mem::take(&mut self.robots[robot].heard);
-        let units = &self.networks[self.robots[robot].network].units;
-        heard.clear();
-        heard.extend(units.iter().map(|unit| self.hears(robot, *unit)));
-        self.robots[robot].heard = heard;
-    }
-
-    /// The radio units that a robot heard last.
-    fn heard(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
-        let RobotRadio { network, heard, .. } = &self.robots[robot];
-        self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
-    }
-
-    /// Those of them that it may attach to.
-    fn joinable(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
-        self.heard(robot).filter(move |(unit, _)| self.admits(robot, *unit))
-    }
-
-    /// The strongest radio unit that a robot heard last, and may attach to; the first among equals.
-    fn strongest(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
-        let stronger = |best: (RadioUnitIndex, Dbm), next: (RadioUnitIndex, Dbm)| {
-            if next.1 > best.1 { next } else { best }
-        };
-        self.joinable(robot).reduce(stronger).map(|(unit, _)| unit)
-    }
-}
-
-/// What happens when a timer expires.
-impl Radio {
-    /// Does all that was due by `now`, each in its own time.
-    fn advance(&mut self, now: Timestamp) {
-        while let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) {
-            self.timers.set(owner, None);
-            match owner.checked_sub(self.channels) {
-                None => self.serve(owner, at),
-                Some(robot) if self.robots[robot].station.is_away() => self.end_phase(robot, at),
-                Some(robot) => self.beacon(robot, at),
-            }
-        }
-    }
-
-    /// Looks at the next beacon of a station's radio unit, or for one if it has none.
-    fn watch(&mut self, robot: StationIndex, now: Timestamp) {
-        let lost = self.robots[robot].station.attached().is_none();
-        let next = if lost { now + SEARCH_INTERVAL } else { next_beacon(now) };
-        self.timers.set(self.channels + robot, Some(next));
-    }
-
-    fn beacon(&mut self, robot: StationIndex, now: Timestamp) {
-        self.robots[robot].moved = false;
-        let Some(unit) = self.robots[robot].station.attached() else {
-            return self.begin_scan(robot, now, Purpose::Roam).expect("a station on no channel is not away");
-        };
-        let thresholds = self.robots[robot].thresholds;
-        let own = self.hears(robot, unit);
-        if thresholds.is_some() {
-            self.listen(robot);
-        }
-        let mut beacons = std::mem::take(&mut self.robots[robot].beacons);
-        let others = self.joinable(robot).filter(|(other, _)| *other != unit);
-        let verdict = beacons.weigh(now, own, others, thresholds);
-        self.robots[robot].beacons = beacons;
-        match verdict {
-            Verdict::Stay => {}
-            Verdict::Watch => self.watch(robot, now),
-            Verdict::Roam => {
-                self.begin_scan(robot, now, Purpose::Roam).expect("a station that hears beacons is not away");
-            }
-            Verdict::Lost => self.lose_unit(robot, unit, now),
-        }
-    }
-
-    fn begin_scan(
-        &mut self,
-        robot: StationIndex,
-        now: Timestamp,
-        purpose: Purpose,
-    ) -> Result<(), station::Busy> {
-        self.robots[robot].station.scan(now, purpose)?;
-        self.leave(robot);
-        Ok(())
-    }
-
-    /// A station has left its channel: what waits stays, or is lost.
-    fn leave(&mut self, robot: StationIndex) {
-        self.medium.leave(robot);
-        self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
-        let Some(unit) = self.robots[robot].home else { return };
-        if self.gap_policy(robot) == GapPolicy::Drop {
-            let [up, down] = self.medium.clear(robot);
-            let lost = up.into_iter().map(|w| (Direction::Forward, w.frame));
-            for (direction, frame) in lost.chain(down.into_iter().map(|w| (Direction::Backward, w.frame))) {
-                self.lose(Path { robot, unit, direction }, frame);
-            }
-        }
-    }
-
-    fn end_phase(&mut self, robot: StationIndex, now: Timestamp) {
-        let strongest = if self.robots[robot].station.is_scanning() {
-            self.listen(robot);
-            self.strongest(robot)
-        } else {
-            None
-        };
-        let station = &self.robots[robot].station;
-        let is_one_domain = self.is_one_mobility_domain(station.attached(), station.underway_to());
-        match self.robots[robot].station.expire(strongest, is_one_domain) {
-            Step::Underway => {}
-            Step::Scanned => {
-                let robot = self.robots[robot].id.clone();
-                self.tell(now, Event::Scanned { robot });
-            }
-            Step::Attached(joined) => self.join(robot, now, joined),
-        }
-        let station = &self.robots[robot].station;
-        if station.is_away() {
-            return self.timers.set(self.channels + robot, station.deadline());
-        }
-        let on = station.on_channel();
-        self.robots[robot].beacons.reset();
-        // Another radio unit may be better still, or its own lost; who has none finds none where it stands.
-        if on.is_some() || self.robots[robot].moved {
-            self.watch(robot, now);
-        }
-        if let Some(unit) = on {
-            if self.units[unit].serves.is_none() {
-                // It was taken down meanwhile.
-                return self.lose_unit(robot, unit, now);
-            }
-            self.medium.enter(robot, unit);
-            self.serve(self.medium.channel(unit), now);
-        }
-    }
-
-    /// A station on its channel notices that its radio unit is gone, and looks for another.
-    fn lose_unit(&mut self, robot: StationIndex, unit: RadioUnitIndex, now: Timestamp) {
-        self.robots[robot].station.detach();
-        self.units[unit].stations.retain(|r| *r != robot);
-        let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
-        self.tell(now, Event::Detached { robot: robot_id, from });
-        self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
-    }
-
-    fn join(&mut self, robot: StationIndex, now: Timestamp, joined: Joined) {
-        let Joined { from, to, fast, gap } = joined;
-        if let Some(from) = from {
-            self.units[from].stations.retain(|r| *r != robot);
-        }
-        self.associate(robot, to);
-        let event = Event::Handover(Handover {
-            robot: self.robots[robot].id.clone(),
-            from: from.map(|unit| self.units[unit].id.clone()),
-            to: self.units[to].id.clone(),
-            fast,
-            gap,
-        });
-        self.tell(now, event);
-    }
-
-    /// Notes that a robot is with a radio unit.
-    fn associate(&mut self, robot: StationIndex, unit: RadioUnitIndex) {
-        let stations = &mut self.units[unit].stations;
-        let place = stations.partition_point(|r| *r < robot);
-        stations.insert(place, robot);
-        self.robots[robot].home = Some(unit);
-        self.link(robot, unit);
-    }
-}
-
-/// What happens to frames.
-impl Radio {
-    /// Lets a frame wait for its turn on the air; `path.unit` is the robot's radio unit, or its last one.
-    fn enqueue(&mut self, now: Timestamp, path: Path, frame: Frame) {
-        let on = self.robots[path.robot].station.on_channel();
-        if on.is_none() && self.gap_policy(path.robot) == GapPolicy::Drop {
-            return self.lose(path, frame);
-        }
-        let limit = self.lane(path).conditions().queue;
-        let flow = match path.direction {
-            Direction::Forward => Flow::Up(path.robot),
-            Direction::Backward => Flow::Down(path.robot),
-        };
-        let waiting = Waiting { frame, since: now, source: None };
-        if let Err(frame) = self.medium.push(flow, waiting, limit) {
-            self.lane(path).meter().counters.overflowed += 1;
-            self.lost.push(frame);
-        } else if let Some(unit) = on {
-            self.serve(self.medium.channel(unit), now);
-        }
-    }
-
-    fn lose(&mut self, path: Path, frame: Frame) {
-        self.lane(path).meter().counters.lost += 1;
-        self.lost.push(frame);
-    }
-
-    /// Puts the next frame on the air, if the channel is idle and one waits.
-    fn serve(&mut self, channel: usize, now: Timestamp) {
-        if let Some((flow, waiting)) = self.medium.next(channel, now) {
-            let idle = self.medium.idle_for(channel, now);
-            let waited = waiting.since < now;
-            let contended = |phy: &Phy| waited || idle < phy.difs();
-            let airtime = match flow {
-                Flow::Up(robot) => self.send(now, robot, Direction::Forward, waiting, contended),
-                Flow::Down(robot) => self.send(now, robot, Direction::Backward, waiting, contended),
-                Flow::Group(unit) => self.send_group(now, unit, waiting, contended),
-            };
-            self.medium.occupy(channel, now, airtime);
-        }
-        self.timers.set(channel, self.medium.wakes(channel));
-    }
-
-    fn send(
-        &mut self,
-        now: Timestamp,
-        robot: StationIndex,
-        direction: Direction,
-        waiting: Waiting,
-        contended: impl Fn(&Phy) -> bool,
-    ) -> Duration {
-        let unit = self.robots[robot].station.on_channel().expect("who takes turns is on the channel");
-        let contended = contended(self.networks[self.units[unit].network].phy);
-        let path = Path { robot, unit, direction };
-        let reception = self.reception(path);
-        let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
-        self.fly(now, path, waiting, &exchange);
-        exchange.first + exchange.retries
-    }
-
-    fn send_group(
-        &mut self,
-        now: Timestamp,
-        unit: RadioUnitIndex,
-        waiting: Waiting,
-        contended: impl Fn(&Phy) -> bool,
-    ) -> Duration {
-        let phy = self.networks[self.units[unit].network].phy;
-        let Waiting { frame, since, source } = waiting;
-        let bytes = frame.bytes().len();
-        let paths: Vec<_> = self.group(unit, source).collect();
-        let least = paths.iter().map(|path| self.lane(*path).least_airtime(bytes)).max();
-        let backoff = random::unit(&mut self.units[unit].rng);
-        let first = phy.group_airtime(bytes, contended(phy), backoff).max(least.unwrap_or_default());
-        for path in paths {
-            let present = self.robots[path.robot].station.on_channel() == Some(unit);
-            let reception = self.reception(path);
-            let received = present && self.lane(path).receives_group(&reception, bytes);
-            let copy = Waiting { frame: frame.clone(), since, source };
-            self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
-        }
-        self.lost.push(frame);
-        first
-    }
-
-    /// What the receiver makes of the sender where the robot is now.
-    fn reception(&mut self, path: Path) -> Reception {
-        let place = self.robots[path.robot].position;
-        if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
-            return reception;
-        }
-        let receptions = self.receptions(path.robot, path.unit);
-        self.link(path.robot, path.unit).set_receptions(place, receptions);
-        receptions[path.direction as usize]
-    }
-
-    /// A frame is on the air from now on; chance decides on its arrival.
-    fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
-        let Waiting { mut frame, since, .. } = waiting;
-        let Some(landing) = self.lane(path).land(now, exchange, &mut frame) else {
-            return self.lost.push(frame);
-        };
-        let copy = landing.twice.then(|| frame.clone());
-        for frame in [Some(frame), copy].into_iter().flatten() {
-            let link::Landing { due, flight, .. } = landing;
-            self.sent += 1;
-            self.in_flight.push(Reverse(InFlight { due, order: self.sent, path, since, flight, frame }));
-        }
     }
 }
 

@@ -1,8 +1,9 @@
 //! What the radio promises, seen from the fabric: frames in, frames and events out, in virtual time.
 
 use cotorra_graph::{
-    BitRate, Capacity, Conditions, Driver, FtKey, HandoverTimes, HostAddress, Link, Loss, Node, NodeKind,
-    PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier, WifiStandard,
+    BitRate, Capacity, Conditions, Driver, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss, Node,
+    NodeKind, PathLoss, Probability, RadioUnit, Rate, Robot, RobotModel, Server, Shadowing, Tier,
+    WifiStandard,
 };
 use proptest::prelude::*;
 
@@ -161,7 +162,7 @@ impl World {
 
     fn counters(&self, now: Timestamp) -> cotorra_graph::LinkCounters {
         let mut sum = cotorra_graph::LinkCounters::default();
-        for counters in self.radio.link_contexts(now).iter().map(|c| c.counters) {
+        for counters in self.radio.link_contexts(now, |_, _| None).iter().map(|c| c.counters) {
             sum.packets += counters.packets;
             sum.lost += counters.lost;
             sum.overflowed += counters.overflowed;
@@ -470,7 +471,7 @@ fn stations_on_one_channel_share_its_airtime_and_others_do_not() {
             world.up(at(i), "b", 1500);
             world.run(at(i));
         }
-        let contexts = world.radio.link_contexts(at(5000));
+        let contexts = world.radio.link_contexts(at(5000), |_, _| None);
         for context in contexts.iter().filter(|c| c.direction == Direction::Forward) {
             let rate = context.throughput_bps / 1e6;
             assert!((rate - share).abs() < 0.05 * share, "{}: {rate} Mbit/s, not {share}", context.link);
@@ -523,7 +524,7 @@ fn emulation_scales_and_sets_a_wireless_link() {
     world.down(at(60), "R1", "r", 100);
     world.run(at(100));
     assert_eq!(world.arrived.len(), 4);
-    let contexts = world.radio.link_contexts(at(100));
+    let contexts = world.radio.link_contexts(at(100), |_, _| None);
     let up = contexts.iter().find(|c| c.direction == Direction::Forward).unwrap();
     assert_eq!((up.effective.delay, up.scale.drop_scale), (ms(5), 2.0));
     assert_eq!(up.effective.rate, Rate::Fixed { bits_per_second: mbps(4.0) });

@@ -50,7 +50,7 @@ record! {
         conditions: ReplayRecord = {},
         /// What happens to links by itself, over time or where a robot is.
         schedule: Vec<ScheduledRecord> = [],
-        /// How wired links are probed, or `none`.
+        /// How links are probed, or `none`.
         probes: Either<ProbesWord, ProbesRecord> = {},
         /// How its history is kept.
         history: HistoryRecord = {},
@@ -99,7 +99,7 @@ pub(crate) enum ProbesWord {
 }
 
 record! {
-    /// How wired links are probed by STAMP (RFC 8762).
+    /// How links are probed by STAMP (RFC 8762): wired ones, and each robot's present one.
     ProbesRecord {
         /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate.
         interval: Spanned<Duration> = "500 ms",

@@ -1,0 +1,123 @@
+//! What happens to frames: they wait for their turn, are on the air, and are lost or under way from there.
+
+use std::{cmp::Reverse, time::Duration};
+
+use cotorra_graph::{Direction, GapPolicy, Timestamp};
+
+use super::{
+    InFlight, Path, Radio, RadioUnitIndex, StationIndex, link,
+    medium::{Flow, Waiting},
+    phy::{Exchange, Phy, Reception},
+};
+use crate::{frame::Frame, random};
+
+impl Radio {
+    /// Lets a frame wait for its turn on the air; `path.unit` is the robot's radio unit, or its last one.
+    pub(super) fn enqueue(&mut self, now: Timestamp, path: Path, frame: Frame, is_probe: bool) {
+        let on = self.robots[path.robot].station.on_channel();
+        if on.is_none() && self.gap_policy(path.robot) == GapPolicy::Drop {
+            return self.lose(path, frame, is_probe);
+        }
+        let limit = self.lane(path).conditions().queue;
+        let flow = match path.direction {
+            Direction::Forward => Flow::Up(path.robot),
+            Direction::Backward => Flow::Down(path.robot),
+        };
+        let waiting = Waiting { frame, since: now, source: None, is_probe };
+        if let Err(frame) = self.medium.push(flow, waiting, limit) {
+            self.lane(path).meter().counters.overflowed += u64::from(!is_probe);
+            self.lost.push(frame);
+        } else if let Some(unit) = on {
+            self.serve(self.medium.channel(unit), now);
+        }
+    }
+
+    pub(super) fn lose(&mut self, path: Path, frame: Frame, is_probe: bool) {
+        self.lane(path).meter().counters.lost += u64::from(!is_probe);
+        self.lost.push(frame);
+    }
+
+    /// Puts the next frame on the air, if the channel is idle and one waits.
+    pub(super) fn serve(&mut self, channel: usize, now: Timestamp) {
+        if let Some((flow, waiting)) = self.medium.next(channel, now) {
+            let idle = self.medium.idle_for(channel, now);
+            let waited = waiting.since < now;
+            let contended = |phy: &Phy| waited || idle < phy.difs();
+            let airtime = match flow {
+                Flow::Up(robot) => self.send(now, robot, Direction::Forward, waiting, contended),
+                Flow::Down(robot) => self.send(now, robot, Direction::Backward, waiting, contended),
+                Flow::Group(unit) => self.send_group(now, unit, waiting, contended),
+            };
+            self.medium.occupy(channel, now, airtime);
+        }
+        self.timers.set(channel, self.medium.wakes(channel));
+    }
+
+    fn send(
+        &mut self,
+        now: Timestamp,
+        robot: StationIndex,
+        direction: Direction,
+        waiting: Waiting,
+        contended: impl Fn(&Phy) -> bool,
+    ) -> Duration {
+        let unit = self.robots[robot].station.on_channel().expect("who takes turns is on the channel");
+        let contended = contended(self.networks[self.units[unit].network].phy);
+        let path = Path { robot, unit, direction };
+        let reception = self.reception(path);
+        let exchange = self.lane(path).exchange(&reception, waiting.frame.bytes().len(), contended);
+        self.fly(now, path, waiting, &exchange);
+        exchange.first + exchange.retries
+    }
+
+    fn send_group(
+        &mut self,
+        now: Timestamp,
+        unit: RadioUnitIndex,
+        waiting: Waiting,
+        contended: impl Fn(&Phy) -> bool,
+    ) -> Duration {
+        let phy = self.networks[self.units[unit].network].phy;
+        let Waiting { frame, since, source, is_probe } = waiting;
+        let bytes = frame.bytes().len();
+        let paths: Vec<_> = self.group(unit, source).collect();
+        let least = paths.iter().map(|path| self.lane(*path).least_airtime(bytes)).max();
+        let backoff = random::unit(&mut self.units[unit].rng);
+        let first = phy.group_airtime(bytes, contended(phy), backoff).max(least.unwrap_or_default());
+        for path in paths {
+            let present = self.robots[path.robot].station.on_channel() == Some(unit);
+            let reception = self.reception(path);
+            let received = present && self.lane(path).receives_group(&reception, bytes);
+            let copy = Waiting { frame: frame.clone(), since, source, is_probe };
+            self.fly(now, path, copy, &Exchange { first, retries: Duration::ZERO, received });
+        }
+        self.lost.push(frame);
+        first
+    }
+
+    /// What the receiver makes of the sender where the robot is now.
+    fn reception(&mut self, path: Path) -> Reception {
+        let place = self.robots[path.robot].position;
+        if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
+            return reception;
+        }
+        let receptions = self.receptions(path.robot, path.unit);
+        self.link(path.robot, path.unit).set_receptions(place, receptions);
+        receptions[path.direction as usize]
+    }
+
+    /// A frame is on the air from now on; chance decides on its arrival.
+    fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
+        let Waiting { mut frame, since, is_probe, .. } = waiting;
+        let Some(landing) = self.lane(path).land(now, exchange, &mut frame, !is_probe) else {
+            return self.lost.push(frame);
+        };
+        let copy = landing.twice.then(|| frame.clone());
+        for frame in [Some(frame), copy].into_iter().flatten() {
+            let link::Landing { due, flight, .. } = landing;
+            self.sent += 1;
+            let order = self.sent;
+            self.in_flight.push(Reverse(InFlight { due, order, path, since, flight, frame, is_probe }));
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! What is heard where: the signal at both ends of a robot's link to a radio unit, and which radio units a robot knows.
+
+use cotorra_graph::{Dbm, LinkId, WirelessNetwork};
+
+use super::{
+    Network, Radio, RadioUnitIndex, RobotRadio, StationIndex, phy::Reception, shadowing::ShadowingField,
+};
+use crate::random::stream;
+
+impl Radio {
+    /// Received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which are
+    /// the same both ways.
+    pub(super) fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
+        let (r, u) = (&self.robots[robot], &self.units[unit]);
+        let WirelessNetwork { path_loss, shadowing, .. } = self.networks[r.network].spec;
+        let field = self.fields[self.pair(robot, unit)].get_or_init(|| {
+            let label = format!("shadowing {}", LinkId::wireless(&r.id, &u.id));
+            ShadowingField::new(shadowing, stream(self.seed, &label))
+        });
+        let loss = path_loss.loss_db(r.position.distance(u.position), u.frequency_mhz) + field.at(r.position);
+        [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
+    }
+
+    /// What the radio unit makes of the robot, and the robot of it.
+    pub(super) fn receptions(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Reception; 2] {
+        let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
+        self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 - spec.noise_floor.0))
+    }
+
+    /// The signal of a radio unit that a robot can hear and be heard by.
+    pub(super) fn hears(&self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
+        self.units[unit].serves.as_ref()?;
+        let sensitivity = self.networks[self.units[unit].network].sensitivity;
+        let [up, down] = self.signals(robot, unit);
+        (up >= sensitivity && down >= sensitivity).then_some(down)
+    }
+
+    /// Notes what a robot hears of all radio units of its network.
+    pub(super) fn listen(&mut self, robot: StationIndex) {
+        let mut heard = std::mem::take(&mut self.robots[robot].heard);
+        let units = &self.networks[self.robots[robot].network].units;
+        heard.clear();
+        heard.extend(units.iter().map(|unit| self.hears(robot, *unit)));
+        self.robots[robot].heard = heard;
+    }
+
+    /// The radio units that a robot heard last.
+    fn heard(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
+        let RobotRadio { network, heard, .. } = &self.robots[robot];
+        self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
+    }
+
+    /// Those of them that it may attach to.
+    pub(super) fn joinable(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
+        self.heard(robot).filter(move |(unit, _)| self.admits(robot, *unit))
+    }
+
+    /// The strongest radio unit that a robot heard last, and may attach to; the first among equals.
+    pub(super) fn strongest(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
+        let stronger = |best: (RadioUnitIndex, Dbm), next: (RadioUnitIndex, Dbm)| {
+            if next.1 > best.1 { next } else { best }
+        };
+        self.joinable(robot).reduce(stronger).map(|(unit, _)| unit)
+    }
+}
