@@ -33,7 +33,7 @@ mod session;
 mod utc;
 
 pub use link::{Link, Told};
-pub use measurement::{Delays, Measurement};
+pub use measurement::{Delays, Measurement, OneWay};
 pub use packet::{BASE_LENGTH, Malformed, PORT};
 pub use reflector::{Reflection, Reflector};
 pub use session::{Session, SessionConfig};

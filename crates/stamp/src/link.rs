@@ -3,7 +3,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use crate::{
-    measurement::Delays,
+    measurement::OneWay,
     packet::{Malformed, Test},
     reflector::Reflector,
     session::{Session, SessionConfig},
@@ -39,7 +39,7 @@ enum Crossed {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Told {
     /// Delay and its variation, and how long ago the latest answer came; `None` if none came within the window.
-    pub delays: Option<(Delays, Duration)>,
+    pub delays: Option<(OneWay, Duration)>,
     /// Share of those that came to this direction that it lost, from 0 to 1; `None` if none came.
     pub loss: Option<f64>,
     /// How long ago the latest probe was sent that `loss` counts.
@@ -123,16 +123,16 @@ impl Link {
         let known = recent.filter(|probe| probe.sent_at <= latest);
         let count = |least: Crossed| known.clone().filter(|probe| probe.crossed >= least).count() as f64;
         let [sent, there, back] = [Crossed::Nothing, Crossed::TheWayThere, Crossed::Both].map(count);
-        let measured = self.session.measurement(now);
-        let told = |of: f64, got: f64, delays: Option<Delays>| Told {
-            delays: delays.zip(measured.and_then(|measured| measured.age(now))),
+        let measured = OneWay::of(self.session.recent(now));
+        let replied =
+            self.session.recent(now).filter_map(|outcome| outcome.sample).map(|sample| sample.replied_at);
+        let age = replied.max().map(|at| now.since(at));
+        let told = |of: f64, got: f64, way: usize| Told {
+            delays: measured.map(|ways| ways[way]).zip(age),
             loss: (of > 0.0).then(|| 1.0 - got / of),
             loss_age: now.since(latest),
         };
-        Some([
-            told(sent, there, measured.and_then(|measured| measured.forward)),
-            told(there, back, measured.and_then(|measured| measured.backward)),
-        ])
+        Some([told(sent, there, 0), told(there, back, 1)])
     }
 }
 

@@ -11,6 +11,14 @@ pub(crate) struct Outcome {
     pub(crate) sample: Option<Sample>,
 }
 
+impl Outcome {
+    /// The delay there (0) or back (1), if it is known.
+    fn one_way(&self, way: usize) -> Option<Duration> {
+        let ways = self.sample?.one_way?;
+        Some(Duration::from_nanos(ways[way].max(0).unsigned_abs()))
+    }
+}
+
 /// What one reply tells.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
@@ -49,10 +57,38 @@ impl Delays {
         sorted.sort_unstable();
         let rank = |share: usize| sorted[(sorted.len() * share).div_ceil(100).max(1) - 1];
         let (min, max) = (*sorted.first()?, *sorted.last()?);
-        let mean = sorted.iter().sum::<Duration>() / sorted.len() as u32;
-        let pairs = delays.clone().zip(delays.skip(1)).filter_map(|(a, b)| Some(a?.abs_diff(b?)));
-        let (count, total) = pairs.fold((0, Duration::ZERO), |(n, total), pair| (n + 1, total + pair));
-        Some(Self { min, mean, p50: rank(50), p99: rank(99), max, jitter: total.checked_div(count) })
+        let mean = mean(sorted.iter().copied())?;
+        Some(Self { min, mean, p50: rank(50), p99: rank(99), max, jitter: jitter(delays) })
+    }
+}
+
+/// `None` of nothing.
+fn mean(delays: impl Iterator<Item = Duration>) -> Option<Duration> {
+    let (count, total) = delays.fold((0, Duration::ZERO), |(n, total), delay| (n + 1, total + delay));
+    total.checked_div(count)
+}
+
+fn jitter(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Duration> {
+    mean(delays.clone().zip(delays.skip(1)).filter_map(|(a, b)| Some(a?.abs_diff(b?))))
+}
+
+/// What the delays of one direction come to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OneWay {
+    /// The mean.
+    pub mean: Duration,
+    /// As [`Delays::jitter`].
+    pub jitter: Option<Duration>,
+}
+
+impl OneWay {
+    /// Both directions, there and back, by outcomes in the order of sending; `None` if nothing was answered.
+    pub(crate) fn of<'a>(outcomes: impl Iterator<Item = &'a Outcome> + Clone) -> Option<[Self; 2]> {
+        let way = |i: usize| {
+            let delays = outcomes.clone().map(move |outcome| outcome.one_way(i));
+            Some(Self { mean: mean(delays.clone().flatten())?, jitter: jitter(delays) })
+        };
+        Some([way(0)?, way(1)?])
     }
 }
 
@@ -95,11 +131,7 @@ impl Measurement {
         let sent = outcomes.clone().count() as u32;
         let lost = sent - samples.clone().count() as u32;
         let loss = counts.then(|| directions(samples.clone())).flatten();
-        let way = |i: usize| {
-            let one_way = |outcome: &Outcome| outcome.sample.and_then(|sample| sample.one_way);
-            let delay = |ways: [i64; 2]| Duration::from_nanos(ways[i].max(0).unsigned_abs());
-            Delays::of(outcomes.clone().map(|outcome| one_way(outcome).map(delay)))
-        };
+        let way = |i: usize| Delays::of(outcomes.clone().map(move |outcome| outcome.one_way(i)));
         let round_trips = outcomes.clone().map(|outcome| outcome.sample.map(|sample| sample.round_trip));
         (sent > 0).then(|| Self {
             sent,

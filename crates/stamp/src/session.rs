@@ -153,9 +153,13 @@ impl Session {
 
     /// What the window tells; `None` before the first packet was answered or given up.
     pub fn measurement(&self, now: Utc) -> Option<Measurement> {
+        Measurement::of(self.recent(now), self.config.reflector_counts)
+    }
+
+    /// What became of the window's packets, in the order of sending.
+    pub(crate) fn recent(&self, now: Utc) -> impl Iterator<Item = &Outcome> + Clone {
         let from = now - self.config.window;
-        let recent = self.outcomes.iter().filter(move |outcome| outcome.sent_at >= from);
-        Measurement::of(recent, self.config.reflector_counts)
+        self.outcomes.iter().filter(move |outcome| outcome.sent_at >= from)
     }
 
     /// Packets that were sent since the session began.
