@@ -42,4 +42,4 @@ pub use kernel_network::{KernelNetwork, NoKernelNetwork};
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed};
 pub use process::{Child, HostsFile, SpawnOptions};
-pub use punctual::{BusyPoll, be_punctual};
+pub use punctual::{BusyPoll, be_punctual, be_timely};

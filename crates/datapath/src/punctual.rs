@@ -22,6 +22,8 @@ pub enum BusyPoll {
 
 /// Priority of the fabric's thread: above everything that is not real-time, below what the kernel itself runs so.
 const PRIORITY: i32 = 10;
+/// The least urgent that is real time.
+const LOWEST: i32 = 1;
 /// No machine should wake later than this by itself; one that does was kept busy by others.
 const MOST_LEAD: Duration = Duration::from_micros(100);
 /// Lead where a core is spare: about what one takes to wake from its deepest sleep.
@@ -111,6 +113,14 @@ pub fn be_punctual() {
     }
     if sys::set_fifo(PRIORITY).is_err() && sys::set_short_slice().is_err() {
         tracing::debug!("the fabric's thread is scheduled like any other");
+    }
+}
+
+/// Asks the kernel to run the calling thread before all that is not urgent, but after those that are [punctual](be_punctual): for
+/// what steers robots, which works for milliseconds at a time, and which a robot stops without.
+pub fn be_timely() {
+    if sys::set_fifo(LOWEST).is_err() && sys::set_short_slice().is_err() {
+        tracing::debug!("the calling thread is scheduled like any other");
     }
 }
 

@@ -319,7 +319,11 @@ impl Run {
         let core_loop = CoreLoop { core, readers, inbox, sockets, now, until };
         let core = thread::Builder::new()
             .name("core".to_owned())
-            .spawn(move || core_loop.run())
+            .spawn(move || {
+                // A robot whose core has to wait for the processor has no commands meanwhile, and stops.
+                cotorra_datapath::be_timely();
+                core_loop.run()
+            })
             .map_err(system("start the core's thread"))?;
         let (core, _masters) = (Some(core), robots.masters());
         let _retaining = Retaining::start(&testbed, &history, run, &live)

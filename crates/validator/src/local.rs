@@ -27,6 +27,17 @@ const PORTS: std::ops::Range<u16> = 10_000..32_000;
 /// JSON-RPC over HTTP and over WebSocket, Engine API over both, devp2p, validator.
 const PORTS_EACH: u16 = 6;
 
+/// Preloaded into the execution client: its WebSocket would listen on all interfaces, whatever address it is given, and everybody
+/// has the keys of a network of trials. As a URL it has no `?`, `#` or `%`.
+const LOOPBACK_ONLY: &str = "data:text/javascript,\
+    import { Server } from 'node:net'; \
+    const listen = Server.prototype.listen; \
+    Server.prototype.listen = function (port, host, ...rest) { \
+        rest.unshift(host); \
+        if (typeof port === 'number' && typeof host !== 'string') rest.unshift('127.0.0.1'); \
+        return listen.call(this, port, ...rest); \
+    };";
+
 /// What a local network is to be.
 #[derive(Debug, Clone)]
 pub struct Settings {
@@ -185,7 +196,11 @@ impl LocalNetwork {
         let folder = |of: &str| self.path(&format!("{name}.{of}"));
         let port = |which| self.port(index, which).to_string();
         let mut client = Command::new("node");
-        client.arg(&self.settings.client).arg("--dataDir").arg(folder("chain"));
+        client
+            .args(["--import", LOOPBACK_ONLY])
+            .arg(&self.settings.client)
+            .arg("--dataDir")
+            .arg(folder("chain"));
         client.arg("--gethGenesis").arg(self.path("genesis.json"));
         client.args(["--isSingleNode", "--saveReceipts", "--no-logFile", "--logLevel", "warn"]);
         client.args(["--rpc", "--rpcPort", &port(0), "--ws", "--wsPort", &port(1)]);
