@@ -458,6 +458,7 @@ fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
         backward: conditions.clone(),
         scales: Default::default(),
         medium: BitRate::from_bits_per_second(100_000_000_000).expect("above zero"),
+        medium_delay: Duration::ZERO,
         reliability: 1.0,
     };
     let mut nodes: Vec<Node> = (0..hosts).map(|i| node(server_name(i), server.clone())).collect();

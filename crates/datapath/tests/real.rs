@@ -88,6 +88,7 @@ fn star(hosts: usize, conditions: Conditions) -> (HardwareGraph, Vec<NodeId>) {
         forward: conditions.clone(),
         backward: conditions.clone(),
         medium: BitRate::from_bits_per_second(100_000_000_000).unwrap(),
+        medium_delay: Duration::ZERO,
         scales: Default::default(),
         reliability: 1.0,
     };

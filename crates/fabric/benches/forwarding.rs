@@ -47,6 +47,7 @@ fn chain(hops: usize, conditions: &Conditions) -> Fabric {
         backward: conditions.clone(),
         scales: Default::default(),
         medium: BitRate::from_bits_per_second(100_000_000_000).expect("the rate is above 0"),
+        medium_delay: Duration::ZERO,
         reliability: 1.0,
     };
     let graph = HardwareGraph {

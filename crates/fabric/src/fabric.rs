@@ -162,7 +162,7 @@ impl Fabric {
             for (from, to, conditions, scale, direction) in
                 [(a, b, &link.forward, forward, "forward"), (b, a, &link.backward, backward, "backward")]
             {
-                let settings = Settings::new(conditions.clone(), scale, link.medium)
+                let settings = Settings::new(conditions.clone(), scale, link.medium())
                     .map_err(|refusal| FabricError::Conditions { link: link.id.to_string(), refusal })?;
                 routes.connect(from, to, settings.effective().delay);
                 let rng = stream(seed, &format!("link {} {direction}", link.id));

@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Jitter, LinkId, Loss, NodeId, Probability, QueueLimit, Rate, Scale,
-    Trace,
+    BitRate, ConditionChange, Conditions, Jitter, LinkId, Loss, Medium, NodeId, NotOffered, Probability,
+    QueueLimit, Rate, Scale, Trace,
 };
 
 /// Why the fabric does not do what it was asked. Nothing has changed then.
@@ -83,6 +83,16 @@ pub enum Refusal {
         /// What the medium carries.
         medium: BitRate,
     },
+    /// Less delay than the medium has.
+    #[error(
+        "{offered_ms} ms cannot be offered: the medium itself takes {medium_ms} ms, and no emulation takes time out of it"
+    )]
+    FasterThanMedium {
+        /// ψ·d.
+        offered_ms: f64,
+        /// What the medium takes, d_m.
+        medium_ms: f64,
+    },
     /// Scaled down to nothing.
     #[error("a drop scale of {0} leaves less than 1 bit/s, or less than a delivery opportunity in 1000")]
     BelowOneBit(f64),
@@ -139,13 +149,13 @@ const TRACE_RESOLUTION: f64 = 1000.0;
 pub(crate) struct Settings {
     asked: Conditions,
     scale: Scale,
-    medium: BitRate,
+    medium: Medium,
     effective: Conditions,
 }
 
 impl Settings {
     /// Settings that begin with these conditions, scaled.
-    pub(crate) fn new(asked: Conditions, scale: Scale, medium: BitRate) -> Result<Self, Refusal> {
+    pub(crate) fn new(asked: Conditions, scale: Scale, medium: Medium) -> Result<Self, Refusal> {
         let effective = effective(&asked, scale, medium)?;
         Ok(Self { asked, scale, medium, effective })
     }
@@ -202,7 +212,7 @@ fn scaled(duration: Duration, factor: f64) -> Option<Duration> {
     from_ms(duration.as_secs_f64() * 1e3 * factor)
 }
 
-fn effective(asked: &Conditions, scale: Scale, medium: BitRate) -> Result<Conditions, Refusal> {
+fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditions, Refusal> {
     let Scale { delay_scale, drop_scale } = scale;
     if !(delay_scale.is_finite() && delay_scale >= 0.0) {
         return Err(Refusal::DelayScale(delay_scale));
@@ -211,7 +221,14 @@ fn effective(asked: &Conditions, scale: Scale, medium: BitRate) -> Result<Condit
         return Err(Refusal::DropScale(drop_scale));
     }
     let ms = |d: Duration| d.as_secs_f64() * 1e3;
-    let delay = scaled(asked.delay, delay_scale).ok_or(Refusal::Delay(ms(asked.delay) * delay_scale))?;
+    let absurd = || Refusal::Delay(ms(asked.delay + medium.delay) * delay_scale);
+    let delay = match medium.offered_delay(asked.delay, delay_scale) {
+        Ok(delay) if delay <= LONGEST => delay,
+        Ok(_) | Err(NotOffered::Absurd) => return Err(absurd()),
+        Err(NotOffered::BelowMedium { offered }) => {
+            return Err(Refusal::FasterThanMedium { offered_ms: ms(offered), medium_ms: ms(medium.delay) });
+        }
+    };
     let jitter = match asked.jitter {
         None => None,
         Some(jitter) => {
@@ -224,7 +241,7 @@ fn effective(asked: &Conditions, scale: Scale, medium: BitRate) -> Result<Condit
     if matches!(asked.queue, QueueLimit::Packets(0) | QueueLimit::Bytes(0)) {
         return Err(Refusal::Queue);
     }
-    let rate = scaled_rate(&asked.rate, drop_scale, medium)?;
+    let rate = scaled_rate(&asked.rate, drop_scale, medium.rate)?;
     Ok(Conditions { delay, jitter, rate, ..asked.clone() })
 }
 
@@ -335,7 +352,8 @@ mod tests {
     }
 
     fn settings(asked: Conditions) -> Settings {
-        Settings::new(asked, Scale::default(), mbps(1000.0)).unwrap()
+        let medium = Medium { delay: Duration::ZERO, rate: mbps(1000.0) };
+        Settings::new(asked, Scale::default(), medium).unwrap()
     }
 
     fn refused(change: ConditionChange) -> Refusal {
@@ -362,6 +380,24 @@ mod tests {
         let back =
             ConditionChange { delay_scale: Some(1.0), drop_scale: Some(1.0), ..ConditionChange::default() };
         assert_eq!(after.changed(&back).unwrap().effective(), &asked);
+    }
+
+    #[test]
+    fn what_a_medium_takes_is_scaled_with_what_was_asked() {
+        let ms = Duration::from_millis;
+        let medium = Medium { delay: ms(4), rate: mbps(1000.0) };
+        let asked = Conditions { delay: ms(6), ..Conditions::default() };
+        let settings = Settings::new(asked, Scale::default(), medium).unwrap();
+        let scaled = |delay_scale| {
+            settings
+                .changed(&ConditionChange { delay_scale: Some(delay_scale), ..ConditionChange::default() })
+        };
+        assert_eq!(settings.effective().delay, ms(10));
+        assert_eq!(scaled(2.0).unwrap().effective().delay, ms(20));
+        assert_eq!(scaled(0.4).unwrap().effective().delay, ms(4));
+        let refusal = Refusal::FasterThanMedium { offered_ms: 3.0, medium_ms: 4.0 };
+        assert_eq!(scaled(0.3).unwrap_err(), refusal);
+        assert!(matches!(scaled(1e9), Err(Refusal::Delay(_))));
     }
 
     #[test]

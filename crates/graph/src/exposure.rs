@@ -54,6 +54,11 @@ impl IpNetwork {
         self.address
     }
 
+    /// Whether it is one address alone.
+    pub fn is_one(&self) -> bool {
+        self.prefix == if self.address.is_ipv4() { 32 } else { 128 }
+    }
+
     /// Bits that all its addresses have in common.
     pub fn prefix(&self) -> u8 {
         self.prefix

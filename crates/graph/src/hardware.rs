@@ -14,6 +14,7 @@ use crate::{
     driver::Driver,
     exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId},
+    medium::Medium,
     units::{BitRate, Dbm, Position, millis},
 };
 
@@ -267,6 +268,10 @@ pub struct Reached {
     /// At these addresses; `None` is all behind the interface that no other machine has.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub address: Option<IpNetwork>,
+    /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
+    /// it begins.
+    #[serde(default)]
+    pub reflector: bool,
 }
 
 /// A link over an interface of this machine.
@@ -310,8 +315,20 @@ pub struct Link {
     pub scales: [Scale; 2],
     /// What the medium itself can carry; no condition may ask for more.
     pub medium: BitRate,
+    /// How long the medium itself takes, one way, before anything is emulated on it: see [`Medium`]. None at all where the
+    /// whole link is emulated.
+    #[serde(rename = "medium_delay_ms", with = "millis", default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub medium_delay: Duration,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
+}
+
+impl Link {
+    /// What its medium gives in each direction.
+    pub fn medium(&self) -> Medium {
+        Medium { delay: self.medium_delay, rate: self.medium }
+    }
 }
 
 /// One of a link's two directions.

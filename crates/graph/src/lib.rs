@@ -13,6 +13,7 @@ pub mod hardware;
 pub mod id;
 pub mod map;
 pub mod map_server;
+pub mod medium;
 mod propagation;
 mod routing;
 pub mod schedule;
@@ -42,6 +43,7 @@ pub use hardware::{
 };
 pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
+pub use medium::{Medium, NotOffered};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
 pub use service::{Kpis, Program, Service, VirtualLink, Vnf};

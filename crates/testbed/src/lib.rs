@@ -14,6 +14,7 @@ mod plugins;
 mod real_links;
 mod real_network;
 mod recorded;
+mod reflected;
 pub mod replay;
 mod report;
 mod retaining;

@@ -3,13 +3,15 @@
 
 use std::{
     collections::{BTreeMap, HashMap},
+    io,
+    net::IpAddr,
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Reached, RealLink, Testbed,
-    Timestamp,
+    Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Medium, Reached, RealLink,
+    Testbed, Timestamp,
 };
 use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
 
@@ -25,6 +27,25 @@ pub enum RealLinkError {
         link: LinkId,
         /// What it cannot do.
         reason: NotByNetem,
+    },
+    /// Nobody tells what the medium takes.
+    #[error(
+        "{address} answers no probes of STAMP at port 862, so what the medium of `{link}` takes cannot be measured: run \
+         `cotorra stamp reflect` there, or leave out `reflector` and declare a `medium_delay`"
+    )]
+    NoReflector {
+        /// The link.
+        link: LinkId,
+        /// The machine's address.
+        address: IpAddr,
+    },
+    /// It cannot be asked.
+    #[error("what the medium of `{link}` takes cannot be measured: {source}")]
+    Socket {
+        /// The link.
+        link: LinkId,
+        /// What the system says.
+        source: io::Error,
     },
     /// An interface, or the kernel.
     #[error(transparent)]
@@ -42,6 +63,7 @@ pub(crate) struct RealLinks {
 struct Place {
     reached: Reached,
     leaving: Direction,
+    medium: Medium,
 }
 
 /// When links were looked at last, and the bytes that each had carried.
@@ -53,7 +75,7 @@ struct Seen {
 
 impl Place {
     fn of(real: RealLink<'_>) -> Self {
-        Self { reached: real.reached.clone(), leaving: real.leaving }
+        Self { reached: real.reached.clone(), leaving: real.leaving, medium: real.link.medium() }
     }
 
     /// Which packets of the interface cross the link in a direction.
@@ -72,7 +94,9 @@ impl Place {
         direction: Direction,
         conditions: &Conditions,
     ) -> Result<Rule, RealLinkError> {
-        let netem = Netem::try_from(conditions)
+        // The medium does its part by itself.
+        let delay = self.medium.added_delay(conditions.delay);
+        let netem = Netem::try_from(&Conditions { delay, ..conditions.clone() })
             .map_err(|reason| RealLinkError::Setting { link: link.clone(), reason })?;
         let (side, network) = self.packets(direction);
         Ok(Rule { side, network, netem })

@@ -37,6 +37,7 @@ use crate::{
     real_links::{RealLinkError, RealLinks, interface_plans},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
+    reflected::measure_media,
     report::{FolderError, Losses, Place, Report, RunFolder, Summary},
     retaining::Retaining,
     robots::{Masters, RobotError, Robots},
@@ -206,10 +207,12 @@ impl Run {
         for kept in clean().kept {
             tracing::warn!("what a killed run left stays: {kept}");
         }
+        let mut testbed = testbed;
+        interface_plans(&testbed, &options.interfaces)?;
+        measure_media(&mut testbed.graph)?;
         let testbed = Arc::new(testbed);
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
-        interface_plans(&testbed, &options.interfaces)?;
         let moved = options.api.is_none();
         let plugins = Prepared::of(&testbed, seed)?;
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;

@@ -28,7 +28,8 @@ fn on_a_wire(testbed: &str, lines: &str) -> Output {
         cd $(dirname $FILE)
         here=$(readlink /proc/self/ns/net)
         unshare --net sleep 600 & far=$!
-        trap 'kill $far' EXIT
+        run= reflector=
+        trap 'kill $far $run $reflector || true' EXIT
         until [ \"$(readlink /proc/$far/ns/net)\" != \"$here\" ]; do :; done
         ip link set lo up
         ip link add va type veth peer name vb
@@ -37,9 +38,11 @@ fn on_a_wire(testbed: &str, lines: &str) -> Output {
         nsenter --net=/proc/$far/ns/net sh -ec '
             for a in 10.9.0.2/24 10.9.0.3/24; do ip address add $a dev vb; done; ip link set vb up'
         api=127.0.0.1:7799
+        far() { nsenter --net=/proc/$far/ns/net \"$@\"; }
+        plain() { tr -s '\\n│ ' ' '; }
         start() { $COTORRA run $FILE --headless --api $api --until 600s \"$@\" >run.txt 2>&1 & run=$!
             until grep -q '^API on' run.txt; do kill -0 $run || { cat run.txt; exit 1; }; sleep 0.1; done; }
-        ends() { wait $run || true; }
+        ends() { wait $run || true; run=; }
         rtt() { ping -q -c 3 -i 0.2 $1 | sed -n 's,.*mdev = \\([0-9.]*\\)/.*,\\1,p'; }
         qdiscs() { tc qdisc show dev va; ip -brief link show type ifb; }
 ";
@@ -205,4 +208,41 @@ fn what_a_killed_run_left_is_put_back() {
     assert!(said[4].parse::<f64>().unwrap() >= 20.0, "the next run begins as if nothing were left: {said:?}");
     assert!(said[5].starts_with("qdisc pfifo 9: root"), "{said:?}");
     assert_eq!(said[6..], ["0"]);
+}
+
+/// A medium that takes 8 ms on the way back, whose half is each direction's: emulation adds what is missing to ψ·d.
+#[test]
+fn what_the_medium_takes_is_measured_and_scaled_once() {
+    if !has_netem() {
+        return;
+    }
+    let testbed = TESTBED.replace("10.9.0.2 }", "10.9.0.2, reflector: true }").replace(", delay: 10 ms", "");
+    let done = on_a_wire(
+        &testbed,
+        "$COTORRA run $FILE --headless --until 1s 2>&1 | plain | grep -o 'answers no probes of STAMP'
+         far tc qdisc add dev vb root netem delay 8ms
+         nsenter --net=/proc/$far/ns/net $COTORRA stamp reflect --listen 10.9.0.2:862 >reflect.txt 2>&1 & reflector=$!
+         until grep -q reflecting reflect.txt; do kill -0 $reflector; sleep 0.1; done
+         start
+         set -- link set desk-arm --api $api --direction forward
+         shown() { $COTORRA link show desk-arm --api $api --json | sed -n '/\"effective\"/,/}/s/ *\"delay_ms\": \\([0-9.]*\\),/\\1/p' | head -1
+             $COTORRA netem show va --json | sed -n 's/ *\"delay_ms\": \\([0-9.]*\\),/\\1/p' | head -1; }
+         shown
+         $COTORRA \"$@\" --delay-scale 3 >/dev/null; shown
+         $COTORRA \"$@\" --delay-scale 3 >/dev/null; shown
+         $COTORRA \"$@\" --delay-scale 0.5 2>&1 | plain | grep -o 'the medium itself takes'
+         $COTORRA \"$@\" --delay-scale 0.5 --delay 20ms >/dev/null; shown
+         kill -INT $run; ends",
+    );
+    let said = lines(&done);
+    assert_eq!(said[0], "answers no probes of STAMP");
+    assert_eq!(said[7], "the medium itself takes");
+    let figures = said[1..7].iter().chain(&said[8..10]).map(|line| line.parse::<f64>().unwrap());
+    let figures: Vec<_> = figures.collect();
+    let [d, added] = [figures[0], figures[1]];
+    assert!(d >= 4.0 && added == 0.0, "half of 8 ms and what the kernels take: {said:?}");
+    let is = |figure: f64, expected: f64| (figure - expected).abs() < 1e-5;
+    assert!(is(figures[2], 3.0 * d) && is(figures[3], 2.0 * d), "(ψ - 1)·d is added: {said:?}");
+    assert_eq!(figures[4..6], figures[2..4], "nothing is scaled twice");
+    assert!(is(figures[6], 0.5 * (d + 20.0)) && is(figures[7], 10.0 - 0.5 * d), "{said:?}");
 }

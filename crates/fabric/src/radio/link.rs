@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use cotorra_graph::{
-    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Position, Probed, Rate, Scale,
-    Timestamp, WirelessNetwork,
+    BitRate, ConditionChange, Conditions, Direction, LinkContext, LinkId, Medium, Position, Probed, Rate,
+    Scale, Timestamp, WirelessNetwork,
 };
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -20,10 +20,10 @@ use crate::{
 
 /// What all links of a network begin with. No station gets more than the fastest PHY rate.
 pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<Settings, Refusal> {
-    let medium = phy.top_rate();
+    let medium = Medium { delay: Duration::ZERO, rate: phy.top_rate() };
     let rate = match network.rate {
         None => Rate::Unlimited,
-        Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium) },
+        Some(rate) => Rate::Fixed { bits_per_second: rate.min(medium.rate) },
     };
     let asked = Conditions { delay: network.delay, rate, ..Conditions::default() };
     Settings::new(asked, Scale::default(), medium)

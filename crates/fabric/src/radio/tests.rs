@@ -605,6 +605,7 @@ fn frames_follow_the_robot_through_the_fabric() {
             backward: conditions,
             scales: Default::default(),
             medium: mbps(10_000.0),
+            medium_delay: Duration::ZERO,
             reliability: 1.0,
         }
     };

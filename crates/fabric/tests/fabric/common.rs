@@ -95,6 +95,7 @@ impl Network {
             forward: conditions.clone(),
             backward: conditions,
             medium: BitRate::from_mbps(100_000.0).unwrap(),
+            medium_delay: Duration::ZERO,
             scales: Default::default(),
             reliability: 1.0,
         });

@@ -329,7 +329,13 @@ impl Builder<'_> {
             return None;
         }
         let address = record.address.as_ref().map(|address| address.value);
-        Some(Machine { reached: Some(Reached { interface: name.clone(), address }) })
+        let reflector = record.reflector.value;
+        if reflector && !address.is_some_and(|address| address.is_one()) {
+            self.sink
+                .error(&record.reflector.span, "a reflector, and not the one address at which it is")
+                .help("write the machine's own, such as `address: 192.168.1.7`");
+        }
+        Some(Machine { reached: Some(Reached { interface: name.clone(), address, reflector }) })
     }
 
     fn domain(&mut self, wanted: Option<&Spanned<DomainId>>) -> Option<DomainId> {
@@ -463,6 +469,7 @@ impl Builder<'_> {
                     backward: backward.clone(),
                     scales,
                     medium: record.medium,
+                    medium_delay: record.medium_delay.as_ref().map(|delay| delay.value).unwrap_or_default(),
                     reliability,
                 });
             }

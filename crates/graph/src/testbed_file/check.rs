@@ -42,13 +42,18 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
 
 /// Where each link of the graph stands in the file, in order.
 pub(super) fn places(record: &TestbedRecord) -> impl Iterator<Item = &Span> {
-    record.links.iter().flat_map(|link| {
+    entries(record).map(|(_, place)| place)
+}
+
+/// The entry that each link of the graph has in the file, and the place of that, in order.
+pub(super) fn entries(record: &TestbedRecord) -> impl Iterator<Item = (usize, &Span)> {
+    record.links.iter().enumerate().flat_map(|(entry, link)| {
         let ends = link.ends.value.iter().map(|end| match end {
             Either::Short(_) => 1,
             Either::Long(several) => several.len(),
         });
         let span = link.id.as_ref().map_or(&link.ends.span, |id| &id.span);
-        std::iter::repeat_n(span, ends.product())
+        std::iter::repeat_n((entry, span), ends.product())
     })
 }
 

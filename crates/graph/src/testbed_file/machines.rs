@@ -1,22 +1,27 @@
 //! What is wrong with the real machines of a testbed, and with the links between them: what is emulated and what is real
 //! are two networks, and no packet passes from one to the other.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use super::{check::places, records::TestbedRecord};
+use super::{
+    check::{entries, places},
+    records::{LinkRecord, TestbedRecord},
+};
 use crate::{
     conditions::Rate,
-    hardware::{HardwareGraph, NodeKind, Reached},
+    exposure::IpNetwork,
+    hardware::{HardwareGraph, NodeKind},
     yaml::Sink,
 };
 
 /// Every real machine is reached from this one, over one link, by packets that are no other's.
 pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    media(record, graph, sink);
     if !graph.nodes.iter().any(|node| matches!(node.kind, NodeKind::Machine(_))) {
         return;
     }
     let mut this = None;
-    let mut taken: HashMap<&Reached, _> = HashMap::new();
+    let mut taken: HashMap<(&str, Option<IpNetwork>), _> = HashMap::new();
     for ((id, _), node) in record.nodes.0.iter().zip(&graph.nodes) {
         let NodeKind::Machine(machine) = &node.kind else { continue };
         let Some(reached) = &machine.reached else {
@@ -26,7 +31,7 @@ pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut
             }
             continue;
         };
-        if let Some(other) = taken.insert(reached, &node.id) {
+        if let Some(other) = taken.insert((&reached.interface, reached.address), &node.id) {
             let what = match reached.address {
                 Some(address) => format!("{address}, which is reached"),
                 None => "all that is reached".to_owned(),
@@ -44,6 +49,33 @@ pub(super) fn machines(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut
         }
     }
     links(record, graph, sink);
+}
+
+/// Only what is not emulated has a delay of its own, which is declared or measured.
+fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
+    let declares = |link: &LinkRecord| link.medium_delay.is_some();
+    if !record.links.iter().any(declares) {
+        return;
+    }
+    let real: HashMap<_, _> = graph.real_links().map(|real| (&real.link.id, real.reached)).collect();
+    let mut told = HashSet::new();
+    for (link, (of, _)) in graph.links.iter().zip(entries(record)) {
+        let Some(declared) = &record.links[of].medium_delay else { continue };
+        let (what, help) = match real.get(&link.id) {
+            None => (
+                format!("`{}` is emulated, and has no medium with a delay of its own", link.id),
+                "write `delay`, which is the link's whole delay",
+            ),
+            Some(reached) if reached.reflector => (
+                format!("the delay of `{}` is declared here, and measured by a reflector", link.id),
+                "leave out `medium_delay`, or the `reflector`",
+            ),
+            Some(_) => continue,
+        };
+        if told.insert(of) {
+            sink.error(&declared.span, what).help(help);
+        }
+    }
 }
 
 /// A link of a real machine leads from this one to another.

@@ -454,6 +454,9 @@ record! {
         /// Its address or network, such as `192.168.1.7`. Without one: all that is reached through the interface and is no
         /// other node's.
         address: Option<Spanned<IpNetwork>>,
+        /// Whether a reflector of STAMP (RFC 8762, port 862) is at its address, such as `cotorra stamp reflect`: a run then
+        /// measures the delay of the medium before it begins.
+        reflector: Spanned<bool> = false,
     }
 }
 
@@ -466,6 +469,9 @@ record! {
         id: Option<Spanned<LinkId>>,
         /// What the medium itself can carry.
         medium: BitRate = "10 Gbit/s",
+        /// Between real machines: how long the medium itself takes, one way, before anything is emulated on it. Without it:
+        /// what a run measures, if there is a `reflector`, or none.
+        medium_delay: Option<Spanned<Duration>>,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
         /// What is different from the first end to the second.
