@@ -16,7 +16,7 @@ pub enum Error {
     NoRun { api: SocketAddr, reason: String },
     #[error(transparent)]
     Api(ClientError),
-    #[error("`{0}` is a switch: it has no network namespace to run a program in")]
+    #[error("`{0}` is a switch or a real machine: it has no network namespace to run a program in")]
     Switch(NodeId),
     #[error("cannot enter `{node}`: {reason}")]
     #[diagnostic(help("run it as the user who runs the testbed"))]

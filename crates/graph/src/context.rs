@@ -213,7 +213,7 @@ pub struct LinkContext {
     pub asked: Conditions,
     /// ψ and δ.
     pub scale: Scale,
-    /// What it does: `asked`, scaled.
+    /// What it does: `asked`, scaled; where the medium takes time by itself, that and what was asked, scaled.
     pub effective: Conditions,
     /// Packets and bytes so far.
     pub counters: LinkCounters,

@@ -207,3 +207,39 @@ impl Tree {
         self.request(verb, Object::Discipline { parent: Handle::ROOT, handle, discipline })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::netem::tests::any_netem;
+
+    fn any_network() -> impl Strategy<Value = Option<Network>> {
+        prop::option::of((any::<u32>(), 0_u8..=32)).prop_map(|network| {
+            network.and_then(|(bits, prefix)| Network::new(bits.to_be_bytes().into(), prefix))
+        })
+    }
+
+    proptest! {
+        /// A tree that is taken for granted has all rules, and each of them is only changed from then on.
+        #[test]
+        fn what_was_set_is_changed_in_place(rules in prop::collection::vec((any_network(), any_netem()), 1..6)) {
+            let interface = (7, "eth0".to_owned());
+            let mut tree =
+                Tree { interface, field: Field::Destination, root: Root::Default, rules: BTreeMap::new() };
+            for (network, netem) in &rules {
+                tree = tree.with(*network, netem).unwrap();
+            }
+            for (network, netem) in &rules {
+                let again = tree.set(*network, netem, false).unwrap();
+                prop_assert_eq!(again.len(), 1);
+                prop_assert_eq!(again[0].verb, Verb::Change);
+            }
+            let last: BTreeMap<_, _> = rules.iter().cloned().collect();
+            let kept: BTreeMap<_, _> =
+                tree.rules.iter().map(|(network, rule)| (*network, rule.netem.clone())).collect();
+            prop_assert_eq!(kept, last);
+        }
+    }
+}

@@ -187,9 +187,9 @@ struct TestbedBody {
 /// How a node is reached from this machine.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct NodeAccess {
-    /// Its addresses in the emulated network; none for a switch.
+    /// Its addresses in the emulated network; none for a switch and a real machine.
     pub address: Option<HostAddress>,
-    /// A file that stands for its network namespace, as `nsenter --net=` takes it; none for a switch.
+    /// A file that stands for its network namespace, as `nsenter --net=` takes it; none for a switch and a real machine.
     pub namespace: Option<PathBuf>,
 }
 

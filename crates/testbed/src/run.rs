@@ -202,7 +202,7 @@ impl Run {
     ///
     /// # Errors
     /// [`RunError`]; then nothing is left but the run's folder, and not even that where the testbed file, a plug-in's settings or
-    /// its ledger, or an interface of this machine are at fault.
+    /// ledger, or an interface of this machine are at fault.
     pub fn start(testbed: Testbed, text: &str, file: &Path, options: Options) -> Result<Self, RunError> {
         for kept in clean().kept {
             tracing::warn!("what a killed run left stays: {kept}");

@@ -39,7 +39,7 @@ pub enum VimError {
     #[error("there is no node `{0}`")]
     UnknownNode(NodeId),
     /// Switches run nothing.
-    #[error("`{0}` is a switch, which runs no VNFs")]
+    #[error("`{0}` is a switch or a real machine, which runs no VNFs")]
     NotAHost(NodeId),
     /// It cannot move.
     #[error("VNF `{vnf}` is pinned to `{node}`")]

@@ -48,9 +48,9 @@ impl From<&Testbed> for TestbedBody {
 pub(super) struct NodeBody {
     #[serde(flatten)]
     pub(super) node: Node,
-    /// Its addresses; none for a switch.
+    /// Its addresses; none for a switch and a real machine.
     pub(super) address: Option<HostAddress>,
-    /// Its network namespace, for `nsenter --net=`; none for a switch.
+    /// Its network namespace, for `nsenter --net=`; none for a switch and a real machine.
     #[schema(value_type = Option<String>)]
     pub(super) namespace: Option<PathBuf>,
 }
