@@ -16,7 +16,7 @@ fuzz_target!(|datagrams: Vec<(u32, &[u8])>| {
         _ = session.poll(now);
         _ = link.poll(now);
         _ = session.receive(bytes, now);
-        _ = link.reflect(bytes, now);
+        _ = link.reflect(bytes, now, now);
         _ = link.receive(bytes, now);
         if let Ok(reflection) = reflector.reflect(0, bytes, now, None) {
             assert!(reflection.sent_at(now).len() >= bytes.len().min(44));

@@ -5,8 +5,8 @@ use std::collections::{HashMap, VecDeque};
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
-    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Rate, Stamped,
-    ThroughputTest, Timestamp,
+    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped, ThroughputTest,
+    Timestamp,
 };
 
 use crate::{
@@ -318,8 +318,8 @@ impl Fabric {
             });
         };
         let edge = edge(index, direction);
-        let link_bps = rate_bps(&self.pipes[edge].settings().effective().rate);
-        self.trials.begin(now, (edge, link), test, link_bps)
+        let rate = &self.pipes[edge].settings().effective().rate;
+        self.trials.begin(now, (edge, link), test, rate)
     }
 
     /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
@@ -341,6 +341,11 @@ impl Fabric {
         let on_air = |robot, unit| self.probes.probed(now, Over::Air(robot, unit));
         contexts.extend(self.radio.link_contexts(now, on_air));
         contexts
+    }
+
+    /// What a wired link does, scaled, forward and backward; `None` if there is none of that name.
+    pub fn effective(&self, link: &LinkId) -> Option<[&Conditions; 2]> {
+        Some(effective(&self.pipes, *self.link_by_name.get(link)?))
     }
 
     /// ι(R) of every radio unit.
@@ -546,7 +551,8 @@ impl Fabric {
 
     /// A probe or its answer has come to the other end.
     fn probed(&mut self, now: Timestamp, over: Over, direction: Direction, frame: Frame) {
-        if let Some(answer) = self.probes.crossed(now, over, direction, frame) {
+        let crossing = self.probes.crossed(now, now, (over, direction), frame);
+        if let Some(answer) = crossing.and_then(|crossing| crossing.answer) {
             self.probe(now, over, Direction::Backward, answer);
         }
     }
@@ -731,15 +737,6 @@ impl Fabric {
 
 /// Set in the first byte of an address of many hosts (IEEE 802, the I/G bit).
 const GROUP: u8 = 0x01;
-
-/// What a rate comes to, bit/s.
-pub(crate) fn rate_bps(rate: &Rate) -> f64 {
-    match rate {
-        Rate::Unlimited => f64::INFINITY,
-        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
-        Rate::Trace { trace } => trace.mean_bits_per_second(),
-    }
-}
 
 /// What both directions of a link do.
 fn effective(pipes: &[Pipe], link: usize) -> [&Conditions; 2] {

@@ -8,6 +8,17 @@ use crate::{checksum, pool::Pool};
 /// Length of an Ethernet header without tags.
 pub(crate) const ETHERNET_HEADER: usize = 14;
 
+/// The EtherType of packets that measure a link: the first for local experiments (IEEE 802-2014, 9.2.4). No network stack
+/// on the way takes them for its own.
+pub const MEASURING_ETHERTYPE: u16 = 0x88b5;
+
+/// The header of packets that measure a link: to the nearest bridge, which never forwards it (IEEE 802.1Q-2018, table 8-1),
+/// from a locally administered address that nobody else has.
+pub(crate) const MEASURING: [u8; ETHERNET_HEADER] = {
+    let [high, low] = MEASURING_ETHERTYPE.to_be_bytes();
+    [0x01, 0x80, 0xc2, 0x00, 0x00, 0x0e, 0x02, 0x78, 0x00, 0x00, 0x00, 0x01, high, low]
+};
+
 /// A checksum left to whoever needs it: the ones' complement sum of everything from `start` on belongs at
 /// `start + offset`, where the sum of the pseudo header stands already (virtio 1.2, 5.1.6.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -16,7 +16,7 @@ const BUCKETS: usize = STEPS * (OCTAVES + 1);
 
 /// A log-linear histogram of lateness; of fixed size, so that recording allocates nothing.
 #[derive(Debug, Clone)]
-pub(crate) struct Histogram {
+pub struct Histogram {
     buckets: Box<[u64; BUCKETS]>,
     frames: u64,
     max_ns: u64,
@@ -30,7 +30,7 @@ impl Default for Histogram {
 
 impl Histogram {
     /// A frame came out that late.
-    pub(crate) fn record(&mut self, late: Duration) {
+    pub fn record(&mut self, late: Duration) {
         let ns = late.as_nanos() as u64;
         self.buckets[bucket(ns)] += 1;
         self.frames += 1;
@@ -38,7 +38,7 @@ impl Histogram {
     }
 
     /// What was recorded so far.
-    pub(crate) fn summary(&self) -> Lateness {
+    pub fn summary(&self) -> Lateness {
         Lateness {
             frames: self.frames,
             p50_us: self.quantile_us(0.50),

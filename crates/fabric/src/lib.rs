@@ -91,8 +91,12 @@ mod settings;
 mod timers;
 mod transmitter;
 mod trial;
+mod wire_probes;
 
 pub use fabric::{Drops, Fabric, FabricError, PortId};
-pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
+pub use frame::{Checksum, Frame, MEASURING_ETHERTYPE, Malformed, Offload, Segmentation, SegmentationKind};
+pub use lateness::Histogram;
+pub use probes::Crossing;
 pub use settings::Refusal;
-pub use trial::Trial;
+pub use trial::Trials;
+pub use wire_probes::WireProbes;

@@ -9,17 +9,15 @@ use cotorra_stamp::{BASE_LENGTH, Link, PORT, SessionConfig, Told, Utc};
 
 use crate::{
     checksum::{complement, fold, sum},
-    fabric::rate_bps,
-    frame::{ETHERNET_HEADER, Frame},
+    frame::{ETHERNET_HEADER, Frame, MEASURING},
     radio::{RadioUnitIndex, StationIndex},
+    settings::rate_bps,
     timers::Timers,
 };
 
 /// Of a link's rate, the most that its probes take; of the time on a channel, the most that those of all robots take.
 const SHARE: f64 = 0.01;
 
-/// Of no station to no station, IPv4.
-const ETHERNET: [u8; ETHERNET_HEADER] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x08, 0x00];
 const IP_HEADER: usize = 20;
 const UDP_HEADER: usize = 8;
 const HEADERS: usize = ETHERNET_HEADER + IP_HEADER + UDP_HEADER;
@@ -42,6 +40,15 @@ pub(crate) enum Over {
     Wire(usize),
     /// A robot's link to a radio unit.
     Air(StationIndex, RadioUnitIndex),
+}
+
+/// A probe that crossed a direction of a link.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Crossing {
+    /// How long that took.
+    pub took: Duration,
+    /// What goes back; `None` if this is what came back.
+    pub answer: Option<Frame>,
 }
 
 /// A robot's present link.
@@ -121,17 +128,18 @@ impl Probes {
         Some((over, frame(&probe, buffer(HEADERS + probe.len()))))
     }
 
-    /// A probe has crossed a link and gets its answer; `None` if its answer has crossed back, or if it is damaged.
+    /// A probe came out of a link when it was `received`, and its answer goes back `now`. `None` if it is damaged, or
+    /// nobody's.
     pub(crate) fn crossed(
         &mut self,
+        received: Timestamp,
         now: Timestamp,
-        over: Over,
-        direction: Direction,
+        (over, direction): (Over, Direction),
         frame: Frame,
-    ) -> Option<Frame> {
+    ) -> Option<Crossing> {
         let mut bytes = frame.into_bytes();
         let (place, probed) = match over {
-            Over::Wire(link) => (link, &mut self.wires[link]),
+            Over::Wire(link) => (link, self.wires.get_mut(link)?),
             Over::Air(robot, unit) => {
                 let place = self.wires.len() + robot;
                 let station = self.stations.get_mut(robot)?;
@@ -142,15 +150,15 @@ impl Probes {
         let packet = payload(&bytes)?;
         match direction {
             Direction::Forward => {
-                let answer = probed.reflect(packet, utc(now)).ok()?;
+                let (answer, took) = probed.reflect(packet, utc(received), utc(now)).ok()?;
                 bytes.clear();
-                Some(self::frame(&answer, bytes))
+                Some(Crossing { took, answer: Some(self::frame(&answer, bytes)) })
             }
             Direction::Backward => {
                 // What is damaged in a way that the checksum does not see is nobody's answer.
-                let _ = probed.receive(packet, utc(now));
+                let took = probed.receive(packet, utc(received)).ok().flatten();
                 self.arm(place);
-                None
+                took.map(|took| Crossing { took, answer: None })
             }
         }
     }
@@ -225,10 +233,11 @@ fn timestamp(at: Utc) -> Timestamp {
     Timestamp::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
 }
 
-/// A UDP packet over IPv4 on a link of two stations. Nobody routes by its addresses, which are of no host.
+/// A UDP packet over IPv4, as RFC 8762 has it, on a link of two stations. Nobody routes by its addresses, which are of no
+/// host.
 fn frame(packet: &[u8], mut bytes: Vec<u8>) -> Frame {
     let udp_length = (UDP_HEADER + packet.len()) as u16;
-    bytes.extend(ETHERNET);
+    bytes.extend(MEASURING);
     let total = IP_HEADER as u16 + udp_length;
     let [high, low] = total.to_be_bytes();
     // IPv4 without options, TTL 255 as RFC 8762 has it, UDP.
@@ -248,7 +257,7 @@ fn frame(packet: &[u8], mut bytes: Vec<u8>) -> Frame {
 /// What such a packet carries; `None` if it is damaged.
 fn payload(bytes: &[u8]) -> Option<&[u8]> {
     let is_whole = bytes.len() >= HEADERS + BASE_LENGTH
-        && bytes.starts_with(&ETHERNET)
+        && bytes.starts_with(&MEASURING)
         && fold(sum(&bytes[ETHERNET_HEADER..HEADERS - UDP_HEADER])) == 0xffff
         && fold(udp_sum(bytes)) == 0xffff;
     is_whole.then(|| &bytes[HEADERS..])

@@ -199,6 +199,15 @@ impl Settings {
     }
 }
 
+/// What a rate comes to, bit/s.
+pub(crate) fn rate_bps(rate: &Rate) -> f64 {
+    match rate {
+        Rate::Unlimited => f64::INFINITY,
+        Rate::Fixed { bits_per_second } => bits_per_second.bits_per_second() as f64,
+        Rate::Trace { trace } => trace.mean_bits_per_second(),
+    }
+}
+
 /// A duration from milliseconds, in whole nanoseconds; `None` below zero, above an hour, and for NaN.
 fn from_ms(ms: f64) -> Option<Duration> {
     let duration = (0.0..=LONGEST.as_secs_f64() * 1e3).contains(&ms);

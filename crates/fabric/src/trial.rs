@@ -1,36 +1,42 @@
-//! Tests of what a direction of a link carries: packets at a rate, for a while, and the rate at which they come out.
+//! Tests of what a direction of a link carries: packets at a rate, for a while, and the rate at which they come out. As
+//! with probes, whoever has both ends of real links can carry them, too.
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{LinkId, Tested, ThroughputTest, Timestamp};
+use cotorra_graph::{LinkId, Rate, Tested, ThroughputTest, Timestamp};
 
-use crate::{frame::Frame, settings::Refusal, timers::Timers};
+use crate::{
+    frame::{Frame, MEASURING},
+    settings::{Refusal, rate_bps},
+    timers::Timers,
+};
 
 /// How long packets count that come out after the last was sent.
 const GRACE: Duration = Duration::from_secs(1);
 
-/// A test that goes on or is over. Whoever sends its packets asks it when.
+/// Bits of a packet, Ethernet header included.
+const BITS: f64 = Trials::PACKET_BYTES as f64 * 8.0;
+
+/// A test that goes on or is over.
 #[derive(Debug, Clone)]
-pub struct Trial {
+struct Trial {
     began: Timestamp,
     test: ThroughputTest,
     rate_bps: f64,
     sent: u64,
+    /// Nothing more is sent, however much of it was due.
+    closed: bool,
     arrived: u64,
     /// When the first and the last packet arrived.
     span: Option<[Timestamp; 2]>,
 }
 
 impl Trial {
-    /// Octets of a packet, Ethernet header included.
-    pub const BYTES: usize = 1514;
-    const BITS: f64 = Self::BYTES as f64 * 8.0;
-
     /// A test that begins now, of a link that is asked to carry so many bit/s.
     ///
     /// # Errors
     /// [`Refusal::TestDuration`] or [`Refusal::TestRate`] beyond the bounds.
-    pub fn new(now: Timestamp, test: ThroughputTest, link_bps: f64) -> Result<Self, Refusal> {
+    fn new(now: Timestamp, test: ThroughputTest, link_bps: f64) -> Result<Self, Refusal> {
         if !(ThroughputTest::SHORTEST..=ThroughputTest::LONGEST).contains(&test.duration) {
             return Err(Refusal::TestDuration(test.duration));
         }
@@ -42,24 +48,25 @@ impl Trial {
             Some(limit) => limit.bits_per_second() as f64,
             None => (link_bps * 1.1).min(fastest),
         };
-        Ok(Self { began: now, test, rate_bps, sent: 0, arrived: 0, span: None })
+        Ok(Self { began: now, test, rate_bps, sent: 0, closed: false, arrived: 0, span: None })
     }
 
     /// When the next packet is due; `None` after the last.
-    pub fn deadline(&self) -> Option<Timestamp> {
-        let after = Duration::from_secs_f64(self.sent as f64 * Self::BITS / self.rate_bps);
-        (after < self.test.duration).then(|| self.began + after)
+    fn deadline(&self) -> Option<Timestamp> {
+        let after = Duration::from_secs_f64(self.sent as f64 * BITS / self.rate_bps);
+        (after < self.test.duration && !self.closed).then(|| self.began + after)
     }
 
-    /// Whether a packet is due; it counts as sent.
-    pub fn poll(&mut self, now: Timestamp) -> bool {
+    /// Whether a packet is due; it counts as sent. Who could not keep up sends no more once the time is over.
+    fn poll(&mut self, now: Timestamp) -> bool {
+        self.closed = now >= self.ended();
         let due = self.deadline().is_some_and(|at| at <= now);
         self.sent += u64::from(due);
         due
     }
 
     /// One of its packets came out of the link.
-    pub fn arrived(&mut self, at: Timestamp) {
+    fn arrived(&mut self, at: Timestamp) {
         if !self.is_over(at) {
             self.arrived += 1;
             self.span = Some([self.span.map_or(at, |[first, _]| first), at]);
@@ -71,32 +78,32 @@ impl Trial {
     }
 
     /// Whether all that counts has arrived.
-    pub fn is_over(&self, now: Timestamp) -> bool {
+    fn is_over(&self, now: Timestamp) -> bool {
         now >= self.ended() + GRACE
     }
 
     /// How long it is until there may be another.
-    pub fn rests_for(&self, now: Timestamp) -> Duration {
+    fn rests_for(&self, now: Timestamp) -> Duration {
         (self.ended() + self.test.duration * ThroughputTest::REST).max(self.ended() + GRACE).since(now)
     }
 
     /// What it told; `None` before it is over.
-    pub fn tested(&self, now: Timestamp) -> Option<Tested> {
+    fn tested(&self, now: Timestamp) -> Option<Tested> {
         let [first, last] = self.span.unwrap_or([self.began; 2]);
         // From the first to the last there is a packet less. Those that nothing holds apart came as they were sent.
-        let bits = self.arrived.saturating_sub(1) as f64 * Self::BITS;
+        let bits = self.arrived.saturating_sub(1) as f64 * BITS;
         let throughput_bps = bits / last.since(first).as_secs_f64();
         self.is_over(now).then(|| Tested {
             throughput_bps: if throughput_bps.is_finite() { throughput_bps } else { 0.0 },
-            offered_bps: self.rate_bps,
+            offered_bps: self.rate_bps.min(self.sent as f64 * BITS / self.test.duration.as_secs_f64()),
             age: now.since(self.ended()),
         })
     }
 }
 
-/// The tests of all directions of links.
+/// The tests of all directions of links, each known by its place.
 #[derive(Debug)]
-pub(crate) struct Trials {
+pub struct Trials {
     of: BTreeMap<usize, Latest>,
     timers: Timers,
 }
@@ -109,20 +116,26 @@ struct Latest {
 }
 
 impl Trials {
+    /// Octets of a packet, Ethernet header included.
+    pub const PACKET_BYTES: usize = 1514;
+
     /// None yet, of so many edges.
-    pub(crate) fn new(edges: usize) -> Self {
+    pub fn new(edges: usize) -> Self {
         Self { of: BTreeMap::new(), timers: Timers::new(edges) }
     }
 
-    /// Begins a test of an edge of that link, which is asked to carry so many bit/s.
-    pub(crate) fn begin(
+    /// Begins a test of an edge of that link, which is asked to carry packets at a rate.
+    ///
+    /// # Errors
+    /// [`Refusal`] for a test without bounds, or one so soon after another.
+    pub fn begin(
         &mut self,
         now: Timestamp,
         (edge, link): (usize, &LinkId),
         test: ThroughputTest,
-        link_bps: f64,
+        rate: &Rate,
     ) -> Result<(), Refusal> {
-        let trial = Trial::new(now, test, link_bps)?;
+        let trial = Trial::new(now, test, rate_bps(rate))?;
         let before = self.of.get(&edge).map(|latest| latest.trial.clone());
         let rest = before.as_ref().map_or(Duration::ZERO, |before| before.rests_for(now));
         if !rest.is_zero() {
@@ -134,36 +147,33 @@ impl Trials {
     }
 
     /// When a packet is due.
-    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+    pub fn deadline(&self) -> Option<Timestamp> {
         self.timers.next().map(|(at, _)| at)
     }
 
     /// The next packet that is due by then, in a buffer, and the edge that it goes over.
-    pub(crate) fn poll(
-        &mut self,
-        now: Timestamp,
-        buffer: impl FnOnce(usize) -> Vec<u8>,
-    ) -> Option<(usize, Frame)> {
+    pub fn poll(&mut self, now: Timestamp, buffer: impl FnOnce(usize) -> Vec<u8>) -> Option<(usize, Frame)> {
         let (_, edge) = self.timers.next().filter(|(at, _)| *at <= now)?;
         let trial = &mut self.of.get_mut(&edge)?.trial;
         let due = trial.poll(now);
         self.timers.set(edge, trial.deadline());
         due.then(|| {
-            let mut bytes = buffer(Trial::BYTES);
-            bytes.resize(Trial::BYTES, 0);
+            let mut bytes = buffer(Self::PACKET_BYTES);
+            bytes.extend(MEASURING);
+            bytes.resize(Self::PACKET_BYTES, 0);
             (edge, Frame::new(bytes))
         })
     }
 
     /// A packet has crossed an edge.
-    pub(crate) fn crossed(&mut self, at: Timestamp, edge: usize) {
+    pub fn crossed(&mut self, at: Timestamp, edge: usize) {
         if let Some(latest) = self.of.get_mut(&edge) {
             latest.trial.arrived(at);
         }
     }
 
     /// What the last test of an edge told.
-    pub(crate) fn tested(&self, now: Timestamp, edge: usize) -> Option<Tested> {
+    pub fn tested(&self, now: Timestamp, edge: usize) -> Option<Tested> {
         let Latest { trial, before } = self.of.get(&edge)?;
         trial.tested(now).or_else(|| before.as_ref()?.tested(now))
     }
@@ -221,6 +231,18 @@ mod tests {
         let crossed = fabric.link_lateness(&link, Direction::Forward).unwrap().frames;
         assert!((130..166).contains(&crossed), "of 166: 2 Mbit in packets of 1514 bytes");
         assert_eq!(fabric.link_contexts(s(3.0))[0].counters, Default::default());
+    }
+
+    #[test]
+    fn who_cannot_keep_up_tells_what_it_sent() {
+        let link: LinkId = "a-b".parse().unwrap();
+        let mut trials = Trials::new(1);
+        trials.begin(s(0.0), (0, &link), limit(2.0), &Rate::Unlimited).unwrap();
+        let mut due = |at| std::iter::from_fn(|| trials.poll(at, Vec::with_capacity)).count();
+        assert_eq!((due(s(0.5)), due(s(1.0))), (83, 0));
+        assert_eq!(trials.deadline(), None);
+        let told = trials.tested(s(2.0), 0).unwrap();
+        assert!((told.offered_bps / 1e6 - 1.0).abs() < 0.01, "{told:?}");
     }
 
     #[test]

@@ -83,26 +83,31 @@ impl Link {
         self.session.pace(config);
     }
 
-    /// A probe came to the second end: gives the answer, which goes back at once.
+    /// A probe came to the second end: gives the answer, which goes back `now`, and what the way there took.
     ///
     /// # Errors
     /// [`Malformed`] if it is none.
-    pub fn reflect(&mut self, bytes: &[u8], now: Utc) -> Result<Vec<u8>, Malformed> {
-        let sequence = Test::decode(bytes)?.sequence;
-        let answer = self.reflector.reflect((), bytes, now, None)?.sent_at(now);
-        self.got(sequence, Crossed::TheWayThere);
-        Ok(answer)
+    pub fn reflect(
+        &mut self,
+        bytes: &[u8],
+        received: Utc,
+        now: Utc,
+    ) -> Result<(Vec<u8>, Duration), Malformed> {
+        let test = Test::decode(bytes)?;
+        let answer = self.reflector.reflect((), bytes, received, None)?.sent_at(now);
+        self.got(test.sequence, Crossed::TheWayThere);
+        let sent = Utc::from_wire(test.sent_at, test.error.format, received);
+        Ok((answer, received.since(sent)))
     }
 
-    /// An answer came to the first end.
+    /// An answer came to the first end: gives what the way back took. One that came twice or too late is `None`.
     ///
     /// # Errors
     /// [`Malformed`] if it is none.
-    pub fn receive(&mut self, bytes: &[u8], now: Utc) -> Result<(), Malformed> {
-        if let Some(sequence) = self.session.receive_which(bytes, now)? {
-            self.got(sequence, Crossed::Both);
-        }
-        Ok(())
+    pub fn receive(&mut self, bytes: &[u8], received: Utc) -> Result<Option<Duration>, Malformed> {
+        let Some((sequence, back)) = self.session.receive_which(bytes, received)? else { return Ok(None) };
+        self.got(sequence, Crossed::Both);
+        Ok(back)
     }
 
     fn got(&mut self, sequence: u32, crossed: Crossed) {
@@ -156,10 +161,13 @@ mod tests {
             if way(n) == Crossed::Nothing {
                 continue;
             }
-            let answer = link.reflect(&probe, ms(n * 100 + 3)).unwrap();
+            // The second end rests for a millisecond, which is nobody's delay.
+            let (answer, took) = link.reflect(&probe, ms(n * 100 + 3), ms(n * 100 + 4)).unwrap();
+            assert_eq!(took, Duration::from_millis(3));
             if way(n) == Crossed::Both {
-                link.receive(&answer, ms(n * 100 + 10)).unwrap();
-                link.receive(&answer, ms(n * 100 + 11)).unwrap();
+                let took = Some(Duration::from_millis(7));
+                assert_eq!(link.receive(&answer, ms(n * 100 + 11)), Ok(took));
+                assert_eq!(link.receive(&answer, ms(n * 100 + 12)), Ok(None), "the same again");
             }
         }
         link.told(ms(count * 100))
@@ -179,7 +187,7 @@ mod tests {
         assert!((back.loss.unwrap() - 0.125).abs() < 0.01, "{back:?}");
         assert_eq!(
             (there.delays.unwrap().1, there.loss_age),
-            (Duration::from_millis(90), Duration::from_millis(100))
+            (Duration::from_millis(89), Duration::from_millis(100))
         );
     }
 
@@ -191,7 +199,7 @@ mod tests {
         assert_eq!(back.loss, Some(0.0));
         assert_eq!(
             (there.delays.unwrap().1, there.loss_age),
-            (Duration::from_millis(6_090), Duration::from_millis(500))
+            (Duration::from_millis(6_089), Duration::from_millis(500))
         );
         let [there, back] = after(400, |n| if n < 60 { Crossed::Both } else { Crossed::Nothing }).unwrap();
         assert_eq!((there.loss, there.delays, back.loss, back.delays), (Some(1.0), None, None, None));

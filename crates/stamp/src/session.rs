@@ -121,9 +121,14 @@ impl Session {
         Ok(self.take(bytes, now)?.map(|sample| sample.round_trip))
     }
 
-    /// The same, and gives which of its packets was answered.
-    pub(crate) fn receive_which(&mut self, bytes: &[u8], now: Utc) -> Result<Option<u32>, Malformed> {
-        Ok(self.take(bytes, now)?.map(|sample| sample.sequence))
+    /// The same, but gives which of its packets was answered, and what the way back took if the clocks tell that.
+    pub(crate) fn receive_which(
+        &mut self,
+        bytes: &[u8],
+        now: Utc,
+    ) -> Result<Option<(u32, Option<Duration>)>, Malformed> {
+        let back = |[_, ns]: [i64; 2]| Duration::from_nanos(ns.max(0).unsigned_abs());
+        Ok(self.take(bytes, now)?.map(|sample| (sample.sequence, sample.one_way.map(back))))
     }
 
     fn take(&mut self, bytes: &[u8], now: Utc) -> Result<Option<Sample>, Malformed> {
