@@ -13,14 +13,17 @@ use std::{
     sync::{Mutex, MutexGuard, PoisonError},
 };
 
+use cotorra_fabric::{Fabric, Refusal};
 use cotorra_graph::{
-    Conditions, Direction, HardwareGraph, HostAddress, Jitter, LinkId, Loss, NodeId, Probability, Rate,
+    Conditions, Direction, HardwareGraph, HostAddress, Jitter, Lateness, Link, LinkCounters, LinkId, Loss,
+    NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
 };
-use cotorra_netem::{Counters, Device, Kernel, Netem, NotByNetem, Rule};
+use cotorra_netem::{Counters, Kernel, Netem, NotByNetem, Rule};
 
 use crate::{
     error::{Action, Error},
     hosts,
+    link_probes::{LinkProbes, Measured},
     namespace::Namespace,
     netlink::{self, Netlink},
     sys,
@@ -61,7 +64,20 @@ pub struct KernelNetwork {
     links: Vec<LinkId>,
     /// In the namespace of all bridges and links, which it holds.
     kernel: Mutex<Kernel>,
+    probes: LinkProbes,
     _wiring: Namespace,
+}
+
+/// What is known of one direction of a link.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observed {
+    /// What it did so far, packets that measure left out. NetEm counts packets that it lost, and those for which its queue
+    /// had no room, as one: lost. Those that it duplicated or corrupted it does not count.
+    pub counters: LinkCounters,
+    /// What probes tell; `None` if there are none, or not yet.
+    pub probed: Option<Probed>,
+    /// What the last test of its throughput told.
+    pub tested: Option<Tested>,
 }
 
 /// Interfaces of the wiring have indices from here: a bridge for each node, a port for each host, two ends for each link.
@@ -76,19 +92,27 @@ fn end(link: usize, direction: Direction) -> String {
 }
 
 impl KernelNetwork {
-    /// Brings it up, with the links' conditions.
+    /// Brings it up; links do what the fabric makes of those of their names, and are probed if that is wanted.
     ///
     /// # Errors
     /// [`NoKernelNetwork`], with what stands against it.
-    pub fn start(graph: &HardwareGraph) -> Result<Self, NoKernelNetwork> {
+    ///
+    /// # Panics
+    /// If the fabric lacks a link.
+    pub fn start(
+        graph: &HardwareGraph,
+        fabric: &Fabric,
+        probing: Option<Probing>,
+    ) -> Result<Self, NoKernelNetwork> {
         if let Some((robot, _)) = graph.robots().next() {
             return Err(NoKernelNetwork::Radio(robot.id.clone()));
         }
         let nodes: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
         check_tree(graph, &nodes)?;
+        let effective = |link: &Link| fabric.effective(&link.id).expect("a fabric of this graph");
         let settings = graph.links.iter().map(|link| {
-            let of = |conditions| netem_of(&link.id, conditions);
-            Ok([of(&link.forward)?, of(&link.backward)?])
+            let [forward, backward] = effective(link);
+            Ok([netem_of(&link.id, forward)?, netem_of(&link.id, backward)?])
         });
         let settings = settings.collect::<Result<Vec<_>, NoKernelNetwork>>()?;
         let lacks = Namespace::new()?.run(|| Kernel::open()?.lacks())?;
@@ -132,18 +156,17 @@ impl KernelNetwork {
             hosts.push(attach_host(place, port, bridge(nodes[&node.id]), &wiring)?);
             places.insert(node.id.clone(), place);
         }
-        let network = Self {
-            hosts,
-            places,
-            links: graph.links.iter().map(|link| link.id.clone()).collect(),
-            kernel: Mutex::new(wiring.run(Kernel::open)?),
-            _wiring: wiring,
-        };
+        let kernel = wiring.run(Kernel::open)?;
         for (link, [forward, backward]) in settings.into_iter().enumerate() {
-            network.set_netem(link, Direction::Forward, forward)?;
-            network.set_netem(link, Direction::Backward, backward)?;
+            set_netem(&kernel, &hosts, link, Direction::Forward, forward)?;
+            set_netem(&kernel, &hosts, link, Direction::Backward, backward)?;
         }
-        Ok(network)
+        let ends = graph.links.iter().map(effective).zip((first_end..).step_by(2));
+        let ends = ends.map(|([forward, backward], a)| [(a, forward.clone()), (a + 1, backward.clone())]);
+        let ends = ends.collect();
+        let probes = wiring.run(|| LinkProbes::start(ends, probing)).action("measure links")?;
+        let links = graph.links.iter().map(|link| link.id.clone()).collect();
+        Ok(Self { hosts, places, links, kernel: Mutex::new(kernel), probes, _wiring: wiring })
     }
 
     /// The namespace of a host.
@@ -169,56 +192,86 @@ impl KernelNetwork {
         conditions: &Conditions,
     ) -> Result<(), NoKernelNetwork> {
         let place = self.links.iter().position(|l| l == link).expect("the graph's own link");
-        self.set_netem(place, direction, netem_of(link, conditions)?)
+        set_netem(&self.kernel(), &self.hosts, place, direction, netem_of(link, conditions)?)?;
+        self.probes.change(place, direction, conditions);
+        Ok(())
     }
 
-    fn set_netem(
+    /// Begins to test what one direction of a link carries; what came of it is observed a second after the last of its
+    /// packets was sent.
+    ///
+    /// # Errors
+    /// [`Refusal`] for a link that does not exist, a test without bounds, or one so soon after another.
+    pub fn test_throughput(
         &self,
-        link: usize,
+        link: &LinkId,
         direction: Direction,
-        (netem, packets): (Netem, bool),
-    ) -> Result<(), NoKernelNetwork> {
-        if packets {
-            self.segment()?;
-        }
-        let kernel = self.kernel();
-        let device = kernel.device(&end(link, direction))?;
-        let plan = device.set(&Rule { netem, ..Rule::default() }, false);
-        Ok(kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
+        test: ThroughputTest,
+    ) -> Result<(), Refusal> {
+        let place = self.links.iter().position(|l| l == link);
+        let place = place.ok_or_else(|| Refusal::UnknownLink(link.clone()))?;
+        self.probes.test_throughput((place, link), direction, test)
     }
 
-    /// What each direction of each link did so far.
+    /// What is known of each direction of each link.
     ///
     /// # Errors
     /// [`NoKernelNetwork::Netem`].
-    pub fn counters(&self) -> Result<HashMap<(LinkId, Direction), Counters>, NoKernelNetwork> {
-        let directions = |(place, link): (usize, &LinkId)| {
-            let link = link.clone();
-            [Direction::Forward, Direction::Backward].map(|d| (end(place, d), (link.clone(), d)))
-        };
-        let mut names: HashMap<_, _> = self.links.iter().enumerate().flat_map(directions).collect();
+    pub fn observe(&self) -> Result<HashMap<(LinkId, Direction), Observed>, NoKernelNetwork> {
+        let counted = |device: &cotorra_netem::Device| Some(device.rules().next()?.1);
         let devices = self.kernel().devices()?;
-        let of = |device: Device| {
-            let direction = names.remove(&device.interface().name)?;
-            Some((direction, device.rules().next()?.1))
-        };
-        Ok(devices.into_iter().filter_map(of).collect())
+        let counted: HashMap<_, _> =
+            devices.iter().filter_map(|d| Some((d.interface().name.as_str(), counted(d)?))).collect();
+        let mut observed = HashMap::new();
+        for (place, (link, measured)) in self.links.iter().zip(self.probes.measured()).enumerate() {
+            for (direction, Measured { probed, tested }) in
+                [Direction::Forward, Direction::Backward].into_iter().zip(measured)
+            {
+                let Some(counters) = counted.get(end(place, direction).as_str()) else { continue };
+                let &Counters { packets, bytes, dropped, .. } = counters;
+                let all = LinkCounters { packets, bytes, lost: dropped, ..LinkCounters::default() };
+                let counters = self.probes.others(place, direction, all);
+                observed.insert((link.clone(), direction), Observed { counters, probed, tested });
+            }
+        }
+        Ok(observed)
+    }
+
+    /// By how much longer probes took than links were asked to make it, on those where no jitter and no reordering leaves
+    /// that to chance. Where a probe waits for other packets, that counts. Of other packets the kernel tells nothing.
+    pub fn lateness(&self) -> Lateness {
+        self.probes.lateness()
     }
 
     fn kernel(&self) -> MutexGuard<'_, Kernel> {
         self.kernel.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
 
-    /// Lets hosts send packets one by one: NetEm would lose, delay or serialise a super-packet as a whole.
-    fn segment(&self) -> Result<(), Error> {
-        for host in &self.hosts {
-            let socket =
-                host.udp_socket((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
-            sys::restrict_offloads(socket.as_fd(), c"eth0", &["tx-checksum-ip-generic", "tx-scatter-gather"])
-                .action("restrict the offloads of a virtual Ethernet pair")?;
-        }
-        Ok(())
+/// Gives an end of a link other settings, in place.
+fn set_netem(
+    kernel: &Kernel,
+    hosts: &[Namespace],
+    link: usize,
+    direction: Direction,
+    (netem, packets): (Netem, bool),
+) -> Result<(), NoKernelNetwork> {
+    if packets {
+        segment(hosts)?;
     }
+    let device = kernel.device(&end(link, direction))?;
+    let plan = device.set(&Rule { netem, ..Rule::default() }, false);
+    Ok(kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
+}
+
+/// Lets hosts send packets one by one: NetEm would lose, delay or serialise a super-packet as a whole.
+fn segment(hosts: &[Namespace]) -> Result<(), Error> {
+    for host in hosts {
+        let socket = host.udp_socket((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
+        sys::restrict_offloads(socket.as_fd(), c"eth0", &["tx-checksum-ip-generic", "tx-scatter-gather"])
+            .action("restrict the offloads of a virtual Ethernet pair")?;
+    }
+    Ok(())
 }
 
 /// The settings, and whether they need packets one by one, as in the fabric.

@@ -283,24 +283,48 @@ fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io
 /// goes out, each frame behind its `virtio_net_hdr`.
 pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<OwnedFd> {
     const PACKET_IGNORE_OUTGOING: c_int = 23;
+    let socket = unbound_packet_socket(buffer_bytes)?;
+    let on: c_int = 1;
+    set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
+    set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
+    set_option(&socket, libc::SOL_PACKET, libc::PACKET_QDISC_BYPASS, &on)?;
+    bind_packet_socket(&socket, interface, libc::ETH_P_ALL as u16)?;
+    Ok(socket)
+}
+
+/// A packet socket that sends through an interface's queueing discipline, and receives what comes in of one EtherType;
+/// [`read_with_age`] tells when that was.
+pub(crate) fn stamped_packet_socket(
+    interface: u32,
+    ethertype: u16,
+    buffer_bytes: c_int,
+) -> io::Result<OwnedFd> {
+    let socket = unbound_packet_socket(buffer_bytes)?;
+    let on: c_int = 1;
+    set_option(&socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, &on)?;
+    bind_packet_socket(&socket, interface, ethertype)?;
+    Ok(socket)
+}
+
+fn unbound_packet_socket(buffer_bytes: c_int) -> io::Result<OwnedFd> {
     // Protocol 0 receives nothing: until it is bound, frames of other interfaces would come in.
     // SAFETY: takes no pointer and makes a descriptor.
     let socket = unsafe {
         own(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC, 0))?
     };
-    let on: c_int = 1;
-    set_option(&socket, libc::SOL_PACKET, libc::PACKET_VNET_HDR, &on)?;
-    set_option(&socket, libc::SOL_PACKET, PACKET_IGNORE_OUTGOING, &on)?;
-    set_option(&socket, libc::SOL_PACKET, libc::PACKET_QDISC_BYPASS, &on)?;
     // Only root may exceed the system's limit; an ordinary user gets as much as it allows.
     for (force, plain) in [(libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)] {
         set_option(&socket, libc::SOL_SOCKET, force, &buffer_bytes)
             .or_else(|_| set_option(&socket, libc::SOL_SOCKET, plain, &buffer_bytes))?;
     }
+    Ok(socket)
+}
+
+fn bind_packet_socket(socket: &OwnedFd, interface: u32, ethertype: u16) -> io::Result<()> {
     // SAFETY: a sockaddr_ll is integers and bytes, for which zero is a value.
     let mut address: libc::sockaddr_ll = unsafe { mem::zeroed() };
     address.sll_family = libc::AF_PACKET as u16;
-    address.sll_protocol = (libc::ETH_P_ALL as u16).to_be();
+    address.sll_protocol = ethertype.to_be();
     address.sll_ifindex = interface as c_int;
     // SAFETY: the pointer is to a live sockaddr_ll of the size given.
     check(unsafe {
@@ -309,8 +333,8 @@ pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<O
             (&raw const address).cast(),
             mem::size_of::<libc::sockaddr_ll>() as libc::socklen_t,
         )
-    })?;
-    Ok(socket)
+    })
+    .map(drop)
 }
 
 /// A wait for many descriptors at once, to the nanosecond (`epoll_pwait2`, Linux 5.11).
@@ -450,4 +474,47 @@ pub(crate) fn write_frame(fd: BorrowedFd<'_>, header: &[u8], frame: &[u8]) -> io
         libc::syscall(libc::SYS_writev, fd.as_raw_fd(), parts.as_ptr(), parts.len()) as isize
     })
     .map(drop)
+}
+
+/// Reads one frame of a [`stamped_packet_socket`], cut to the buffer, and tells how long ago the kernel got it.
+pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result<(usize, Duration)> {
+    /// Room for one control message with a timespec, aligned as its header is.
+    #[repr(C)]
+    struct Control {
+        _align: [libc::cmsghdr; 0],
+        bytes: [u8; 64],
+    }
+    let mut control = Control { _align: [], bytes: [0; 64] };
+    let mut part = libc::iovec { iov_base: buffer.as_mut_ptr().cast(), iov_len: buffer.len() };
+    // SAFETY: a msghdr is integers and pointers, for which zero is a value.
+    let mut message: libc::msghdr = unsafe { mem::zeroed() };
+    message.msg_iov = &mut part;
+    message.msg_iovlen = 1;
+    message.msg_control = control.bytes.as_mut_ptr().cast();
+    message.msg_controllen = control.bytes.len() as _;
+    // SAFETY: the message points to live memory of ours, of the lengths stated.
+    let length = check_len(unsafe { libc::recvmsg(fd.as_raw_fd(), &mut message, 0) })?;
+    let now = realtime()?;
+    // SAFETY: the kernel filled the message in, whose control buffer is live and aligned.
+    let header = unsafe { libc::CMSG_FIRSTHDR(&message).as_ref() };
+    let got = header.filter(|h| h.cmsg_level == libc::SOL_SOCKET && h.cmsg_type == libc::SCM_TIMESTAMPNS);
+    let age = got.map_or(Duration::ZERO, |header| {
+        // SAFETY: the data of such a message is a timespec, which need not be aligned.
+        let at = unsafe { libc::CMSG_DATA(header).cast::<libc::timespec>().read_unaligned() };
+        now.saturating_sub(since_1970(at))
+    });
+    Ok((length, age))
+}
+
+/// The kernel's wall clock, by which it stamps packets.
+fn realtime() -> io::Result<Duration> {
+    // SAFETY: a timespec is integers, for which zero is a value.
+    let mut now: libc::timespec = unsafe { mem::zeroed() };
+    // SAFETY: the pointer is to a live timespec.
+    check(unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &mut now) })?;
+    Ok(since_1970(now))
+}
+
+fn since_1970(at: libc::timespec) -> Duration {
+    Duration::new(at.tv_sec.max(0) as u64, at.tv_nsec.clamp(0, 999_999_999) as u32)
 }

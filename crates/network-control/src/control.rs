@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Attachment, ConditionChange, Direction, Event, Instruction, LinkContext, LinkId, NodeId, Placement,
-    Position, Service, Testbed, ThroughputTest, Timestamp, VirtualLinkMapping, VnfId,
+    Attachment, ConditionChange, Direction, Event, Instruction, Lateness, LinkContext, LinkId, NodeId,
+    Placement, Position, Service, Testbed, ThroughputTest, Timestamp, VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -56,6 +56,11 @@ pub trait Network {
     /// Completes what the fabric knows of links, where not only the fabric carries packets.
     fn complete(&self, _now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         contexts
+    }
+
+    /// How late packets were, where not only the fabric carries them, which was that late.
+    fn lateness(&self, fabric: Lateness) -> Lateness {
+        fabric
     }
 }
 
@@ -200,7 +205,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 .collect();
             (now, radios, links, fabric.lateness(), routes)
         })?;
-        let links = self.network.complete(now, links);
+        let (links, lateness) = (self.network.complete(now, links), self.network.lateness(lateness));
         let radios = radios.into_iter().map(Event::Radio);
         let mut events: Vec<_> =
             radios.chain(links.into_iter().map(Event::Link)).chain([Event::Lateness(lateness)]).collect();

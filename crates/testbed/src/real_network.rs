@@ -7,10 +7,10 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork};
+use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    ConditionChange, Conditions, Direction, Emulation, LinkContext, LinkCounters, LinkId, Testbed,
+    ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, Testbed,
     ThroughputTest, Timestamp,
 };
 use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric, test_fabric_throughput};
@@ -36,11 +36,14 @@ struct Seen {
 ///
 /// # Errors
 /// What the fabric could not do without, either.
-pub(crate) fn kernel_network(testbed: &Testbed) -> Result<Option<KernelNetwork>, cotorra_datapath::Error> {
+pub(crate) fn kernel_network(
+    testbed: &Testbed,
+    fabric: &Fabric,
+) -> Result<Option<KernelNetwork>, cotorra_datapath::Error> {
     if testbed.emulation == Emulation::Fabric {
         return Ok(None);
     }
-    match KernelNetwork::start(&testbed.graph.without_machines()) {
+    match KernelNetwork::start(&testbed.graph.without_machines(), fabric, testbed.probes) {
         Ok(network) => Ok(Some(network)),
         Err(NoKernelNetwork::Datapath(error)) => Err(error),
         Err(reason) => {
@@ -122,23 +125,32 @@ impl Network for RealNetwork {
         direction: Direction,
         test: ThroughputTest,
     ) -> Result<(), Refused> {
-        if self.carrier(link).is_some() {
-            return Err(Refused(
-                "the kernel's NetEm carries this link, and only the fabric's can be tested".to_owned(),
-            ));
+        match self.carrier(link) {
+            Some(Carrier::Interface(_)) => Err(Refused(
+                "this link leads over an interface of this machine, and only emulated ones can be tested"
+                    .to_owned(),
+            )),
+            Some(Carrier::Kernel(kernel)) => {
+                kernel.test_throughput(link, direction, test).map_err(|refusal| Refused(refusal.to_string()))
+            }
+            None => test_fabric_throughput(self, link, direction, test),
         }
-        test_fabric_throughput(self, link, direction, test)
     }
 
-    /// The kernel counts what the fabric does not see. What packets take nobody measures then: it is left out.
+    fn lateness(&self, fabric: Lateness) -> Lateness {
+        self.kernel.as_ref().map_or(fabric, |kernel| kernel.lateness())
+    }
+
+    /// The kernel counts what the fabric does not see, and carries probes. What other packets take nobody measures then: it
+    /// is left out.
     fn complete(&self, now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         let mut contexts = match &self.real {
             Some(real) => real.complete(now, contexts),
             None => contexts,
         };
         let Some(kernel) = &self.kernel else { return contexts };
-        let counted = match kernel.counters() {
-            Ok(counted) => counted,
+        let observed = match kernel.observe() {
+            Ok(observed) => observed,
             Err(error) => {
                 tracing::warn!("the kernel does not tell what links carried: {error}");
                 return contexts;
@@ -148,22 +160,16 @@ impl Network for RealNetwork {
         let seconds = now.since(seen.at).as_secs_f64();
         for context in &mut contexts {
             let key = (context.link.clone(), context.direction);
-            let Some(counters) = counted.get(&key) else { continue };
+            let Some(&Observed { counters, probed, tested }) = observed.get(&key) else { continue };
             let before = seen.bytes.get(&key).copied().unwrap_or(0);
             if seconds > 0.0 {
                 context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
             }
-            context.counters = LinkCounters {
-                packets: counters.packets,
-                bytes: counters.bytes,
-                // NetEm counts both as one.
-                lost: counters.dropped,
-                ..LinkCounters::default()
-            };
+            (context.counters, context.probed, context.tested) = (counters, probed, tested);
         }
         // One link that is asked for alone does not begin a new interval for all.
-        if contexts.len() >= counted.len() {
-            let bytes = counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect();
+        if contexts.len() >= observed.len() {
+            let bytes = observed.into_iter().map(|(key, observed)| (key, observed.counters.bytes)).collect();
             *seen = Seen { at: now, bytes };
         }
         contexts

@@ -155,13 +155,11 @@ impl From<ScriptError> for RunError {
     }
 }
 
-/// The fabric of a testbed, with probes on its links if it wants them.
-pub(crate) fn emulated(testbed: &Testbed, seed: u64) -> Result<Fabric, cotorra_fabric::FabricError> {
-    let mut fabric = Fabric::new(&testbed.graph, seed)?;
+/// Probes the links of a testbed's fabric, if it wants that.
+pub(crate) fn probe_links(fabric: &mut Fabric, testbed: &Testbed) {
     if let Some(probes) = testbed.probes {
         fabric.probe_links(Timestamp::ZERO, probes);
     }
-    Ok(fabric)
 }
 
 fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
@@ -231,12 +229,11 @@ impl Run {
             let _ = from_network.send(Message::Network(event));
         });
         let let_cores_sleep = options.save_power;
-        let kernel = kernel_network(&testbed)?;
-        let mut fabric = match kernel {
-            // What crosses no packet has nothing to measure.
-            Some(_) => Fabric::new(&testbed.graph, seed)?,
-            None => emulated(&testbed, seed)?,
-        };
+        let mut fabric = Fabric::new(&testbed.graph, seed)?;
+        let kernel = kernel_network(&testbed, &fabric)?;
+        if kernel.is_none() {
+            probe_links(&mut fabric, &testbed);
+        }
         // Last of what can be refused; from here on the interfaces are put back at the end.
         let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces)?;
         let with_events =
@@ -316,6 +313,7 @@ impl Run {
         }
         core.start(now());
         let report = Report::new(&testbed, seed);
+        let report = if datapath.kernel().is_some() { report.by_the_kernel() } else { report };
         let readers =
             Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };
         let until = options.until.map(|until| Timestamp::ZERO + until);

@@ -1,6 +1,9 @@
 //! `cotorra netem`, in a network namespace of its own; what the kernel does is shown where `scripts/uml` runs this.
 
-use std::process::{Command, Output};
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
 
 use serde_json::{Value, json};
 
@@ -145,4 +148,64 @@ fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
         let links = run.get("/api/v1/network/links");
         links[0]["counters"]["packets"].as_u64().is_some_and(|packets| packets > 0)
     });
+    let test = ["link", "test", "left-lan", "--rate-limit", "8Mbit/s", "--duration", "500ms"];
+    let tested = cotorra(test.into_iter().chain(["--api", run.address()])).output().unwrap();
+    assert!(tested.status.success(), "{}", stderr(&tested));
+    assert!(stdout(&tested).starts_with("left-lan forward: "), "{}", stdout(&tested));
+}
+
+/// A testbed of two hosts that the kernel emulates where it can, with more in its file.
+fn on_the_kernel(folder: &Path, name: &str, more: &str) -> PathBuf {
+    let file = folder.join(format!("{name}.yaml"));
+    let text = std::fs::read_to_string(project_file("testbeds/two-hosts.yaml")).expect("it is the project's");
+    let head = format!("name: {name}\nemulation: netem\nprobes: {{ interval: 20 ms, window: 2 s }}\n{more}");
+    std::fs::write(&file, text.replace("name: two-hosts", &head)).expect("the folder is the test's own");
+    file
+}
+
+/// Both carry packets in real time; whoever does, probes tell the delay that was scripted, and the verdict says how much
+/// is known.
+#[test]
+fn a_schedule_and_its_replay_change_links_in_real_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let slow = "schedule:\n  - { at: 1500 ms, links: left-lan, direction: forward, set: { delay: 60 ms } }\n";
+    let scripted = on_the_kernel(folder.path(), "scripted", slow);
+    let until_slow = |file: &Path| {
+        let mut run = Run::start(file, &["--until", "600s"]);
+        let context = |direction: &str| {
+            let links = run.get("/api/v1/network/links");
+            let is_it = |link: &&Value| link["link"] == "left-lan" && link["direction"] == direction;
+            links.as_array().unwrap().iter().find(is_it).cloned().unwrap_or_default()
+        };
+        // No packet comes too soon, so that the mean is no less once the window is over.
+        wait_until(|| context("forward")["probed"]["delay_ms"].as_f64().is_some_and(|delay| delay >= 60.0));
+        let backward = context("backward");
+        assert_eq!(backward["effective"]["delay_ms"], 1.0, "{backward}");
+        run.signal("INT");
+        let (summary, _) = run.report();
+        let events = ["history", "events", run.folder.to_str().unwrap(), "--kinds", "decision", "--json"];
+        let events = cotorra(events).output().unwrap();
+        let events: Vec<Value> =
+            stdout(&events).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let changed: Vec<_> = events.iter().filter(|event| event["plugin"] == "schedule").collect();
+        assert!(changed.iter().all(|event| event["refused"].is_null()), "{changed:?}");
+        assert!(changed[0]["at"].as_u64().unwrap() >= 1_500_000_000, "{changed:?}");
+        (run, summary)
+    };
+    let (first, summary) = until_slow(&scripted);
+    let reason = summary["fidelity"]["reason"].as_str().unwrap();
+    // Well over 100 probes, none of which was left to chance.
+    assert_eq!(reason.contains("only probes tell"), has_netem(), "{reason}");
+    assert_eq!(summary["fidelity"]["frames"].as_u64().unwrap() >= 100, has_netem(), "{summary}");
+
+    let export = folder.path().join("export");
+    let out = ["--format", "csv", "--out", export.to_str().unwrap()];
+    let exported = cotorra(["history", "export", first.folder.to_str().unwrap()].into_iter().chain(out))
+        .output()
+        .unwrap();
+    assert!(exported.status.success(), "{}", stderr(&exported));
+    drop(first);
+    let replay = on_the_kernel(folder.path(), "replay", "conditions: { replay: export }\n");
+    let (_, summary) = until_slow(&replay);
+    assert!(summary["fidelity"]["valid"].is_boolean());
 }

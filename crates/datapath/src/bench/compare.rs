@@ -46,7 +46,10 @@ impl Emulator {
     fn start(self, graph: &HardwareGraph) -> Result<Network, NoKernelNetwork> {
         Ok(match self {
             Self::Fabric => Network::Fabric(SETTING.start(graph)?),
-            Self::NetEm => Network::NetEm(KernelNetwork::start(graph)?),
+            Self::NetEm => {
+                let fabric = Fabric::new(graph, 1).expect("the graphs of benchmarks are sound");
+                Network::NetEm(KernelNetwork::start(graph, &fabric, None)?)
+            }
         })
     }
 }

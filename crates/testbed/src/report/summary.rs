@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{
-    Emulation, Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed,
-    Timestamp, VnfId,
+    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed, Timestamp,
+    VnfId,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -15,6 +15,8 @@ const VALID_P99_US: f64 = 1000.0;
 const VALID_P50_US: f64 = 250.0;
 /// Share of frames that may be lost though nobody asked for it.
 const VALID_DROPPED: f64 = 1e-4;
+/// With fewer probes than this, nothing is known of one in a hundred.
+const VALID_PROBES: u64 = 100;
 
 /// What `summary.json` holds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -167,7 +169,7 @@ pub struct Fidelity {
     pub valid: bool,
     /// How late frames were delivered.
     pub lateness_us: LatenessSummary,
-    /// Frames that it speaks of.
+    /// Frames that it speaks of: all, or only probes where the kernel's NetEm carried them.
     pub frames: u64,
     /// Frames that were lost though nobody asked for it: an interface was down, or its queue full.
     pub frames_dropped: u64,
@@ -186,11 +188,35 @@ pub struct LatenessSummary {
     pub max: f64,
 }
 
+/// Of which frames it is known how late they were.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Known {
+    /// Of all, because the fabric carried them.
+    All,
+    /// Of those that the fabric carried; others crossed interfaces of this machine.
+    Emulated,
+    /// Of probes alone, because the kernel carried them.
+    Probes,
+}
+
 impl Fidelity {
-    /// `kernel` says that packets crossed the kernel's NetEm, or may have.
-    fn of(kernel: bool, lateness: Lateness, frames_dropped: u64) -> Self {
+    fn of(known: Known, lateness: Lateness, frames_dropped: u64) -> Self {
         let Lateness { frames, p50_us, p99_us, max_us } = lateness;
-        let (valid, reason) = if frames == 0 && kernel {
+        let (which, what) = match known {
+            Known::All | Known::Emulated => ("", "the frames"),
+            Known::Probes => {
+                ("the kernel's NetEm carried the frames, and only probes tell how late; ", "the probes")
+            }
+        };
+        let (valid, reason) = if known == Known::Probes && frames < VALID_PROBES {
+            (
+                false,
+                format!(
+                    "{which}{frames} of them did, and {VALID_PROBES} are needed (those of links with jitter or reordering \
+                     cannot tell)"
+                ),
+            )
+        } else if frames == 0 && known == Known::Emulated {
             (false, "the kernel's NetEm carried the frames, and tells nobody how late they were".to_owned())
         } else if frames == 0 {
             (false, "no frame crossed the emulated network".to_owned())
@@ -202,18 +228,20 @@ impl Fidelity {
         } else if p99_us > VALID_P99_US {
             (
                 false,
-                format!("1 % of the frames came later than {p99_us:.0} µs; {VALID_P99_US:.0} µs are allowed"),
+                format!(
+                    "{which}1 % of {what} came later than {p99_us:.0} µs; {VALID_P99_US:.0} µs are allowed"
+                ),
             )
         } else if p50_us > VALID_P50_US {
             (
                 false,
                 format!(
-                    "half of the frames came later than {p50_us:.0} µs; {VALID_P50_US:.0} µs are allowed"
+                    "{which}half of {what} came later than {p50_us:.0} µs; {VALID_P50_US:.0} µs are allowed"
                 ),
             )
         } else {
             let reason = format!(
-                "lateness p50 {p50_us:.0} µs (limit {VALID_P50_US:.0}), p99 {p99_us:.0} µs (limit {VALID_P99_US:.0})"
+                "{which}lateness p50 {p50_us:.0} µs (limit {VALID_P50_US:.0}), p99 {p99_us:.0} µs (limit {VALID_P99_US:.0})"
             );
             (true, reason)
         };
@@ -236,7 +264,7 @@ pub struct Losses {
 pub struct Report {
     name: String,
     seed: u64,
-    kernel: bool,
+    known: Known,
     target_ms: Option<f64>,
     samples: Vec<ServiceTime>,
     handovers: Vec<HandoverRecord>,
@@ -258,7 +286,10 @@ impl Report {
         Self {
             name: testbed.name.clone(),
             seed,
-            kernel: testbed.emulation == Emulation::NetEm || testbed.graph.real_links().next().is_some(),
+            known: match testbed.graph.real_links().next() {
+                Some(_) => Known::Emulated,
+                None => Known::All,
+            },
             target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
             samples: Vec::new(),
             handovers: Vec::new(),
@@ -275,6 +306,11 @@ impl Report {
                 .collect(),
             positions: BTreeMap::new(),
         }
+    }
+
+    /// The same, of a run in which the kernel carried the frames, and lateness is that of probes.
+    pub(crate) fn by_the_kernel(self) -> Self {
+        Self { known: Known::Probes, ..self }
     }
 
     /// Takes an event in.
@@ -374,7 +410,7 @@ impl Report {
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
-            fidelity: Fidelity::of(self.kernel, self.lateness, losses.frames_dropped),
+            fidelity: Fidelity::of(self.known, self.lateness, losses.frames_dropped),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
             plugin_faults: self.faults.clone(),
@@ -469,16 +505,31 @@ mod tests {
 
     #[test]
     fn a_run_without_frames_or_with_late_ones_is_not_valid() {
-        let fidelity = |lateness, dropped| Fidelity::of(false, lateness, dropped);
+        let fidelity = |lateness, dropped| Fidelity::of(Known::All, lateness, dropped);
         assert!(!fidelity(Lateness::default(), 0).valid);
         let good = Lateness { frames: 10, p50_us: 20.0, p99_us: 300.0, max_us: 5000.0 };
         assert!(fidelity(good, 0).valid);
         assert!(!fidelity(good, 1).valid);
         let late = fidelity(Lateness { p99_us: 1500.0, ..good }, 0);
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
-        let kernel = Fidelity::of(true, Lateness::default(), 0);
-        assert!(!kernel.valid && kernel.reason.contains("NetEm"), "{kernel:?}");
-        // Where the kernel could not, the fabric did, and says how well.
-        assert!(Fidelity::of(true, good, 0).valid);
+        let real = Fidelity::of(Known::Emulated, Lateness::default(), 0);
+        assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
+        // What the fabric carried beside real links is known.
+        assert!(Fidelity::of(Known::Emulated, good, 0).valid);
+    }
+
+    #[test]
+    fn of_what_the_kernel_carried_probes_tell_if_they_are_enough() {
+        let fidelity = |frames, p99_us| {
+            Fidelity::of(Known::Probes, Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 }, 0)
+        };
+        for few in [0, VALID_PROBES - 1] {
+            let few = fidelity(few, 300.0);
+            assert!(!few.valid && few.reason.contains("NetEm") && few.reason.contains("100"), "{few:?}");
+        }
+        let good = fidelity(VALID_PROBES, 300.0);
+        assert!(good.valid && good.reason.contains("only probes"), "{good:?}");
+        let late = fidelity(VALID_PROBES, 1500.0);
+        assert!(!late.valid && late.reason.contains("1 % of the probes"), "{late:?}");
     }
 }

@@ -16,7 +16,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_fabric::PortId;
+use cotorra_fabric::{Fabric, PortId};
 use cotorra_federation::Ledgers;
 use cotorra_graph::{
     Event, HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
@@ -36,7 +36,7 @@ use crate::{
     domain::{DomainView, Domains},
     plugins::{Bundled, PluginError, panic_text, programs},
     robots::simulated,
-    run::{RunError, emulated},
+    run::{RunError, probe_links},
     script::Script,
 };
 
@@ -88,7 +88,9 @@ impl Simulation {
     /// The same, on ledgers that may know of runs before.
     fn on(testbed: Arc<Testbed>, seed: u64, ledgers: Ledgers) -> Result<Self, RunError> {
         let (script, _) = Script::load(&testbed)?;
-        let network = VirtualNetwork::new(emulated(&testbed, seed)?);
+        let mut fabric = Fabric::new(&testbed.graph, seed)?;
+        probe_links(&mut fabric, &testbed);
+        let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone());
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, script, simulated)?;

@@ -1,0 +1,184 @@
+//! What is known of the links of the kernel's network, in a kernel that has NetEm: `scripts/uml` runs this where this
+//! machine's has none.
+//!
+//! No packet comes sooner than NetEm lets it, however busy the machine is: so a delay is told to be at least what was
+//! asked, and a direction without one less than the other has.
+#![allow(
+    clippy::unwrap_used,
+    clippy::disallowed_methods,
+    reason = "a test that finds no value has failed; the kernel works on the wall clock"
+)]
+
+use std::{thread, time::Duration};
+
+use cotorra_datapath::{KernelNetwork, NoKernelNetwork, Observed};
+use cotorra_fabric::{Fabric, Refusal};
+use cotorra_graph::{
+    BitRate, Conditions, Direction, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed, ThroughputTest,
+    testbed_file,
+};
+
+const PROBING: Probing =
+    Probing { interval: Duration::from_millis(10), window: Duration::from_millis(4_000) };
+
+/// Two hosts and a switch, whose links have these keys.
+fn testbed(left: &str, right: &str) -> Testbed {
+    let host = "{ kind: server, tier: edge, cpus: 1, memory: 1 GB }";
+    let text = format!(
+        "name: lab\nnodes:\n  left: {host}\n  lan: {{ kind: switch }}\n  right: {host}\n\
+         links:\n  - {{ id: one, ends: [left, lan], {left} }}\n  - {{ id: two, ends: [lan, right], {right} }}\n"
+    );
+    testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// `None`, with a message, where the kernel cannot; that fails where the rig says that it must.
+fn start(testbed: &Testbed, probing: Option<Probing>) -> Option<KernelNetwork> {
+    let fabric = Fabric::new(&testbed.graph, 1).unwrap();
+    match KernelNetwork::start(&testbed.graph, &fabric, probing) {
+        Ok(network) => Some(network),
+        Err(error @ (NoKernelNetwork::Lacks(_) | NoKernelNetwork::Datapath(_))) => {
+            assert!(std::env::var_os("COTORRA_KERNEL").is_none(), "the rig's kernel must: {error}");
+            eprintln!("skipped: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn link(name: &str) -> LinkId {
+    name.parse().unwrap()
+}
+
+fn observe(network: &KernelNetwork, name: &str, direction: Direction) -> Observed {
+    network.observe().unwrap()[&(link(name), direction)]
+}
+
+/// Waits until it holds of what is known of one direction of a link, and gives that.
+fn wait_until(
+    network: &KernelNetwork,
+    (name, direction): (&str, Direction),
+    holds: impl Fn(&Observed) -> bool,
+) -> Observed {
+    loop {
+        let observed = observe(network, name, direction);
+        if holds(&observed) {
+            return observed;
+        }
+        thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn delay(observed: &Observed) -> Option<Duration> {
+    observed.probed?.delay
+}
+
+const MS: Duration = Duration::from_millis(1);
+
+#[test]
+fn probes_tell_each_direction_of_each_link_by_itself_and_follow_what_changes() {
+    let mut testbed =
+        testbed("forward: { delay: 100 ms }, backward: { delay: 0 ms }", "delay: 300 ms, loss: 100 %");
+    // The file's own scales count from the start.
+    testbed.graph.links[0].scales[0] = Scale { delay_scale: 3.0, drop_scale: 1.0 };
+    let Some(network) = start(&testbed, Some(PROBING)) else { return };
+    let known = wait_until(&network, ("one", Direction::Forward), |known| delay(known).is_some());
+    let probed = known.probed.unwrap();
+    assert!(probed.delay.unwrap() >= 300 * MS && probed.loss == Some(0.0), "{probed:?}");
+    let back = observe(&network, "one", Direction::Backward);
+    assert!(delay(&back).unwrap() < 300 * MS, "{back:?}");
+    let lossy = wait_until(&network, ("two", Direction::Forward), |known| known.probed.is_some());
+    let probed = lossy.probed.unwrap();
+    assert_eq!((probed.delay, probed.loss), (None, Some(1.0)), "{probed:?}");
+    assert_eq!(observe(&network, "two", Direction::Backward).probed.unwrap().loss, None, "none came to it");
+
+    let slower = Conditions { delay: 600 * MS, ..Conditions::default() };
+    network.set(&link("one"), Direction::Backward, &slower).unwrap();
+    wait_until(&network, ("one", Direction::Backward), |known| delay(known) >= Some(600 * MS));
+    let whole = Conditions { loss: Loss::None, delay: 300 * MS, ..Conditions::default() };
+    network.set(&link("two"), Direction::Forward, &whole).unwrap();
+    let half = Conditions {
+        loss: Loss::Independent { rate: Probability::new(0.5).unwrap() },
+        ..Conditions::default()
+    };
+    network.set(&link("two"), Direction::Backward, &half).unwrap();
+    wait_until(&network, ("two", Direction::Forward), |known| known.probed.unwrap().loss == Some(0.0));
+    let back = observe(&network, "two", Direction::Backward).probed.unwrap();
+    // Of up to 400 probes: 10 standard deviations are 0.25.
+    assert!((0.2..0.8).contains(&back.loss.unwrap()), "{back:?}");
+}
+
+#[test]
+fn probes_are_in_no_counter_and_are_none_where_none_are_wanted() {
+    let lab = testbed("delay: 1 ms, loss: 50 %", "delay: 1 ms");
+    let Some(network) = start(&lab, Some(Probing { interval: MS, ..PROBING })) else { return };
+    // Some 2000 probes, half of which got lost.
+    while network.lateness().frames < 2_000 {
+        thread::sleep(20 * MS);
+    }
+    for ((name, direction), observed) in network.observe().unwrap() {
+        // The hosts' own few packets, by which they say who they are.
+        let counters = observed.counters;
+        assert!(counters.packets < 200 && counters.lost < 200, "{name} {direction:?}: {counters:?}");
+        assert!(observed.probed.is_some() && observed.tested.is_none());
+    }
+    drop(network);
+    let silent = start(&lab, None).unwrap();
+    thread::sleep(100 * MS);
+    assert!(silent.observe().unwrap().values().all(|observed| observed.probed.is_none()));
+    assert_eq!(silent.lateness().frames, 0);
+}
+
+#[test]
+fn lateness_is_told_of_probes_whose_delay_is_not_left_to_chance() {
+    let lab = testbed("delay: 5 ms, jitter: 1 ms", "delay: 40 ms");
+    let Some(network) = start(&lab, Some(PROBING)) else { return };
+    wait_until(&network, ("one", Direction::Backward), |known| delay(known).is_some());
+    while network.lateness().frames < 20 {
+        thread::sleep(20 * MS);
+    }
+    let two = observe(&network, "two", Direction::Forward);
+    // The worst of all probes is no better than what the mean of one direction is late by.
+    let late_us = (delay(&two).unwrap() - 40 * MS).as_secs_f64() * 1e6;
+    let lateness = network.lateness();
+    assert!(lateness.max_us >= late_us, "{lateness:?}, {two:?}");
+    // The other link's would be five milliseconds early or late as chance has it, and are not among them.
+    let jitter = observe(&network, "one", Direction::Forward).probed.unwrap().jitter.unwrap();
+    assert!(jitter > Duration::ZERO);
+}
+
+#[test]
+fn a_test_tells_what_a_link_carries_within_bounds() {
+    let lab = testbed("delay: 5 ms, rate: 8 Mbit/s", "delay: 5 ms");
+    let Some(network) = start(&lab, None) else { return };
+    let test = |duration_ms, mbps| ThroughputTest {
+        duration: Duration::from_millis(duration_ms),
+        rate_limit: BitRate::from_mbps(mbps),
+    };
+    let (one, backward) = (link("one"), Direction::Backward);
+    for (name, asked, refused) in [
+        (&one, test(11_000, 1.0), Refusal::TestDuration(Duration::from_secs(11))),
+        (&one, test(500, 1_001.0), Refusal::TestRate(BitRate::from_mbps(1_001.0).unwrap())),
+        (&link("other"), test(500, 1.0), Refusal::UnknownLink(link("other"))),
+    ] {
+        assert_eq!(network.test_throughput(name, backward, asked), Err(refused));
+    }
+    network.test_throughput(&one, backward, test(1_000, 24.0)).unwrap();
+    let again = network.test_throughput(&one, backward, test(1_000, 24.0));
+    assert!(matches!(again, Err(Refusal::TestTooSoon { .. })), "{again:?}");
+    let known = wait_until(&network, ("one", Direction::Backward), |known| known.tested.is_some());
+    let tested = known.tested.unwrap();
+    // Three times as much was sent, if the machine kept up.
+    assert!((4e6..12e6).contains(&tested.throughput_bps) && tested.offered_bps <= 24e6, "{tested:?}");
+    assert!(known.counters.packets < 200 && known.counters.lost < 200, "{known:?}");
+    assert_eq!(observe(&network, "one", Direction::Forward).tested, None);
+    // Its rate in the conditions is what a test goes by that has none.
+    let faster = Conditions {
+        rate: Rate::Fixed { bits_per_second: BitRate::from_mbps(2.0).unwrap() },
+        ..Conditions::default()
+    };
+    network.set(&link("two"), backward, &faster).unwrap();
+    let half_a_second = ThroughputTest { duration: 500 * MS, rate_limit: None };
+    network.test_throughput(&link("two"), backward, half_a_second).unwrap();
+    let known = wait_until(&network, ("two", Direction::Backward), |known| known.tested.is_some());
+    assert!(known.tested.unwrap().offered_bps <= 2.2e6, "{known:?}");
+}
