@@ -191,6 +191,7 @@ Examples:
   cotorra run testbeds/corridor.yaml --foxglove
   cotorra run testbeds/corridor.yaml --set plugin=okpi
   cotorra run testbeds/corridor.yaml --dry-run
+  cotorra run abroad.yaml --after latest
   COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
@@ -219,6 +220,12 @@ pub struct RunArgs {
     /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
+    /// Go on after a run that was broken off, as one that crashed: its folder, `latest`, or its number in --history
+    ///
+    /// For testbeds that federate on an Ethereum network, which knows how far each service is. What that run noted of its
+    /// services is kept in the new run's history, each with how long before; what was noted is not noted again.
+    #[arg(long, value_name = "RUN", conflicts_with = "simulate")]
+    pub after: Option<String>,
     /// Write plain lines in place of the live view
     ///
     /// So it is by itself where standard error is no terminal.

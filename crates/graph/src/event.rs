@@ -1,6 +1,8 @@
 //! What happens in a testbed, told once. The terminal, the recorder, the API's stream and the report read these
 //! events and nothing else; plug-ins receive them as their contexts, and answer with instructions.
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -13,7 +15,7 @@ use crate::{
     },
     hardware::Direction,
     id::{LinkId, NodeId, PluginId, VnfId},
-    units::Timestamp,
+    units::{Timestamp, millis},
 };
 
 /// An event and when it happened.
@@ -210,6 +212,16 @@ pub enum Instruction {
         process: String,
         /// The step: a name of at most 128 characters.
         step: String,
+        /// So long before now it was reached, where that is not now: a run that goes on after another keeps so what
+        /// that one noted.
+        #[serde(
+            rename = "ago_ms",
+            default,
+            skip_serializing_if = "Option::is_none",
+            with = "millis::option"
+        )]
+        #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
+        ago: Option<Duration>,
     },
     /// Test what one direction of a wired link carries; what came of it is in the link's context when the test is over.
     TestThroughput {

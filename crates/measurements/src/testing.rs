@@ -268,7 +268,11 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         }),
         node().prop_map(|robot| Instruction::Halt { robot }),
         node().prop_map(|robot| Instruction::Go { robot }),
-        ("[a-z]{1,9}", "[a-z ]{1,9}").prop_map(|(process, step)| Instruction::Note { process, step }),
+        ("[a-z]{1,9}", "[a-z ]{1,9}", of(hours())).prop_map(|(process, step, ago)| Instruction::Note {
+            process,
+            step,
+            ago
+        }),
         (link(), direction(), hours(), of(any::<u64>())).prop_map(|(link, direction, duration, rate)| {
             let test = ThroughputTest { duration, rate_limit: rate.and_then(BitRate::from_bits_per_second) };
             Instruction::TestThroughput { link, direction, test }

@@ -257,7 +257,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 self.network.with(provision).map_err(refused)?.map_err(refused)?;
                 Ok(Vec::new())
             }
-            Instruction::Note { process, step } => {
+            Instruction::Note { process, step, .. } => {
                 let fits = |name: &str| (1..=LONGEST_NAME).contains(&name.chars().count());
                 if fits(&process) && fits(&step) {
                     Ok(Vec::new())

@@ -46,7 +46,11 @@ use cotorra_graph::{Event, Instruction, Testbed, Timestamp};
 /// Calls come one at a time, with `now` never falling. A call that panics, that takes longer than the host's limit,
 /// or that leaves more instructions than the host's limit gets the plug-in cut off; its robots stop.
 pub trait Plugin: Send {
-    /// Called once, before anything else.
+    /// The run goes on after another, which noted this of the plug-in ([`Instruction::Note`]): called once, before
+    /// [`Plugin::start`]. The new run's history has these notes already. Programs of their own are not told.
+    fn resume(&mut self, _noted: Vec<Noted>) {}
+
+    /// Called once, before anything else but [`Plugin::resume`].
     fn start(&mut self, _now: Timestamp, _testbed: &Testbed, _actions: &mut Actions) {}
 
     /// Something happened.
@@ -59,6 +63,17 @@ pub trait Plugin: Send {
 
     /// The deadline has come.
     fn expire(&mut self, _now: Timestamp, _actions: &mut Actions) {}
+}
+
+/// What a plug-in noted in an earlier run.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Noted {
+    /// Of what.
+    pub process: String,
+    /// The step.
+    pub step: String,
+    /// Why, or what about it.
+    pub reason: Option<String>,
 }
 
 /// What a plug-in wants done, in order.

@@ -85,7 +85,7 @@ pub(crate) struct Readers {
 }
 
 impl Readers {
-    fn publish(&mut self, event: Stamped) {
+    pub(crate) fn publish(&mut self, event: Stamped) {
         self.live.absorb(&event);
         self.report.absorb(&event);
         let event = Arc::new(event);

@@ -25,7 +25,10 @@ use cotorra_okpi::Okpi;
 use cotorra_plugin::{Actions, Plugin};
 use cotorra_probing::Probing;
 
-use crate::domain::{self, DomainView, Domains};
+use crate::{
+    domain::{self, DomainView, Domains},
+    earlier::Earlier,
+};
 
 /// A call that takes longer than this counts as hung.
 const LONGEST_CALL: Duration = Duration::from_secs(2);
@@ -198,6 +201,11 @@ impl Prepared {
             }
         }
         Ok(Self { bundled, ledgers: maker.into_ledgers() })
+    }
+
+    /// Tells those that are bundled what they noted in an earlier run.
+    pub(crate) fn resume(&mut self, earlier: &Earlier) {
+        self.bundled.iter_mut().for_each(|(id, plugin)| plugin.resume(earlier.noted_by(id)));
     }
 
     /// Starts all of them. `say` is called from their threads.

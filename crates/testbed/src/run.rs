@@ -32,6 +32,7 @@ use crate::{
     bundled,
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
+    earlier::Earlier,
     live::Live,
     plugins::{Now, PluginError, Prepared, Said},
     real_links::{RealLinkError, RealLinks, interface_plans},
@@ -76,6 +77,8 @@ pub struct Options {
     pub interfaces: Confirmed,
     /// How the run is recorded and watched besides.
     pub recording: Wanted,
+    /// What a run noted that this one goes on after, in real time.
+    pub after: Option<Earlier>,
 }
 
 /// What a run came to.
@@ -212,7 +215,10 @@ impl Run {
         let seed = options.seed.unwrap_or(testbed.seed);
         let (script, _) = Script::load(&testbed)?;
         let moved = options.api.is_none();
-        let plugins = Prepared::of(&testbed, seed)?;
+        let mut plugins = Prepared::of(&testbed, seed)?;
+        if let Some(earlier) = &options.after {
+            plugins.resume(earlier);
+        }
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let info = run_info(&testbed, seed, text);
@@ -314,8 +320,11 @@ impl Run {
         core.start(now());
         let report = Report::new(&testbed, seed);
         let report = if datapath.kernel().is_some() { report.by_the_kernel() } else { report };
-        let readers =
+        let mut readers =
             Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };
+        if let Some(earlier) = &options.after {
+            earlier.notes_before(info.started_at_unix_ns).for_each(|note| readers.publish(note));
+        }
         let until = options.until.map(|until| Timestamp::ZERO + until);
         let core_loop = CoreLoop { core, readers, inbox, sockets, now, until };
         let core = thread::Builder::new()

@@ -1,14 +1,17 @@
 //! The plug-in: what happens in its domain and what the ledger says goes to the journeys of its robots and to the radio
 //! units that it hosts others on; what they want goes back.
 
-use std::{collections::BTreeMap, mem};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    mem,
+};
 
 use cotorra_graph::{AccessPoint, DomainId, Event, Instruction, NodeId, Testbed, Timestamp, VnfState};
 use cotorra_ledger::{
     Call, Event as Said, Ledger, Notice, Secret, ServiceId,
     negotiation::{Creator, CreatorStep, Policy, Request},
 };
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_plugin::{Actions, Noted, Plugin};
 
 use crate::{
     coverage::Coverage,
@@ -55,16 +58,25 @@ pub(crate) struct Desk<'a> {
     pub(crate) units: &'a mut BTreeMap<NodeId, Unit>,
     /// Services that are to end.
     pub(crate) closing: &'a mut Vec<Creator>,
+    /// What was noted before this orchestrator was started again.
+    pub(crate) noted: &'a BTreeSet<Noted>,
     pub(crate) actions: &'a mut Actions,
 }
 
 impl Desk<'_> {
-    /// Keeps in the history that a step was reached.
+    /// Keeps in the history that a step was reached, unless a run before this one did: what is heard anew from the chain, or
+    /// done again to a network that began anew, is no new step.
     pub(crate) fn note(&mut self, id: ServiceId, step: Step, detail: impl Into<String>) {
-        let note = Instruction::Note { process: process(id), step: step.to_string() };
-        match detail.into() {
-            detail if detail.is_empty() => self.actions.instruct(note),
-            detail => self.actions.instruct_because(note, detail),
+        let detail = detail.into();
+        let reason = (!detail.is_empty()).then_some(detail);
+        let noted = Noted { process: process(id), step: step.to_string(), reason };
+        if step.is_reached_once() && self.noted.contains(&noted) {
+            return;
+        }
+        let note = Instruction::Note { process: noted.process, step: noted.step, ago: None };
+        match noted.reason {
+            None => self.actions.instruct(note),
+            Some(reason) => self.actions.instruct_because(note, reason),
         }
     }
 }
@@ -85,6 +97,8 @@ pub struct Federation {
     closing: Vec<Creator>,
     /// Own services that the chain knows from before this orchestrator was started.
     resumed: Vec<Creator>,
+    /// What was noted before it was started again.
+    noted: BTreeSet<Noted>,
     /// How many services were announced.
     announced: u64,
     /// Whether all was heard that the chain has said so far.
@@ -122,6 +136,7 @@ impl Federation {
             hosting: Hosting::default(),
             closing: Vec::new(),
             resumed: Vec::new(),
+            noted: BTreeSet::new(),
             announced: 0,
             caught_up: false,
         }
@@ -141,6 +156,7 @@ impl Federation {
             coverage: &self.coverage,
             units: &mut self.units,
             closing: &mut self.closing,
+            noted: &self.noted,
             actions,
         };
         call(&mut self.journeys, &mut self.hosting, &mut *self.ledger, &mut desk)
@@ -286,6 +302,10 @@ fn empty() -> cotorra_graph::HardwareGraph {
 }
 
 impl Plugin for Federation {
+    fn resume(&mut self, noted: Vec<Noted>) {
+        self.noted = noted.into_iter().collect();
+    }
+
     fn start(&mut self, now: Timestamp, testbed: &Testbed, actions: &mut Actions) {
         let graph = &testbed.graph;
         self.map.clone_from(&testbed.name);

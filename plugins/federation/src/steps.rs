@@ -69,6 +69,13 @@ steps! {
     Paid = "paid",
 }
 
+impl Step {
+    /// Whether a service has it once with the same detail, however often its orchestrator is started.
+    pub(crate) const fn is_reached_once(self) -> bool {
+        !matches!(self, Self::Halted | Self::WentOn)
+    }
+}
+
 impl fmt::Display for Step {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.as_str())

@@ -124,7 +124,10 @@ fn instruction(instruction: &Instruction) -> String {
         }
         Instruction::Halt { robot } => format!("halt {robot}"),
         Instruction::Go { robot } => format!("let {robot} go"),
-        Instruction::Note { process, step } => format!("note {step} of {process}"),
+        Instruction::Note { process, step, ago: None } => format!("note {step} of {process}"),
+        Instruction::Note { process, step, ago: Some(ago) } => {
+            format!("note {step} of {process}, {:.3} s before", ago.as_secs_f64())
+        }
         Instruction::TestThroughput { link, direction, test } => {
             let direction = format!("{direction:?}").to_lowercase();
             format!("test the throughput of {link} {direction} for {:?}", test.duration)

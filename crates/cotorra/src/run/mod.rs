@@ -17,16 +17,16 @@ use cotorra_graph::DomainId;
 use cotorra_netem::{Confirmed, HoldError};
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
-    Finished, Options, Place, RealLinkError, Run, RunError, Summary, Token, Tokens, TokensError,
-    interface_plans,
+    CannotGoOn, Earlier, Finished, Options, Place, RealLinkError, Run, RunError, Summary, Token, Tokens,
+    TokensError, interface_plans,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
-    cli::RunArgs,
-    history,
+    cli::{HistoryPlace, RunArgs},
+    history::{self, Source},
     logs::{self, LogFile},
-    output, signals,
+    output, replay, signals,
     testbed_file::{self, Loaded},
 };
 pub use view::clock;
@@ -65,6 +65,11 @@ pub enum Error {
     Log { path: PathBuf, source: io::Error },
     #[error("cannot listen to Ctrl-C: {0}")]
     Signals(ctrlc::Error),
+    #[error("cannot go on after {run}: {why}")]
+    #[diagnostic(help(
+        "docs/federation.md, \"After a crash\", says when a run can; without --after it begins anew"
+    ))]
+    After { run: String, why: CannotGoOn },
 }
 
 impl From<RunError> for Error {
@@ -92,7 +97,7 @@ fn help_for(error: &RealLinkError) -> &'static str {
 pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     let loaded = testbed_file::load(&args.file, &args.settings)?;
     let history = history::location(args.history.as_ref())?;
-    let options = Options {
+    let mut options = Options {
         seed: args.seed,
         until: args.until,
         folder: Place::In(args.out.clone()),
@@ -104,8 +109,10 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         interfaces: Confirmed { replace: args.replace, interfaces: args.allow_interface.clone() },
         history: history.clone(),
         recording: wanted(&args),
+        after: None,
     };
     if args.dry_run {
+        earlier(&args, &loaded)?;
         let interfaces = match args.simulate {
             true => Vec::new(),
             false => interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?,
@@ -114,6 +121,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
+    // Not before: a history may have threads.
+    options.after = earlier(&args, &loaded)?;
     let finished = if args.simulate {
         stage.simulate(&loaded, &options, "")?
     } else {
@@ -121,6 +130,17 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     };
     output::print(&summary::describe(&finished, history.as_ref()))?;
     Ok(verdict(&finished.summary))
+}
+
+/// What a run noted that this one is to go on after, if there is one.
+fn earlier(args: &RunArgs, now: &Loaded) -> miette::Result<Option<Earlier>> {
+    let Some(run) = args.after.as_deref() else { return Ok(None) };
+    let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
+    let Source { history, run: found } = Source::find(run, &place)?;
+    let base = args.file.parent().unwrap_or(Path::new(""));
+    let parse = |text: &str| replay::recorded(text, run, base);
+    let cannot = |why| Error::After { run: run.to_owned(), why };
+    Ok(Some(Earlier::read(&history, &found, &now.testbed, parse).map_err(cannot)?))
 }
 
 /// How a run is to be recorded and watched.

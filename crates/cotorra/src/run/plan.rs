@@ -70,6 +70,9 @@ pub fn describe(
     if let Some(history) = history {
         rest.row(["history".to_owned(), history.to_string()]);
     }
+    if let Some(after) = &args.after {
+        rest.row(["after".to_owned(), format!("the run {after}")]);
+    }
     if let Some(recording) = &args.record {
         let file =
             recording.as_ref().map_or("recording.mcap in the folder".to_owned(), |f| f.display().to_string());

@@ -4,6 +4,7 @@ mod api;
 mod command_line;
 mod documents;
 mod experiment;
+mod going_on;
 mod harness;
 mod history;
 mod history_server;

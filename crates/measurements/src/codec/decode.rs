@@ -292,7 +292,11 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         },
         "halt" => Instruction::Halt { robot: robot()? },
         "go" => Instruction::Go { robot: robot()? },
-        "note" => Instruction::Note { process: subject.to_string(), step: required(object)?.to_string() },
+        "note" => Instruction::Note {
+            process: subject.to_string(),
+            step: required(object)?.to_string(),
+            ago: change.as_deref().map(json).transpose()?.map(Duration::from_nanos),
+        },
         other => return Err(unreadable(format_args!("`{other}` is not an instruction"))),
     })
 }

@@ -249,9 +249,11 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             put("go", robot.as_str(), None);
             row.0.extend([const { Value::Null }; 5]);
         }
-        Instruction::Note { process, step } => {
+        Instruction::Note { process, step, ago } => {
             put("note", process, Some(step));
-            row.0.extend([const { Value::Null }; 5]);
+            row.0.extend([const { Value::Null }; 4]);
+            // Nanoseconds.
+            row.optional(*ago, |row, ago| row.text(ago.as_nanos().to_string()));
         }
     }
 }

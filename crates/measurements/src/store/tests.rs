@@ -124,7 +124,7 @@ fn tells_names_apart_by_every_byte() {
     let steps = ["a", "a ", "a  ", "A", "á", "a\u{301}", " ", "  ", &longest];
     let decision = |step: &str| Decision {
         plugin: "p".parse().unwrap(),
-        instruction: Instruction::Note { process: "q".to_owned(), step: step.to_owned() },
+        instruction: Instruction::Note { process: "q".to_owned(), step: step.to_owned(), ago: None },
         reason: None,
         refused: None,
     };

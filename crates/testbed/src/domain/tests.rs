@@ -92,7 +92,7 @@ fn events_of_other_domains_are_not_seen() {
         Event::PluginFault { plugin: id("okpi"), reason: String::new() },
         Event::Detached { robot: id("r1"), from: id("A") },
         decision("api", Instruction::Scan { robot: id("r1") }),
-        decision("okpi", Instruction::Note { process: "p".into(), step: "s".into() }),
+        decision("okpi", Instruction::Note { process: "p".into(), step: "s".into(), ago: None }),
     ] {
         assert_eq!(told(event.clone()), [Some(event), None]);
     }

@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_federation::Step;
 use cotorra_graph::{
-    DomainId, Event, Instruction, NodeId, PluginProgram, PluginSpec, Stamped, Testbed, Walk,
+    DomainId, Event, Instruction, NodeId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp, Walk,
 };
 use cotorra_measurements::{History, Kind, PageRequest, RunId};
 use serde::Serialize;
@@ -199,11 +199,14 @@ impl Federated {
 /// When each step was noted first.
 fn first_steps(events: &[Stamped]) -> BTreeMap<&str, f64> {
     let mut steps = BTreeMap::new();
+    // A run that goes on after another has steps from before it began.
+    let reached =
+        |at: &Timestamp, ago: &Option<Duration>| at.as_secs_f64() - ago.unwrap_or_default().as_secs_f64();
     for Stamped { at, event } in events {
         if let Event::Decision(decision) = event
-            && let Instruction::Note { step, .. } = &decision.instruction
+            && let Instruction::Note { step, ago, .. } = &decision.instruction
         {
-            steps.entry(step.as_str()).or_insert(at.as_secs_f64());
+            steps.entry(step.as_str()).or_insert(reached(at, ago));
         }
     }
     // Who lost is not part of the figure, but may be heard first: what the winner did counts.
@@ -216,10 +219,10 @@ fn first_steps(events: &[Stamped]) -> BTreeMap<&str, f64> {
     });
     for Stamped { at, event } in events.iter().rev() {
         if let Event::Decision(decision) = event
-            && let Instruction::Note { step, .. } = &decision.instruction
+            && let Instruction::Note { step, ago, .. } = &decision.instruction
             && Some(&decision.plugin) == winner
         {
-            steps.insert(step.as_str(), at.as_secs_f64());
+            steps.insert(step.as_str(), reached(at, ago));
         }
     }
     steps
@@ -374,7 +377,7 @@ pub fn longest(testbed: &Testbed) -> Duration {
 }
 
 /// The plug-ins that are to federate.
-fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
+pub(crate) fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
     let is =
         |spec: &&PluginSpec| matches!(&spec.program, PluginProgram::Bundled(name) if name == "federation");
     testbed.plugins.iter().filter(is)

@@ -4,8 +4,9 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_federation::Step;
-use cotorra_graph::{RobotContext, VnfState, testbed_file, testbed_file::Setting};
+use cotorra_graph::{Decision, RobotContext, VnfState, testbed_file, testbed_file::Setting};
 use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
+use cotorra_measurements::{History, RunInfo};
 
 use super::*;
 
@@ -55,7 +56,7 @@ impl Told {
         let at = at.as_secs_f64();
         match event {
             Event::Decision(decision) => {
-                if let Instruction::Note { process, step } = decision.instruction {
+                if let Instruction::Note { process, step, .. } = decision.instruction {
                     self.notes.push((process, step, decision.plugin.to_string(), at));
                 }
             }
@@ -287,7 +288,7 @@ fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
         // The robot is where it was; all else begins as the file says.
         let walk = format!("walks.robot.waypoints=[[{at}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
-        let mut after = Simulation::on(testbed, 1, ledgers).unwrap();
+        let mut after = Simulation::on(testbed, 1, ledgers, None).unwrap();
         let told = Told::of(&mut after, 200.0);
         let detail = told.detail();
         assert!(
@@ -299,6 +300,88 @@ fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
         let services: std::collections::BTreeSet<_> = told.notes.iter().map(|(id, ..)| id).collect();
         assert_eq!(services.len(), 1, "stopped at {stopped_at}, it was announced once: {detail}");
         assert_eq!(told.detached, 0, "stopped at {stopped_at}: {detail}");
+    }
+}
+
+/// The notes of a simulation until then, or its end.
+fn notes(simulation: &mut Simulation, until_s: f64) -> (Vec<Stamped>, f64) {
+    let (mut notes, mut x) = (Vec::new(), 0.0);
+    while !simulation.is_finished() && simulation.step().as_secs_f64() < until_s {
+        while let Some(stamped) = simulation.poll_event() {
+            match &stamped.event {
+                Event::Robot(context) => x = context.sensors.pose.x,
+                Event::Decision(decision) if matches!(decision.instruction, Instruction::Note { .. }) => {
+                    notes.push(stamped);
+                }
+                Event::PluginFault { plugin, reason } => panic!("{plugin}: {reason}"),
+                _ => {}
+            }
+        }
+    }
+    (notes, x)
+}
+
+#[test]
+fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
+    use Step::*;
+    // After each step of the way, and while the vAP is used.
+    for stopped_at in [16.5, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
+        let mut before = Simulation::new(testbed(&[]), 1).unwrap();
+        let (noted, x) = notes(&mut before, stopped_at);
+        let ledgers = std::mem::take(&mut before._ledgers);
+        drop(before);
+        ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
+        // Its history was kept, and is read.
+        let history = History::in_memory().unwrap();
+        let info =
+            RunInfo { name: "federation".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
+        let run = history.begin_run(&info).unwrap();
+        let recorder = history.recorder(run).unwrap();
+        noted.iter().for_each(|note| recorder.record(note.clone()));
+        recorder.flush().unwrap();
+        let earlier = Earlier::kept(&history, &history.run(run).unwrap()).unwrap();
+
+        let walk = format!("walks.robot.waypoints=[[{x}, 0], [34, 0]]");
+        let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
+        let mut after = Simulation::on(testbed, 1, ledgers, Some(&earlier)).unwrap();
+        let (new, _) = notes(&mut after, 200.0);
+        assert!(after.is_finished(), "stopped at {stopped_at}");
+
+        let kept = earlier.notes_before((stopped_at * 1e9) as i64);
+        let timeline: Vec<_> = kept
+            .chain(new)
+            .map(|Stamped { at, event }| {
+                let Event::Decision(Decision { plugin, instruction, reason, .. }) = event else { panic!() };
+                let Instruction::Note { process, step, ago } = instruction else { panic!() };
+                let at = at.as_secs_f64() - ago.unwrap_or_default().as_secs_f64();
+                (at, plugin.to_string(), process, step, reason)
+            })
+            .collect();
+        let told = format!("stopped at {stopped_at}: {timeline:#?}");
+        let once: std::collections::BTreeSet<_> =
+            timeline.iter().map(|(_, plugin, process, step, why)| (plugin, process, step, why)).collect();
+        assert_eq!(once.len(), timeline.len(), "{told}");
+        assert!(timeline.is_sorted_by_key(|(at, ..)| *at), "{told}");
+        let first = |step: Step| {
+            let found = timeline.iter().find(|(_, _, _, name, _)| *name == step.as_str());
+            found.unwrap_or_else(|| panic!("{step} is missing, {told}")).0
+        };
+        let steps = [
+            Announced,
+            AnnouncementReceived,
+            BidSent,
+            BidReceived,
+            WinnerChosen,
+            WinnerReceived,
+            DeploymentStarted,
+            DeploymentFinished,
+            ConfirmationSent,
+            ConfirmationReceived,
+            Attached,
+            InUse,
+        ];
+        assert!(steps.map(first).is_sorted(), "{told}");
+        assert!((first(Announced) + stopped_at - 15.8).abs() < 0.5, "when it was, not now: {told}");
     }
 }
 

@@ -34,6 +34,7 @@ use self::{
 use crate::{
     core::Core,
     domain::{DomainView, Domains},
+    earlier::Earlier,
     plugins::{Bundled, PluginError, panic_text, programs},
     robots::simulated,
     run::{RunError, probe_links},
@@ -82,11 +83,16 @@ impl Simulation {
 
     /// The same, leaving out plug-ins that are programs of their own.
     fn without_programs(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
-        Self::on(testbed, seed, Ledgers::in_virtual_time())
+        Self::on(testbed, seed, Ledgers::in_virtual_time(), None)
     }
 
-    /// The same, on ledgers that may know of runs before.
-    fn on(testbed: Arc<Testbed>, seed: u64, ledgers: Ledgers) -> Result<Self, RunError> {
+    /// The same, on ledgers that may know of runs before, and with what one of these noted.
+    fn on(
+        testbed: Arc<Testbed>,
+        seed: u64,
+        ledgers: Ledgers,
+        earlier: Option<&Earlier>,
+    ) -> Result<Self, RunError> {
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
         probe_links(&mut fabric, &testbed);
@@ -105,7 +111,10 @@ impl Simulation {
             })),
             PluginProgram::Command(_) => None,
         });
-        let plugins = plugins.collect::<Result<_, _>>()?;
+        let mut plugins = plugins.collect::<Result<Vec<_>, _>>()?;
+        if let Some(earlier) = earlier {
+            plugins.iter_mut().for_each(|hosted| hosted.plugin.resume(earlier.noted_by(&hosted.id)));
+        }
         core.start(Timestamp::ZERO);
         let ledgers = bundled.into_ledgers();
         let hosts = testbed.graph.hosts().count();

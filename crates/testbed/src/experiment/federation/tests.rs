@@ -9,7 +9,7 @@ fn events() -> Vec<Stamped> {
         at: Timestamp::from_secs_f64(at),
         event: Event::Decision(Decision {
             plugin: plugin.parse().unwrap(),
-            instruction: Instruction::Note { process: "service-1".into(), step: step.to_string() },
+            instruction: Instruction::Note { process: "service-1".into(), step: step.to_string(), ago: None },
             reason: None,
             refused: None,
         }),
@@ -57,6 +57,24 @@ fn what_is_ours_is_what_is_beyond_blocks_and_attachment() {
     // A deployment that takes longer than a block waits for another.
     let slow = Federated { block_period_s: 0.25, ..run };
     assert!((slow.beyond_s() - (18.16 - 3.0 - 4.0 * 0.25 - 0.04)).abs() < 1e-9);
+}
+
+#[test]
+fn steps_from_before_a_run_that_goes_on_are_where_they_were() {
+    let (whole, mut events) = (federated(), events());
+    // The run was broken off behind the choice, and goes on at 20 s.
+    for Stamped { at, event } in &mut events {
+        let since = at.as_secs_f64() - 20.0;
+        *at = Timestamp::from_secs_f64(since.max(0.0));
+        if let Event::Decision(Decision { instruction: Instruction::Note { ago, .. }, .. }) = event {
+            *ago = (since < 0.0).then(|| Duration::from_secs_f64(-since));
+        }
+    }
+    let run = Federated::of(&events, Duration::from_secs(5), 7).unwrap();
+    assert!((run.steps_s[0] + 10.0).abs() < 1e-6, "{:?}", run.steps_s);
+    assert!(
+        (run.total_s() - whole.total_s()).abs() < 1e-6 && (run.beyond_s() - whole.beyond_s()).abs() < 1e-6
+    );
 }
 
 #[test]

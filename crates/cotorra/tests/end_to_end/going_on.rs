@@ -1,0 +1,178 @@
+//! A run that goes on after one that was killed.
+
+use std::{fs, path::Path};
+
+use crate::harness::{corridor, cotorra, stderr};
+
+#[test]
+fn a_run_goes_on_only_after_one_of_the_same_testbed_on_the_same_ledger() {
+    let place = tempfile::tempdir().unwrap();
+    let federation = corridor().with_file_name("federation.yaml");
+    let simulated = |testbed: &Path, name: &str| {
+        let out = place.path().join(name);
+        let mut command = cotorra(["run", "--simulate", "--headless", "--until", "1s", "--out"]);
+        assert!(command.arg(&out).arg(testbed).output().unwrap().status.success());
+        fs::read_dir(out).unwrap().next().unwrap().unwrap().path()
+    };
+    let (of_corridor, modelled) = (simulated(&corridor(), "one"), simulated(&federation, "two"));
+    let out = place.path().join("runs");
+    let refused = |after: &str, more: &[&str]| {
+        let mut command = cotorra(["run", "--headless", "--after", after, "--out"]);
+        let output = command.arg(&out).arg(&federation).args(more).output().unwrap();
+        assert!(!output.status.success() && !out.exists(), "{after} left something");
+        stderr(&output).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+    };
+    let on_a_network =
+        "plugins.*.settings.ledger={kind: ethereum, url: 'ws://127.0.0.1:9', contract: '0x00', key_store: k}";
+    for (after, more, told) in [
+        ("nowhere", &[][..], "there is no folder nowhere"),
+        ("7", &[], "run 7 of which history?"),
+        (of_corridor.to_str().unwrap(), &[], "it was a run of the testbed `corridor`"),
+        (modelled.to_str().unwrap(), &[], "`orchestrator-1`: its ledger begins with the run"),
+        (modelled.to_str().unwrap(), &["--set", on_a_network], "that run had another ledger"),
+        (modelled.to_str().unwrap(), &["--simulate"], "cannot be used with"),
+    ] {
+        let said = refused(after, more);
+        assert!(said.contains(told), "{after} {more:?}: {said}");
+    }
+}
+
+#[cfg(feature = "ethereum")]
+#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+mod on_a_ledger {
+    use std::{collections::BTreeSet, env, fs, path::Path, time::Duration};
+
+    use cotorra_ledger::ethereum::{self, Key, Password, anvil};
+    use serde_json::Value;
+
+    use crate::harness::{Run, output, project_file, stderr, stdout, wait_until};
+
+    /// Who noted what of which service, with the detail, and when: seconds of the run, or before it.
+    type Note = (String, String, String, Option<String>, f64);
+
+    /// The notes that a run has in its history, as they were kept.
+    fn notes(folder: &Path) -> Vec<Note> {
+        let folder = folder.to_str().unwrap();
+        let events =
+            output(["history", "events", folder, "--kinds", "decision", "--json", "--limit", "1000"]);
+        assert!(events.status.success(), "{}", stderr(&events));
+        let note = |line: &str| {
+            let event: Value = serde_json::from_str(line).unwrap();
+            let text = |value: &Value| value.as_str().map(str::to_owned);
+            let (decision, note) = (&event, &event["instruction"]);
+            let process = text(&note["process"])?;
+            let ago_s = note["ago_ms"].as_f64().unwrap_or_default() / 1e3;
+            let at_s = event["at"].as_f64().unwrap() / 1e9 - ago_s;
+            Some((text(&decision["plugin"])?, process, text(&note["step"])?, text(&decision["reason"]), at_s))
+        };
+        stdout(&events).lines().filter_map(note).collect()
+    }
+
+    #[test]
+    fn a_core_that_was_killed_goes_on_after_its_run() {
+        let installed =
+            project_file("contracts").join("node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
+        let program = env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
+        if !program.exists() {
+            assert!(
+                env::var_os("CI").is_none(),
+                "anvil is missing: npm install --prefix contracts --no-save"
+            );
+            return eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
+        }
+        let settings = anvil::Settings {
+            program: Some(program),
+            block_period: Some(Duration::from_secs(1)),
+            ..Default::default()
+        };
+        let node = anvil::Anvil::start(&settings).unwrap();
+        let place = tempfile::tempdir().unwrap();
+        let password = place.path().join("password");
+        fs::write(&password, "trial").unwrap();
+        let keys = project_file("testbeds/trial-keys");
+        let open = |domain: &str| {
+            Key::open(&keys.join(format!("{domain}.json")), &Password::File(password.clone())).unwrap()
+        };
+        let domains = ["domain-1", "domain-2", "domain-3", "domain-4"];
+        for domain in domains {
+            let params = serde_json::json!([open(domain).account().to_string(), "0xffffffffffffffffffff"]);
+            let call = serde_json::json!({ "jsonrpc": "2.0", "id": 1, "method": "anvil_setBalance", "params": params });
+            let agent = ureq::Agent::config_builder().proxy(None).build().new_agent();
+            agent.post(format!("http://{}", node.address())).send_json(call).unwrap();
+        }
+        let url = format!("ws://{}", node.address());
+        let (contract, from_block) = ethereum::deploy(&url, &open("domain-1")).unwrap();
+        let ledgers = domains.map(|domain| {
+            let ledger = serde_json::json!({
+                "kind": "ethereum", "url": url, "contract": contract.to_string(), "from_block": from_block,
+                "key_store": keys.join(format!("{domain}.json")), "password_file": password,
+            });
+            format!("plugins.{}.settings.ledger={ledger}", domain.replace("domain", "orchestrator"))
+        });
+        // From there on the robot needs another domain within 20 s: it is announced at once.
+        let mut arguments = vec!["--set", "walks.robot.waypoints=[[18.5, 0], [34, 0]]"];
+        arguments.extend([
+            "--set",
+            "walks.robot.and_back=false",
+            "--set",
+            "plugins.orchestrator-1.settings.collect=2 s",
+        ]);
+        ledgers.iter().for_each(|ledger| arguments.extend(["--set", ledger]));
+        let has = |run: &Run, step: &str| {
+            let events = run.get("/api/v1/measurements/events?kinds=decision&limit=1000");
+            let notes = events["items"].as_array().unwrap().iter();
+            notes.map(|event| &event["instruction"]["step"]).any(|noted| noted == step)
+        };
+
+        let testbed = project_file("testbeds/federation.yaml");
+        let mut killed = Run::start(&testbed, &arguments);
+        wait_until(|| has(&killed, "winner chosen"));
+        killed.signal("KILL");
+        killed.wait();
+        let before = notes(&killed.folder);
+
+        let folder = killed.folder.to_str().unwrap().to_owned();
+        arguments.extend(["--after", &folder]);
+        let mut run = killed.another(&testbed, &arguments);
+        wait_until(|| has(&run, "in use"));
+        run.signal("INT");
+        run.report();
+
+        let timeline = notes(&run.folder);
+        let told = format!("{before:#?}\n{timeline:#?}");
+        let ago = |(plugin, process, step, why, at): &Note| {
+            let was =
+                before.iter().find(|was| (&was.0, &was.1, &was.2, &was.3) == (plugin, process, step, why));
+            was.map(|was| was.4 - at)
+        };
+        // All of the run before is there, each step as long before this run as it was: the runs began that far apart.
+        let (kept, new) = timeline.split_at(before.len());
+        let apart: Vec<f64> =
+            kept.iter().map(|note| ago(note).unwrap_or_else(|| panic!("{note:?}: {told}"))).collect();
+        assert!(apart.iter().all(|seconds| (seconds - apart[0]).abs() < 1e-3), "{apart:?}: {told}");
+        assert!(kept.iter().all(|note| note.4 < 0.0) && new.iter().all(|note| note.4 >= 0.0), "{told}");
+        let once: BTreeSet<_> = timeline.iter().map(|note| (&note.0, &note.1, &note.2, &note.3)).collect();
+        assert_eq!(once.len(), timeline.len(), "{told}");
+        assert_eq!(timeline.iter().map(|note| &note.1).collect::<BTreeSet<_>>().len(), 1, "{told}");
+        let first = |step: &str| {
+            let noted = timeline.iter().filter(|note| note.2 == step).map(|note| note.4);
+            noted.reduce(f64::min).unwrap_or_else(|| panic!("{step} is missing: {told}"))
+        };
+        let steps = [
+            "announced",
+            "announcement received",
+            "bid sent",
+            "bid received",
+            "winner chosen",
+            "winner received",
+            "deployment started",
+            "deployment finished",
+            "confirmation sent",
+            "confirmation received",
+            "attached",
+            "in use",
+        ];
+        assert!(steps.map(first).is_sorted(), "{told}");
+        assert!(first("winner chosen") < 0.0 && first("attached") > 0.0, "{told}");
+    }
+}

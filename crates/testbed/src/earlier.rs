@@ -1,0 +1,245 @@
+//! What a run noted that was broken off: the run after it keeps these notes as its own, from before it began, and its plug-ins
+//! go on where the ledger and the notes say that they were.
+
+use std::time::Duration;
+
+use cotorra_federation::{LedgerChoice, Settings};
+use cotorra_graph::{
+    Decision, Diagnostics, Event, Instruction, PluginId, PluginSpec, Stamped, Testbed, Timestamp,
+};
+use cotorra_measurements::{History, Kind, PageRequest, Run};
+use cotorra_plugin::Noted;
+
+use crate::experiment::federation::orchestrators;
+
+/// Why no run can go on after another.
+#[derive(Debug, thiserror::Error)]
+pub enum CannotGoOn {
+    /// It is about something else.
+    #[error("it was a run of the testbed `{before}`, and this one is of `{now}`")]
+    Testbed {
+        /// The name of its testbed.
+        before: String,
+        /// The name of this one.
+        now: String,
+    },
+    /// Nobody would go on.
+    #[error("this testbed has no plug-in `federation`, and no other goes on after a run")]
+    Nobody,
+    /// What was negotiated is gone.
+    #[error(
+        "plug-in `{0}`: its ledger begins with the run, and knows nothing of another: only one of the kind `ethereum` outlives it"
+    )]
+    Ledger(PluginId),
+    /// The contract knows other services.
+    #[error("plug-in `{0}`: that run had another ledger for it, or another contract or domain")]
+    OtherLedger(PluginId),
+    /// Its testbed file is none any more.
+    #[error("its testbed file cannot be read: {0}")]
+    Unreadable(Diagnostics),
+    /// Its history cannot be read.
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+}
+
+/// What plug-ins noted in an earlier run.
+#[derive(Debug, Clone)]
+pub struct Earlier {
+    /// When each was reached, nanoseconds since 1970, and what was.
+    notes: Vec<(i64, Decision)>,
+}
+
+impl Earlier {
+    /// Reads what a run noted, for one of the testbed `now`; `parse` reads the text of its testbed file.
+    ///
+    /// # Errors
+    /// [`CannotGoOn`].
+    pub fn read(
+        history: &History,
+        run: &Run,
+        now: &Testbed,
+        parse: impl FnOnce(&str) -> Result<Testbed, Diagnostics>,
+    ) -> Result<Self, CannotGoOn> {
+        if run.info.name != now.name {
+            return Err(CannotGoOn::Testbed { before: run.info.name.clone(), now: now.name.clone() });
+        }
+        check(&parse(&run.info.testbed).map_err(CannotGoOn::Unreadable)?, now)?;
+        Ok(Self::kept(history, run)?)
+    }
+
+    /// What a run noted.
+    pub(crate) fn kept(history: &History, run: &Run) -> Result<Self, cotorra_measurements::Error> {
+        let mut notes = Vec::new();
+        let mut request = PageRequest::default();
+        loop {
+            let page = history.events(run.id, &[Kind::Decision], .., request)?;
+            notes.extend(page.items.into_iter().filter_map(|event| note(run.info.started_at_unix_ns, event)));
+            let Some(next) = page.next else { return Ok(Self { notes }) };
+            request.after = Some(next);
+        }
+    }
+
+    /// What a plug-in noted.
+    pub(crate) fn noted_by(&self, plugin: &PluginId) -> Vec<Noted> {
+        let by_it = self.notes.iter().filter(|(_, decision)| decision.plugin == *plugin);
+        let noted = by_it.filter_map(|(_, decision)| match &decision.instruction {
+            Instruction::Note { process, step, .. } => {
+                let (process, step, reason) = (process.clone(), step.clone(), decision.reason.clone());
+                Some(Noted { process, step, reason })
+            }
+            _ => None,
+        });
+        noted.collect()
+    }
+
+    /// The notes as a run has them at its beginning that began then, in nanoseconds since 1970.
+    pub(crate) fn notes_before(&self, began_unix_ns: i64) -> impl Iterator<Item = Stamped> {
+        self.notes.iter().map(move |(at, decision)| {
+            let mut decision = decision.clone();
+            if let Instruction::Note { ago, .. } = &mut decision.instruction {
+                // A clock that was set back does not make it later than now.
+                let before = u64::try_from(began_unix_ns.saturating_sub(*at)).unwrap_or_default();
+                *ago = Some(Duration::from_nanos(before));
+            }
+            Stamped { at: Timestamp::ZERO, event: Event::Decision(decision) }
+        })
+    }
+}
+
+/// A note that was kept, and when its step was reached.
+fn note(began_unix_ns: i64, Stamped { at, event }: Stamped) -> Option<(i64, Decision)> {
+    let Event::Decision(decision) = event else { return None };
+    let Instruction::Note { ago, .. } = &decision.instruction else { return None };
+    let ago = ago.unwrap_or_default().as_nanos();
+    let since = i128::from(at.as_nanos()) - i128::try_from(ago).ok()?;
+    let at = i64::try_from(i128::from(began_unix_ns) + since).ok()?;
+    decision.refused.is_none().then_some((at, decision))
+}
+
+/// Looks whether a run of one testbed can go on after one of another: the same domains on the same contract.
+fn check(before: &Testbed, now: &Testbed) -> Result<(), CannotGoOn> {
+    let mut anybody = false;
+    for spec in orchestrators(now) {
+        anybody = true;
+        let contract = contract(spec).ok_or_else(|| CannotGoOn::Ledger(spec.id.clone()))?;
+        let was = orchestrators(before).find(|was| was.id == spec.id && was.domain == spec.domain);
+        let was = was.and_then(self::contract);
+        if !was.is_some_and(|was| was.eq_ignore_ascii_case(&contract)) {
+            return Err(CannotGoOn::OtherLedger(spec.id.clone()));
+        }
+    }
+    if anybody { Ok(()) } else { Err(CannotGoOn::Nobody) }
+}
+
+/// The contract that an orchestrator negotiates on, if its ledger outlives a run.
+fn contract(spec: &PluginSpec) -> Option<String> {
+    match Settings::decode(&spec.settings).ok()?.ledger {
+        LedgerChoice::Ethereum(network) => Some(network.contract),
+        LedgerChoice::Modelled { .. } | LedgerChoice::Anvil { .. } => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use cotorra_graph::testbed_file::{self, Setting};
+    use cotorra_measurements::RunInfo;
+
+    use super::*;
+
+    const BEGAN: i64 = 1_700_000_000_000_000_000;
+
+    fn testbed(settings: &[&str]) -> Testbed {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/federation.yaml");
+        let text = std::fs::read_to_string(&path).unwrap();
+        let settings: Vec<Setting> = settings.iter().map(|setting| setting.parse().unwrap()).collect();
+        testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings).unwrap()
+    }
+
+    fn on(contract: &str) -> Testbed {
+        let ledger = format!(
+            "plugins.*.settings.ledger={{kind: ethereum, url: 'ws://127.0.0.1:1', contract: '{contract}', key_store: k}}"
+        );
+        testbed(&[&ledger])
+    }
+
+    /// A run in a history that was kept, and the notes that it has at its beginning and later.
+    fn keep(history: &History, began: i64, notes: impl IntoIterator<Item = Stamped>) -> Run {
+        let info =
+            RunInfo { name: "federation".into(), seed: 1, started_at_unix_ns: began, testbed: String::new() };
+        let run = history.begin_run(&info).unwrap();
+        let recorder = history.recorder(run).unwrap();
+        notes.into_iter().for_each(|note| recorder.record(note));
+        recorder.flush().unwrap();
+        history.run(run).unwrap()
+    }
+
+    fn noted(at_s: u64, plugin: &str, step: &str, refused: Option<&str>) -> Stamped {
+        let instruction = Instruction::Note { process: "service-1".into(), step: step.into(), ago: None };
+        let plugin = plugin.parse().unwrap();
+        let refused = refused.map(str::to_owned);
+        let decision = Decision { plugin, instruction, reason: Some("why".into()), refused };
+        Stamped { at: Timestamp::ZERO + Duration::from_secs(at_s), event: Event::Decision(decision) }
+    }
+
+    /// The steps of notes and how long ago they were, seconds.
+    fn steps(notes: impl Iterator<Item = Stamped>) -> Vec<(String, u64)> {
+        notes
+            .map(|note| match note.event {
+                Event::Decision(Decision { instruction: Instruction::Note { step, ago, .. }, .. }) => {
+                    (step, ago.unwrap().as_secs())
+                }
+                other => panic!("{other:?}"),
+            })
+            .collect()
+    }
+
+    #[test]
+    fn notes_go_from_run_to_run_with_when_they_were() {
+        let history = History::in_memory().unwrap();
+        let (second, on) = (1_000_000_000, on("0xAb"));
+        let first = keep(
+            &history,
+            BEGAN,
+            [
+                noted(20, "orchestrator-1", "announced", None),
+                noted(25, "orchestrator-2", "bid sent", None),
+                noted(26, "orchestrator-2", "nonsense", Some("it was refused")),
+            ],
+        );
+        let earlier = Earlier::read(&history, &first, &on, |_| Ok(on.clone())).unwrap();
+        let notes: Vec<_> = earlier.notes_before(BEGAN + 60 * second).collect();
+        assert!(notes.iter().all(|note| note.at == Timestamp::ZERO));
+        assert_eq!(steps(notes.clone().into_iter()), [("announced".into(), 40), ("bid sent".into(), 35)]);
+        let by = earlier.noted_by(&"orchestrator-2".parse().unwrap());
+        let bid = Noted { process: "service-1".into(), step: "bid sent".into(), reason: Some("why".into()) };
+        assert_eq!(by, [bid]);
+
+        // The run after it is killed, too.
+        let more = [noted(3, "orchestrator-1", "winner chosen", None)];
+        let next = keep(&history, BEGAN + 60 * second, notes.into_iter().chain(more));
+        let earlier = Earlier::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
+        let told = steps(earlier.notes_before(BEGAN + 100 * second));
+        assert_eq!(told, [("announced".into(), 80), ("bid sent".into(), 75), ("winner chosen".into(), 37)]);
+        // A clock that was set back.
+        assert_eq!(steps(earlier.notes_before(0))[0].1, 0);
+    }
+
+    #[test]
+    fn what_cannot_go_on_is_told_why() {
+        let (here, modelled) = (on("0xab"), testbed(&[]));
+        let refused = |before: &Testbed, now: &Testbed| check(before, now).unwrap_err().to_string();
+        assert!(check(&on("0xAB"), &here).is_ok(), "an address is the same in capitals");
+        assert!(refused(&modelled, &modelled).contains("`orchestrator-1`: its ledger begins with the run"));
+        assert!(refused(&modelled, &here).contains("that run had another ledger"));
+        assert!(refused(&on("0xac"), &here).contains("another contract"));
+        let without = Testbed { plugins: Vec::new(), ..here.clone() };
+        assert!(refused(&here, &without).contains("no plug-in `federation`"));
+        let history = History::in_memory().unwrap();
+        let run = keep(&history, BEGAN, []);
+        let renamed = Testbed { name: "corridor".into(), ..here };
+        let other = Earlier::read(&history, &run, &renamed, |_| panic!("it is not looked at")).unwrap_err();
+        assert!(other.to_string().contains("`federation`, and this one is of `corridor`"), "{other}");
+    }
+}
