@@ -186,12 +186,14 @@ impl HostsFile {
         Ok(Self { mounts: File::open("/proc/thread-self/ns/mnt")?.into() })
     }
 
-    /// Moves this process, which must have one thread, to where it is seen. What it runs next (`exec`) sees it.
+    /// Moves the calling thread to where it is seen. What it runs next (`exec`) sees it.
     ///
     /// # Errors
     /// [`Error::Kernel`] without the right to do so: see [`crate::enter`].
     pub fn enter(&self) -> Result<(), Error> {
         let here = env::current_dir().action("find the working directory")?;
+        // Who shares root and working directory with another thread may not; one that was joined may not be gone yet.
+        sys::unshare(libc::CLONE_FS).action("have a working directory of its own")?;
         sys::setns(self.mounts.as_fd(), libc::CLONE_NEWNS).action("enter a mount namespace")?;
         // Entering a mount namespace goes to its root.
         env::set_current_dir(here).action("go back to the working directory")

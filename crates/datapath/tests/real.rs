@@ -375,10 +375,14 @@ fn run_and_wait(kind: &str) -> ExitCode {
 /// Enters a namespace and tells the addresses and names that it finds there.
 fn enter_and_tell(path: &str) -> ExitCode {
     cotorra_datapath::enter(path.as_ref()).unwrap();
+    // With another thread beside this one, as one is that was joined and is not gone yet.
+    let (stay, until) = std::sync::mpsc::channel::<()>();
+    std::thread::spawn(move || until.recv());
     HostsFile::of(&star(2, Conditions::default()).0).unwrap().enter().unwrap();
     for file in ["/proc/self/net/if_inet6", "/etc/hosts"] {
         print!("{}", fs::read_to_string(file).unwrap());
     }
+    drop(stay);
     ExitCode::SUCCESS
 }
 
