@@ -25,7 +25,7 @@ pub enum Rejection {
 /// What a ledger tells.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
-    /// The chain has a new head. All that was said up to its block comes before it.
+    /// The chain has a new head, or still the same after the ledger was away. All that was said up to its block comes before it.
     Head {
         /// The block's number.
         number: u64,

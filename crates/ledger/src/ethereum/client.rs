@@ -214,11 +214,14 @@ impl Client {
 
     /// Tells what a new head adds, and what it takes back.
     async fn on_head(&mut self, provider: &RootProvider, head: Header) -> Result<(), Over> {
-        let is_known = self.blocks.knows(BlockHash(head.hash.0));
-        if !is_known {
+        let hash = BlockHash(head.hash.0);
+        if !self.blocks.knows(hash) {
             self.take_in(provider, head).await?;
         } else if self.is_connected {
             return Ok(());
+        } else if self.blocks.head().is_some_and(|latest| latest.hash == hash) {
+            // Nothing was said while the node was away. Whoever waits to hear that might wait long for another block.
+            self.tell(Notice::Head { number: head.number, time: ChainTime(head.timestamp) })?;
         }
         self.is_connected = true;
         let Some(&Block { number, hash, .. }) = self.blocks.head() else { return Ok(()) };

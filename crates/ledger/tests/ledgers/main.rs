@@ -145,6 +145,22 @@ fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
     until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
 }
 
+/// On a node that makes blocks for transactions alone: no other block tells that nothing was missed.
+#[test]
+fn a_node_that_comes_back_with_nothing_new_is_known_to_be_back() {
+    let Some(mut node) = Node::start() else { return };
+    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
+    let is_bid = |step: &CreatorStep| matches!(step, CreatorStep::BidReceived { .. });
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(is_bid));
+    node.stop();
+    creator
+        .operator
+        .until("the node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
+    node.restart();
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+}
+
 #[test]
 fn an_operator_that_is_restarted_hears_all_that_was_said() {
     let Some(node) = Node::start() else { return };
