@@ -8,6 +8,7 @@ use std::{
     os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd},
     path::{Path, PathBuf},
     thread,
+    time::Duration,
 };
 
 use crate::{
@@ -88,9 +89,25 @@ pub fn enter(path: &Path) -> Result<(), Error> {
     let namespace = File::open(path).action("open the namespace (does its run still go on?)")?;
     if !privilege::have_rights() {
         let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
-        sys::setns(user.as_fd(), libc::CLONE_NEWUSER).map_err(privilege::several_threads)?;
+        enter_user(user.as_fd()).map_err(privilege::several_threads)?;
     }
     sys::setns(namespace.as_fd(), libc::CLONE_NEWNET).action("enter the network namespace")
+}
+
+/// Only who is alone may. A thread that looked up a name, or was joined, may take a moment longer to be gone.
+#[allow(clippy::disallowed_methods, reason = "the kernel tells nobody when a thread is gone")]
+fn enter_user(user: BorrowedFd<'_>) -> io::Result<()> {
+    const TRIES: u32 = 500;
+    let enter = || sys::setns(user, libc::CLONE_NEWUSER);
+    for _ in 0..TRIES {
+        match enter() {
+            Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
+                thread::sleep(Duration::from_millis(1))
+            }
+            done => return done,
+        }
+    }
+    enter()
 }
 
 /// Runs a closure on a thread of its own, because what a thread unshares it cannot get back.

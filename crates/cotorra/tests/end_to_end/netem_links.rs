@@ -54,9 +54,10 @@ fn lines(done: &Output) -> Vec<String> {
     stdout(done).lines().map(str::to_owned).collect()
 }
 
-/// Whether this user can have namespaces of their own, be it without NetEm.
+/// Whether this user can have namespaces of their own, be it without NetEm, and look at interfaces and write down what to
+/// put back: root can.
 fn has_namespaces() -> bool {
-    let tried = script("unshare --net ip link add va type veth");
+    let tried = script("command -v tc >/dev/null && test -w /run && unshare --net ip link add va type veth");
     if !tried.status.success() {
         eprintln!("skipped: {}", stderr(&tried));
     }
