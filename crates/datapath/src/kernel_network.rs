@@ -18,7 +18,7 @@ use cotorra_graph::{
     Conditions, Direction, HardwareGraph, HostAddress, Jitter, Lateness, Link, LinkCounters, LinkId, Loss,
     NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
 };
-use cotorra_netem::{Counters, Kernel, Netem, NotByNetem, Rule};
+use cotorra_netem::{Kernel, Netem, NotByNetem, Rule};
 
 use crate::{
     error::{Action, Error},
@@ -228,9 +228,7 @@ impl KernelNetwork {
                 [Direction::Forward, Direction::Backward].into_iter().zip(measured)
             {
                 let Some(counters) = counted.get(end(place, direction).as_str()) else { continue };
-                let &Counters { packets, bytes, dropped, .. } = counters;
-                let all = LinkCounters { packets, bytes, lost: dropped, ..LinkCounters::default() };
-                let counters = self.probes.others(place, direction, all);
+                let counters = self.probes.others(place, direction, LinkCounters::from(*counters));
                 observed.insert((link.clone(), direction), Observed { counters, probed, tested });
             }
         }

@@ -1,6 +1,7 @@
 //! What people ask for: rules, each of which gives conditions to the packets of one interface that leave for a network
 //! or arrive from one.
 
+use cotorra_graph::LinkCounters;
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -41,6 +42,14 @@ pub struct Counters {
     pub dropped: u64,
     /// Packets in it.
     pub waiting: u64,
+}
+
+/// What NetEm lost, and what came when its queue was full, it counts as one: lost. What it duplicated or corrupted it does
+/// not count.
+impl From<Counters> for LinkCounters {
+    fn from(Counters { bytes, packets, dropped, .. }: Counters) -> Self {
+        Self { packets, bytes, lost: dropped, ..Self::default() }
+    }
 }
 
 /// Somebody's discipline that made place for ours, as the kernel told it.

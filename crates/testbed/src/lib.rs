@@ -5,6 +5,7 @@
 
 mod api;
 mod bundled;
+mod carried;
 mod core;
 mod core_loop;
 mod domain;

@@ -10,12 +10,14 @@ use std::{
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Conditions, Direction, HardwareGraph, LinkContext, LinkCounters, LinkId, Medium, Reached, RealLink,
-    Testbed, Timestamp,
+    Conditions, Direction, HardwareGraph, LinkContext, LinkId, Medium, Reached, RealLink, Testbed, Timestamp,
 };
 use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
 
-use crate::run::RunError;
+use crate::{
+    carried::{Carried, Counted},
+    run::RunError,
+};
 
 /// Why links cannot lead over interfaces of this machine, or not do what was asked. Nothing has changed then.
 #[derive(Debug, thiserror::Error)]
@@ -56,7 +58,7 @@ pub enum RealLinkError {
 pub(crate) struct RealLinks {
     links: HashMap<LinkId, Place>,
     hold: Mutex<Hold>,
-    seen: Mutex<Seen>,
+    carried: Carried,
 }
 
 /// Where a link is.
@@ -64,13 +66,6 @@ struct Place {
     reached: Reached,
     leaving: Direction,
     medium: Medium,
-}
-
-/// When links were looked at last, and the bytes that each had carried.
-#[derive(Default)]
-struct Seen {
-    at: Timestamp,
-    bytes: HashMap<(LinkId, Direction), u64>,
 }
 
 impl Place {
@@ -156,7 +151,7 @@ impl RealLinks {
             hold.take(name, &rules, confirmed)?;
             tracing::info!("{name} has the conditions of its links");
         }
-        Ok(Some(Self { links, hold: Mutex::new(hold), seen: Mutex::default() }))
+        Ok(Some(Self { links, hold: Mutex::new(hold), carried: Carried::default() }))
     }
 
     /// Whether a link leads over an interface of this machine.
@@ -189,7 +184,7 @@ impl RealLinks {
             return contexts;
         }
         let hold = self.hold();
-        let mut counted = HashMap::new();
+        let mut counted = Counted::new();
         for (link, place) in &self.links {
             let rules = match hold.rules(&place.reached.interface) {
                 Ok(rules) => rules,
@@ -201,32 +196,15 @@ impl RealLinks {
             for direction in [Direction::Forward, Direction::Backward] {
                 let packets = place.packets(direction);
                 let rule = rules.iter().find(|(rule, _)| (rule.side, rule.network) == packets);
-                counted.extend(rule.map(|(_, counters)| ((link.clone(), direction), *counters)));
+                counted.extend(rule.map(|(_, counters)| ((link.clone(), direction), (*counters).into())));
             }
         }
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let seconds = now.since(seen.at).as_secs_f64();
+        let mut found = 0;
         for context in contexts.iter_mut().filter(|context| self.has(&context.link)) {
             (context.delay, context.probed) = (None, None);
-            let key = (context.link.clone(), context.direction);
-            let Some(counters) = counted.get(&key) else { continue };
-            let before = seen.bytes.get(&key).copied().unwrap_or(0);
-            if seconds > 0.0 {
-                context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
-            }
-            context.counters = LinkCounters {
-                packets: counters.packets,
-                bytes: counters.bytes,
-                // NetEm counts both as one.
-                lost: counters.dropped,
-                ..LinkCounters::default()
-            };
+            found += 1;
         }
-        // Links that are asked for alone do not begin a new interval for all.
-        if contexts.iter().filter(|context| self.has(&context.link)).count() == 2 * self.links.len() {
-            let bytes = counted.into_iter().map(|(key, counters)| (key, counters.bytes)).collect();
-            *seen = Seen { at: now, bytes };
-        }
+        self.carried.complete(now, &mut contexts, &counted, found == 2 * self.links.len());
         contexts
     }
 

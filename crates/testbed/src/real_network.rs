@@ -2,10 +2,7 @@
 //! packets. Then the fabric keeps the books - what was asked, scaled and refused is the same for both - and the kernel is
 //! told what follows.
 
-use std::{
-    collections::HashMap,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::sync::Arc;
 
 use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork, Observed};
 use cotorra_fabric::Fabric;
@@ -15,21 +12,14 @@ use cotorra_graph::{
 };
 use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric, test_fabric_throughput};
 
-use crate::real_links::RealLinks;
+use crate::{carried::Carried, real_links::RealLinks};
 
 /// The network that a datapath carries.
 pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
     real: Option<RealLinks>,
-    seen: Mutex<Seen>,
-}
-
-/// When links were looked at last, and the bytes that each had carried.
-#[derive(Debug, Default)]
-struct Seen {
-    at: Timestamp,
-    bytes: HashMap<(LinkId, Direction), u64>,
+    carried: Carried,
 }
 
 /// The kernel's network, if the testbed wants it; where the kernel cannot, it says why, and the fabric does.
@@ -55,7 +45,7 @@ pub(crate) fn kernel_network(
 
 impl RealNetwork {
     pub(crate) fn new(datapath: &Datapath, real: Option<RealLinks>) -> Self {
-        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, seen: Mutex::default() }
+        Self { handle: datapath.handle(), kernel: datapath.kernel(), real, carried: Carried::default() }
     }
 
     /// Those who carry the packets of a link, if the fabric does not.
@@ -156,22 +146,14 @@ impl Network for RealNetwork {
                 return contexts;
             }
         };
-        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-        let seconds = now.since(seen.at).as_secs_f64();
         for context in &mut contexts {
             let key = (context.link.clone(), context.direction);
-            let Some(&Observed { counters, probed, tested }) = observed.get(&key) else { continue };
-            let before = seen.bytes.get(&key).copied().unwrap_or(0);
-            if seconds > 0.0 {
-                context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
-            }
-            (context.counters, context.probed, context.tested) = (counters, probed, tested);
+            let Some(&Observed { probed, tested, .. }) = observed.get(&key) else { continue };
+            (context.probed, context.tested) = (probed, tested);
         }
-        // One link that is asked for alone does not begin a new interval for all.
-        if contexts.len() >= observed.len() {
-            let bytes = observed.into_iter().map(|(key, observed)| (key, observed.counters.bytes)).collect();
-            *seen = Seen { at: now, bytes };
-        }
+        let all = contexts.len() >= observed.len();
+        let counted = observed.into_iter().map(|(key, observed)| (key, observed.counters)).collect();
+        self.carried.complete(now, &mut contexts, &counted, all);
         contexts
     }
 }

@@ -131,12 +131,12 @@ fn what_is_reorganised_away_is_taken_back_and_sent_again() {
     assert_eq!(announcements(&operator.notices), 1);
 }
 
-#[test]
-fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
+/// A service comes into use though the node was away after that step.
+fn goes_on_with_the_node_away_after(step: impl Fn(&CreatorStep) -> bool) {
     let Some(mut node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Announced));
+    until_all(&mut creator, &mut providers, |creator, _| creator.has(&step));
     node.stop();
     creator
         .operator
@@ -145,20 +145,15 @@ fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
     until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
 }
 
+#[test]
+fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
+    goes_on_with_the_node_away_after(|step| *step == CreatorStep::Announced);
+}
+
 /// On a node that makes blocks for transactions alone: no other block tells that nothing was missed.
 #[test]
 fn a_node_that_comes_back_with_nothing_new_is_known_to_be_back() {
-    let Some(mut node) = Node::start() else { return };
-    let mut creator = CreatorSide::new(node.operator(1), policy());
-    let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    let is_bid = |step: &CreatorStep| matches!(step, CreatorStep::BidReceived { .. });
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(is_bid));
-    node.stop();
-    creator
-        .operator
-        .until("the node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
-    node.restart();
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+    goes_on_with_the_node_away_after(|step| matches!(step, CreatorStep::BidReceived { .. }));
 }
 
 #[test]

@@ -1,0 +1,51 @@
+//! What links carried whose packets are not the fabric's: the kernel counts them from the beginning, and λ is the difference
+//! between two looks.
+
+use std::{
+    collections::HashMap,
+    sync::{Mutex, PoisonError},
+};
+
+use cotorra_graph::{Direction, LinkContext, LinkCounters, LinkId, Timestamp};
+
+/// The counters of links, by direction.
+pub(crate) type Counted = HashMap<(LinkId, Direction), LinkCounters>;
+
+/// What links had carried when they were looked at last.
+#[derive(Debug, Default)]
+pub(crate) struct Carried(Mutex<Seen>);
+
+/// When that was, and the bytes of each.
+#[derive(Debug, Default)]
+struct Seen {
+    at: Timestamp,
+    bytes: HashMap<(LinkId, Direction), u64>,
+}
+
+impl Carried {
+    /// Completes the contexts of links that were counted: λ since the last look, and the counters. One link that is asked for
+    /// alone does not begin a new interval for all; that takes `all` of them.
+    pub(crate) fn complete(
+        &self,
+        now: Timestamp,
+        contexts: &mut [LinkContext],
+        counted: &Counted,
+        all: bool,
+    ) {
+        let mut seen = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let seconds = now.since(seen.at).as_secs_f64();
+        for context in contexts {
+            let key = (context.link.clone(), context.direction);
+            let Some(counters) = counted.get(&key) else { continue };
+            let before = seen.bytes.get(&key).copied().unwrap_or(0);
+            if seconds > 0.0 {
+                context.throughput_bps = counters.bytes.saturating_sub(before) as f64 * 8.0 / seconds;
+            }
+            context.counters = *counters;
+        }
+        if all {
+            let bytes = counted.iter().map(|(key, counters)| (key.clone(), counters.bytes)).collect();
+            *seen = Seen { at: now, bytes };
+        }
+    }
+}
