@@ -1,16 +1,17 @@
 //! `cotorra stamp`: measures a path of any network by STAMP (RFC 8762), and answers those who do. The protocol is
-//! `cotorra_stamp`'s; here are its clock and its sockets.
+//! `cotorra_stamp`'s.
 
 use std::{
     io::ErrorKind,
     net::{SocketAddr, ToSocketAddrs, UdpSocket},
     num::NonZero,
-    sync::mpsc,
     time::Duration,
 };
 
 use clap::{Args, Subcommand};
-use cotorra_stamp::{Delays, ErrorEstimate, Measurement, PORT, Reflector, Session, SessionConfig, Utc};
+use cotorra_stamp::{
+    Clock, Delays, ErrorEstimate, Measurement, PORT, Reflector, Sender, SessionConfig, receive,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, WrapErr, miette};
 
@@ -105,15 +106,21 @@ fn send(args: &SendArgs) -> miette::Result<()> {
         reflector_counts: !args.stateless,
     };
     let address = resolve(&args.reflector)?;
-    let any: SocketAddr = if address.is_ipv4() { ([0; 4], 0).into() } else { ([0_u16; 8], 0).into() };
-    let socket = UdpSocket::bind(any).into_diagnostic().wrap_err("cannot open a UDP socket")?;
-    socket.connect(address).into_diagnostic().wrap_err_with(|| format!("cannot send to {address}"))?;
+    let reached = || format!("cannot send to {address}");
+    let mut sender = Sender::connect(address, config).into_diagnostic().wrap_err_with(reached)?;
     let stopped = signals::listen().into_diagnostic()?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} packets to {msg}")
         .expect("the template is well-formed");
     let progress =
         ProgressBar::new(args.count.get().into()).with_style(style).with_message(address.to_string());
-    let measured = measure(&socket, config, args.count.get(), &stopped, &progress)?;
+    while sender.session().deadline().is_some() {
+        if sender.session().sent() == args.count.get() || stopped.try_recv().is_ok() {
+            sender.session_mut().stop();
+        }
+        sender.step(NOTICE).into_diagnostic().wrap_err_with(reached)?;
+        progress.set_position(sender.session().sent().into());
+    }
+    let measured = sender.session().measurement(sender.clock().now());
     progress.finish_and_clear();
     let measured = measured.filter(|measured| measured.round_trip.is_some()).ok_or_else(|| {
         miette!(help = "is a reflector there? `cotorra stamp reflect` is one", "no answer from {address}")
@@ -125,41 +132,6 @@ fn resolve(reflector: &str) -> miette::Result<SocketAddr> {
     let found = reflector.to_socket_addrs().or_else(|_| (reflector, PORT).to_socket_addrs());
     let mut found = found.into_diagnostic().wrap_err_with(|| format!("cannot find `{reflector}`"))?;
     found.next().ok_or_else(|| miette!("`{reflector}` has no address"))
-}
-
-/// Runs a session of so many packets over a connected socket.
-fn measure(
-    socket: &UdpSocket,
-    config: SessionConfig,
-    count: u32,
-    stopped: &mpsc::Receiver<()>,
-    progress: &ProgressBar,
-) -> miette::Result<Option<Measurement>> {
-    let clock = Clock::start();
-    let mut session = Session::new(config, clock.now());
-    let mut buffer = vec![0; LARGEST];
-    loop {
-        if session.sent() == count || stopped.try_recv().is_ok() {
-            session.stop();
-        }
-        if let Some(probe) = session.poll(clock.now()) {
-            progress.inc(1);
-            match socket.send(&probe) {
-                // What an earlier packet met: nobody listens there. It counts as lost.
-                Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
-                sent => {
-                    sent.into_diagnostic().wrap_err("cannot send")?;
-                }
-            }
-        }
-        let Some(deadline) = session.deadline() else { break };
-        let wait = deadline.since(clock.now()).min(NOTICE);
-        if let Some((length, _)) = receive(socket, &mut buffer, wait)? {
-            // Whatever else comes to this port is nobody's reply.
-            let _ = session.receive(&buffer[..length], clock.now());
-        }
-    }
-    Ok(session.measurement(clock.now()))
 }
 
 fn reflect(args: &ReflectArgs) -> miette::Result<()> {
@@ -178,51 +150,13 @@ fn reflect(args: &ReflectArgs) -> miette::Result<()> {
     let mut reflector = Reflector::new(ErrorEstimate::new(args.synchronized, CLOCK_ERROR));
     let mut buffer = vec![0; LARGEST];
     while stopped.try_recv().is_err() {
-        let Some((length, from)) = receive(&socket, &mut buffer, NOTICE)? else { continue };
+        let received = receive(&socket, &mut buffer, NOTICE).into_diagnostic().wrap_err("cannot receive")?;
+        let Some((length, from)) = received else { continue };
         let Ok(reflection) = reflector.reflect(from, &buffer[..length], clock.now(), None) else { continue };
         // An answer that can't be sent is lost, as on any network.
         let _ = socket.send_to(&reflection.sent_at(clock.now()), from);
     }
     Ok(())
-}
-
-/// A datagram, if one comes in time.
-fn receive(
-    socket: &UdpSocket,
-    buffer: &mut [u8],
-    wait: Duration,
-) -> miette::Result<Option<(usize, SocketAddr)>> {
-    // A socket can't wait for no time at all.
-    socket.set_read_timeout(Some(wait.max(Duration::from_micros(1)))).into_diagnostic()?;
-    match socket.recv_from(buffer) {
-        Ok(received) => Ok(Some(received)),
-        Err(error) => match error.kind() {
-            ErrorKind::WouldBlock
-            | ErrorKind::TimedOut
-            | ErrorKind::Interrupted
-            | ErrorKind::ConnectionRefused => Ok(None),
-            _ => Err(error).into_diagnostic().wrap_err("cannot receive"),
-        },
-    }
-}
-
-/// UTC that never steps: the system's as of the beginning, and the monotonic clock from there on.
-#[allow(clippy::disallowed_types, reason = "this shell owns its clock")]
-struct Clock {
-    began: std::time::Instant,
-    began_at: Utc,
-}
-
-#[allow(clippy::disallowed_types, reason = "this shell owns its clock")]
-impl Clock {
-    fn start() -> Self {
-        let since_1970 = std::time::SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
-        Self { began: std::time::Instant::now(), began_at: Utc::UNIX_EPOCH + since_1970 }
-    }
-
-    fn now(&self) -> Utc {
-        self.began_at + self.began.elapsed()
-    }
 }
 
 fn text(address: SocketAddr, measured: &Measurement) -> String {

@@ -3,7 +3,8 @@
 //!
 //! A [`Session`] sends test packets and measures by the replies; a [`Reflector`] answers them. Neither has a clock nor
 //! a socket: the time is an argument, packets are bytes. Both work with other implementations, also with those of
-//! TWAMP Light (RFC 8762, section 4.6). A [`Link`] is both sides in one hand.
+//! TWAMP Light (RFC 8762, section 4.6). A [`Link`] is both sides in one hand. A [`Sender`] is a session with a socket and a
+//! [`Clock`] of this machine's.
 //!
 //! ```
 //! use std::time::Duration;
@@ -24,17 +25,20 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod apart;
 mod extension;
 mod link;
 mod measurement;
 mod packet;
 mod reflector;
+mod sender;
 mod session;
 mod utc;
 
-pub use link::{Link, Told};
-pub use measurement::{Delays, Measurement, OneWay};
+pub use link::Link;
+pub use measurement::{Delays, Measurement, OneWay, Told};
 pub use packet::{BASE_LENGTH, Malformed, PORT};
 pub use reflector::{Reflection, Reflector};
+pub use sender::{Clock, Sender, receive};
 pub use session::{Session, SessionConfig};
 pub use utc::{ErrorEstimate, Utc};

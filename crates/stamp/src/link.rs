@@ -3,7 +3,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use crate::{
-    measurement::OneWay,
+    measurement::{OneWay, Told},
     packet::{Malformed, Test},
     reflector::Reflector,
     session::{Session, SessionConfig},
@@ -33,17 +33,6 @@ enum Crossed {
     Nothing,
     TheWayThere,
     Both,
-}
-
-/// What probes tell of one direction of a link.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
-    /// Delay and its variation, and how long ago the latest answer came; `None` if none came within the window.
-    pub delays: Option<(OneWay, Duration)>,
-    /// Share of those that came to this direction that it lost, from 0 to 1; `None` if none came.
-    pub loss: Option<f64>,
-    /// How long ago the latest probe was sent that `loss` counts.
-    pub loss_age: Duration,
 }
 
 impl Link {

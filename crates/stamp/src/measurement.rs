@@ -12,10 +12,9 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
-    /// The delay there (0) or back (1), if it is known.
+    /// The delay there (0) or back (1), if the clocks tell it.
     fn one_way(&self, way: usize) -> Option<Duration> {
-        let ways = self.sample?.one_way?;
-        Some(Duration::from_nanos(ways[way].max(0).unsigned_abs()))
+        Some(duration(self.sample?.one_way()?[way]))
     }
 }
 
@@ -25,11 +24,25 @@ pub(crate) struct Sample {
     pub(crate) replied_at: Utc,
     /// Without the time that the reflector took.
     pub(crate) round_trip: Duration,
-    /// Nanoseconds there and back by two clocks, if both are synchronised.
-    pub(crate) one_way: Option<[i64; 2]>,
+    /// Nanoseconds there and back, each from one clock's reading to the other's.
+    pub(crate) ways: [i64; 2],
+    /// Whether both clocks tell the same time.
+    pub(crate) synchronized: bool,
     pub(crate) sequence: u32,
     /// The reflector's count.
     pub(crate) reflected: u32,
+}
+
+impl Sample {
+    /// Nanoseconds there and back, if both clocks tell the same time.
+    pub(crate) fn one_way(&self) -> Option<[i64; 2]> {
+        self.synchronized.then_some(self.ways)
+    }
+}
+
+/// No time at all if it is negative.
+pub(crate) fn duration(ns: i64) -> Duration {
+    Duration::from_nanos(ns.max(0).unsigned_abs())
 }
 
 /// The delays of some packets.
@@ -63,12 +76,12 @@ impl Delays {
 }
 
 /// `None` of nothing.
-fn mean(delays: impl Iterator<Item = Duration>) -> Option<Duration> {
+pub(crate) fn mean(delays: impl Iterator<Item = Duration>) -> Option<Duration> {
     let (count, total) = delays.fold((0, Duration::ZERO), |(n, total), delay| (n + 1, total + delay));
     total.checked_div(count)
 }
 
-fn jitter(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Duration> {
+pub(crate) fn jitter(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Duration> {
     mean(delays.clone().zip(delays.skip(1)).filter_map(|(a, b)| Some(a?.abs_diff(b?))))
 }
 
@@ -90,6 +103,17 @@ impl OneWay {
         };
         Some([way(0)?, way(1)?])
     }
+}
+
+/// What probes tell of one direction of a link.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Told {
+    /// Delay and its variation, and how long ago the latest answer came; `None` if none came within the window.
+    pub delays: Option<(OneWay, Duration)>,
+    /// Share of those that came to this direction that it lost, from 0 to 1; `None` if none came.
+    pub loss: Option<f64>,
+    /// How long ago the latest probe was sent that `loss` counts.
+    pub loss_age: Duration,
 }
 
 /// What was measured over a session's window. Only packets of which it is known what became of them count.
@@ -147,7 +171,7 @@ impl Measurement {
 }
 
 /// Of the packets between the first and the last that were answered, which share each direction lost.
-fn directions(samples: impl Iterator<Item = Sample> + Clone) -> Option<[f64; 2]> {
+pub(crate) fn directions(samples: impl Iterator<Item = Sample> + Clone) -> Option<[f64; 2]> {
     let first = samples.clone().next()?;
     let last = samples.clone().last()?;
     let sent = last.sequence.wrapping_sub(first.sequence);

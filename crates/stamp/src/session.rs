@@ -3,8 +3,9 @@
 use std::{collections::VecDeque, time::Duration};
 
 use crate::{
+    apart::apart,
     extension,
-    measurement::{Measurement, Outcome, Sample},
+    measurement::{Measurement, Outcome, Sample, Told, duration},
     packet::{BASE_LENGTH, Malformed, Reply, Test},
     utc::{ErrorEstimate, Utc},
 };
@@ -127,8 +128,8 @@ impl Session {
         bytes: &[u8],
         now: Utc,
     ) -> Result<Option<(u32, Option<Duration>)>, Malformed> {
-        let back = |[_, ns]: [i64; 2]| Duration::from_nanos(ns.max(0).unsigned_abs());
-        Ok(self.take(bytes, now)?.map(|sample| (sample.sequence, sample.one_way.map(back))))
+        let back = |[_, ns]: [i64; 2]| duration(ns);
+        Ok(self.take(bytes, now)?.map(|sample| (sample.sequence, sample.one_way().map(back))))
     }
 
     fn take(&mut self, bytes: &[u8], now: Utc) -> Result<Option<Sample>, Malformed> {
@@ -144,11 +145,11 @@ impl Session {
         let rested = Duration::from_nanos(u64::try_from(sent_back.minus(received)).unwrap_or(0));
         // A reflector that says it rested for longer than all took does not know.
         let round_trip = now.since(sent_at).checked_sub(rested).unwrap_or(now.since(sent_at));
-        let synchronized = reply.error.synchronized && self.config.error.synchronized;
         let sample = Sample {
             replied_at: now,
             round_trip,
-            one_way: synchronized.then(|| [received.minus(sent_at), now.minus(sent_back)]),
+            ways: [received.minus(sent_at), now.minus(sent_back)],
+            synchronized: reply.error.synchronized && self.config.error.synchronized,
             sequence,
             reflected: reply.sequence,
         };
@@ -159,6 +160,16 @@ impl Session {
     /// What the window tells; `None` before the first packet was answered or given up.
     pub fn measurement(&self, now: Utc) -> Option<Measurement> {
         Measurement::of(self.recent(now), self.config.reflector_counts)
+    }
+
+    /// What the window tells of the way there and the way back though nothing synchronises the two clocks. It is known how
+    /// long a packet that was sent then takes `least` in either direction, and assumed that the rest of the least round trip
+    /// is the same both ways. `None` before the first packet was answered or given up.
+    ///
+    /// Losses are told apart by the reflector's count; of packets after the last that was answered it is not known where they
+    /// got lost, and they count as lost on the way there.
+    pub fn apart(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[Told; 2]> {
+        apart(self.recent(now), now, least)
     }
 
     /// What became of the window's packets, in the order of sending.
