@@ -10,13 +10,11 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     thread::{self, JoinHandle},
-    time::Duration,
 };
 
 use cotorra_fabric::{Crossing, Frame, Histogram, MEASURING_ETHERTYPE, Refusal, Trials, WireProbes};
 use cotorra_graph::{
-    Conditions, Direction, Lateness, LinkCounters, LinkId, Probed, Probing, Rate, Tested, ThroughputTest,
-    Timestamp,
+    Conditions, Direction, Lateness, LinkCounters, LinkId, Probed, Probing, Tested, ThroughputTest, Timestamp,
 };
 
 use crate::{
@@ -264,7 +262,7 @@ impl State {
                 continue;
             };
             if received - took >= edge.since
-                && let Some(asked) = asked(&edge.conditions, length)
+                && let Some(asked) = edge.conditions.alone(length)
             {
                 self.lateness.record(took.saturating_sub(asked));
             }
@@ -285,18 +283,4 @@ impl Edge {
             Ok(()) => self.sent += 1,
         }
     }
-}
-
-/// How long a packet is to take over a link on which nothing else is; `None` where chance decides.
-fn asked(conditions: &Conditions, bytes: usize) -> Option<Duration> {
-    let Conditions { delay, jitter, reordering, rate, .. } = conditions;
-    let by_chance = jitter.is_some_and(|jitter| !jitter.deviation.is_zero()) || reordering.get() > 0.0;
-    let sending = match rate {
-        Rate::Unlimited => Duration::ZERO,
-        Rate::Fixed { bits_per_second } => {
-            Duration::from_secs_f64(bytes as f64 * 8.0 / bits_per_second.bits_per_second() as f64)
-        }
-        Rate::Trace { .. } => return None,
-    };
-    (!by_chance).then(|| *delay + sending)
 }

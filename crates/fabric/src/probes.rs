@@ -20,7 +20,7 @@ const SHARE: f64 = 0.01;
 
 const IP_HEADER: usize = 20;
 const UDP_HEADER: usize = 8;
-const HEADERS: usize = ETHERNET_HEADER + IP_HEADER + UDP_HEADER;
+pub(crate) const HEADERS: usize = ETHERNET_HEADER + IP_HEADER + UDP_HEADER;
 const UDP_CHECKSUM: usize = HEADERS - 2;
 
 /// The probes of all links.
@@ -81,9 +81,8 @@ impl Probes {
         let count = wires.len() + stations.len();
         let begins = |i: usize| utc(now) + settings.interval.mul_f64(i as f64 / count as f64);
         let first = wires.len();
-        let wires = wires
-            .enumerate()
-            .map(|(i, conditions)| Link::new(wired(&settings, conditions, HEADERS), begins(i)));
+        let wires =
+            wires.enumerate().map(|(i, conditions)| Link::new(wired(&settings, conditions), begins(i)));
         let stations = stations.enumerate().map(|(i, turns)| {
             let config = on_air(&settings, turns(HEADERS + BASE_LENGTH));
             Station { with: None, config, link: Link::new(config, begins(first + i)) }
@@ -97,7 +96,7 @@ impl Probes {
     /// A link has other conditions.
     pub(crate) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
         if let Some(link) = self.wires.get_mut(link) {
-            link.pace(wired(&self.settings, conditions, HEADERS));
+            link.pace(wired(&self.settings, conditions));
         }
     }
 
@@ -194,11 +193,11 @@ impl Station {
     }
 }
 
-/// How a wired link with these conditions is probed, with so many octets around each packet.
-fn wired(settings: &Probing, conditions: [&Conditions; 2], overhead: usize) -> SessionConfig {
+/// How a wired link with these conditions is probed: so that probes take no more than 1 % of its rate.
+pub(crate) fn wired(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
     let slowest = conditions.iter().map(|c| rate_bps(&c.rate)).fold(f64::INFINITY, f64::min);
     let config = SessionConfig { interval: settings.interval, ..SessionConfig::default() };
-    patient(settings, config.within(SHARE, slowest, overhead))
+    patient(settings, config.within(SHARE, slowest, HEADERS))
 }
 
 /// How a robot's link is probed if a frame for each robot takes so long: there are two in each interval.
@@ -214,7 +213,7 @@ fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
 }
 
 /// What probes tell, in the terms of the graph.
-fn probed(told: Told) -> Probed {
+pub(crate) fn probed(told: Told) -> Probed {
     Probed {
         delay: told.delays.map(|(delays, _)| delays.mean),
         jitter: told.delays.and_then(|(delays, _)| delays.jitter),

@@ -2,10 +2,11 @@
 //! be read.
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
+use cotorra_stamp::{BASE_LENGTH, SessionConfig, Told};
 
 use crate::{
     frame::Frame,
-    probes::{Crossing, Over, Probes},
+    probes::{Crossing, HEADERS, Over, Probes, probed, wired},
     radio::{RadioUnitIndex, StationIndex},
 };
 
@@ -14,6 +15,19 @@ use crate::{
 pub struct WireProbes(Probes);
 
 impl WireProbes {
+    /// Octets of the Ethernet frame that a probe is.
+    pub const BYTES: usize = HEADERS + BASE_LENGTH;
+
+    /// How a link is probed of which only one end is within reach: so that probes take no more than 1 % of its rate.
+    pub fn session(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
+        wired(settings, conditions)
+    }
+
+    /// What the probes of such a link tell of one direction.
+    pub fn told(told: Told) -> Probed {
+        probed(told)
+    }
+
     /// No probes at all.
     pub fn none() -> Self {
         Self(Probes::none())

@@ -37,6 +37,22 @@ pub struct Conditions {
     pub queue: QueueLimit,
 }
 
+impl Conditions {
+    /// How long a frame of so many bytes takes where nothing else is under way; `None` where chance or a trace decides.
+    pub fn alone(&self, bytes: usize) -> Option<Duration> {
+        let Self { delay, jitter, reordering, rate, .. } = self;
+        let by_chance = jitter.is_some_and(|jitter| !jitter.deviation.is_zero()) || reordering.get() > 0.0;
+        let sending = match rate {
+            Rate::Unlimited => Duration::ZERO,
+            Rate::Fixed { bits_per_second } => {
+                Duration::from_secs_f64(bytes as f64 * 8.0 / bits_per_second.bits_per_second() as f64)
+            }
+            Rate::Trace { .. } => return None,
+        };
+        (!by_chance).then(|| *delay + sending)
+    }
+}
+
 /// Random addition to a delay, with mean zero; a total below zero counts as zero.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

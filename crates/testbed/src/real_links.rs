@@ -10,12 +10,14 @@ use std::{
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Conditions, Direction, HardwareGraph, LinkContext, LinkId, Medium, Reached, RealLink, Testbed, Timestamp,
+    Conditions, Direction, HardwareGraph, Lateness, LinkContext, LinkId, Medium, Probing, Reached, RealLink,
+    Testbed, Timestamp,
 };
 use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
 
 use crate::{
     carried::{Carried, Counted},
+    reflected::Reflected,
     run::RunError,
 };
 
@@ -59,6 +61,10 @@ pub(crate) struct RealLinks {
     links: HashMap<LinkId, Place>,
     hold: Mutex<Hold>,
     carried: Carried,
+    /// Whether no link is emulated as a whole.
+    alone: bool,
+    /// `None` if the testbed is not to be probed.
+    probes: Option<Reflected>,
 }
 
 /// Where a link is.
@@ -71,6 +77,11 @@ struct Place {
 impl Place {
     fn of(real: RealLink<'_>) -> Self {
         Self { reached: real.reached.clone(), leaving: real.leaving, medium: real.link.medium() }
+    }
+
+    /// What is told of the forward and the backward direction, by ways: the one that leaves here, and the one that comes back.
+    fn there_and_back<T>(&self, [forward, backward]: [T; 2]) -> [T; 2] {
+        if self.leaving == Direction::Forward { [forward, backward] } else { [backward, forward] }
     }
 
     /// Which packets of the interface cross the link in a direction.
@@ -140,6 +151,7 @@ impl RealLinks {
         graph: &HardwareGraph,
         fabric: &mut Fabric,
         confirmed: &Confirmed,
+        probing: Option<Probing>,
     ) -> Result<Option<Self>, RealLinkError> {
         let links: HashMap<_, _> =
             graph.real_links().map(|real| (real.link.id.clone(), Place::of(real))).collect();
@@ -151,7 +163,19 @@ impl RealLinks {
             hold.take(name, &rules, confirmed)?;
             tracing::info!("{name} has the conditions of its links");
         }
-        Ok(Some(Self { links, hold: Mutex::new(hold), carried: Carried::default() }))
+        let reflectors = links.iter().filter(|(_, place)| place.reached.reflector);
+        let reflectors = reflectors.filter_map(|(link, place)| {
+            let asked = fabric.effective(link)?.map(Conditions::clone);
+            Some((link.clone(), place.reached.address?.address(), place.there_and_back(asked)))
+        });
+        let probes = probing.map(|probing| Reflected::begin(reflectors, probing)).transpose()?;
+        let alone = links.len() == graph.links.len();
+        Ok(Some(Self { links, hold: Mutex::new(hold), carried: Carried::default(), alone, probes }))
+    }
+
+    /// Whether there are no other links, so that nobody else can tell how late packets were.
+    pub(crate) fn are_alone(&self) -> bool {
+        self.alone
     }
 
     /// Whether a link leads over an interface of this machine.
@@ -174,11 +198,20 @@ impl RealLinks {
     ) -> Result<(), RealLinkError> {
         let place = &self.links[link];
         let rule = place.rule(link, direction, conditions)?;
-        Ok(self.hold().set(&place.reached.interface, &rule)?)
+        self.hold().set(&place.reached.interface, &rule)?;
+        if let Some(probes) = &self.probes {
+            probes.change(link, usize::from(direction != place.leaving), conditions);
+        }
+        Ok(())
     }
 
-    /// Completes the contexts of such links: λ and the counters are the interface's. d is nobody's measurement yet, and
-    /// what the fabric's own probes tell is not theirs.
+    /// By how much longer probes took than they were asked to; of other packets nobody knows.
+    pub(crate) fn lateness(&self) -> Lateness {
+        self.probes.as_ref().map(Reflected::lateness).unwrap_or_default()
+    }
+
+    /// Completes the contexts of such links: λ and the counters are the interface's, and probes cross it where a reflector
+    /// answers. Nobody measures what other packets take, and what the fabric's own probes tell is not theirs.
     pub(crate) fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         if !contexts.iter().any(|context| self.has(&context.link)) {
             return contexts;
@@ -201,7 +234,9 @@ impl RealLinks {
         }
         let mut found = 0;
         for context in contexts.iter_mut().filter(|context| self.has(&context.link)) {
-            (context.delay, context.probed) = (None, None);
+            let probed = self.probes.as_ref().and_then(|probes| probes.probed(&context.link));
+            let way = usize::from(context.direction != self.links[&context.link].leaving);
+            (context.delay, context.probed) = (None, probed.map(|ways| ways[way]));
             found += 1;
         }
         self.carried.complete(now, &mut contexts, &counted, found == 2 * self.links.len());

@@ -128,7 +128,10 @@ impl Network for RealNetwork {
     }
 
     fn lateness(&self, fabric: Lateness) -> Lateness {
-        self.kernel.as_ref().map_or(fabric, |kernel| kernel.lateness())
+        match &self.real {
+            Some(real) if real.are_alone() => real.lateness(),
+            _ => self.kernel.as_ref().map_or(fabric, |kernel| kernel.lateness()),
+        }
     }
 
     /// The kernel counts what the fabric does not see, and carries probes. What other packets take nobody measures then: it

@@ -1,20 +1,31 @@
-//! Measures, before a run begins, what the medium of a link over a real interface takes by itself: by STAMP (RFC 8762), and
-//! before anything is emulated there, so that no scale ever meets what emulation added.
+//! Measures links over real interfaces by STAMP (RFC 8762), where a machine at the other end answers: what the medium takes
+//! by itself, before anything is emulated there, so that no scale ever meets what emulation added; and for as long as the run
+//! goes on what the link then does.
 
 use std::{
-    io::{self, ErrorKind},
-    net::{IpAddr, SocketAddr, UdpSocket},
+    collections::{HashMap, VecDeque},
+    io,
+    net::{IpAddr, SocketAddr},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
     time::Duration,
 };
 
-use cotorra_graph::{HardwareGraph, LinkId};
-use cotorra_stamp::{PORT, Session, SessionConfig, Utc};
+use cotorra_fabric::{Histogram, WireProbes};
+use cotorra_graph::{Conditions, HardwareGraph, Lateness, LinkId, Probed, Probing};
+use cotorra_stamp::{Clock, PORT, Sender, SessionConfig, Told, Utc};
 
 use crate::real_links::RealLinkError;
 
 /// So many packets, so far apart: a second in all.
 const PACKETS: u32 = 20;
 const INTERVAL: Duration = Duration::from_millis(50);
+
+/// How soon the end is noticed, and how old what is told may be.
+const NOTICE: Duration = Duration::from_millis(100);
 
 /// Measures the media of all real links that have a reflector, and notes them in the graph.
 ///
@@ -39,44 +50,180 @@ pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), RealLinkErr
 /// Half of the median round trip, the reflector's rest left out: two machines' clocks do not tell one way from the other.
 fn one_way(link: &LinkId, address: IpAddr) -> Result<Duration, RealLinkError> {
     let none = || RealLinkError::NoReflector { link: link.clone(), address };
-    let measured = session(address).map_err(|source| RealLinkError::Socket { link: link.clone(), source })?;
+    let measured = round_trip(address).map_err(|source| no_socket(link, source))?;
     Ok(measured.ok_or_else(none)? / 2)
 }
 
-#[allow(clippy::disallowed_types, reason = "another machine answers on the wall clock")]
-fn session(address: IpAddr) -> io::Result<Option<Duration>> {
-    let any: SocketAddr = if address.is_ipv4() { ([0; 4], 0).into() } else { ([0_u16; 8], 0).into() };
-    let socket = UdpSocket::bind(any)?;
-    socket.connect((address, PORT))?;
-    let began = std::time::Instant::now();
-    // Only differences matter.
-    let now = || Utc::UNIX_EPOCH + began.elapsed();
-    let mut session = Session::new(SessionConfig { interval: INTERVAL, ..SessionConfig::default() }, now());
-    let mut buffer = [0; 2048];
-    loop {
-        if session.sent() == PACKETS {
-            session.stop();
+fn no_socket(link: &LinkId, source: io::Error) -> RealLinkError {
+    RealLinkError::Socket { link: link.clone(), source }
+}
+
+fn round_trip(address: IpAddr) -> io::Result<Option<Duration>> {
+    let config = SessionConfig { interval: INTERVAL, ..SessionConfig::default() };
+    let mut sender = Sender::connect(SocketAddr::new(address, PORT), config)?;
+    while sender.session().deadline().is_some() {
+        if sender.session().sent() == PACKETS {
+            sender.session_mut().stop();
         }
-        if let Some(probe) = session.poll(now()) {
-            match socket.send(&probe) {
-                // What an earlier packet met: nobody listens there. It counts as lost.
-                Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
-                sent => drop(sent?),
-            }
+        sender.step(NOTICE)?;
+    }
+    let measured = sender.session().measurement(sender.clock().now());
+    Ok(measured.and_then(|measured| measured.round_trip).map(|delays| delays.p50))
+}
+
+/// The probes of real links while a run goes on. They end with this.
+pub(crate) struct Reflected {
+    links: HashMap<LinkId, Arc<Shared>>,
+    /// By how much longer round trips took than both directions were asked to.
+    late: Arc<Mutex<Histogram>>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+/// What a link's thread and the others see.
+struct Shared {
+    clock: Clock,
+    stopping: AtomicBool,
+    state: Mutex<State>,
+}
+
+struct State {
+    /// What the way there and the way back are asked to do, each since a time on; the latest last, and as many before as the
+    /// session looks back.
+    asked: VecDeque<(Utc, [Conditions; 2])>,
+    /// Packets that were sent since then met nothing but the latest.
+    since: Utc,
+    /// What the probes told, and when.
+    told: Option<(Utc, [Told; 2])>,
+}
+
+impl Reflected {
+    /// Begins to probe links with reflectors at these addresses, whose ways there and back are asked to do this.
+    ///
+    /// # Errors
+    /// [`RealLinkError::Socket`].
+    pub(crate) fn begin(
+        links: impl Iterator<Item = (LinkId, IpAddr, [Conditions; 2])>,
+        probing: Probing,
+    ) -> Result<Self, RealLinkError> {
+        let mut reflected = Self { links: HashMap::new(), late: Arc::default(), threads: Vec::new() };
+        for (link, address, asked) in links {
+            let mut config = WireProbes::session(&probing, asked.each_ref());
+            // Another run may ask the same reflector from the same address.
+            config.identifier = std::process::id() as u16;
+            let sender = Sender::connect(SocketAddr::new(address, PORT), config);
+            let sender = sender.map_err(|source| no_socket(&link, source))?;
+            let clock = sender.clock();
+            let since = clock.now();
+            let state = State { asked: [(since, asked)].into(), since, told: None };
+            let shared =
+                Arc::new(Shared { clock, stopping: AtomicBool::new(false), state: Mutex::new(state) });
+            let (its, late, name) = (Arc::clone(&shared), Arc::clone(&reflected.late), link.clone());
+            let thread = thread::Builder::new().name("probes".into());
+            let thread = thread.spawn(move || its.probe(sender, &name, probing, &late));
+            reflected.threads.push(thread.map_err(|source| no_socket(&link, source))?);
+            reflected.links.insert(link, shared);
         }
-        let Some(deadline) = session.deadline() else { break };
-        socket.set_read_timeout(Some(deadline.since(now()).max(Duration::from_micros(1))))?;
-        match socket.recv(&mut buffer) {
-            // Whatever else comes to this port is nobody's reply.
-            Ok(length) => drop(session.receive(&buffer[..length], now())),
-            Err(error) => match error.kind() {
-                ErrorKind::WouldBlock
-                | ErrorKind::TimedOut
-                | ErrorKind::Interrupted
-                | ErrorKind::ConnectionRefused => {}
-                _ => return Err(error),
-            },
+        Ok(reflected)
+    }
+
+    /// The way there (0) or back (1) of a link is asked to do something else, since just now. Does nothing for a link that is
+    /// not probed.
+    pub(crate) fn change(&self, link: &LinkId, way: usize, conditions: &Conditions) {
+        let Some(shared) = self.links.get(link) else { return };
+        let mut state = shared.lock();
+        let now = shared.clock.now();
+        let mut asked = state.asked.back().expect("there is always one").1.clone();
+        // What is sent sooner than that may have to wait for what was sent before, because order is kept.
+        state.since = now + asked.iter().map(|before| before.delay).sum();
+        asked[way] = conditions.clone();
+        state.asked.push_back((now, asked));
+    }
+
+    /// What is known of the way there and the way back of a link; `None` if it is not probed, or not yet.
+    pub(crate) fn probed(&self, link: &LinkId) -> Option<[Probed; 2]> {
+        let shared = self.links.get(link)?;
+        let (at, told) = shared.lock().told?;
+        let since = shared.clock.now().since(at);
+        Some(told.map(|told| {
+            let delays = told.delays.map(|(delays, age)| (delays, age + since));
+            WireProbes::told(Told { delays, loss: told.loss, loss_age: told.loss_age + since })
+        }))
+    }
+
+    /// By how much longer round trips took than links and their media were asked to, on those where no jitter and no
+    /// reordering leaves that to chance.
+    pub(crate) fn lateness(&self) -> Lateness {
+        self.late.lock().unwrap_or_else(PoisonError::into_inner).summary()
+    }
+}
+
+impl Drop for Reflected {
+    fn drop(&mut self) {
+        self.links.values().for_each(|shared| shared.stopping.store(true, Ordering::Relaxed));
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
         }
     }
-    Ok(session.measurement(now()).and_then(|measured| measured.round_trip).map(|delays| delays.p50))
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn probe(&self, mut sender: Sender, link: &LinkId, probing: Probing, late: &Mutex<Histogram>) {
+        let mut fails = false;
+        while !self.stopping.load(Ordering::Relaxed) {
+            let round_trip = match sender.step(NOTICE) {
+                Ok(round_trip) => {
+                    fails = false;
+                    round_trip
+                }
+                // A packet that was not sent is lost like any other.
+                Err(error) => {
+                    if !std::mem::replace(&mut fails, true) {
+                        tracing::warn!("`{link}` cannot be probed: {error}");
+                    }
+                    None
+                }
+            };
+            let now = self.clock.now();
+            let mut state = self.lock();
+            if let Some(took) = round_trip
+                && now - took >= state.since
+                && let Some(asked) = state.alone()
+            {
+                late.lock().unwrap_or_else(PoisonError::into_inner).record(took.saturating_sub(asked));
+            }
+            let (_, asked) = state.asked.back().expect("there is always one");
+            let config = WireProbes::session(&probing, asked.each_ref());
+            sender.session_mut().pace(config);
+            state.forget(now - config.window);
+            if state.told.is_none_or(|(at, _)| now.since(at) >= NOTICE) {
+                state.told = sender.session().apart(now, |at| state.least(at)).map(|told| (now, told));
+            }
+        }
+    }
+}
+
+impl State {
+    /// How long both ways take at least, for what was sent then.
+    fn least(&self, at: Utc) -> [Duration; 2] {
+        let until = self.asked.partition_point(|(since, _)| *since <= at);
+        let (_, asked) = &self.asked[until.saturating_sub(1)];
+        asked.each_ref().map(|way| way.alone(WireProbes::BYTES).unwrap_or(way.delay))
+    }
+
+    /// How long a round trip takes now; `None` where chance decides.
+    fn alone(&self) -> Option<Duration> {
+        let (_, [there, back]) = self.asked.back()?;
+        Some(there.alone(WireProbes::BYTES)? + back.alone(WireProbes::BYTES)?)
+    }
+
+    /// Nobody looks back further than that.
+    fn forget(&mut self, from: Utc) {
+        while self.asked.get(1).is_some_and(|(since, _)| *since <= from) {
+            self.asked.pop_front();
+        }
+    }
 }

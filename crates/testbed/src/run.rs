@@ -241,7 +241,8 @@ impl Run {
             probe_links(&mut fabric, &testbed);
         }
         // Last of what can be refused; from here on the interfaces are put back at the end.
-        let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces)?;
+        let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces, testbed.probes)?;
+        let probes_tell = kernel.is_some() || real.as_ref().is_some_and(RealLinks::are_alone);
         let with_events =
             cotorra_datapath::Options { events: Some(events), let_cores_sleep, kernel, ..Default::default() };
         let datapath = Arc::new(Datapath::start(&testbed.graph, fabric, with_events)?);
@@ -319,7 +320,7 @@ impl Run {
         }
         core.start(now());
         let report = Report::new(&testbed, seed);
-        let report = if datapath.kernel().is_some() { report.by_the_kernel() } else { report };
+        let report = if probes_tell { report.by_the_kernel() } else { report };
         let mut readers =
             Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };
         if let Some(earlier) = &options.after {

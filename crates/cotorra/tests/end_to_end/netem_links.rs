@@ -181,6 +181,38 @@ fn a_real_link_has_its_conditions_as_long_as_the_run_goes_on() {
 }
 
 #[test]
+fn an_interface_with_conditions_of_cotorras_own_is_refused() {
+    if !has_netem() {
+        return;
+    }
+    let done = on_a_wire(
+        TESTBED,
+        "refused() { ! $COTORRA run $FILE --headless --api 127.0.0.1:7798 --until 1s \"$@\" >refused.txt 2>&1 || exit 1
+             plain <refused.txt; echo; }
+         $COTORRA netem set va --delay 1ms >/dev/null
+         refused; refused --replace
+         tc qdisc show dev va | grep -c 'delay 1ms'
+         $COTORRA netem clear va >/dev/null
+         start
+         refused --replace
+         rtt 10.9.0.2
+         kill -INT $run; ends
+         qdiscs",
+    );
+    let said = lines(&done);
+    for refused in &said[..2] {
+        assert!(
+            refused.contains("`va` has conditions already") && refused.contains("netem clear va"),
+            "{said:?}"
+        );
+    }
+    assert_eq!(said[2], "1", "they are there as before");
+    assert!(said[3].contains("`va` is held by another run, process"), "{said:?}");
+    assert!(said[4].parse::<f64>().unwrap() >= 20.0, "and that run goes on: {said:?}");
+    assert!(said[5].starts_with("qdisc noqueue 0:") && said.len() == 6, "{said:?}");
+}
+
+#[test]
 fn what_a_killed_run_left_is_put_back() {
     if !has_netem() {
         return;
@@ -246,4 +278,47 @@ fn what_the_medium_takes_is_measured_and_scaled_once() {
     assert!(is(figures[2], 3.0 * d) && is(figures[3], 2.0 * d), "(ψ - 1)·d is added: {said:?}");
     assert_eq!(figures[4..6], figures[2..4], "nothing is scaled twice");
     assert!(is(figures[6], 0.5 * (d + 20.0)) && is(figures[7], 10.0 - 0.5 * d), "{said:?}");
+}
+
+/// A reflector at the other end tells of a link what it does to packets as the run goes on, each direction by itself, and
+/// whether that is what was asked. Nothing else does.
+#[test]
+fn a_real_link_with_a_reflector_is_probed_as_long_as_the_run_goes_on() {
+    if !has_netem() {
+        return;
+    }
+    let testbed = TESTBED
+        .replace("10.9.0.2 }", "10.9.0.2, reflector: true }")
+        .replace(", delay: 10 ms", ", forward: { delay: 30 ms }, backward: { delay: 10 ms, loss: 20 % }")
+        + "probes: { interval: 20 ms, window: 2 s }\n";
+    let done = on_a_wire(
+        &testbed,
+        "nsenter --net=/proc/$far/ns/net $COTORRA stamp reflect --listen 10.9.0.2:862 >reflect.txt 2>&1 & reflector=$!
+         until grep -q reflecting reflect.txt; do kill -0 $reflector; sleep 0.1; done
+         start
+         shown() { $COTORRA link show $1 --api $api --json; }
+         told() { shown desk-arm | python3 -c '
+import json, sys
+for way in json.load(sys.stdin):
+    probed = way[\"probed\"] or {}
+    print(way[\"direction\"], probed.get(\"delay_ms\") or 0, probed.get(\"loss\") or 0)' | tr '\\n' ' '; echo; }
+         # What a window tells that has filled since.
+         filled() { sleep 3; }
+         filled; told
+         $COTORRA link set desk-arm --api $api --direction backward --delay 50ms --loss 0% >/dev/null
+         filled; told
+         # No reflector is at the other machine's address.
+         shown desk-leg | grep -c '\"probed\": {' || true
+         kill -INT $run; ends
+         grep -o 'only probes tell how late' run.txt",
+    );
+    let said = lines(&done);
+    let told = |line: &str| -> Vec<f64> { line.split(' ').filter_map(|word| word.parse().ok()).collect() };
+    // Forward, backward: what was asked, what the medium takes, and what the kernel is late.
+    let [before, after] = [told(&said[0]), told(&said[1])];
+    assert!((30.0..35.0).contains(&before[0]) && (10.0..15.0).contains(&before[2]), "{said:?}");
+    assert!(before[1] == 0.0 && (0.05..0.4).contains(&before[3]), "the loss is the way back's: {said:?}");
+    assert!((30.0..35.0).contains(&after[0]) && (50.0..55.0).contains(&after[2]), "{said:?}");
+    assert_eq!((after[1], after[3]), (0.0, 0.0), "{said:?}");
+    assert_eq!(said[2..], ["0", "only probes tell how late"]);
 }

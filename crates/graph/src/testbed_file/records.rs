@@ -455,7 +455,7 @@ record! {
         /// other node's.
         address: Option<Spanned<IpNetwork>>,
         /// Whether a reflector of STAMP (RFC 8762, port 862) is at its address, such as `cotorra stamp reflect`: a run then
-        /// measures the delay of the medium before it begins.
+        /// measures the delay of the medium before it begins, and probes the link as long as it goes on.
         reflector: Spanned<bool> = false,
     }
 }
