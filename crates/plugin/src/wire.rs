@@ -20,19 +20,29 @@
 
 mod localization;
 
-use cotorra_graph::{NodeId, Timestamp};
+use cotorra_graph::{NodeId, Testbed, Timestamp, VnfId};
 
-pub use localization::{LOCALIZATION_PORT, MAX_BEAMS, PosePacket, ScanPacket};
+pub use localization::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use crate::messages::{Message, MessageError, Pose, Twist};
 
-/// The UDP port where navigation VNFs listen.
-pub const NAVIGATION_PORT: u16 = 7711;
+/// The UDP port of a testbed's first VNF.
+const FIRST_PORT: u16 = 7711;
+/// From there on the system gives ports away.
+const END_OF_PORTS: u16 = 32_768;
 /// Bytes of the header.
 pub const HEADER_LEN: usize = 24;
 
 const MAGIC: [u8; 4] = *b"ctra";
 const VERSION: u8 = 2;
+
+/// The UDP port where a VNF of a testbed listens, wherever it runs: each has one of its own, in the order of the file, so that
+/// one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
+pub fn port(testbed: &Testbed, vnf: &VnfId) -> Option<u16> {
+    let mut all = testbed.services.iter().flat_map(|service| &service.vnfs);
+    let place = all.position(|other| other.id == *vnf)?;
+    Some(FIRST_PORT + (place % usize::from(END_OF_PORTS - FIRST_PORT)) as u16)
+}
 
 /// Why a datagram is none of the service's.
 #[derive(Debug, thiserror::Error)]

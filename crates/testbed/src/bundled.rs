@@ -9,10 +9,7 @@ use cotorra_graph::{
     testbed_file::{self, InvalidSetting},
 };
 use cotorra_network_control::vim::READY;
-use cotorra_plugin::{
-    vnf,
-    wire::{LOCALIZATION_PORT, NAVIGATION_PORT},
-};
+use cotorra_plugin::vnf;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
 
 /// The testbed file that the run uses.
@@ -21,12 +18,14 @@ pub(crate) const TESTBED: &str = "COTORRA_TESTBED";
 pub(crate) const SETTINGS: &str = "COTORRA_TESTBED_SETTINGS";
 /// The robot that is served.
 pub(crate) const ROBOT: &str = "COTORRA_ROBOT";
+/// The UDP port where the VNF is to listen.
+pub(crate) const PORT: &str = "COTORRA_PORT";
 
 /// Why a bundled VNF does not serve.
 #[derive(Debug, thiserror::Error)]
 pub enum VnfError {
     /// It was started by hand.
-    #[error("{0} is not set: VNFs are started by `cotorra run`, not by hand")]
+    #[error("{0} is not set, or none: VNFs are started by `cotorra run`, not by hand")]
     Environment(&'static str),
     /// The name of the robot is none.
     #[error(transparent)]
@@ -58,9 +57,9 @@ pub enum VnfError {
 /// # Errors
 /// [`VnfError`]; it never returns otherwise.
 pub fn navigation() -> Result<Infallible, VnfError> {
-    let (testbed, robot) = asked()?;
+    let (testbed, robot, port) = asked()?;
     let vnf = NavigationVnf::new(&testbed, &robot)?;
-    serve(NAVIGATION_PORT, |socket| {
+    serve(port, |socket| {
         // A server's CPUs are its own; those of this machine may be busy with something else. It works for microseconds.
         cotorra_datapath::be_punctual();
         cotorra_brain::serve(vnf, socket)
@@ -72,25 +71,26 @@ pub fn navigation() -> Result<Infallible, VnfError> {
 /// # Errors
 /// [`VnfError`]; it never returns otherwise.
 pub fn localization() -> Result<Infallible, VnfError> {
-    let (testbed, robot) = asked()?;
+    let (testbed, robot, port) = asked()?;
     let mut vnf = LocalizationVnf::new(&testbed, &robot, testbed.seed)?;
     // It works for longer than anyone else may be held up, and nobody measures how fast it answers.
-    serve(LOCALIZATION_PORT, |socket| {
+    serve(port, |socket| {
         eprintln!("localizing `{}`", vnf.robot());
         vnf::serve(socket, |datagram, answer| vnf.answer(datagram, answer))
     })
 }
 
-/// The run's testbed, and the robot that is to be served.
-fn asked() -> Result<(Testbed, NodeId), VnfError> {
+/// The run's testbed, the robot that is to be served, and where.
+fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
     let text = |name| env::var(name).map_err(|_| VnfError::Environment(name));
     let file = PathBuf::from(text(TESTBED)?);
     let robot = NodeId::new(&text(ROBOT)?)?;
+    let port = text(PORT)?.parse().map_err(|_| VnfError::Environment(PORT))?;
     let settings = env::var(SETTINGS).unwrap_or_default();
     let settings = settings.lines().map(str::parse).collect::<Result<Vec<_>, _>>()?;
     let testbed = testbed_file::load_with(&file, &settings)
         .map_err(|problems| VnfError::Testbed(problems.to_string()))?;
-    Ok((testbed, robot))
+    Ok((testbed, robot, port))
 }
 
 /// Says that it is ready once it can be reached, and serves.

@@ -14,7 +14,7 @@ use cotorra_graph::{
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
-use cotorra_plugin::wire::{Answer, LOCALIZATION_PORT, NAVIGATION_PORT};
+use cotorra_plugin::wire::{self, Answer};
 use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
 use crate::{
@@ -25,6 +25,9 @@ use crate::{
 
 /// Who asks for what is scripted.
 const SCHEDULE: &str = "schedule";
+
+/// Where nobody listens (RFC 863).
+const DISCARD: u16 = 9;
 
 /// How often κ is collected.
 const CONTEXT: Duration = Duration::from_millis(100);
@@ -45,10 +48,10 @@ pub(crate) struct Core<N, E> {
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
-    /// The navigation VNF of each robot.
-    navigators: BTreeMap<NodeId, VnfId>,
-    /// The localization VNF of each robot that has one.
-    localizers: BTreeMap<NodeId, VnfId>,
+    /// The navigation VNF of each robot, and its port.
+    navigators: BTreeMap<NodeId, (VnfId, u16)>,
+    /// The localization VNF of each robot that has one, and its port.
+    localizers: BTreeMap<NodeId, (VnfId, u16)>,
     /// φ of each robot as last seen.
     attachments: BTreeMap<NodeId, Vec<Attachment>>,
     events: VecDeque<Stamped>,
@@ -75,7 +78,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         let of_robots = |program: Program| {
             let of_service = |service: &cotorra_graph::Service| {
                 let vnf = service.vnfs.iter().find(|vnf| vnf.program == program)?;
-                Some((service.robot.clone(), vnf.id.clone()))
+                Some((service.robot.clone(), (vnf.id.clone(), wire::port(&testbed, &vnf.id)?)))
             };
             testbed.services.iter().filter_map(of_service).collect()
         };
@@ -162,12 +165,14 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     fn poll_position(&mut self, now: Timestamp) -> Option<Datagram> {
         loop {
-            let mut route = None;
+            let (mut route, mut port) = (None, DISCARD);
             let packet = self.middleware.poll_position(now, |robot| {
                 let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
-                let navigator = self.navigators.get(robot).and_then(|vnf| self.control.node(vnf));
+                let navigator = self.navigators.get(robot);
+                let node = navigator.and_then(|(vnf, _)| self.control.node(vnf));
                 // Without a navigation VNF the robot talks to itself, and nobody answers.
-                let server = navigator.unwrap_or(robot).clone();
+                let server = node.unwrap_or(robot).clone();
+                port = navigator.map_or(DISCARD, |(_, port)| *port);
                 let taken = Route { attachment: attached.map(|a| a.radio_unit.clone()), server };
                 route.insert(taken).clone()
             })?;
@@ -175,7 +180,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             let Some(address) = address else { continue };
             let mut bytes = Vec::with_capacity(512);
             packet.encode(&mut bytes);
-            let to = SocketAddrV4::new(address.ipv4, NAVIGATION_PORT);
+            let to = SocketAddrV4::new(address.ipv4, port);
             return Some(Datagram { robot: packet.robot, to, bytes });
         }
     }
@@ -183,12 +188,12 @@ impl<N: Network, E: Engine> Core<N, E> {
     fn poll_scan_packet(&mut self, now: Timestamp) -> Option<Datagram> {
         loop {
             let packet = self.middleware.poll_localization(now)?;
-            let node = self.localizers.get(&packet.robot).and_then(|vnf| self.control.node(vnf));
-            let address = node.and_then(|node| self.testbed.graph.address(node));
+            let Some((vnf, port)) = self.localizers.get(&packet.robot) else { continue };
+            let address = self.control.node(vnf).and_then(|node| self.testbed.graph.address(node));
             let Some(address) = address else { continue };
             let mut bytes = Vec::with_capacity(1024);
             packet.encode(&mut bytes);
-            let to = SocketAddrV4::new(address.ipv4, LOCALIZATION_PORT);
+            let to = SocketAddrV4::new(address.ipv4, *port);
             return Some(Datagram { robot: packet.robot, to, bytes });
         }
     }

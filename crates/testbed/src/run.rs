@@ -22,6 +22,7 @@ use cotorra_graph::{
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_netem::Confirmed;
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
+use cotorra_plugin::wire;
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::SimulatedRobot;
 use cotorra_wais::types::Epoch;
@@ -531,6 +532,9 @@ impl Launcher for NodeLauncher {
         command.env(bundled::SETTINGS, &self.settings);
         if let Some(robot) = self.robots.get(&vnf.id) {
             command.env(bundled::ROBOT, robot.as_str());
+        }
+        if let Some(port) = wire::port(&self.testbed, &vnf.id) {
+            command.env(bundled::PORT, port.to_string());
         }
         command
     }

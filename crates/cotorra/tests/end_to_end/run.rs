@@ -2,7 +2,7 @@
 
 use std::{fs, process::Command};
 
-use crate::harness::{Run, corridor, cotorra};
+use crate::harness::{Run, corridor, cotorra, project_file, wait_until};
 
 /// R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
 const THEORY_MS: f64 = 11.0;
@@ -68,6 +68,62 @@ fn localization_moves_to_another_server_while_the_robot_walks() {
     assert!(printed.contains("localization  off by a median of"), "{printed}");
     let log = fs::read_to_string(run.folder.join("logs/localization.log")).unwrap();
     assert_eq!(log.matches("localizing `robot`").count(), 2, "{log}");
+}
+
+/// Each VNF has a port of its own.
+#[test]
+fn one_server_carries_the_vnfs_of_many_robots() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("many.yaml");
+    let (robots, mut services, mut walks) = (["first", "second", "third"], String::new(), String::new());
+    for (place, robot) in robots.iter().enumerate() {
+        services += &format!(
+            "  {robot}:
+    robot: {robot}
+    kpis: {{ service_time: 50 ms }}
+    vnfs:
+      {robot}-driver: {{ program: robot_driver, pinned_to: {robot} }}
+      {robot}-navigation: {{ program: navigation, node: edge }}
+    virtual_links: [{{ from: {robot}-driver, to: {robot}-navigation, rate: 0.1 Mbit/s }}]
+  {robot}-place:
+    robot: {robot}
+    kpis: {{ service_time: 200 ms }}
+    vnfs:
+      {robot}-lidar: {{ program: robot_driver, pinned_to: {robot}, cpus: 0 }}
+      {robot}-localization: {{ program: localization, node: edge }}
+    virtual_links: [{{ from: {robot}-lidar, to: {robot}-localization, rate: 0.1 Mbit/s }}]
+"
+        );
+        let x = 25.3 + 0.8 * place as f64;
+        walks += &format!("  {robot}: {{ waypoints: [[{x}, -27], [{x}, -20]] }}\n");
+    }
+    let nodes: String = robots.map(|robot| format!("  {robot}: {{ kind: robot }}\n")).concat();
+    let map = project_file("testbeds/maps/corridor.yaml");
+    let text = format!(
+        "name: many\nmap: {}\nwireless: {{ lab: {{ standard: n }} }}\nnodes:\n{nodes}
+  unit: {{ kind: radio_unit, position: [26, -24], channel: 1 }}
+  edge: {{ kind: server, tier: edge, cpus: 8, memory: 8 GB }}
+links: [{{ ends: [unit, edge], delay: 1 ms }}]
+services:\n{services}\nwalks:\n{walks}",
+        map.display()
+    );
+    fs::write(&file, text).unwrap();
+    let mut run = Run::start(&file, &["--until", "5min"]);
+    for robot in robots {
+        // Its own VNF navigates it, and its own VNF tells it where it is.
+        let navigated = || {
+            let times = run.get("/api/v1/measurements/service-times?limit=1000");
+            times["items"].as_array().unwrap().iter().any(|sample| sample["service"] == robot)
+        };
+        wait_until(navigated);
+        let itself = format!("/api/v1/robots/{robot}");
+        wait_until(|| run.get(&itself)["sensors"]["pose"]["source"] == "localization");
+    }
+    run.signal("INT");
+    let (summary, _) = run.report();
+    assert_eq!(summary["localization"].as_array().unwrap().len(), robots.len(), "{summary:#}");
+    let log = fs::read_to_string(run.folder.join("logs/cotorra.log")).unwrap();
+    assert!(!log.contains("WARN") && !log.contains("ERROR"), "{log}");
 }
 
 #[test]

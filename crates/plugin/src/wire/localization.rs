@@ -13,8 +13,6 @@ use cotorra_graph::{NodeId, Pose, PoseSource, Timestamp};
 
 use super::{Header, Kind, WireError, write_header};
 
-/// The UDP port where localization VNFs listen.
-pub const LOCALIZATION_PORT: u16 = 7712;
 /// With so many beams and a name of 63 letters, a scan fits into one Ethernet frame.
 pub const MAX_BEAMS: usize = 480;
 

@@ -9,7 +9,7 @@ use std::{
 use cotorra_brain::NavigationVnf;
 use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
 use cotorra_network_control::vim::{Engine, EngineEvent, InstanceId, Outcome};
-use cotorra_plugin::wire::{LOCALIZATION_PORT, NAVIGATION_PORT};
+use cotorra_plugin::wire;
 use cotorra_robot_middleware::LocalizationVnf;
 
 /// An instance of a bundled VNF.
@@ -20,17 +20,17 @@ enum Bundled {
 }
 
 impl Bundled {
-    /// Writes the answer to a datagram that came to that port; false if there is none.
-    fn answer(&mut self, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
+    /// Writes the answer to a datagram; false if there is none.
+    fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
         match self {
-            Self::Navigation(vnf) => port == NAVIGATION_PORT && vnf.answer(datagram, answer).is_ok(),
-            Self::Localization(vnf) => port == LOCALIZATION_PORT && vnf.answer(datagram, answer).is_ok(),
+            Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
+            Self::Localization(vnf) => vnf.answer(datagram, answer).is_ok(),
         }
     }
 }
 
-/// By node, in the order in which they were started.
-type Instances = BTreeMap<NodeId, Vec<(InstanceId, Bundled)>>;
+/// By node, in the order in which they were started, each with its port.
+type Instances = BTreeMap<NodeId, Vec<(InstanceId, u16, Bundled)>>;
 
 /// The VNFs that serve on each node.
 #[derive(Clone, Default)]
@@ -39,17 +39,16 @@ pub(super) struct Serving(Rc<RefCell<Instances>>);
 impl Serving {
     /// Writes what the VNFs on a node answer to a datagram that came to that port; false if none does.
     pub(super) fn answer(&self, node: &NodeId, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
-        self.0
-            .borrow_mut()
-            .get_mut(node)
-            .is_some_and(|instances| instances.iter_mut().any(|(_, vnf)| vnf.answer(port, datagram, answer)))
+        let mut all = self.0.borrow_mut();
+        let here = all.get_mut(node).into_iter().flatten().filter(|(_, at, _)| *at == port);
+        here.into_iter().any(|(_, _, vnf)| vnf.answer(datagram, answer))
     }
 }
 
 /// Runs the bundled VNFs as parts of the simulation; an instance is ready at once.
 pub(super) struct VirtualEngine {
-    /// What an instance begins as, by VNF.
-    planned: BTreeMap<VnfId, Bundled>,
+    /// What an instance begins as, and its port, by VNF.
+    planned: BTreeMap<VnfId, (u16, Bundled)>,
     serving: Serving,
     running: BTreeMap<InstanceId, NodeId>,
     happened: VecDeque<EngineEvent>,
@@ -70,7 +69,7 @@ impl VirtualEngine {
                     }
                     Program::RobotDriver | Program::Command(_) => return None,
                 };
-                Some((vnf.id.clone(), bundled))
+                Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })
         });
         Self { planned: planned.collect(), serving, running: BTreeMap::new(), happened: VecDeque::new() }
@@ -82,8 +81,8 @@ impl Engine for VirtualEngine {
         if !matches!(vnf.program, Program::Navigation | Program::Localization) {
             return Err("only the bundled VNFs run in virtual time".to_owned());
         }
-        let bundled = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
-        self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, bundled));
+        let (port, bundled) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
+        self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, port, bundled));
         self.running.insert(instance, node.clone());
         self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
         Ok(())
@@ -93,7 +92,7 @@ impl Engine for VirtualEngine {
         if let Some(node) = self.running.remove(&instance)
             && let Some(instances) = self.serving.0.borrow_mut().get_mut(&node)
         {
-            instances.retain(|(id, _)| *id != instance);
+            instances.retain(|(id, ..)| *id != instance);
         }
     }
 
