@@ -1,10 +1,27 @@
 //! `cotorra check`: says all that is wrong with testbed files, or what they hold.
 
-use std::process::ExitCode;
+use std::{path::PathBuf, process::ExitCode};
 
+use clap::Args;
 use cotorra_testbed::Rehearsal;
 
-use crate::{cli::CheckArgs, output, testbed_file};
+use crate::{output, testbed_file};
+
+/// Check testbed files
+///
+/// Says everything that is wrong with each, in its place, with what would be right; or, where nothing is, what the
+/// testbed holds.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra check testbeds/*.yaml
+
+Exit status: 0 if all are right, 1 if one is not.")]
+pub struct CheckArgs {
+    /// The testbed files.
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+}
 
 /// What is scripted for links, in a few words; nothing if nothing is.
 fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {

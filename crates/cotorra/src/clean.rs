@@ -1,8 +1,20 @@
 //! `cotorra clean`: removes what killed runs left behind.
 
+use clap::Args;
 use miette::miette;
 
-use crate::{cli::CleanArgs, output, testbed_file::count};
+use crate::{output, testbed_file::count};
+
+/// Remove what killed runs left behind
+///
+/// Namespaces, their interfaces and processes go with their run, however it ends. When a run is killed with SIGKILL, control
+/// groups do not, nor do conditions of this machine's own interfaces; the next run removes them, or this.
+#[derive(Debug, Args)]
+pub struct CleanArgs {
+    /// Only say what would be removed
+    #[arg(short = 'n', long)]
+    pub dry_run: bool,
+}
 
 /// Removes it, or only says what there is.
 pub fn clean(args: &CleanArgs) -> miette::Result<()> {

@@ -2,11 +2,35 @@
 
 use std::{convert::Infallible, io, net::SocketAddr, os::unix::process::CommandExt, process::Command};
 
+use clap::Args;
 use cotorra_datapath::HostsFile;
 use cotorra_graph::{NodeId, ros1_environment};
 use cotorra_plugin::client::{Client, ClientError};
 
-use crate::{cli::ExecArgs, run::token_text};
+use crate::run::{DEFAULT_API, token_text};
+
+/// Run a program inside a node of the running testbed
+///
+/// The program sees the node's network and nothing else changes: same files, same user, same terminal. Nodes have
+/// their names.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra exec robot -- ping -c 3 cloud
+  cotorra exec edge -- iperf3 -s
+  cotorra exec robot -- bash
+
+Exit status: the program's.")]
+pub struct ExecArgs {
+    /// The node.
+    pub node: NodeId,
+    /// The program and its arguments.
+    #[arg(required = true, last = true, value_name = "COMMAND")]
+    pub command: Vec<String>,
+    /// Address of the run's API, as its terminal shows it
+    #[arg(long, value_name = "ADDR:PORT", default_value = DEFAULT_API)]
+    pub api: SocketAddr,
+}
 
 /// Why the program does not run.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]

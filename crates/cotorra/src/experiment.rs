@@ -1,7 +1,9 @@
 //! `cotorra experiment`: repeats a published experiment and shows it beside what was published.
 
+mod args;
 mod federation;
 
+pub use args::Experiment;
 pub use federation::federation;
 
 use std::{fs, path::Path, process::ExitCode};
@@ -13,8 +15,8 @@ use cotorra_testbed::{
     experiment::okpi::{CONTENDERS, Comparison, FILES},
 };
 
+use self::args::OkpiArgs;
 use crate::{
-    cli::OkpiArgs,
     history, output,
     run::{self, Stage},
     testbed_file::{self, Loaded, count},

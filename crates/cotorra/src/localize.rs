@@ -10,6 +10,7 @@ use std::{
     time::Duration,
 };
 
+use clap::{Args, ValueEnum};
 use cotorra_graph::map_server;
 use cotorra_localization::{
     Estimate, LikelihoodField, LocalizationError, Localizer, Parameters, Pose2,
@@ -18,11 +19,78 @@ use cotorra_localization::{
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::{
-    cli::{LocalizeArgs, LocalizeMode},
-    output, signals,
-    testbed_file::FileError,
-};
+use crate::{output, signals, testbed_file::FileError};
+
+/// Find where a robot was, from a recorded log and a map
+///
+/// Monte Carlo localization, as it runs in a testbed, on a log of CARMEN (ROBOTLASER1 or FLASER), the format of most
+/// public lidar data sets. Odometry is taken from the laser messages. The trajectory is written as a table: time, pose,
+/// covariance, how many particles there were, and whether the scan was used.
+///
+/// Given a reference, it says how far off the trajectory is. A reference is a corrected log, or lines of
+/// `time,x,y,heading` or in the TUM format.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra localize --map intel.yaml --log intel.log > trajectory.csv
+  cotorra localize --map intel.yaml --log intel.log --reference intel.corrected.log --out trajectory.csv
+  cotorra localize --map intel.yaml --log intel.log --reference intel.corrected.log --mode amcl --seed 7
+  cotorra localize --map intel.yaml --log intel.log --global
+
+Exit status: 0 done, 1 error, 2 wrong usage, 130 stopped with Ctrl-C; what was found until then is written.")]
+pub struct LocalizeArgs {
+    /// The map: a YAML file of map_server
+    #[arg(long, value_name = "MAP.yaml")]
+    pub map: PathBuf,
+    /// The log
+    #[arg(long, value_name = "LOG")]
+    pub log: PathBuf,
+    /// Where the robot really was
+    #[arg(long, value_name = "FILE")]
+    pub reference: Option<PathBuf>,
+    /// How particles are weighed
+    #[arg(long, value_enum, default_value = "likelihood")]
+    pub mode: LocalizeMode,
+    /// Where the robot is at the first scan, metres and degrees; if it is left out, where the reference or else the
+    /// log's odometry says
+    #[arg(long, value_name = "X,Y,HEADING", value_parser = parse_start, allow_hyphen_values = true, conflicts_with = "global")]
+    pub start: Option<[f64; 3]>,
+    /// Nothing is known of where it is
+    #[arg(long)]
+    pub global: bool,
+    /// The laser's reach, in place of what the log says or else 80: farther readings hit nothing
+    #[arg(long, value_name = "METRES")]
+    pub max_range: Option<f64>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Write the trajectory there in place of standard output
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Show no progress bar
+    #[arg(long)]
+    pub headless: bool,
+}
+
+/// How particles are weighed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum LocalizeMode {
+    /// By the likelihood of what the lidar saw
+    Likelihood,
+    /// As ROS AMCL does, with its defaults
+    Amcl,
+}
+
+/// Reads `1.5,-2,90`; the heading comes back in radians.
+fn parse_start(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text.split(',').map_while(|part| part.trim().parse().ok()).collect();
+    match numbers[..] {
+        [x, y, degrees] if [x, y, degrees].iter().all(|number| number.is_finite()) => {
+            Ok([x, y, degrees.to_radians()])
+        }
+        _ => Err("write x, y and heading, such as 1.5,-2,90".to_owned()),
+    }
+}
 
 /// What a shell calls a program that SIGINT ended.
 const INTERRUPTED: u8 = 130;
@@ -191,4 +259,18 @@ fn told(
     let mut errors = Errors::default();
     pairs[begin..].iter().for_each(|(_, estimate, truth)| errors.push(&estimate.belief(), *truth));
     Ok(told + &format!("{errors}\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_start_is_x_y_and_a_heading_in_degrees() {
+        assert_eq!(parse_start("1.5, -2,0"), Ok([1.5, -2.0, 0.0]));
+        assert_eq!(parse_start("0,0,180"), Ok([0.0, 0.0, std::f64::consts::PI]));
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,nan", "a,b,c"] {
+            assert!(parse_start(wrong).is_err(), "{wrong}");
+        }
+    }
 }

@@ -7,6 +7,7 @@ mod check;
 mod clean;
 mod cli;
 mod doctor;
+mod duration;
 mod exec;
 mod experiment;
 mod history;
@@ -29,7 +30,8 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 use miette::{IntoDiagnostic, MietteHandlerOpts};
 
-use cli::{BundledVnf, Cli, Command, Experiment};
+use cli::{BundledVnf, Cli, Command};
+use experiment::Experiment;
 use testbed_file::FileError;
 
 fn main() -> ExitCode {

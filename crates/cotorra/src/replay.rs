@@ -1,7 +1,14 @@
 //! `cotorra replay`: plays a recorded run through the API, and prints what a plug-in asks for meanwhile.
 
-use std::{path::Path, process::ExitCode, time::Duration};
+use std::{
+    net::SocketAddr,
+    num::NonZero,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::Duration,
+};
 
+use clap::Args;
 use cotorra_graph::{
     Testbed, Timestamp,
     testbed_file::{self, Setting},
@@ -10,11 +17,68 @@ use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOpti
 use indicatif::ProgressBar;
 
 use crate::{
-    cli::{self, ReplayArgs},
-    history::Source,
-    output, run, signals,
+    history::{HistoryPlace, Source, Span},
+    output,
+    run::{self, FOXGLOVE},
+    signals,
     testbed_file::FileError,
 };
+
+/// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
+///
+/// What is known, what was up to then and what happens are as in the run; nothing of what is to come is told.
+/// Instructions are refused, because nothing can change what was, and printed: a line of JSON each, as the decisions that
+/// the plug-in would have made.
+///
+/// With --speed max the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin), and
+/// waits for it as virtual time does: it sees the same events each time, and none too many or too few.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra replay latest
+  cotorra replay latest --speed 10x --from 1min --to 2min
+  cotorra replay latest --foxglove
+  cotorra replay latest --speed max > decisions.jsonl &
+  COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
+pub struct ReplayArgs {
+    /// The folder of a run, `latest`, or the number of a run in the history that --history names
+    pub run: String,
+    /// So many seconds of the run in one, as in 1x or 2.5x; or max
+    #[arg(long, value_name = "SPEED", default_value = "1x", value_parser = parse_speed)]
+    pub speed: Pace,
+    /// With --speed max: begin when so many follow the stream of events, each under a name
+    #[arg(long, value_name = "N", default_value = "1")]
+    pub plugins: NonZero<usize>,
+    #[command(flatten)]
+    pub span: Span,
+    /// Address of the HTTP API, as of `cotorra run`
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub api: Option<SocketAddr>,
+    /// Serve what is played to Foxglove, too, as of `cotorra run`
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE)]
+    pub foxglove: Option<SocketAddr>,
+    /// Folder from which the testbed file's own paths lead, such as its map's
+    #[arg(long, value_name = "DIR", default_value = "testbeds")]
+    pub base: PathBuf,
+    #[command(flatten)]
+    pub place: HistoryPlace,
+}
+
+/// How fast a run is played.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    Times(f64),
+    Max,
+}
+
+fn parse_speed(text: &str) -> Result<Pace, String> {
+    if text == "max" {
+        return Ok(Pace::Max);
+    }
+    let times = text.strip_suffix('x').and_then(|times| times.parse::<f64>().ok());
+    let times = times.filter(|times| (1e-3..=1e6).contains(times));
+    times.map(Pace::Times).ok_or_else(|| "write it like 1x, 2.5x or max".to_owned())
+}
 
 /// What a shell calls a program that SIGINT ended.
 const INTERRUPTED: u8 = 130;
@@ -36,8 +100,8 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         api: args.api,
         tokens: run::tokens()?,
         speed: match args.speed {
-            cli::Speed::Times(times) => Speed::Times(times),
-            cli::Speed::Max => Speed::Max { followers: args.plugins.get() },
+            Pace::Times(times) => Speed::Times(times),
+            Pace::Max => Speed::Max { followers: args.plugins.get() },
         },
         from: args.span.from.map_or(Timestamp::ZERO, after_start),
         to: args.span.to.map(after_start),
@@ -85,4 +149,18 @@ pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, cotorra_g
     let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
     settings.reverse();
     testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_speed_is_a_number_of_times_or_max() {
+        assert_eq!(parse_speed("2.5x"), Ok(Pace::Times(2.5)));
+        assert_eq!(parse_speed("max"), Ok(Pace::Max));
+        for wrong in ["2", "0x", "-1x", "nanx", "infx", "fast"] {
+            assert!(parse_speed(wrong).is_err(), "{wrong}");
+        }
+    }
 }

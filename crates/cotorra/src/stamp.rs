@@ -15,7 +15,7 @@ use cotorra_stamp::{
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, WrapErr, miette};
 
-use crate::{cli::parse_duration, output, signals};
+use crate::{duration::parse_duration, output, signals};
 
 /// Larger than any datagram.
 const LARGEST: usize = 65_536;

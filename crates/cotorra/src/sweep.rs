@@ -1,19 +1,70 @@
 //! `cotorra sweep`: many runs in virtual time, with progress, and what they say together.
 
-use std::{fs, num::NonZero, path::Path, process::ExitCode, thread, time::Duration};
+use std::{
+    fs,
+    num::NonZero,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    thread,
+    time::Duration,
+};
 
+use clap::Args;
 use cotorra_testbed::{
     FolderError,
-    sweep::{Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder},
+    sweep::{Axis, Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder},
 };
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{
-    cli::SweepArgs,
+    duration::parse_duration,
     output, signals,
     table::Table,
     testbed_file::{self, FileError, count},
 };
+
+/// Run a testbed in virtual time for all combinations of some settings, each with many seeds
+///
+/// A setting's values are a list, as in plugin=probing,okpi, or a range, as in 1..4, 0..1:0.25 (in steps of 0.25) or
+/// 5..20:5 ms. What a path is: docs/testbed-file.md, "Variants". As many runs go on at a time as there are CPUs.
+///
+/// Each run is kept as soon as it is done. The same command goes on where one was stopped, and one with more values or
+/// seeds adds to it. It leaves runs.csv (a row a run), cells.csv (a row a combination: means and 95 % confidence
+/// intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  cotorra sweep testbeds/corridor.yaml --set plugin=probing,okpi --seeds 20
+  cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
+  cotorra sweep testbeds/corridor.yaml --set plugin=okpi --set plugins.okpi.settings.gamma=2..20:2 --dry-run")]
+pub struct SweepArgs {
+    /// The testbed file.
+    pub file: PathBuf,
+    /// A setting and its values; can be given several times
+    #[arg(long = "set", value_name = "PATH=VALUES")]
+    pub axes: Vec<Axis>,
+    /// Runs of each combination, each with a seed of its own, from the file's seed on
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub seeds: u32,
+    /// End each run after so much time, such as 60s or 2min, if the walks take longer
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
+    pub until: Option<Duration>,
+    /// Runs at a time; as many as there are CPUs if it is left out
+    #[arg(short, long, value_name = "N")]
+    pub jobs: Option<NonZero<usize>>,
+    /// The sweep's folder, in place of one under sweeps/ that is named after what is swept
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Forget the runs that the folder has
+    #[arg(long)]
+    pub fresh: bool,
+    /// Write plain lines in place of the progress bar
+    #[arg(long)]
+    pub headless: bool,
+    /// Only say what would be run
+    #[arg(long)]
+    pub dry_run: bool,
+}
 
 /// More combinations than this are not listed on the terminal.
 const LISTED: usize = 40;

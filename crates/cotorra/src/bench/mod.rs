@@ -8,15 +8,33 @@ mod peers;
 
 use std::{collections::BTreeSet, path::PathBuf, time::Duration};
 
+use clap::Args;
 use cotorra_datapath::{Privilege, enter_user_namespace_if_needed};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::Diagnostic;
 
-use crate::{cli::BenchArgs, output, table::Table};
+use crate::{output, table::Table};
 use figures::{ALL, Benchmark};
 use load::Load;
 
 pub use peers::print_probe as probe;
+
+/// Measure what the emulated network does on this machine
+///
+/// Prints median and tail of each figure. Peers are measured beside it where they are installed: rattan (from PATH or
+/// --rattan) and Mininet (`mn`).
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// Which benchmarks; all if none is named
+    #[arg(value_name = "NAME")]
+    pub names: Vec<String>,
+    /// List the benchmarks
+    #[arg(long, conflicts_with = "names")]
+    pub list: bool,
+    /// The program rattan, to be measured beside
+    #[arg(long, value_name = "PATH", default_value = "rattan")]
+    pub rattan: PathBuf,
+}
 
 /// What keeps benchmarks from being run.
 #[derive(Debug, thiserror::Error, Diagnostic)]

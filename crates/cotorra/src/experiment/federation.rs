@@ -16,8 +16,8 @@ use cotorra_testbed::{
     },
 };
 
+use super::args::{FederationArgs, LedgerArgs, LedgerNode};
 use crate::{
-    cli::{FederationArgs, LedgerArgs, LedgerNode},
     output,
     run::{self, Stage},
     testbed_file::{self, Loaded, count},

@@ -5,8 +5,9 @@ use cotorra_measurements::{
     difference::{Entry, Links, Services},
 };
 
+use super::args::DiffArgs;
 use super::{Error, Source, first_of, plot::figure};
-use crate::{cli::DiffArgs, output, run::clock, table::Table};
+use crate::{output, run::clock, table::Table};
 
 /// No more rows of each table are shown.
 const ROWS: usize = 30;

@@ -5,8 +5,9 @@ use std::fmt::Write as _;
 use cotorra_graph::{Event, Instruction, Stamped};
 use cotorra_measurements::{Kind, PageRequest};
 
+use super::args::EventsArgs;
 use super::{Error, Source, more, seconds};
-use crate::{cli::EventsArgs, link, output};
+use crate::{link, output};
 
 /// Shows events.
 pub fn events(args: &EventsArgs) -> miette::Result<()> {

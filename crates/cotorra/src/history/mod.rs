@@ -1,5 +1,6 @@
 //! `cotorra history`: asks what runs recorded. Every answer is bounded, and says how to see more.
 
+mod args;
 mod diff;
 mod events;
 mod place;
@@ -16,15 +17,13 @@ use std::{fmt::Write as _, ops::Bound, process::ExitCode};
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Cursor, Gap, Page, PageRequest};
 
+use self::args::GapsArgs;
 pub use self::{
+    args::{EXAMPLES, History, HistoryPlace, Span},
     place::{HISTORY_VARIABLE, Place, location},
     source::{Error, Source},
 };
-use crate::{
-    cli::{GapsArgs, History, Span},
-    output,
-    table::Table,
-};
+use crate::{output, table::Table};
 
 /// Answers.
 pub fn history(question: &History) -> miette::Result<ExitCode> {

@@ -4,8 +4,9 @@ use cotorra_graph::{Retention, Timestamp, testbed_file};
 use cotorra_measurements::{History, Kind, Pruned, Run};
 use indicatif::ProgressBar;
 
+use super::args::PruneArgs;
 use super::{Error, Source, place::location, source::open, transfer::TransferError};
-use crate::{cli::PruneArgs, output, signals, table::Table};
+use crate::{output, signals, table::Table};
 
 /// What stands for every run of a history.
 const ALL: &str = "all";

@@ -4,11 +4,12 @@ use std::path::Path;
 
 use cotorra_measurements::Run;
 
+use super::args::HistoryRunsArgs;
 use super::{
     place::location,
     source::{self, Error, Source},
 };
-use crate::{cli::HistoryRunsArgs, output, run::clock, table::Table};
+use crate::{output, run::clock, table::Table};
 
 /// Lists runs.
 pub fn runs(args: &HistoryRunsArgs) -> miette::Result<()> {

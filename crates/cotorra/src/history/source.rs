@@ -8,8 +8,8 @@ use std::{
 use cotorra_measurements::{History, Location, Run, RunId};
 use cotorra_testbed::{Recorded, RecordedError};
 
+use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
-use crate::cli::HistoryPlace;
 
 /// What stands for the newest run.
 const LATEST: &str = "latest";

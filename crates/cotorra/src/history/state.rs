@@ -3,9 +3,8 @@
 use cotorra_graph::{LinkContext, RobotContext, Timestamp};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
-use super::{Error, Source, first_of, seconds};
+use super::{Error, Source, args::StateArgs, first_of, seconds};
 use crate::{
-    cli::StateArgs,
     link::{conditions, probed},
     output,
     table::Table,

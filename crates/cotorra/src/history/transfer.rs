@@ -13,15 +13,10 @@ use indicatif::ProgressBar;
 
 use super::{
     Error, Source,
+    args::{ExportArgs, ExportFormat, ImportArgs},
     place::{HISTORY_VARIABLE, location},
 };
-use crate::{
-    cli::{ExportArgs, ExportFormat, ImportArgs},
-    output,
-    replay::recorded,
-    signals,
-    testbed_file::FileError,
-};
+use crate::{output, replay::recorded, signals, testbed_file::FileError};
 
 /// Events between two questions to the history.
 const PAGE: usize = 1000;

@@ -9,8 +9,9 @@ use cotorra_graph::{
 };
 
 use crate::{
-    cli::{DEFAULT_API, parse_duration},
+    duration::parse_duration,
     quantity::{parse_rate, parse_share, parse_time},
+    run::DEFAULT_API,
 };
 
 /// What to do.

@@ -1,5 +1,6 @@
 //! `cotorra run`: brings a testbed up, shows how it goes, ends it in order, and says what came of it.
 
+mod args;
 mod plan;
 mod summary;
 mod tally;
@@ -23,12 +24,12 @@ use cotorra_testbed::{
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 
 use crate::{
-    cli::{HistoryPlace, RunArgs},
-    history::{self, Source},
+    history::{self, HistoryPlace, Source},
     logs::{self, LogFile},
     output, replay, signals,
     testbed_file::{self, Loaded},
 };
+pub use args::{DEFAULT_API, FOXGLOVE, RunArgs};
 pub use view::clock;
 use view::{Places, View};
 

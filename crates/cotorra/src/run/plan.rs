@@ -4,8 +4,8 @@ use cotorra_graph::{NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
 use cotorra_netem::Plan;
 
+use super::args::{DEFAULT_API, RunArgs};
 use crate::{
-    cli::{DEFAULT_API, RunArgs},
     table::Table,
     testbed_file::{length, overview},
 };
