@@ -316,9 +316,9 @@ for way in json.load(sys.stdin):
     let told = |line: &str| -> Vec<f64> { line.split(' ').filter_map(|word| word.parse().ok()).collect() };
     // Forward, backward: what was asked, what the medium takes, and what the kernel is late.
     let [before, after] = [told(&said[0]), told(&said[1])];
-    assert!((30.0..35.0).contains(&before[0]) && (10.0..15.0).contains(&before[2]), "{said:?}");
+    assert!((30.0..45.0).contains(&before[0]) && (10.0..25.0).contains(&before[2]), "{said:?}");
     assert!(before[1] == 0.0 && (0.05..0.4).contains(&before[3]), "the loss is the way back's: {said:?}");
-    assert!((30.0..35.0).contains(&after[0]) && (50.0..55.0).contains(&after[2]), "{said:?}");
+    assert!((30.0..45.0).contains(&after[0]) && (50.0..65.0).contains(&after[2]), "{said:?}");
     assert_eq!((after[1], after[3]), (0.0, 0.0), "{said:?}");
     assert_eq!(said[2..], ["0", "only probes tell how late"]);
 }
