@@ -17,9 +17,9 @@ use std::{
 
 use cotorra_ledger::{
     Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Wei,
-    negotiation::{CreatorStep, Failure, ProviderStep},
+    negotiation::{CreatorStep, Failure, Policy, ProviderStep},
 };
-use node::Node;
+use node::{Node, PATIENCE};
 use operator::{CreatorSide, ProviderSide, announcements, attachment, policy, until_all};
 
 #[test]
@@ -40,7 +40,9 @@ fn a_service_is_negotiated_used_and_paid_on_a_network_that_is_there() {
 
 fn negotiate(node: &Node) {
     let began = Instant::now();
-    let mut creator = CreatorSide::new(node.operator(1), policy());
+    // Both bids are waited for, however slow a network that is there may be.
+    let policy = Policy { collect: PATIENCE, patience: PATIENCE, ..policy() };
+    let mut creator = CreatorSide::new(node.operator(1), policy);
     let mut providers = [
         ProviderSide::new(node.operator(2), Price::new(9).unwrap()),
         ProviderSide::new(node.operator(3), Price::new(7).unwrap()),
