@@ -198,11 +198,13 @@ impl RealLinks {
     ) -> Result<(), RealLinkError> {
         let place = &self.links[link];
         let rule = place.rule(link, direction, conditions)?;
-        self.hold().set(&place.reached.interface, &rule)?;
-        if let Some(probes) = &self.probes {
-            probes.change(link, usize::from(direction != place.leaving), conditions);
-        }
-        Ok(())
+        let set = || self.hold().set(&place.reached.interface, &rule);
+        let way = usize::from(direction != place.leaving);
+        let done = match &self.probes {
+            Some(probes) => probes.change(link, way, conditions, set),
+            None => set(),
+        };
+        done.map_err(RealLinkError::from)
     }
 
     /// By how much longer probes took than they were asked to; of other packets nobody knows.

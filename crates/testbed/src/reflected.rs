@@ -126,17 +126,28 @@ impl Reflected {
         Ok(reflected)
     }
 
-    /// The way there (0) or back (1) of a link is asked to do something else, since just now. Does nothing for a link that is
-    /// not probed.
-    pub(crate) fn change(&self, link: &LinkId, way: usize, conditions: &Conditions) {
-        let Some(shared) = self.links.get(link) else { return };
+    /// Does what gives the way there (0) or back (1) of a link other conditions.
+    pub(crate) fn change<E>(
+        &self,
+        link: &LinkId,
+        way: usize,
+        conditions: &Conditions,
+        change: impl FnOnce() -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Some(shared) = self.links.get(link) else { return change() };
+        let began = shared.clock.now();
+        change()?;
         let mut state = shared.lock();
         let now = shared.clock.now();
         let mut asked = state.asked.back().expect("there is always one").1.clone();
         // What is sent sooner than that may have to wait for what was sent before, because order is kept.
         state.since = now + asked.iter().map(|before| before.delay).sum();
-        asked[way] = conditions.clone();
-        state.asked.push_back((now, asked));
+        // What was sent meanwhile met the one or the other.
+        let before = std::mem::replace(&mut asked[way], conditions.clone());
+        let mut meanwhile = asked.clone();
+        meanwhile[way].delay = before.delay.min(conditions.delay);
+        state.asked.extend([(began, meanwhile), (now, asked)]);
+        Ok(())
     }
 
     /// What is known of the way there and the way back of a link; `None` if it is not probed, or not yet.
@@ -175,10 +186,7 @@ impl Shared {
         let mut fails = false;
         while !self.stopping.load(Ordering::Relaxed) {
             let round_trip = match sender.step(NOTICE) {
-                Ok(round_trip) => {
-                    fails = false;
-                    round_trip
-                }
+                Ok(round_trip) => round_trip,
                 // A packet that was not sent is lost like any other.
                 Err(error) => {
                     if !std::mem::replace(&mut fails, true) {
@@ -187,6 +195,7 @@ impl Shared {
                     None
                 }
             };
+            fails &= round_trip.is_none();
             let now = self.clock.now();
             let mut state = self.lock();
             if let Some(took) = round_trip
