@@ -37,18 +37,18 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let mut variants = Vec::new();
     for contender in CONTENDERS {
         let plugin = Setting::new("plugin", contender.plugin).expect("plug-ins have names");
-        let settings: Vec<_> = args.settings.iter().cloned().chain([plugin]).collect();
+        let settings: Vec<_> = args.walks.settings.iter().cloned().chain([plugin]).collect();
         let loaded = testbed_file::load(&args.testbed, &settings)?;
         variants.push((contender, settings, loaded));
     }
     let history = history::location(args.history.as_ref())?;
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
-    if args.dry_run {
+    if args.walks.dry_run {
         output::print(&plan(args, how, &variants[0].2))?;
         return Ok(ExitCode::SUCCESS);
     }
-    let stage = Stage::set(args.headless, args.verbose, args.emulate)?;
-    let folder = Place::In(args.out.clone()).create("experiment-okpi").map_err(Error::from)?;
+    let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
+    let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
     let mut walks = Vec::new();
     for (i, (contender, settings, loaded)) in variants.iter().enumerate() {
         let options = Options {
@@ -56,7 +56,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             until: args.until,
             folder: Place::At(folder.join(contender.plugin)),
             tokens: run::tokens()?,
-            save_power: args.save_power,
+            save_power: args.walks.save_power,
             settings: settings.clone(),
             history: history.clone(),
             ..Options::default()
@@ -95,7 +95,7 @@ fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
     for contender in CONTENDERS {
         text += &format!("  a walk with {} (plug-in `{}`), {how}\n", contender.name, contender.plugin);
     }
-    let folder = args.out.join("experiment-okpi-<time>");
+    let folder = args.walks.out.join("experiment-okpi-<time>");
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
 }
 

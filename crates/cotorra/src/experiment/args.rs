@@ -18,6 +18,32 @@ pub enum Experiment {
     Federation(FederationArgs),
 }
 
+/// What every experiment takes.
+#[derive(Debug, Args)]
+pub struct WalkArgs {
+    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub settings: Vec<Setting>,
+    /// Folder in which the experiment gets a folder of its own
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub out: PathBuf,
+    /// Write plain lines in place of the live view
+    #[arg(long)]
+    pub headless: bool,
+    /// Let idle cores fall asleep
+    ///
+    /// A run keeps up to four cores awake, at a priority that takes nothing from anyone else: a packet that has to wake a
+    /// core comes some 0.1 ms later.
+    #[arg(long, requires = "emulate")]
+    pub save_power: bool,
+    /// Only say what would be run
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Say more on standard error; twice for even more
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
 /// OKpi beside the state of the art, along the corridor and back
 ///
 /// The first validation of the COTORRA letter (arXiv 2101.07676): once navigation stays in the cloud and the robot
@@ -41,39 +67,20 @@ pub struct OkpiArgs {
     /// The testbed file; its radio units are named as the letter's
     #[arg(long, value_name = "FILE", default_value = "testbeds/corridor.yaml")]
     pub testbed: PathBuf,
-    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
-    #[arg(long = "set", value_name = "PATH=VALUE")]
-    pub settings: Vec<Setting>,
     /// Seed of everything random, in place of the file's
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// End each walk after so much time, such as 60s or 2min
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Folder in which the experiment gets a folder of its own
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub out: PathBuf,
     /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
     ///
     /// Several runs can share one. A server is named as mysql://USER@HOST:PORT/DATABASE, and its password in the environment
     /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
-    /// Write plain lines in place of the live view
-    #[arg(long)]
-    pub headless: bool,
-    /// Let idle cores fall asleep
-    ///
-    /// A run keeps up to four cores awake, at a priority that takes nothing from anyone else: a packet that has to wake a
-    /// core comes some 0.1 ms later.
-    #[arg(long, requires = "emulate")]
-    pub save_power: bool,
-    /// Only say what would be run
-    #[arg(long)]
-    pub dry_run: bool,
-    /// Say more on standard error; twice for even more
-    #[arg(short, long, action = clap::ArgAction::Count)]
-    pub verbose: u8,
+    #[command(flatten)]
+    pub walks: WalkArgs,
 }
 
 /// A robot leaves its domain's coverage, and another domain's virtual access point waits for it
@@ -111,30 +118,14 @@ pub struct FederationArgs {
     /// Runs with each block period
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
-    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
-    #[arg(long = "set", value_name = "PATH=VALUE")]
-    pub settings: Vec<Setting>,
     /// Seed of the first run, in place of the file's; each other has the next
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// End each run after so much time, such as 60s or 2min [default: twice what the walk takes, and a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Folder in which the experiment gets a folder of its own
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    pub out: PathBuf,
-    /// Write plain lines in place of the live view
-    #[arg(long)]
-    pub headless: bool,
-    /// Let idle cores fall asleep
-    #[arg(long, requires = "emulate")]
-    pub save_power: bool,
-    /// Only say what would be run
-    #[arg(long)]
-    pub dry_run: bool,
-    /// Say more on standard error; twice for even more
-    #[arg(short, long, action = clap::ArgAction::Count)]
-    pub verbose: u8,
+    #[command(flatten)]
+    pub walks: WalkArgs,
     #[command(flatten)]
     pub ledger: LedgerArgs,
 }

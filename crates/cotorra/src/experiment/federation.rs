@@ -71,14 +71,14 @@ struct Planned {
 /// Runs the robot's walk with each block period.
 pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
-    if args.dry_run {
+    if args.walks.dry_run {
         output::print(&describe_plan(args, how)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     let (on, periods) = ledger(args)?;
     let planned = plan(args, &on, &periods)?;
-    let stage = Stage::set(args.headless, args.verbose, args.emulate)?;
-    let folder = Place::In(args.out.clone()).create("experiment-federation").map_err(Error::from)?;
+    let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
+    let folder = Place::In(args.walks.out.clone()).create("experiment-federation").map_err(Error::from)?;
     // A run that goes wrong, or is stopped, takes nothing from those that did not.
     let (mut runs, mut failed, mut invalid) = (Vec::new(), Vec::new(), None);
     for (number, plan) in planned.iter().enumerate() {
@@ -88,7 +88,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             until: Some(args.until.unwrap_or_else(|| longest(&plan.loaded.testbed))),
             folder: Place::At(folder.join(&name)),
             tokens: run::tokens()?,
-            save_power: args.save_power,
+            save_power: args.walks.save_power,
             settings: plan.settings.clone(),
             ..Options::default()
         };
@@ -164,7 +164,7 @@ fn ledger(args: &FederationArgs) -> miette::Result<(On, Vec<Duration>)> {
 
 /// How each domain gets to the network.
 fn accesses(args: &FederationArgs, nodes: &[LedgerNode], keys: &Path) -> miette::Result<Vec<Access>> {
-    let testbed = testbed_file::load(&args.testbed, &args.settings)?.testbed;
+    let testbed = testbed_file::load(&args.testbed, &args.walks.settings)?.testbed;
     let domains = domains(&testbed);
     if let Some(unknown) = nodes.iter().filter_map(|n| n.domain.as_ref()).find(|d| !domains.contains(d)) {
         let domains = domains.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
@@ -182,7 +182,7 @@ fn accesses(args: &FederationArgs, nodes: &[LedgerNode], keys: &Path) -> miette:
 }
 
 fn plan(args: &FederationArgs, on: &On, periods: &[Duration]) -> miette::Result<Vec<Planned>> {
-    let plain = testbed_file::load(&args.testbed, &args.settings)?;
+    let plain = testbed_file::load(&args.testbed, &args.walks.settings)?;
     let mut planned = Vec::new();
     for block_period in periods {
         for number in 0..args.runs {
@@ -193,7 +193,7 @@ fn plan(args: &FederationArgs, on: &On, periods: &[Duration]) -> miette::Result<
                 Setting::new(&path, &value).expect("paths and values of the experiment are settings")
             });
             // What the user sets comes last, and so wins.
-            let settings: Vec<_> = for_blocks.chain(args.settings.iter().cloned()).collect();
+            let settings: Vec<_> = for_blocks.chain(args.walks.settings.iter().cloned()).collect();
             let loaded = testbed_file::load(&args.testbed, &settings)?;
             let seed = args.seed.unwrap_or(plain.testbed.seed) + u64::from(number);
             planned.push(Planned { block_period: *block_period, seed, settings, loaded });
@@ -203,7 +203,7 @@ fn plan(args: &FederationArgs, on: &On, periods: &[Duration]) -> miette::Result<
 }
 
 fn describe_plan(args: &FederationArgs, how: &str) -> miette::Result<String> {
-    let loaded = testbed_file::load(&args.testbed, &args.settings)?;
+    let loaded = testbed_file::load(&args.testbed, &args.walks.settings)?;
     let mut text = format!("{}: {}\n\n", args.testbed.display(), testbed_file::overview(&loaded.testbed));
     let runs = count(args.runs as usize, "run");
     if args.ledger.nodes.is_empty() {
@@ -217,6 +217,6 @@ fn describe_plan(args: &FederationArgs, how: &str) -> miette::Result<String> {
         let called = args.ledger.network.as_deref().unwrap_or("an Ethereum network");
         text += &format!("  {runs}, {how}, on {called}\n");
     }
-    let folder = args.out.join("experiment-federation-<time>");
+    let folder = args.walks.out.join("experiment-federation-<time>");
     Ok(text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  ")))
 }

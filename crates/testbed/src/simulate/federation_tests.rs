@@ -9,6 +9,7 @@ use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
 use cotorra_measurements::{History, RunInfo};
 
 use super::*;
+use crate::experiment::federation::STEPS;
 
 /// The edge of domain 1's coverage on the walk of `testbeds/federation.yaml`.
 const EDGE_M: f64 = 23.8;
@@ -109,21 +110,6 @@ fn goes_wrong(settings: &[&str]) -> Told {
     told
 }
 
-/// What a service goes through until the robot is attached, in this order.
-const HANDED_OVER: [Step; 11] = [
-    Step::Announced,
-    Step::AnnouncementReceived,
-    Step::BidSent,
-    Step::BidReceived,
-    Step::WinnerChosen,
-    Step::WinnerReceived,
-    Step::DeploymentStarted,
-    Step::DeploymentFinished,
-    Step::ConfirmationSent,
-    Step::ConfirmationReceived,
-    Step::Attached,
-];
-
 #[test]
 fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
@@ -131,7 +117,7 @@ fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     let detail = told.detail();
     assert!(told.finished && told.faults.is_empty(), "{:?}", told.faults);
     use Step::*;
-    let steps = HANDED_OVER.into_iter().chain([OwnRadioUnitReleased, InUse, Returned, Ended, TakenDown]);
+    let steps = STEPS.into_iter().chain([OwnRadioUnitReleased, InUse, Returned, Ended, TakenDown]);
     let times: Vec<f64> =
         steps.map(|step| told.when(step).unwrap_or_else(|| panic!("{step}: {detail}"))).collect();
     assert!(times.is_sorted(), "{detail}");
@@ -364,7 +350,7 @@ fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_ste
             let found = timeline.iter().find(|(_, _, _, name, _)| *name == step.as_str());
             found.unwrap_or_else(|| panic!("{step} is missing, {told}")).0
         };
-        assert!(HANDED_OVER.into_iter().chain([InUse]).map(first).is_sorted(), "{told}");
+        assert!(STEPS.into_iter().chain([InUse]).map(first).is_sorted(), "{told}");
         assert!((first(Announced) + stopped_at - 15.8).abs() < 0.5, "when it was, not now: {told}");
     }
 }
