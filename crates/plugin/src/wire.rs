@@ -36,7 +36,7 @@ pub const HEADER_LEN: usize = 24;
 const MAGIC: [u8; 4] = *b"ctra";
 const VERSION: u8 = 2;
 
-/// The UDP port where a VNF of a testbed listens, wherever it runs: each has one of its own, in the order of the file, so that
+/// The UDP port where a bundled VNF of a testbed listens, wherever it runs: each VNF has one of its own, in the order of the file, so that
 /// one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
 pub fn port(testbed: &Testbed, vnf: &VnfId) -> Option<u16> {
     let mut all = testbed.services.iter().flat_map(|service| &service.vnfs);

@@ -165,14 +165,12 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     fn poll_position(&mut self, now: Timestamp) -> Option<Datagram> {
         loop {
-            let (mut route, mut port) = (None, DISCARD);
+            let mut route = None;
             let packet = self.middleware.poll_position(now, |robot| {
                 let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
-                let navigator = self.navigators.get(robot);
-                let node = navigator.and_then(|(vnf, _)| self.control.node(vnf));
+                let navigator = self.navigators.get(robot).and_then(|(vnf, _)| self.control.node(vnf));
                 // Without a navigation VNF the robot talks to itself, and nobody answers.
-                let server = node.unwrap_or(robot).clone();
-                port = navigator.map_or(DISCARD, |(_, port)| *port);
+                let server = navigator.unwrap_or(robot).clone();
                 let taken = Route { attachment: attached.map(|a| a.radio_unit.clone()), server };
                 route.insert(taken).clone()
             })?;
@@ -180,6 +178,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             let Some(address) = address else { continue };
             let mut bytes = Vec::with_capacity(512);
             packet.encode(&mut bytes);
+            let port = self.navigators.get(&packet.robot).map_or(DISCARD, |(_, port)| *port);
             let to = SocketAddrV4::new(address.ipv4, port);
             return Some(Datagram { robot: packet.robot, to, bytes });
         }

@@ -79,9 +79,15 @@ impl Place {
         Self { reached: real.reached.clone(), leaving: real.leaving, medium: real.link.medium() }
     }
 
-    /// What is told of the forward and the backward direction, by ways: the one that leaves here, and the one that comes back.
-    fn there_and_back<T>(&self, [forward, backward]: [T; 2]) -> [T; 2] {
-        if self.leaving == Direction::Forward { [forward, backward] } else { [backward, forward] }
+    /// Which way a direction is: there (0), which leaves here, or back (1).
+    fn way(&self, direction: Direction) -> usize {
+        usize::from(direction != self.leaving)
+    }
+
+    /// What is told of the forward and the backward direction, by ways.
+    fn there_and_back<T>(&self, mut directions: [T; 2]) -> [T; 2] {
+        directions.rotate_left(self.way(Direction::Forward));
+        directions
     }
 
     /// Which packets of the interface cross the link in a direction.
@@ -199,7 +205,7 @@ impl RealLinks {
         let place = &self.links[link];
         let rule = place.rule(link, direction, conditions)?;
         let set = || self.hold().set(&place.reached.interface, &rule);
-        let way = usize::from(direction != place.leaving);
+        let way = place.way(direction);
         let done = match &self.probes {
             Some(probes) => probes.change(link, way, conditions, set),
             None => set(),
@@ -237,7 +243,7 @@ impl RealLinks {
         let mut found = 0;
         for context in contexts.iter_mut().filter(|context| self.has(&context.link)) {
             let probed = self.probes.as_ref().and_then(|probes| probes.probed(&context.link));
-            let way = usize::from(context.direction != self.links[&context.link].leaving);
+            let way = self.links[&context.link].way(context.direction);
             (context.delay, context.probed) = (None, probed.map(|ways| ways[way]));
             found += 1;
         }

@@ -40,8 +40,8 @@ impl Serving {
     /// Writes what the VNFs on a node answer to a datagram that came to that port; false if none does.
     pub(super) fn answer(&self, node: &NodeId, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
         let mut all = self.0.borrow_mut();
-        let here = all.get_mut(node).into_iter().flatten().filter(|(_, at, _)| *at == port);
-        here.into_iter().any(|(_, _, vnf)| vnf.answer(datagram, answer))
+        let mut here = all.get_mut(node).into_iter().flatten().filter(|(_, at, _)| *at == port);
+        here.any(|(_, _, vnf)| vnf.answer(datagram, answer))
     }
 }
 
