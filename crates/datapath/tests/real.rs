@@ -1,6 +1,6 @@
 //! What the datapath promises, shown with real namespaces, real sockets and unmodified programs, on every kind of
-//! port that this machine has. Runs as root and as an ordinary user, for which the harness is its own: a user
-//! namespace can only be entered before there are threads.
+//! port that this machine has. Runs as root and as an ordinary user. The harness is its own, because a user namespace can
+//! only be entered before there are threads.
 #![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
 
 use std::{
@@ -49,10 +49,17 @@ fn main() -> ExitCode {
     if let Some(kind) = helper.strip_prefix("run ") {
         return run_and_wait(kind);
     }
-    let filter = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).unwrap_or_default();
-    if std::env::args().any(|argument| argument == "--list") {
+    // The protocol of nextest: `--list --format terse`, and `NAME --exact` for each test.
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
+    if has("--list") {
+        if !has("--ignored") {
+            TESTS.iter().for_each(|(name, _)| println!("{name}: test"));
+        }
         return ExitCode::SUCCESS;
     }
+    let filter = arguments.iter().find(|argument| !argument.starts_with('-')).map_or("", String::as_str);
+    let chosen = |name: &str| if has("--exact") { name == filter } else { name.contains(filter) };
     let mut failed = false;
     for kind in [PortKind::Tap, PortKind::PacketSocket] {
         let (graph, _) = star(2, Conditions::default());
@@ -61,7 +68,7 @@ fn main() -> ExitCode {
             assert!(kind == PortKind::Tap, "packet sockets work wherever namespaces do");
             continue;
         }
-        for (name, test) in TESTS.iter().filter(|(name, _)| name.contains(&filter)) {
+        for (name, test) in TESTS.iter().filter(|(name, _)| chosen(name)) {
             let passed = panic::catch_unwind(|| test(kind)).is_ok();
             println!("{privilege:?}, {kind:?}: {name}: {}", if passed { "ok" } else { "FAILED" });
             failed |= !passed;

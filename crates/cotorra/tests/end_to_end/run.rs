@@ -2,15 +2,15 @@
 
 use std::{fs, process::Command};
 
-use crate::harness::{Run, corridor, cotorra, project_file, wait_until};
+use crate::harness::{Run, corridor, cotorra, project_file, valid_report, wait_until};
 
 /// R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
 const THEORY_MS: f64 = 11.0;
 
 #[test]
 fn the_corridor_is_walked_and_measured() {
-    let mut run = Run::start(&corridor(), &["--until", "20s", "--seed", "7"]);
-    let (summary, printed) = run.report();
+    let (run, summary, printed) =
+        valid_report(|| Run::start(&corridor(), &["--until", "20s", "--seed", "7"]));
     assert_eq!(summary["seed"], 7);
     assert_eq!(summary["target_ms"], 15.0);
     assert_eq!(summary["pose_source"], "localization");
@@ -55,12 +55,14 @@ fn the_corridor_is_walked_and_measured() {
 
 #[test]
 fn localization_moves_to_another_server_while_the_robot_walks() {
-    let mut run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
-    run.wait_for_service();
-    let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
-    let (status, body) = run.post("/api/v1/instructions", place);
-    assert_eq!(status, 200, "{body}");
-    let (summary, printed) = run.report();
+    let (run, summary, printed) = valid_report(|| {
+        let run = Run::start(&corridor(), &["--until", "30s", "--seed", "7"]);
+        run.wait_for_service();
+        let place = r#"{ "instruction": { "instruction": "place", "vnf": "localization", "node": "fog" } }"#;
+        let (status, body) = run.post("/api/v1/instructions", place);
+        assert_eq!(status, 200, "{body}");
+        run
+    });
     let placed = summary["placements"].as_array().unwrap();
     let served: Vec<_> = placed.iter().filter(|p| p["vnf"] == "localization").map(|p| &p["node"]).collect();
     assert_eq!(served, ["edge", "fog"]);
