@@ -34,6 +34,7 @@ use crate::{
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},
     rolled::Reading,
+    schema::MIGRATIONS,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
@@ -91,7 +92,7 @@ impl Remote {
     fn with_spool_of(server: &Server, bound: u64) -> Result<Self> {
         let engine = |e| engine_error(&server.name, e);
         let mut connection = connect(server, LONG_PATIENCE).map_err(engine)?;
-        prepare(&mut connection, server)?;
+        prepare(&mut connection, server, MIGRATIONS)?;
         let spool = Spool::create(&server.spool, &server.name, bound)?;
         let mut writer = Writer::new(connection);
         for left in Spool::left_behind(&server.spool, &server.name)? {
