@@ -11,13 +11,14 @@ mod thin;
 mod write;
 
 use std::{
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread::{self, JoinHandle},
     time::Duration,
 };
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use mysql::{Conn, Row, prelude::Queryable};
+use parking_lot::{Condvar, Mutex};
 
 use self::{
     connection::{Fallible, connect, engine_error, prepare},
@@ -77,11 +78,6 @@ struct State {
     closing: bool,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What these locks guard is whole at any time: a panic in the middle of a write rolls it back.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Remote {
     /// Opens a history, or makes a new one, and takes in what processes left behind that recorded it while the
     /// server was away.
@@ -113,7 +109,7 @@ impl Remote {
 
     fn read<T>(&self, ask: impl Fn(&Reader) -> Result<T>) -> Result<T> {
         let server = &self.shared.server;
-        let taken = lock(&self.readers).pop();
+        let taken = self.readers.lock().pop();
         let fresh = || {
             let connection = connect(server, LONG_PATIENCE).map_err(|e| engine_error(&server.name, e))?;
             Ok(Reader::new(connection, &server.name))
@@ -122,7 +118,7 @@ impl Remote {
             Some(reader) => match ask(&reader) {
                 // The server may have been started anew since this connection was made.
                 Err(Error::Unreachable { .. }) => {
-                    lock(&self.readers).clear();
+                    self.readers.lock().clear();
                     let reader = fresh()?;
                     let answer = ask(&reader)?;
                     (reader, answer)
@@ -135,7 +131,7 @@ impl Remote {
                 (reader, answer)
             }
         };
-        let mut idle = lock(&self.readers);
+        let mut idle = self.readers.lock();
         if idle.len() < IDLE_READERS {
             idle.push(reader);
         }
@@ -157,10 +153,10 @@ impl Shared {
 
     /// Waits for a server that went away, and brings it what was spooled, until the history is closed.
     fn drain(&self) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         loop {
             while state.direct.is_some() && !state.closing {
-                state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+                self.changed.wait(&mut state);
             }
             if state.direct.is_some() {
                 return;
@@ -169,7 +165,7 @@ impl Shared {
             let closing = state.closing;
             drop(state);
             let outcome = self.catch_up();
-            state = lock(&self.state);
+            state = self.state.lock();
             match outcome {
                 Ok(()) => tracing::info!("the server of the history is back, and has all that was spooled"),
                 Err(error) if closing => {
@@ -179,8 +175,7 @@ impl Shared {
                 Err(error) => {
                     tracing::debug!(%error, "the server of the history is still away");
                     if !state.closing {
-                        let wait = self.changed.wait_timeout(state, RETRY);
-                        state = wait.unwrap_or_else(PoisonError::into_inner).0;
+                        self.changed.wait_for(&mut state, RETRY);
                     }
                 }
             }
@@ -192,14 +187,14 @@ impl Shared {
         let mut direct = connect(&self.server, PATIENCE).map_err(|e| self.engine(e))?;
         let mut writer = Writer::new(connection);
         let (reader, id) = {
-            let state = lock(&self.state);
+            let state = self.state.lock();
             (state.spool.reader(), state.spool.writer.clone())
         };
         let mut taken = taken(&mut writer.connection, &id).map_err(|e| self.engine(e))?;
         let mut place = Spool::begin();
         loop {
             let end = {
-                let mut state = lock(&self.state);
+                let mut state = self.state.lock();
                 if place == state.spool.end() {
                     direct.ping().map_err(|e| self.engine(e))?;
                     state.spool.clear()?;
@@ -224,7 +219,7 @@ impl Shared {
                 }
                 Next::End | Next::Damage(_) => {
                     let cause = std::io::Error::other("the file was changed by another program");
-                    let spool = lock(&self.state).spool.name().into();
+                    let spool = self.state.lock().spool.name().into();
                     return Err(Error::Spool { spool, cause: Arc::new(cause) });
                 }
             }
@@ -298,14 +293,14 @@ fn end_run(connection: &mut Conn, run: RunId, at: Timestamp) -> std::result::Res
 
 impl Drop for Remote {
     fn drop(&mut self) {
-        lock(&self.shared.state).closing = true;
+        self.shared.state.lock().closing = true;
         self.shared.changed.notify_all();
         if let Some(drainer) = self.drainer.take()
             && drainer.join().is_err()
         {
             tracing::error!("the thread that empties the spool panicked; the spool is kept");
         }
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let State { direct, spool, .. } = &mut *state;
         if let Some(writer) = direct
             && let Err(error) = forget(&mut writer.connection, spool)
@@ -333,7 +328,7 @@ fn run_of(row: &Row) -> std::result::Result<Run, ReadError> {
 
 impl Store for Remote {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let Some(writer) = &mut state.direct else {
             let cause = "it went away, and what was recorded is not in it yet".into();
             return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
@@ -355,7 +350,7 @@ impl Store for Remote {
     }
 
     fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         if let Some(writer) = &mut state.direct {
             match end_run(&mut writer.connection, run, at) {
                 Ok(()) => return Ok(()),
@@ -389,7 +384,7 @@ impl Store for Remote {
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let number = state.batch;
         let State { direct, spool, .. } = &mut *state;
         if let Some(writer) = direct {

@@ -8,13 +8,10 @@ mod tests;
 mod thin;
 mod write;
 
-use std::{
-    path::Path,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
+use parking_lot::Mutex;
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionBehavior, params};
 
 use self::{read::Reader, write::Writer};
@@ -100,20 +97,17 @@ impl Sqlite {
     }
 
     fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
-        // A panic during a write rolled it back, so that poison means nothing here.
-        let mut writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner);
-        work(&mut writer).map_err(|e| engine_error(&self.name, e))
+        work(&mut self.writer.lock()).map_err(|e| engine_error(&self.name, e))
     }
 
     fn read<T>(&self, ask: impl FnOnce(&Reader) -> Result<T>) -> Result<T> {
-        let idle = || self.readers.lock().unwrap_or_else(PoisonError::into_inner);
-        let taken = idle().pop();
+        let taken = self.readers.lock().pop();
         let reader = match taken {
             Some(reader) => reader,
             None => Reader::open(&self.path, &self.name)?,
         };
         let answer = ask(&reader)?;
-        let mut idle = idle();
+        let mut idle = self.readers.lock();
         if idle.len() < IDLE_READERS {
             idle.push(reader);
         }

@@ -37,14 +37,14 @@ impl Remote {
 
     /// Waits until the server has all that was spooled.
     fn wait_until_caught_up(&self) {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         while state.direct.is_none() {
-            state = self.shared.changed.wait(state).unwrap();
+            self.shared.changed.wait(&mut state);
         }
     }
 
     fn spools(&self) -> bool {
-        lock(&self.shared.state).direct.is_none()
+        self.shared.state.lock().direct.is_none()
     }
 }
 
@@ -359,7 +359,7 @@ fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
     store.append(&entries(0..10), &[]).unwrap();
     store.append(&entries(10..20), &[]).unwrap();
     {
-        let mut state = lock(&store.shared.state);
+        let mut state = store.shared.state.lock();
         // As if the answer to the last one had been lost.
         let number = state.batch - 1;
         state.spool.push_batch(number, &entries(10..20), &[]).unwrap();

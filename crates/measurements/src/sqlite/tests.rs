@@ -146,8 +146,8 @@ fn what_cannot_be_written_can_be_asked() {
         let store = Sqlite {
             path: place.into(),
             name: "kept".into(),
-            writer: std::sync::Mutex::new(super::Writer::new(connection)),
-            readers: std::sync::Mutex::default(),
+            writer: Mutex::new(super::Writer::new(connection)),
+            readers: Mutex::default(),
         };
         let history = History::of(Arc::new(store)).unwrap();
         assert_eq!(everything(&history, run), [placement(1, "brain", "fog")]);
