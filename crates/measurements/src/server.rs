@@ -39,20 +39,29 @@ use crate::{
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
 
-/// A server that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
-const PATIENCE: Duration = Duration::from_secs(2);
-
 /// How long an answer, or a batch from the spool, may take.
 const LONG_PATIENCE: Duration = Duration::from_secs(60);
 
 /// Between attempts to reach a server that went away.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// A spool takes so many bytes.
-const SPOOL: u64 = 256_000_000;
-
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
+
+/// What a server is given.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    /// One that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
+    patience: Duration,
+    /// A spool takes so many bytes.
+    spool: u64,
+}
+
+impl Limits {
+    /// The server of a unit test is not gone, however busy its machine is.
+    const USUAL: Self =
+        Self { patience: Duration::from_secs(if cfg!(test) { 60 } else { 2 }), spool: 256_000_000 };
+}
 
 /// A database of a server.
 pub(crate) struct Remote {
@@ -64,6 +73,7 @@ pub(crate) struct Remote {
 /// What the thread that empties the spool has in common with those who write.
 struct Shared {
     server: Server,
+    patience: Duration,
     state: Mutex<State>,
     /// The server went away, or the history is closed.
     changed: Condvar,
@@ -82,23 +92,27 @@ impl Remote {
     /// Opens a history, or makes a new one, and takes in what processes left behind that recorded it while the
     /// server was away.
     pub fn open(server: &Server) -> Result<Self> {
-        Self::with_spool_of(server, SPOOL)
+        Self::within(server, Limits::USUAL)
     }
 
-    fn with_spool_of(server: &Server, bound: u64) -> Result<Self> {
+    fn within(server: &Server, limits: Limits) -> Result<Self> {
         let engine = |e| engine_error(&server.name, e);
         let mut connection = connect(server, LONG_PATIENCE).map_err(engine)?;
         prepare(&mut connection, server, MIGRATIONS)?;
-        let spool = Spool::create(&server.spool, &server.name, bound)?;
+        let spool = Spool::create(&server.spool, &server.name, limits.spool)?;
         let mut writer = Writer::new(connection);
         for left in Spool::left_behind(&server.spool, &server.name)? {
             take_in(server, &mut writer, &left)?;
             forget(&mut writer.connection, &left).map_err(engine)?;
         }
-        let direct = connect(server, PATIENCE).map_err(engine)?;
+        let direct = connect(server, limits.patience).map_err(engine)?;
         let state = State { direct: Some(Writer::new(direct)), spool, batch: 0, closing: false };
-        let shared =
-            Arc::new(Shared { server: server.clone(), state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(Shared {
+            server: server.clone(),
+            patience: limits.patience,
+            state: Mutex::new(state),
+            changed: Condvar::new(),
+        });
         let drainer = thread::Builder::new().name("spool".to_owned()).spawn({
             let shared = shared.clone();
             move || shared.drain()
@@ -184,7 +198,7 @@ impl Shared {
 
     fn catch_up(&self) -> Result<()> {
         let connection = connect(&self.server, LONG_PATIENCE).map_err(|e| self.engine(e))?;
-        let mut direct = connect(&self.server, PATIENCE).map_err(|e| self.engine(e))?;
+        let mut direct = connect(&self.server, self.patience).map_err(|e| self.engine(e))?;
         let mut writer = Writer::new(connection);
         let (reader, id) = {
             let state = self.state.lock();

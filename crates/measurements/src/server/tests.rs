@@ -12,6 +12,9 @@ use crate::{
     testing::{mariadb::MariaDb, notice, placement, run_info},
 };
 
+/// Room in the spool for few batches.
+const SMALL: Limits = Limits { spool: 20_000, ..Limits::USUAL };
+
 fn place(url: &str) -> Server {
     match url.parse().unwrap() {
         Location::Server(server) => server,
@@ -330,7 +333,8 @@ fn what_stays_in_the_spool_is_taken_in_when_the_history_is_opened_again() {
 #[test]
 fn a_server_that_hangs_is_one_that_is_gone() {
     let Some(server) = MariaDb::start() else { return };
-    let store = Arc::new(Remote::open(&place(&server.fresh())).unwrap());
+    let limits = Limits { patience: Duration::from_secs(2), ..Limits::USUAL };
+    let store = Arc::new(Remote::within(&place(&server.fresh()), limits).unwrap());
     let history = History::of(store.clone()).unwrap();
     let run = history.begin_run(&run_info("hangs")).unwrap();
     record(&history, run, 0..100);
@@ -377,7 +381,7 @@ fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
 #[test]
 fn a_full_spool_makes_gaps_in_the_end() {
     let Some(server) = MariaDb::start() else { return };
-    let store = Arc::new(Remote::with_spool_of(&place(&server.fresh()), 20_000).unwrap());
+    let store = Arc::new(Remote::within(&place(&server.fresh()), SMALL).unwrap());
     let history = History::of(store.clone()).unwrap();
     let run = history.begin_run(&run_info("full")).unwrap();
     let recorder = history.recorder(run).unwrap();
@@ -413,7 +417,7 @@ fn a_full_spool_makes_gaps_in_the_end() {
 fn a_full_spool_that_is_left_behind_tells_its_gap() {
     let Some(server) = MariaDb::start() else { return };
     let place = place(&server.fresh());
-    let history = History::of(Arc::new(Remote::with_spool_of(&place, 20_000).unwrap())).unwrap();
+    let history = History::of(Arc::new(Remote::within(&place, SMALL).unwrap())).unwrap();
     let run = history.begin_run(&run_info("left full")).unwrap();
     let recorder = history.recorder(run).unwrap();
     server.stop();
