@@ -5,10 +5,11 @@ use std::{
     fs::File,
     io::{self, Write},
     path::Path,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
 };
 
 use indicatif::MultiProgress;
+use parking_lot::Mutex;
 use tracing_subscriber::{EnvFilter, Layer, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
 /// Filters both logs, in `tracing_subscriber`'s syntax: `info,cotorra_fabric=trace`.
@@ -84,22 +85,18 @@ impl LogFile {
     /// Goes on in a file, which begins with all that was logged so far.
     pub fn open(&self, path: &Path) -> io::Result<()> {
         let mut file = File::create(path)?;
-        let mut destination = self.lock();
+        let mut destination = self.0.lock();
         if let Destination::Memory(earlier) = &*destination {
             file.write_all(earlier)?;
         }
         *destination = Destination::File(file);
         Ok(())
     }
-
-    fn lock(&self) -> MutexGuard<'_, Destination> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 impl Write for LogFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut *self.lock() {
+        match &mut *self.0.lock() {
             Destination::Memory(text) => text.write(bytes),
             Destination::File(file) => file.write(bytes),
         }
@@ -129,7 +126,7 @@ mod tests {
                     tracing::warn!(target: "cotorra_ros2::dds", "ours");
                 },
             );
-            let Destination::Memory(text) = &*log.lock() else { panic!("no file was opened") };
+            let Destination::Memory(text) = &*log.0.lock() else { panic!("no file was opened") };
             ["theirs", "their error", "ours"].map(|what| String::from_utf8_lossy(text).contains(what))
         };
         assert_eq!(shown(0), [false, true, true]);

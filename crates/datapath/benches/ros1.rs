@@ -8,9 +8,7 @@
 use std::{
     fs, panic,
     path::Path,
-    process,
-    sync::Mutex,
-    thread,
+    process, thread,
     time::{Duration, Instant},
 };
 
@@ -21,6 +19,7 @@ use cotorra_ros1::{
     Endpoint, MasterServer, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Header, LaserScan},
 };
+use parking_lot::Mutex;
 
 const TESTBED: &str = "
 name: path
@@ -47,7 +46,7 @@ fn measure(what: &str, mut send: impl FnMut(u32) + Send, mut receive: impl FnMut
             let begin = Instant::now();
             for number in 0..WARM_UP + SAMPLES {
                 thread::sleep((INTERVAL * number).saturating_sub(begin.elapsed()));
-                sent.lock().unwrap().push(Instant::now());
+                sent.lock().push(Instant::now());
                 send(number);
             }
         });
@@ -55,7 +54,7 @@ fn measure(what: &str, mut send: impl FnMut(u32) + Send, mut receive: impl FnMut
         while let Some(number) = receive() {
             let at = Instant::now();
             if number >= WARM_UP {
-                took.push(at.duration_since(sent.lock().unwrap()[number as usize]).as_secs_f64() * 1e3);
+                took.push(at.duration_since(sent.lock()[number as usize]).as_secs_f64() * 1e3);
             }
             if number + 1 == WARM_UP + SAMPLES {
                 break;

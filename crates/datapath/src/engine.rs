@@ -5,7 +5,7 @@ use std::{
     io, mem,
     os::fd::AsFd,
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc,
     },
@@ -14,6 +14,7 @@ use std::{
 
 use cotorra_fabric::{Fabric, Frame, PortId};
 use cotorra_graph::{Stamped, Timestamp};
+use parking_lot::Mutex;
 
 use crate::{
     clock::Clock,
@@ -57,13 +58,9 @@ impl Shared {
         })
     }
 
-    fn commands(&self) -> MutexGuard<'_, Option<Vec<Command>>> {
-        self.commands.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Ends the thread after what it is about to do; commands that it has not begun are dropped.
     pub(crate) fn stop(&self) {
-        *self.commands() = None;
+        *self.commands.lock() = None;
         self.stopping.store(true, Ordering::Relaxed);
         self.waker.wake();
     }
@@ -92,7 +89,7 @@ impl Handle {
         work: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
     ) -> Result<R, Error> {
         let (result, wait) = mpsc::sync_channel(1);
-        self.0.commands().as_mut().ok_or(Error::Stopped)?.push(Box::new(move |fabric, now| {
+        self.0.commands.lock().as_mut().ok_or(Error::Stopped)?.push(Box::new(move |fabric, now| {
             // Whoever asked is waiting below.
             let _ = result.send(work(fabric, now));
         }));
@@ -286,7 +283,7 @@ impl Engine {
     /// Does what others asked for.
     fn obey(&mut self) {
         self.shared.waker.clear();
-        let commands = self.shared.commands().as_mut().map(mem::take);
+        let commands = self.shared.commands.lock().as_mut().map(mem::take);
         for command in commands.unwrap_or_default() {
             command(&mut self.fabric, self.clock.now());
         }

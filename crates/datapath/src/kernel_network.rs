@@ -5,13 +5,7 @@
 //! Bridges and links are in a namespace of their own, where no firewall of the machine reaches them. NetEm is never on a
 //! sender's own interface, where a drop would come back to it as an error.
 
-use std::{
-    collections::HashMap,
-    fs,
-    net::Ipv4Addr,
-    os::fd::AsFd,
-    sync::{Mutex, MutexGuard, PoisonError},
-};
+use std::{collections::HashMap, fs, net::Ipv4Addr, os::fd::AsFd};
 
 use cotorra_fabric::{Fabric, Refusal};
 use cotorra_graph::{
@@ -19,6 +13,7 @@ use cotorra_graph::{
     NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
 };
 use cotorra_netem::{Kernel, Netem, NotByNetem, Rule};
+use parking_lot::Mutex;
 
 use crate::{
     error::{Action, Error},
@@ -192,7 +187,7 @@ impl KernelNetwork {
         conditions: &Conditions,
     ) -> Result<(), NoKernelNetwork> {
         let place = self.links.iter().position(|l| l == link).expect("the graph's own link");
-        set_netem(&self.kernel(), &self.hosts, place, direction, netem_of(link, conditions)?)?;
+        set_netem(&self.kernel.lock(), &self.hosts, place, direction, netem_of(link, conditions)?)?;
         self.probes.change(place, direction, conditions);
         Ok(())
     }
@@ -219,7 +214,7 @@ impl KernelNetwork {
     /// [`NoKernelNetwork::Netem`].
     pub fn observe(&self) -> Result<HashMap<(LinkId, Direction), Observed>, NoKernelNetwork> {
         let counted = |device: &cotorra_netem::Device| Some(device.rules().next()?.1);
-        let devices = self.kernel().devices()?;
+        let devices = self.kernel.lock().devices()?;
         let counted: HashMap<_, _> =
             devices.iter().filter_map(|d| Some((d.interface().name.as_str(), counted(d)?))).collect();
         let mut observed = HashMap::new();
@@ -239,10 +234,6 @@ impl KernelNetwork {
     /// that to chance. Where a probe waits for other packets, that counts. Of other packets the kernel tells nothing.
     pub fn lateness(&self) -> Lateness {
         self.probes.lateness()
-    }
-
-    fn kernel(&self) -> MutexGuard<'_, Kernel> {
-        self.kernel.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

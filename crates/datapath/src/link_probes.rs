@@ -6,7 +6,7 @@ use std::{
     io,
     os::fd::{AsFd, OwnedFd},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::{self, JoinHandle},
@@ -16,6 +16,7 @@ use cotorra_fabric::{Crossing, Frame, Histogram, MEASURING_ETHERTYPE, Refusal, T
 use cotorra_graph::{
     Conditions, Direction, Lateness, LinkCounters, LinkId, Probed, Probing, Tested, ThroughputTest, Timestamp,
 };
+use parking_lot::Mutex;
 
 use crate::{
     clock::Clock,
@@ -124,7 +125,7 @@ impl LinkProbes {
 
     /// A direction of a link has other conditions, since just now.
     pub(crate) fn change(&self, link: usize, direction: Direction, conditions: &Conditions) {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         let now = self.shared.clock.now();
         let State { probes, edges, .. } = &mut *state;
         let its = &mut edges[edge(link, direction)];
@@ -144,7 +145,7 @@ impl LinkProbes {
         direction: Direction,
         test: ThroughputTest,
     ) -> Result<(), Refusal> {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         let edge = edge(place, direction);
         let State { trials, edges, .. } = &mut *state;
         trials.begin(self.shared.clock.now(), (edge, link), test, &edges[edge].conditions.rate)?;
@@ -155,7 +156,7 @@ impl LinkProbes {
 
     /// What is known of both directions of each link.
     pub(crate) fn measured(&self) -> Vec<[Measured; 2]> {
-        let state = self.shared.lock();
+        let state = self.shared.state.lock();
         let now = self.shared.clock.now();
         let of = |link| {
             let probed = state.probes.probed(now, link);
@@ -170,7 +171,7 @@ impl LinkProbes {
     /// What others' packets did, of all that a direction's NetEm has counted a moment ago. While packets that measure are
     /// under way that may be less than the truth, by as many; it never falls.
     pub(crate) fn others(&self, link: usize, direction: Direction, all: LinkCounters) -> LinkCounters {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         let edge = edge(link, direction);
         // What NetEm has let go is there to be read.
         state.receive(edge ^ 1);
@@ -183,7 +184,7 @@ impl LinkProbes {
 
     /// By how much probes took longer than they were asked to; those aside of which nobody knows how long that is.
     pub(crate) fn lateness(&self) -> Lateness {
-        self.shared.lock().lateness.summary()
+        self.shared.state.lock().lateness.summary()
     }
 }
 
@@ -198,21 +199,17 @@ impl Drop for LinkProbes {
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn run(&self, mut epoll: Epoll) -> io::Result<()> {
         let mut ready = Vec::new();
         loop {
-            let deadline = self.lock().send();
+            let deadline = self.state.lock().send();
             let timeout = deadline.map(|at| at.since(self.clock.now()));
             ready.clear();
             ready.extend(epoll.wait(timeout)?.map(|event| event.token));
             if self.stopping.load(Ordering::Relaxed) {
                 return Ok(());
             }
-            let mut state = self.lock();
+            let mut state = self.state.lock();
             for &token in &ready {
                 if token < state.edges.len() {
                     state.receive(token);

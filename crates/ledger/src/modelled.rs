@@ -1,14 +1,10 @@
 //! A ledger for virtual time: the contract's rules, and a block each period. It is a model: no network, no consensus, no
 //! forks and no fees; blocks are punctual, have room for everything, and everybody sees them at once.
 
-use std::{
-    collections::VecDeque,
-    ops::Range,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::{collections::VecDeque, ops::Range, sync::Arc, time::Duration};
 
 use cotorra_graph::Timestamp;
+use parking_lot::Mutex;
 
 use crate::{
     contract::Contract,
@@ -80,7 +76,7 @@ impl ModelledChain {
 
     /// The access of the operator with that address. It hears first what happened so far.
     pub fn ledger(&self, account: Account) -> ModelledLedger {
-        let mut chain = self.lock();
+        let mut chain = self.0.lock();
         let index = chain.operators.len();
         let notices = std::iter::once(&Notice::Up).chain(&chain.told).cloned().collect();
         chain.operators.push(Operator { account, notices, submitted: 0 });
@@ -89,7 +85,7 @@ impl ModelledChain {
 
     /// Another run begins, whose time zero is `now` of the run before: the chain goes on, and its operators are new.
     pub fn begin_run(&self, now: Timestamp) {
-        let mut chain = self.lock();
+        let mut chain = self.0.lock();
         chain.advance(now);
         chain.began_ns += now.as_nanos();
         chain.next_block = Timestamp::ZERO + chain.next_block.since(now);
@@ -97,12 +93,7 @@ impl ModelledChain {
 
     /// The contract, as of the last block.
     pub fn contract(&self) -> Contract {
-        self.lock().contract.clone()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Chain> {
-        // Whoever panicked did so between two blocks: calls are applied whole.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock().contract.clone()
     }
 }
 
@@ -157,7 +148,7 @@ impl Ledger for ModelledLedger {
 
     fn submit(&mut self, now: Timestamp, call: Call) -> Ticket {
         let is_away = self.is_away(now);
-        let mut chain = self.chain.lock();
+        let mut chain = self.chain.0.lock();
         chain.advance(now);
         let operator = &mut chain.operators[self.index];
         operator.submitted += 1;
@@ -171,7 +162,7 @@ impl Ledger for ModelledLedger {
     }
 
     fn poll(&mut self, now: Timestamp) -> Option<Notice> {
-        let mut chain = self.chain.lock();
+        let mut chain = self.chain.0.lock();
         chain.advance(now);
         match &mut self.outage {
             Some((outage, told)) if outage.contains(&now) => {
@@ -190,7 +181,7 @@ impl Ledger for ModelledLedger {
     }
 
     fn next_deadline(&self) -> Option<Timestamp> {
-        let chain = self.chain.lock();
+        let chain = self.chain.0.lock();
         match &self.outage {
             Some((outage, true)) => return Some(outage.end),
             Some((outage, false)) if chain.operators[self.index].notices.is_empty() => {

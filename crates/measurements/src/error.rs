@@ -23,11 +23,11 @@ pub enum Error {
         /// Its file, or its server and database.
         history: Arc<str>,
     },
-    /// A newer cotorra wrote it.
+    /// A newer cotorra wrote it, or one from before the first release, whose schema had versions of its own.
     #[error(
-        "{history}: has schema version {found}, but this cotorra knows versions up to {known}; use a newer cotorra"
+        "{history}: has schema version {found}, but this cotorra knows versions up to {known}; a newer cotorra wrote it, or one from before the first release: use that one (its `cotorra history export` and this one's `import` carry runs over), or name another history"
     )]
-    NewerSchema {
+    UnknownSchema {
         /// Its file, or its server and database.
         history: Arc<str>,
         /// Its version.

@@ -1,11 +1,9 @@
 //! A history that lives as long as the process. Grows without bound; for tests, and for runs that leave nothing.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard},
-};
+use std::collections::{BTreeMap, BTreeSet};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
+use parking_lot::RwLock;
 
 use crate::{
     error::{Error, Result},
@@ -67,23 +65,14 @@ fn within(span: Span, request: PageRequest) -> impl Fn(&Cursor) -> bool {
 }
 
 impl Memory {
-    // A panic while the lock is held leaves maps that are whole, so that poison means nothing here.
-    fn read(&self) -> RwLockReadGuard<'_, Vec<Recorded>> {
-        self.runs.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn write(&self) -> RwLockWriteGuard<'_, Vec<Recorded>> {
-        self.runs.write().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn with<T>(&self, run: RunId, ask: impl FnOnce(&Recorded) -> T) -> Result<T> {
-        self.read().get(index(run)).map(ask).ok_or(Error::NoSuchRun(run))
+        self.runs.read().get(index(run)).map(ask).ok_or(Error::NoSuchRun(run))
     }
 }
 
 impl Store for Memory {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
-        let mut runs = self.write();
+        let mut runs = self.runs.write();
         runs.push(Recorded {
             info: info.clone(),
             ended: None,
@@ -96,7 +85,7 @@ impl Store for Memory {
     }
 
     fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
-        let mut runs = self.write();
+        let mut runs = self.runs.write();
         let recorded = runs.get_mut(index(run)).ok_or(Error::NoSuchRun(run))?;
         recorded.ended = Some(Timestamp::from_nanos(clamp(at) as u64));
         Ok(())
@@ -108,7 +97,7 @@ impl Store for Memory {
 
     fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
         let first = after.map_or(0, |run| index(run) + 1);
-        let runs = self.read();
+        let runs = self.runs.read();
         let listed = runs.iter().enumerate().skip(first).take(limit);
         Ok(listed
             .map(|(i, r)| Run { id: RunId(i as i64 + 1), info: r.info.clone(), ended: r.ended })
@@ -116,7 +105,7 @@ impl Store for Memory {
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
-        let mut runs = self.write();
+        let mut runs = self.runs.write();
         let asked = events.iter().map(|e| e.run).chain(gaps.iter().map(|(run, _)| *run));
         if let Some(unknown) = asked.into_iter().find(|run| index(*run) >= runs.len()) {
             return Err(Error::NoSuchRun(unknown));

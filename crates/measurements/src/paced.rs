@@ -1,9 +1,10 @@
 //! The way in for who decides when to write. What it leaves depends on what was recorded and when it was told to
 //! write, not on how fast anything went: in virtual time the same run so leaves the same bytes.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use cotorra_graph::{Stamped, Timestamp};
+use parking_lot::Mutex;
 
 use crate::{
     codec,
@@ -35,7 +36,7 @@ impl PacedRecorder {
 
     /// Takes an event.
     pub fn record(&self, stamped: Stamped) {
-        let mut waiting = self.waiting();
+        let mut waiting = self.waiting.lock();
         if codec::storable(&stamped) {
             waiting.entries.push(Entry { run: self.run, stamped });
         } else {
@@ -48,7 +49,7 @@ impl PacedRecorder {
     /// # Errors
     /// When it cannot be written. Nothing is lost by that: it waits for the next time.
     pub fn flush(&self) -> Result<()> {
-        let mut waiting = self.waiting();
+        let mut waiting = self.waiting.lock();
         if waiting.entries.is_empty() && waiting.gap.is_none() {
             return Ok(());
         }
@@ -61,12 +62,7 @@ impl PacedRecorder {
 
     /// Events lost because no history can hold them; the history tells them as gaps.
     pub fn dropped(&self) -> u64 {
-        self.waiting().dropped
-    }
-
-    fn waiting(&self) -> MutexGuard<'_, Waiting> {
-        // Nothing is half done in it when an engine panics: what waits is dropped after it was written.
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        self.waiting.lock().dropped
     }
 }
 

@@ -4,7 +4,7 @@
 use std::{
     collections::BTreeMap,
     sync::{
-        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, AtomicIsize, AtomicU64, Ordering},
         mpsc::{Receiver, SyncSender, TrySendError, sync_channel},
     },
@@ -13,6 +13,7 @@ use std::{
 };
 
 use cotorra_graph::{Stamped, Timestamp};
+use parking_lot::{Condvar, Mutex};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -165,11 +166,6 @@ struct Flush {
     error: Option<Error>,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Nothing panics while it holds one of these locks.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Queue {
     pub fn new(store: Arc<dyn Store>) -> Result<Self> {
         let (sender, receiver) = sync_channel(QUEUE);
@@ -188,7 +184,7 @@ impl Queue {
     }
 
     pub fn recorder(self: &Arc<Self>, run: RunId) -> Recorder {
-        let tally = lock(&self.shared.tallies).entry(run).or_default().clone();
+        let tally = self.shared.tallies.lock().entry(run).or_default().clone();
         Recorder { run, tally, queue: self.clone() }
     }
 
@@ -206,7 +202,7 @@ impl Queue {
     }
 
     pub fn flush(&self) -> Result<()> {
-        let mut flush = lock(&self.shared.flush);
+        let mut flush = self.shared.flush.lock();
         flush.asked += 1;
         let mine = flush.asked;
         self.wake.unpark();
@@ -217,7 +213,7 @@ impl Queue {
             if flush.tried >= mine {
                 return Err(flush.error.clone().unwrap_or(Error::Stopped));
             }
-            flush = self.shared.flushed.wait(flush).unwrap_or_else(PoisonError::into_inner);
+            self.shared.flushed.wait(&mut flush);
         }
     }
 }
@@ -251,7 +247,7 @@ impl Writer {
         let _answer = AnswerAll(self.shared.clone());
         loop {
             let closing = self.shared.closing.load(Ordering::Acquire);
-            let asked = lock(&self.shared.flush).asked;
+            let asked = self.shared.flush.lock().asked;
             let outcome = self.round();
             let failed = outcome.is_err();
             self.report(&outcome);
@@ -284,7 +280,7 @@ impl Writer {
         let gaps: Vec<_> = self.gaps.iter().map(|(run, gap)| (*run, *gap)).collect();
         self.store.append(&self.batch, &gaps)?;
         self.gaps.clear();
-        let tallies = lock(&self.shared.tallies);
+        let tallies = self.shared.tallies.lock();
         for entries in self.batch.chunk_by(|a, b| a.run == b.run) {
             if let Some(tally) = tallies.get(&entries[0].run) {
                 tally.written.fetch_add(entries.len() as u64, Ordering::Relaxed);
@@ -312,7 +308,7 @@ impl Writer {
 
     /// Adds what was lost since the last round to the gaps that are to be written.
     fn close_gaps(&mut self) {
-        for (run, tally) in lock(&self.shared.tallies).iter() {
+        for (run, tally) in self.shared.tallies.lock().iter() {
             let before = self.gaps.get(run).copied();
             let Some(gap) = tally.gap.close(before) else { continue };
             self.gaps.insert(*run, before.map_or(gap, |before| before.with(gap)));
@@ -332,7 +328,7 @@ impl Writer {
     }
 
     fn answer(&self, asked: u64, outcome: Result<()>) {
-        let mut flush = lock(&self.shared.flush);
+        let mut flush = self.shared.flush.lock();
         flush.tried = asked;
         match outcome {
             Ok(()) => flush.durable = asked,
@@ -348,7 +344,7 @@ struct AnswerAll(Arc<Shared>);
 
 impl Drop for AnswerAll {
     fn drop(&mut self) {
-        let mut flush = lock(&self.0.flush);
+        let mut flush = self.0.flush.lock();
         flush.tried = u64::MAX;
         flush.error = Some(Error::Stopped);
         drop(flush);

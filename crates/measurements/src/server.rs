@@ -11,13 +11,14 @@ mod thin;
 mod write;
 
 use std::{
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread::{self, JoinHandle},
     time::Duration,
 };
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use mysql::{Conn, Row, prelude::Queryable};
+use parking_lot::{Condvar, Mutex};
 
 use self::{
     connection::{Fallible, connect, engine_error, prepare},
@@ -34,11 +35,9 @@ use crate::{
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},
     rolled::Reading,
+    schema::MIGRATIONS,
     store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
-
-/// A server that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
-const PATIENCE: Duration = Duration::from_secs(2);
 
 /// How long an answer, or a batch from the spool, may take.
 const LONG_PATIENCE: Duration = Duration::from_secs(60);
@@ -46,11 +45,23 @@ const LONG_PATIENCE: Duration = Duration::from_secs(60);
 /// Between attempts to reach a server that went away.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// A spool takes so many bytes.
-const SPOOL: u64 = 256_000_000;
-
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
+
+/// What a server is given.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    /// One that takes longer to take a batch counts as gone. Meanwhile the recorder's queue fills.
+    patience: Duration,
+    /// A spool takes so many bytes.
+    spool: u64,
+}
+
+impl Limits {
+    /// The server of a unit test is not gone, however busy its machine is.
+    const USUAL: Self =
+        Self { patience: Duration::from_secs(if cfg!(test) { 60 } else { 2 }), spool: 256_000_000 };
+}
 
 /// A database of a server.
 pub(crate) struct Remote {
@@ -62,6 +73,7 @@ pub(crate) struct Remote {
 /// What the thread that empties the spool has in common with those who write.
 struct Shared {
     server: Server,
+    patience: Duration,
     state: Mutex<State>,
     /// The server went away, or the history is closed.
     changed: Condvar,
@@ -76,32 +88,31 @@ struct State {
     closing: bool,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What these locks guard is whole at any time: a panic in the middle of a write rolls it back.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Remote {
     /// Opens a history, or makes a new one, and takes in what processes left behind that recorded it while the
     /// server was away.
     pub fn open(server: &Server) -> Result<Self> {
-        Self::with_spool_of(server, SPOOL)
+        Self::within(server, Limits::USUAL)
     }
 
-    fn with_spool_of(server: &Server, bound: u64) -> Result<Self> {
+    fn within(server: &Server, limits: Limits) -> Result<Self> {
         let engine = |e| engine_error(&server.name, e);
         let mut connection = connect(server, LONG_PATIENCE).map_err(engine)?;
-        prepare(&mut connection, server)?;
-        let spool = Spool::create(&server.spool, &server.name, bound)?;
+        prepare(&mut connection, server, MIGRATIONS)?;
+        let spool = Spool::create(&server.spool, &server.name, limits.spool)?;
         let mut writer = Writer::new(connection);
         for left in Spool::left_behind(&server.spool, &server.name)? {
             take_in(server, &mut writer, &left)?;
             forget(&mut writer.connection, &left).map_err(engine)?;
         }
-        let direct = connect(server, PATIENCE).map_err(engine)?;
+        let direct = connect(server, limits.patience).map_err(engine)?;
         let state = State { direct: Some(Writer::new(direct)), spool, batch: 0, closing: false };
-        let shared =
-            Arc::new(Shared { server: server.clone(), state: Mutex::new(state), changed: Condvar::new() });
+        let shared = Arc::new(Shared {
+            server: server.clone(),
+            patience: limits.patience,
+            state: Mutex::new(state),
+            changed: Condvar::new(),
+        });
         let drainer = thread::Builder::new().name("spool".to_owned()).spawn({
             let shared = shared.clone();
             move || shared.drain()
@@ -112,7 +123,7 @@ impl Remote {
 
     fn read<T>(&self, ask: impl Fn(&Reader) -> Result<T>) -> Result<T> {
         let server = &self.shared.server;
-        let taken = lock(&self.readers).pop();
+        let taken = self.readers.lock().pop();
         let fresh = || {
             let connection = connect(server, LONG_PATIENCE).map_err(|e| engine_error(&server.name, e))?;
             Ok(Reader::new(connection, &server.name))
@@ -121,7 +132,7 @@ impl Remote {
             Some(reader) => match ask(&reader) {
                 // The server may have been started anew since this connection was made.
                 Err(Error::Unreachable { .. }) => {
-                    lock(&self.readers).clear();
+                    self.readers.lock().clear();
                     let reader = fresh()?;
                     let answer = ask(&reader)?;
                     (reader, answer)
@@ -134,7 +145,7 @@ impl Remote {
                 (reader, answer)
             }
         };
-        let mut idle = lock(&self.readers);
+        let mut idle = self.readers.lock();
         if idle.len() < IDLE_READERS {
             idle.push(reader);
         }
@@ -156,10 +167,10 @@ impl Shared {
 
     /// Waits for a server that went away, and brings it what was spooled, until the history is closed.
     fn drain(&self) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         loop {
             while state.direct.is_some() && !state.closing {
-                state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+                self.changed.wait(&mut state);
             }
             if state.direct.is_some() {
                 return;
@@ -168,7 +179,7 @@ impl Shared {
             let closing = state.closing;
             drop(state);
             let outcome = self.catch_up();
-            state = lock(&self.state);
+            state = self.state.lock();
             match outcome {
                 Ok(()) => tracing::info!("the server of the history is back, and has all that was spooled"),
                 Err(error) if closing => {
@@ -178,8 +189,7 @@ impl Shared {
                 Err(error) => {
                     tracing::debug!(%error, "the server of the history is still away");
                     if !state.closing {
-                        let wait = self.changed.wait_timeout(state, RETRY);
-                        state = wait.unwrap_or_else(PoisonError::into_inner).0;
+                        self.changed.wait_for(&mut state, RETRY);
                     }
                 }
             }
@@ -188,17 +198,17 @@ impl Shared {
 
     fn catch_up(&self) -> Result<()> {
         let connection = connect(&self.server, LONG_PATIENCE).map_err(|e| self.engine(e))?;
-        let mut direct = connect(&self.server, PATIENCE).map_err(|e| self.engine(e))?;
+        let mut direct = connect(&self.server, self.patience).map_err(|e| self.engine(e))?;
         let mut writer = Writer::new(connection);
         let (reader, id) = {
-            let state = lock(&self.state);
+            let state = self.state.lock();
             (state.spool.reader(), state.spool.writer.clone())
         };
         let mut taken = taken(&mut writer.connection, &id).map_err(|e| self.engine(e))?;
         let mut place = Spool::begin();
         loop {
             let end = {
-                let mut state = lock(&self.state);
+                let mut state = self.state.lock();
                 if place == state.spool.end() {
                     direct.ping().map_err(|e| self.engine(e))?;
                     state.spool.clear()?;
@@ -223,7 +233,7 @@ impl Shared {
                 }
                 Next::End | Next::Damage(_) => {
                     let cause = std::io::Error::other("the file was changed by another program");
-                    let spool = lock(&self.state).spool.name().into();
+                    let spool = self.state.lock().spool.name().into();
                     return Err(Error::Spool { spool, cause: Arc::new(cause) });
                 }
             }
@@ -297,14 +307,14 @@ fn end_run(connection: &mut Conn, run: RunId, at: Timestamp) -> std::result::Res
 
 impl Drop for Remote {
     fn drop(&mut self) {
-        lock(&self.shared.state).closing = true;
+        self.shared.state.lock().closing = true;
         self.shared.changed.notify_all();
         if let Some(drainer) = self.drainer.take()
             && drainer.join().is_err()
         {
             tracing::error!("the thread that empties the spool panicked; the spool is kept");
         }
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let State { direct, spool, .. } = &mut *state;
         if let Some(writer) = direct
             && let Err(error) = forget(&mut writer.connection, spool)
@@ -332,7 +342,7 @@ fn run_of(row: &Row) -> std::result::Result<Run, ReadError> {
 
 impl Store for Remote {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let Some(writer) = &mut state.direct else {
             let cause = "it went away, and what was recorded is not in it yet".into();
             return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
@@ -354,7 +364,7 @@ impl Store for Remote {
     }
 
     fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         if let Some(writer) = &mut state.direct {
             match end_run(&mut writer.connection, run, at) {
                 Ok(()) => return Ok(()),
@@ -388,7 +398,7 @@ impl Store for Remote {
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         let number = state.batch;
         let State { direct, spool, .. } = &mut *state;
         if let Some(writer) = direct {

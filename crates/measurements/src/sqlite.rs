@@ -8,13 +8,10 @@ mod tests;
 mod thin;
 mod write;
 
-use std::{
-    path::Path,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
+use parking_lot::Mutex;
 use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionBehavior, params};
 
 use self::{read::Reader, write::Writer};
@@ -66,7 +63,7 @@ impl Sqlite {
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let mut connection = Connection::open_with_flags(&path, flags)
             .map_err(|e| Error::Open { history: name.clone(), cause: Arc::new(e) })?;
-        prepare(&mut connection, &name)?;
+        prepare(&mut connection, &name, MIGRATIONS)?;
         Ok(Self { path, name, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
     }
 
@@ -77,7 +74,8 @@ impl Sqlite {
             other => return other,
         };
         let name: Arc<str> = path.to_string_lossy().into();
-        let is_history = |connection: &Connection| -> Fallible<Result<usize>> { version(connection, &name) };
+        let is_history =
+            |connection: &Connection| -> Fallible<Result<usize>> { version(connection, &name, MIGRATIONS) };
         // Where nothing can be written, SQLite cannot read along with a writer; but there then is none.
         for place in [path.into(), immutable(path)] {
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
@@ -99,20 +97,17 @@ impl Sqlite {
     }
 
     fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
-        // A panic during a write rolled it back, so that poison means nothing here.
-        let mut writer = self.writer.lock().unwrap_or_else(PoisonError::into_inner);
-        work(&mut writer).map_err(|e| engine_error(&self.name, e))
+        work(&mut self.writer.lock()).map_err(|e| engine_error(&self.name, e))
     }
 
     fn read<T>(&self, ask: impl FnOnce(&Reader) -> Result<T>) -> Result<T> {
-        let idle = || self.readers.lock().unwrap_or_else(PoisonError::into_inner);
-        let taken = idle().pop();
+        let taken = self.readers.lock().pop();
         let reader = match taken {
             Some(reader) => reader,
             None => Reader::open(&self.path, &self.name)?,
         };
         let answer = ask(&reader)?;
-        let mut idle = idle();
+        let mut idle = self.readers.lock();
         if idle.len() < IDLE_READERS {
             idle.push(reader);
         }
@@ -141,10 +136,10 @@ fn immutable(path: &Path) -> std::path::PathBuf {
 }
 
 /// Checks what the file is before anything in it is touched, then brings it up to date.
-fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
+fn prepare(connection: &mut Connection, history: &Arc<str>, migrations: &[&str]) -> Result<()> {
     let work = |connection: &mut Connection| -> Fallible<Result<()>> {
         connection.busy_timeout(BUSY)?;
-        match version(connection, history) {
+        match version(connection, history, migrations) {
             // Where nothing can be written, not even a log that is read along, SQLite cannot read either.
             Err(_) if connection.is_readonly("main")? => {
                 return Ok(Err(Error::ReadOnly { history: history.clone() }));
@@ -167,16 +162,16 @@ fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
         connection.set_prepared_statement_cache_capacity(64);
 
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-        let found = match version(&transaction, history)? {
+        let found = match version(&transaction, history, migrations)? {
             Ok(found) => found,
             Err(e) => return Ok(Err(e)),
         };
-        for migration in &MIGRATIONS[found..] {
+        for migration in &migrations[found..] {
             transaction.execute_batch(migration)?;
         }
-        if found < MIGRATIONS.len() {
+        if found < migrations.len() {
             transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
-            transaction.pragma_update(None, "user_version", MIGRATIONS.len() as u32)?;
+            transaction.pragma_update(None, "user_version", migrations.len() as u32)?;
         }
         transaction.commit().map(Ok)
     };
@@ -184,15 +179,15 @@ fn prepare(connection: &mut Connection, history: &Arc<str>) -> Result<()> {
 }
 
 /// The schema version of a file that may be a history; 0 for an empty one.
-fn version(connection: &Connection, history: &Arc<str>) -> Fallible<Result<usize>> {
+fn version(connection: &Connection, history: &Arc<str>, migrations: &[&str]) -> Fallible<Result<usize>> {
     let application: i32 = connection.pragma_query_value(None, "application_id", |row| row.get(0))?;
     let found: u32 = connection.pragma_query_value(None, "user_version", |row| row.get(0))?;
     let empty: bool = connection.query_row("SELECT count(*) = 0 FROM sqlite_schema", [], |row| row.get(0))?;
-    let known = MIGRATIONS.len() as u32;
+    let known = migrations.len() as u32;
     Ok(match (application, found) {
         (0, 0) if empty => Ok(0),
         (APPLICATION_ID, found) if found > known => {
-            Err(Error::NewerSchema { history: history.clone(), found, known })
+            Err(Error::UnknownSchema { history: history.clone(), found, known })
         }
         (APPLICATION_ID, found) => Ok(found as usize),
         _ => Err(Error::NotAHistory { history: history.clone() }),

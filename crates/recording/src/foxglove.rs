@@ -1,16 +1,13 @@
 //! What is recorded, served live over Foxglove's WebSocket protocol. Whoever comes later gets the last message of each
 //! latched topic at once, as ROS 2 gives it.
 
-use std::{
-    collections::BTreeMap,
-    net::SocketAddr,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::{collections::BTreeMap, net::SocketAddr, sync::Arc};
 
 use foxglove::{
     ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer, WebSocketServerHandle,
     websocket::{ChannelView, Client, ServerListener},
 };
+use parking_lot::Mutex;
 
 use crate::{
     channel::{Encoded, Qos},
@@ -70,7 +67,7 @@ impl Sink for FoxgloveServer {
         let at = PartialMetadata::with_log_time(at.as_nanos());
         if channel.qos == Qos::Latched {
             let last = Last { channel: Arc::clone(opened), at, payload: payload.to_vec() };
-            self.latched.0.lock().unwrap_or_else(PoisonError::into_inner).insert(channel.topic.clone(), last);
+            self.latched.0.lock().insert(channel.topic.clone(), last);
         }
         opened.log_with_meta(payload, at);
         Ok(())
@@ -86,7 +83,7 @@ impl Sink for FoxgloveServer {
 
 impl ServerListener for Latched {
     fn on_subscribe(&self, client: Client, channel: ChannelView<'_>) {
-        if let Some(last) = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(channel.topic()) {
+        if let Some(last) = self.0.lock().get(channel.topic()) {
             last.channel.log_with_meta_to_sink(&last.payload, last.at, client.sink_id());
         }
     }

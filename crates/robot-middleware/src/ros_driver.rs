@@ -1,13 +1,10 @@
 //! The driver of a robot that speaks ROS: a [`RosRobot`], a link to it, and the thread that keeps both going. ROS 1 and
 //! ROS 2 are two kinds of link.
 
-use std::{
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    thread,
-    time::Duration,
-};
+use std::{sync::Arc, thread, time::Duration};
 
 use cotorra_graph::{NodeId, RobotFault, SensorData, Timestamp, Velocity};
+use parking_lot::{Condvar, Mutex};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
@@ -65,13 +62,6 @@ struct State<L> {
     ended: bool,
 }
 
-impl<L: RosLink> Shared<L> {
-    fn lock(&self) -> MutexGuard<'_, State<L>> {
-        // A thread that panicked left a robot that is stopped by its next timeout, as always.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 impl<L: RosLink> State<L> {
     /// Takes in what was said, and says what is to be said.
     fn go_on(&mut self, now: Timestamp) {
@@ -126,39 +116,36 @@ fn run<L: RosLink, E: std::fmt::Display>(
 ) {
     let mut told = false;
     loop {
-        if shared.lock().ended {
+        if shared.state.lock().ended {
             return;
         }
         match connect() {
             Ok(link) => {
-                shared.lock().link = Some(link);
+                shared.state.lock().link = Some(link);
                 break;
             }
             // Once: the next attempts fail in the same way.
             Err(error) if !told => {
                 told = true;
-                tracing::warn!("robot {}: {error}; trying again", shared.lock().robot.id());
+                tracing::warn!("robot {}: {error}; trying again", shared.state.lock().robot.id());
             }
             Err(_) => {}
         }
-        let state = shared.lock();
-        drop(shared.changed.wait_timeout_while(state, AGAIN, |state| !state.ended));
+        shared.changed.wait_while_for(&mut shared.state.lock(), |state| !state.ended, AGAIN);
     }
-    let mut state = shared.lock();
+    let mut state = shared.state.lock();
     while !state.ended {
         state.go_on(clock());
         let now = state.now;
         let wait = state.robot.next_deadline(now).map_or(LISTEN, |at| at.since(now).min(LISTEN));
-        let waited = shared.changed.wait_timeout(state, wait.max(Duration::from_millis(1)));
-        state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        shared.changed.wait_for(&mut state, wait.max(Duration::from_millis(1)));
     }
     let Some(mut link) = state.link.take() else { return };
     drop(state);
     // The end: whoever drives the robot next finds it standing. Said several times, as what says so may get lost.
     for _ in 0..STOPS {
         link.say(Velocity::default());
-        let state = shared.lock();
-        drop(shared.changed.wait_timeout(state, BETWEEN_STOPS));
+        shared.changed.wait_for(&mut shared.state.lock(), BETWEEN_STOPS);
     }
 }
 
@@ -173,14 +160,14 @@ impl<L: RosLink> RobotDriver for RosDriver<L> {
 
     fn advance(&mut self, now: Timestamp) {
         let shared = Arc::clone(&self.shared);
-        let mut state = shared.lock();
+        let mut state = shared.state.lock();
         state.go_on(now);
         self.look(&state);
     }
 
     fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
         let shared = Arc::clone(&self.shared);
-        let mut state = shared.lock();
+        let mut state = shared.state.lock();
         state.now = state.now.max(now);
         let at = state.now;
         let done = state.robot.command(at, velocity);
@@ -190,7 +177,7 @@ impl<L: RosLink> RobotDriver for RosDriver<L> {
     }
 
     fn stop(&mut self, now: Timestamp) {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         state.now = state.now.max(now);
         let at = state.now;
         state.robot.stop(at);
@@ -212,7 +199,7 @@ impl<L: RosLink> RobotDriver for RosDriver<L> {
 
 impl<L: RosLink> Drop for RosDriver<L> {
     fn drop(&mut self) {
-        self.shared.lock().ended = true;
+        self.shared.state.lock().ended = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
             // A thread that panicked has ended, too.

@@ -1,13 +1,10 @@
 //! A simulated robot that others reach over ROS: a thread that keeps it moving and tells what it senses, as a real one
 //! would, beside the testbed that it belongs to.
 
-use std::{
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    thread,
-    time::Duration,
-};
+use std::{sync::Arc, thread, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, SensorData, Timestamp, Velocity};
+use parking_lot::{Condvar, Mutex};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
@@ -70,13 +67,6 @@ struct State {
     ended: bool,
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Physics that panicked stands still, which the testbed's own thread then says.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 impl OfferedRobot {
     /// Offers a robot over what `connect` makes, which is called on a thread that is started by the calling one, and so
     /// is in its network namespace. A failure is logged and tried again.
@@ -100,12 +90,13 @@ impl OfferedRobot {
                     // Once: the next attempts fail in the same way.
                     Err(error) if !told => {
                         told = true;
-                        tracing::warn!("robot {}: {error}; trying again", its.lock().robot.robot());
+                        tracing::warn!("robot {}: {error}; trying again", its.state.lock().robot.robot());
                     }
                     Err(_) => {}
                 }
-                let waited = its.ended.wait_timeout_while(its.lock(), AGAIN, |state| !state.ended);
-                if waited.unwrap_or_else(PoisonError::into_inner).0.ended {
+                let mut state = its.state.lock();
+                its.ended.wait_while_for(&mut state, |state| !state.ended, AGAIN);
+                if state.ended {
                     return;
                 }
             }
@@ -115,7 +106,7 @@ impl OfferedRobot {
     }
 
     fn at<R>(&self, now: Timestamp, act: impl FnOnce(&mut SimulatedRobot, Timestamp) -> R) -> R {
-        let mut state = self.shared.lock();
+        let mut state = self.shared.state.lock();
         state.now = state.now.max(now);
         let now = state.now;
         act(&mut state.robot, now)
@@ -125,7 +116,7 @@ impl OfferedRobot {
 /// The robot's thread.
 fn serve(shared: &Shared, clock: &Clock, mut offer: impl RosOffer) {
     let mut told = None;
-    let mut state = shared.lock();
+    let mut state = shared.state.lock();
     while !state.ended {
         state.now = state.now.max(clock());
         let now = state.now;
@@ -142,7 +133,8 @@ fn serve(shared: &Shared, clock: &Clock, mut offer: impl RosOffer) {
         offer.tell(now, &sensors, fresh.as_ref());
         let next = now + SimulatedRobot::STEP;
         let wait = next.since(clock()).max(Duration::from_millis(1));
-        state = shared.ended.wait_timeout(shared.lock(), wait).unwrap_or_else(PoisonError::into_inner).0;
+        state = shared.state.lock();
+        shared.ended.wait_for(&mut state, wait);
     }
 }
 
@@ -152,7 +144,7 @@ impl RobotDriver for OfferedRobot {
     }
 
     fn command_timeout(&self) -> Duration {
-        self.shared.lock().robot.command_timeout()
+        self.shared.state.lock().robot.command_timeout()
     }
 
     fn advance(&mut self, now: Timestamp) {
@@ -173,7 +165,7 @@ impl RobotDriver for OfferedRobot {
     }
 
     fn sensors(&self) -> SensorData {
-        self.shared.lock().robot.sensors()
+        self.shared.state.lock().robot.sensors()
     }
 
     fn scan(&self) -> Option<&Scan> {
@@ -181,13 +173,13 @@ impl RobotDriver for OfferedRobot {
     }
 
     fn truth(&self) -> Option<Pose> {
-        self.shared.lock().robot.truth()
+        self.shared.state.lock().robot.truth()
     }
 }
 
 impl Drop for OfferedRobot {
     fn drop(&mut self) {
-        self.shared.lock().ended = true;
+        self.shared.state.lock().ended = true;
         self.shared.ended.notify_all();
         if let Some(thread) = self.thread.take() {
             // A thread that panicked has ended, too.

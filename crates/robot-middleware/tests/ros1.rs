@@ -21,7 +21,7 @@ use cotorra_ros1::{
     Endpoint, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Text, Twist},
 };
-use process::{PATIENCE, until};
+use process::until;
 use ros::Ros;
 
 /// A robot that is as it is told on /mood.
@@ -122,16 +122,18 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
         ("silent", RobotFault::Silent),
     ] {
         well(&mut robot);
-        assert_eq!(robot.command(clock(), forward), Ok(forward), "{mood}");
-        assert_eq!(velocities.recv_timeout(PATIENCE).unwrap().linear.x, 0.2, "{mood}");
+        // On a busy machine the robot may also be silent for a moment, and not be told anything then.
+        until(&format!("it moves before it is {mood}"), || {
+            robot.command(clock(), forward) == Ok(forward)
+                && velocities.try_recv().is_some_and(|velocity| velocity.linear.x == 0.2)
+        });
         moods.publish(&Text { data: mood.to_owned() });
         // Somebody keeps it moving until that is refused; then it is told to stop.
         let mut refused = None;
         until(&format!("it is known to be {mood}"), || {
             refused = robot.command(clock(), forward).err();
-            refused.is_some()
+            refused.is_some() && robot.health().contains(&fault)
         });
-        assert!(robot.health().contains(&fault), "{mood}: {:?}", robot.health());
         assert!(matches!(refused, Some(CommandRefused::Unwell(_))), "{mood}");
         until("it is told to stop", || {
             velocities.try_recv().is_some_and(|velocity| velocity == Twist::default())
@@ -151,8 +153,10 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
     assert_eq!(robot.scan().unwrap().ranges.len(), 641);
 
     // Whoever drives it goes away while it moves.
-    assert_eq!(robot.command(clock(), forward), Ok(forward));
-    until("it moves", || velocities.try_recv().is_some_and(|velocity| velocity.linear.x == 0.2));
+    until("it moves", || {
+        robot.command(clock(), forward) == Ok(forward)
+            && velocities.try_recv().is_some_and(|velocity| velocity.linear.x == 0.2)
+    });
     drop(robot);
     until("it is told to stop", || {
         velocities.try_recv().is_some_and(|velocity| velocity == Twist::default())

@@ -4,7 +4,7 @@ use std::{
     io::{self, Read, Write},
     net::{TcpListener, TcpStream},
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
         mpsc,
     },
@@ -12,9 +12,10 @@ use std::{
     time::Duration,
 };
 
+use parking_lot::Mutex;
+
 use crate::{
     http, master,
-    queue::lock,
     registry::{Notice, Registry},
     uri::Endpoint,
     xmlrpc::{self, Call, Fault},
@@ -133,7 +134,7 @@ fn serve(
                 let call = Call::from_xml(request.body).map_err(|error| Fault::from(&error));
                 let mut to_tell = Vec::new();
                 let answer = {
-                    let mut registry = lock(registry);
+                    let mut registry = registry.lock();
                     let answer = call.and_then(|call| registry.answer(&call, &mut to_tell));
                     // Within the lock, so that nodes are told in the order in which things happened.
                     to_tell.into_iter().for_each(|notice| drop(notices.send(notice)));

@@ -12,19 +12,20 @@ use std::{
     io,
     net::{IpAddr, SocketAddr, TcpListener},
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
         mpsc,
     },
     thread::{self, JoinHandle},
 };
 
+use parking_lot::Mutex;
+
 use crate::{
     config::NodeConfig,
     definition::Message,
     master::{Master, RpcError},
     names::{NameError, Names},
-    queue::lock,
     uri::Endpoint,
     xmlrpc::Value,
 };
@@ -142,16 +143,16 @@ impl Shared {
         tell: impl FnOnce(&Master) -> Result<T, RpcError>,
         take_back: impl FnOnce(&mut State),
     ) -> Result<T, NodeError> {
-        let _order = lock(&self.registrar);
+        let _order = self.registrar.lock();
         {
-            let mut state = lock(&self.state);
+            let mut state = self.state.lock();
             if self.is_stopped() {
                 return Err(NodeError::ShutDown);
             }
             add(&mut state)?;
         }
         tell(&self.master).map_err(|error| {
-            take_back(&mut lock(&self.state));
+            take_back(&mut self.state.lock());
             error.into()
         })
     }
@@ -191,7 +192,7 @@ impl Node {
         let node = Self(Arc::new(Running { shared: Arc::clone(&shared), threads: Mutex::default() }));
         let spawn = |name: &str, run: Box<dyn FnOnce() + Send>| {
             let thread = thread::Builder::new().name(name.to_owned()).spawn(run)?;
-            lock(&node.0.threads).push(thread);
+            node.0.threads.lock().push(thread);
             io::Result::Ok(())
         };
         let keeper = Arc::clone(&shared);
@@ -249,7 +250,7 @@ impl Node {
         let (name, value) = (self.resolve(name)?, value.into());
         self.master().set_param(&name, value.clone())?;
         // The master tells all but who set it.
-        lock(&self.shared().state).watches.values().for_each(|watch| watch.update(&name, &value));
+        self.shared().state.lock().watches.values().for_each(|watch| watch.update(&name, &value));
         Ok(())
     }
 
@@ -261,7 +262,7 @@ impl Node {
 impl Running {
     fn shut_down(&self) {
         self.shared.errand(Errand::Stop);
-        for thread in lock(&self.threads).drain(..) {
+        for thread in self.threads.lock().drain(..) {
             // A thread that panicked has ended, too.
             let _ = thread.join();
         }

@@ -1,17 +1,9 @@
 //! Queues that drop the oldest: of what waits to be sent to one peer, and of what waits to be taken by the program.
 //! What is old is worth less than what is new, and no peer makes another wait.
 
-use std::{
-    collections::VecDeque,
-    io,
-    sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::{collections::VecDeque, io, sync::Arc, time::Duration};
 
-/// A lock; what it guards is whole after each statement, whoever panicked.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use parking_lot::{Condvar, Mutex};
 
 /// What waits to be sent over one connection.
 #[derive(Debug)]
@@ -113,7 +105,7 @@ impl Inbox {
 
     /// Adds a message; the oldest gives way if the queue is full.
     pub fn push(&self, message: &[u8]) {
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         // The memory of what gives way serves for what comes.
         let full = state.waiting.len() == self.depth;
         let mut buffer = if full { state.waiting.pop_front().unwrap_or_default() } else { Vec::new() };
@@ -127,33 +119,32 @@ impl Inbox {
 
     /// Nothing comes any more.
     pub fn close(&self) {
-        lock(&self.state).closed = true;
+        self.state.lock().closed = true;
         self.arrived.notify_all();
     }
 
     /// The oldest, if there is one.
     pub fn try_pop(&self) -> Option<Vec<u8>> {
-        lock(&self.state).waiting.pop_front()
+        self.state.lock().waiting.pop_front()
     }
 
     /// The oldest, once there is one.
     pub fn pop(&self, timeout: Option<Duration>) -> Result<Vec<u8>, RecvError> {
-        let state = lock(&self.state);
+        let mut state = self.state.lock();
         let nothing = |state: &mut InboxState| state.waiting.is_empty() && !state.closed;
-        let mut state = match timeout {
-            None => self.arrived.wait_while(state, nothing).unwrap_or_else(PoisonError::into_inner),
+        match timeout {
+            None => self.arrived.wait_while(&mut state, nothing),
             Some(timeout) => {
-                let waited = self.arrived.wait_timeout_while(state, timeout, nothing);
-                waited.unwrap_or_else(PoisonError::into_inner).0
+                self.arrived.wait_while_for(&mut state, nothing, timeout);
             }
-        };
+        }
         let closed = state.closed;
         state.waiting.pop_front().ok_or(if closed { RecvError::ShutDown } else { RecvError::Timeout })
     }
 
     /// How many were dropped.
     pub fn dropped(&self) -> u64 {
-        lock(&self.state).dropped
+        self.state.lock().dropped
     }
 }
 

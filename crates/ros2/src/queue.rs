@@ -1,15 +1,8 @@
 //! A queue that drops the oldest: what waits to be taken by the program. What is old is worth less than what is new.
 
-use std::{
-    collections::VecDeque,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
-    time::Duration,
-};
+use std::{collections::VecDeque, time::Duration};
 
-/// A lock; what it guards is whole after each statement, whoever panicked.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use parking_lot::{Condvar, Mutex};
 
 /// What waits, at most so many.
 #[derive(Debug)]
@@ -79,39 +72,38 @@ impl<T> Inbox<T> {
 
     /// Adds a message; the oldest gives way if the queue is full.
     pub fn push(&self, message: T) {
-        lock(&self.state).waiting.push(message);
+        self.state.lock().waiting.push(message);
         self.arrived.notify_one();
     }
 
     /// Nothing comes any more.
     pub fn close(&self) {
-        lock(&self.state).closed = true;
+        self.state.lock().closed = true;
         self.arrived.notify_all();
     }
 
     /// The oldest, if there is one.
     pub fn try_pop(&self) -> Option<T> {
-        lock(&self.state).waiting.pop()
+        self.state.lock().waiting.pop()
     }
 
     /// The oldest, once there is one.
     pub fn pop(&self, timeout: Option<Duration>) -> Result<T, RecvError> {
-        let state = lock(&self.state);
+        let mut state = self.state.lock();
         let nothing = |state: &mut State<T>| state.waiting.front().is_none() && !state.closed;
-        let mut state = match timeout {
-            None => self.arrived.wait_while(state, nothing).unwrap_or_else(PoisonError::into_inner),
+        match timeout {
+            None => self.arrived.wait_while(&mut state, nothing),
             Some(timeout) => {
-                let waited = self.arrived.wait_timeout_while(state, timeout, nothing);
-                waited.unwrap_or_else(PoisonError::into_inner).0
+                self.arrived.wait_while_for(&mut state, nothing, timeout);
             }
-        };
+        }
         let closed = state.closed;
         state.waiting.pop().ok_or(if closed { RecvError::ShutDown } else { RecvError::Timeout })
     }
 
     /// How many were dropped.
     pub fn dropped(&self) -> u64 {
-        lock(&self.state).waiting.dropped
+        self.state.lock().waiting.dropped
     }
 }
 

@@ -2,7 +2,6 @@
 
 use std::{
     path::PathBuf,
-    sync::Mutex,
     thread,
     time::{Duration, Instant},
 };
@@ -14,6 +13,7 @@ use cotorra_ledger::{
         anvil::{self, Anvil},
     },
 };
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

@@ -3,9 +3,11 @@
 use std::{
     io,
     net::{Shutdown, SocketAddr, TcpListener, TcpStream},
-    sync::{Arc, Mutex},
+    sync::Arc,
     thread,
 };
+
+use parking_lot::Mutex;
 
 pub struct Proxy {
     address: SocketAddr,
@@ -23,7 +25,7 @@ impl Proxy {
         let open = Arc::clone(&connections);
         thread::spawn(move || {
             for operator in listener.incoming() {
-                let (Ok(operator), Some(open)) = (operator, &mut *open.lock().unwrap()) else { continue };
+                let (Ok(operator), Some(open)) = (operator, &mut *open.lock()) else { continue };
                 let Ok(node) = TcpStream::connect(&node) else { continue };
                 for (mut from, mut to) in [(&operator, &node), (&node, &operator)]
                     .map(|(from, to)| (from.try_clone().unwrap(), to.try_clone().unwrap()))
@@ -45,13 +47,13 @@ impl Proxy {
 
     /// The node cannot be reached, and what is under way is lost.
     pub fn cut(&self) {
-        for connection in self.connections.lock().unwrap().take().into_iter().flatten() {
+        for connection in self.connections.lock().take().into_iter().flatten() {
             let _ = connection.shutdown(Shutdown::Both);
         }
     }
 
     /// It can be reached again.
     pub fn mend(&self) {
-        self.connections.lock().unwrap().get_or_insert_default();
+        self.connections.lock().get_or_insert_default();
     }
 }

@@ -44,25 +44,25 @@ impl Moody {
     }
 
     fn set(&self, mood: Mood) {
-        *lock(&self.mood) = mood;
+        *self.mood.lock() = mood;
         self.changed.notify_all();
     }
 
     fn wait_for_a_batch(&self) {
-        let mut mood = lock(&self.mood);
+        let mut mood = self.mood.lock();
         while !self.arrived.load(Ordering::Acquire) {
-            mood = self.changed.wait(mood).unwrap();
+            self.changed.wait(&mut mood);
         }
     }
 }
 
 impl Store for Moody {
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
-        let mut mood = lock(&self.mood);
+        let mut mood = self.mood.lock();
         self.arrived.store(true, Ordering::Release);
         self.changed.notify_all();
         while *mood == Mood::Stuck {
-            mood = self.changed.wait(mood).unwrap();
+            self.changed.wait(&mut mood);
         }
         match *mood {
             Mood::Full => Err(Error::Full { history: "history.sqlite".into() }),

@@ -40,6 +40,42 @@ CREATE TABLE presence (
     PRIMARY KEY (run, kind, a, b, stretch)
 ) WITHOUT ROWID;
 
+-- Figures of a series in one of its stretches, column by column: an hour of one link is read without the rows of all
+-- others. A stretch without one is read from the rows. How `samples` is written is in `chunk.rs`.
+CREATE TABLE chunk (
+    run     INTEGER NOT NULL,
+    kind    INTEGER NOT NULL,
+    a       INTEGER NOT NULL,
+    b       INTEGER NOT NULL,
+    stretch INTEGER NOT NULL,
+    samples BLOB    NOT NULL,
+    PRIMARY KEY (run, kind, a, b, stretch)
+) WITHOUT ROWID;
+
+-- What is left of samples that were rolled up: the figures of steps of time, by the stretch in which the last sample of
+-- the step is, which stays a row of its table. Rows of the stretch whose seq is below next_seq are in these figures. How
+-- `steps` is written is in `rolled.rs`.
+CREATE TABLE rolled_up (
+    run      INTEGER NOT NULL,
+    kind     INTEGER NOT NULL,
+    a        INTEGER NOT NULL,
+    b        INTEGER NOT NULL,
+    stretch  INTEGER NOT NULL,
+    next_seq INTEGER NOT NULL,
+    steps    BLOB    NOT NULL,
+    PRIMARY KEY (run, kind, a, b, stretch)
+) WITHOUT ROWID;
+
+-- How far samples of a kind (as in `presence`) were rolled up, and how far there is nothing left of them.
+CREATE TABLE retained (
+    run              INTEGER NOT NULL,
+    kind             INTEGER NOT NULL,
+    rolled_up_to_ns  INTEGER NOT NULL,
+    step_ns          INTEGER NOT NULL,
+    dropped_to_ns    INTEGER NOT NULL,
+    PRIMARY KEY (run, kind)
+) WITHOUT ROWID;
+
 -- Events that were lost: between t_ns and until_ns so many could not be kept.
 CREATE TABLE gap (
     run      INTEGER NOT NULL,
@@ -88,6 +124,7 @@ CREATE TABLE robot (
     angular_radps      REAL,
     bumper             INTEGER NOT NULL,
     nearest_obstacle_m REAL,              -- NULL: nothing in range
+    health             TEXT,              -- faults, spaces between: as `absent`, `silent` or `flood`; NULL: none
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
@@ -126,25 +163,35 @@ CREATE TABLE station (
     PRIMARY KEY (run, t_ns, seq, place)
 ) WITHOUT ROWID;
 
--- d, λ, ψ, δ of one direction (0 forward, 1 backward) of a link. Counters count from the run's beginning.
+-- d, λ, ψ, δ of one direction (0 forward, 1 backward) of a link. Counters count from the run's beginning. The last
+-- columns are what active measurements told: of probes, and of the last test of the throughput. Each figure's age when
+-- it was told stands beside it; NULL where nothing was measured.
 CREATE TABLE link (
-    run            INTEGER NOT NULL,
-    t_ns           INTEGER NOT NULL,
-    seq            INTEGER NOT NULL,
-    link           INTEGER NOT NULL,
-    direction      INTEGER NOT NULL,
-    delay_ns       INTEGER,               -- d; NULL: nothing crossed
-    throughput_bps REAL,                  -- λ
-    delay_scale    REAL,                  -- ψ
-    drop_scale     REAL,                  -- δ
-    asked          INTEGER NOT NULL,      -- row of `conditions`
-    effective      INTEGER NOT NULL,      -- row of `conditions`
-    packets        INTEGER NOT NULL,
-    bytes          INTEGER NOT NULL,
-    lost           INTEGER NOT NULL,
-    overflowed     INTEGER NOT NULL,
-    duplicated     INTEGER NOT NULL,
-    corrupted      INTEGER NOT NULL,
+    run                 INTEGER NOT NULL,
+    t_ns                INTEGER NOT NULL,
+    seq                 INTEGER NOT NULL,
+    link                INTEGER NOT NULL,
+    direction           INTEGER NOT NULL,
+    delay_ns            INTEGER,          -- d; NULL: nothing crossed
+    throughput_bps      REAL,             -- λ
+    delay_scale         REAL,             -- ψ
+    drop_scale          REAL,             -- δ
+    asked               INTEGER NOT NULL, -- row of `conditions`
+    effective           INTEGER NOT NULL, -- row of `conditions`
+    packets             INTEGER NOT NULL,
+    bytes               INTEGER NOT NULL,
+    lost                INTEGER NOT NULL,
+    overflowed          INTEGER NOT NULL,
+    duplicated          INTEGER NOT NULL,
+    corrupted           INTEGER NOT NULL,
+    probed_delay_ns     INTEGER,
+    probed_jitter_ns    INTEGER,
+    probed_delay_age_ns INTEGER,          -- of the jitter, too
+    probed_loss         REAL,             -- share, 0 to 1
+    probed_loss_age_ns  INTEGER,
+    tested_bps          REAL,             -- what came out
+    tested_offered_bps  REAL,             -- what was sent
+    tested_age_ns       INTEGER,
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
@@ -305,3 +352,10 @@ CREATE TABLE notice (
     message TEXT    NOT NULL,
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
+
+-- How many batches of a process have been taken in, if it had to spool them because its server was away: what was
+-- taken in is not taken in again. Of use to servers only.
+CREATE TABLE spool (
+    writer  TEXT    NOT NULL UNIQUE,
+    batches INTEGER NOT NULL
+);

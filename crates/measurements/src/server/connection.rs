@@ -8,7 +8,7 @@ use mysql::{Conn, Opts, OptsBuilder, prelude::Queryable};
 use crate::{
     error::{Error, Result},
     location::Server,
-    schema::{MIGRATIONS, for_server},
+    schema::for_server,
 };
 
 pub(super) type Fallible<T> = std::result::Result<T, mysql::Error>;
@@ -63,10 +63,10 @@ pub(super) fn columns<'a>(names: impl IntoIterator<Item = &'a &'a str>) -> Strin
 }
 
 /// Checks what the database is before anything in it is touched, then brings it up to date.
-pub(super) fn prepare(connection: &mut Conn, server: &Server) -> Result<()> {
+pub(super) fn prepare(connection: &mut Conn, server: &Server, migrations: &[&str]) -> Result<()> {
     let engine = |e| engine_error(&server.name, e);
-    let known = MIGRATIONS.len() as u32;
-    if version(connection, server)? == Some(known) {
+    let known = migrations.len() as u32;
+    if version(connection, server, known)? == Some(known) {
         return Ok(());
     }
     // One process at a time; the server frees the lock with the session.
@@ -76,13 +76,13 @@ pub(super) fn prepare(connection: &mut Conn, server: &Server) -> Result<()> {
     if got.flatten() != Some(1) {
         return Err(Error::Busy { history: server.name.clone() });
     }
-    let found = version(connection, server)?.unwrap_or(0);
+    let found = version(connection, server, known)?.unwrap_or(0);
     let mut migrate = || -> Fallible<()> {
         // First of all, so that a database with half a schema is known for what it is.
         connection.query_drop(
             "CREATE TABLE IF NOT EXISTS cotorra_schema (one BIGINT PRIMARY KEY, version BIGINT NOT NULL) ENGINE = InnoDB",
         )?;
-        for (version, migration) in (1_i64..).zip(MIGRATIONS).skip(found as usize) {
+        for (version, migration) in (1_i64..).zip(migrations).skip(found as usize) {
             for statement in for_server(migration) {
                 match connection.query_drop(statement) {
                     // Added by a migration that was killed before it could say so.
@@ -98,7 +98,7 @@ pub(super) fn prepare(connection: &mut Conn, server: &Server) -> Result<()> {
 }
 
 /// The schema version of a database that may be a history; `None` for an empty one.
-fn version(connection: &mut Conn, server: &Server) -> Result<Option<u32>> {
+fn version(connection: &mut Conn, server: &Server, known: u32) -> Result<Option<u32>> {
     let mut ask = || -> Fallible<(Vec<String>, Option<i64>)> {
         let tables: Vec<String> = connection.query("SHOW TABLES")?;
         if !tables.iter().any(|table| table == "cotorra_schema") {
@@ -109,10 +109,9 @@ fn version(connection: &mut Conn, server: &Server) -> Result<Option<u32>> {
         Ok((tables, Some(found.unwrap_or(0))))
     };
     let (tables, found) = ask().map_err(|e| engine_error(&server.name, e))?;
-    let known = MIGRATIONS.len() as u32;
     match found.map(|found| u32::try_from(found).unwrap_or(u32::MAX)) {
         Some(found) if found > known => {
-            Err(Error::NewerSchema { history: server.name.clone(), found, known })
+            Err(Error::UnknownSchema { history: server.name.clone(), found, known })
         }
         Some(found) => Ok(Some(found)),
         None if tables.is_empty() => Ok(None),

@@ -12,6 +12,9 @@ use crate::{
     testing::{mariadb::MariaDb, notice, placement, run_info},
 };
 
+/// Room in the spool for few batches.
+const SMALL: Limits = Limits { spool: 20_000, ..Limits::USUAL };
+
 fn place(url: &str) -> Server {
     match url.parse().unwrap() {
         Location::Server(server) => server,
@@ -37,14 +40,14 @@ impl Remote {
 
     /// Waits until the server has all that was spooled.
     fn wait_until_caught_up(&self) {
-        let mut state = lock(&self.shared.state);
+        let mut state = self.shared.state.lock();
         while state.direct.is_none() {
-            state = self.shared.changed.wait(state).unwrap();
+            self.shared.changed.wait(&mut state);
         }
     }
 
     fn spools(&self) -> bool {
-        lock(&self.shared.state).direct.is_none()
+        self.shared.state.lock().direct.is_none()
     }
 }
 
@@ -147,26 +150,68 @@ fn quoted_name(url: &str) -> String {
     place(url).database
 }
 
+fn set_version(url: &str, version: u32) {
+    session(url).exec_drop("UPDATE cotorra_schema SET version = ?", (version,)).unwrap();
+}
+
+fn version_of(url: &str) -> Option<u32> {
+    session(url).query_first("SELECT version FROM cotorra_schema").unwrap()
+}
+
+/// Of a newer cotorra, or of one from before the first release, whose versions went up to 5.
 #[test]
-fn refuses_a_newer_schema_and_brings_an_older_one_up_to_date() {
+fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let url = server.fresh();
     drop(Remote::open(&place(&url)).unwrap());
-    let newer = MIGRATIONS.len() as u32 + 1;
-    let set = |version: u32| {
-        session(&url).exec_drop("UPDATE cotorra_schema SET version = ?", (version,)).unwrap();
-    };
-    set(newer);
-    let error = refusal(&url);
-    assert!(matches!(error, Error::NewerSchema { found, known, .. } if found == newer && known == newer - 1));
+    let tables = || session(&url).query::<String, _>("SHOW TABLES").unwrap();
+    let before = tables();
+    for other in (MIGRATIONS.len() as u32 + 1..).take(5) {
+        set_version(&url, other);
+        let error = refusal(&url);
+        let told = error.to_string();
+        assert!(
+            matches!(error, Error::UnknownSchema { found, known, .. } if (found, known) == (other, MIGRATIONS.len() as u32)),
+            "{told}"
+        );
+        assert!(told.contains(&format!("version {other}")) && told.contains("history export"), "{told}");
+        assert_eq!((tables(), version_of(&url)), (before.clone(), Some(other)));
+    }
+}
 
-    // A migration that was killed half-way: some of its tables are there.
-    set(0);
+#[test]
+fn a_new_database_that_was_left_half_made_is_finished() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    drop(Remote::open(&place(&url)).unwrap());
+    // As if its process had been killed half-way: some of its tables are there.
+    set_version(&url, 0);
     session(&url).query_drop("DROP TABLE spool, notice").unwrap();
     let history = History::connect(&url.parse().unwrap()).unwrap();
-    let run = history.begin_run(&run_info("migrated")).unwrap();
+    let run = history.begin_run(&run_info("finished")).unwrap();
     record(&history, run, 0..20);
     assert_eq!(everything(&history, run), all(20));
+    assert_eq!(version_of(&url), Some(MIGRATIONS.len() as u32));
+}
+
+#[test]
+fn brings_an_older_schema_up_to_date() {
+    let Some(server) = MariaDb::shared() else { return };
+    let url = server.fresh();
+    let history = History::connect(&url.parse().unwrap()).unwrap();
+    let run = history.begin_run(&run_info("old")).unwrap();
+    record(&history, run, 0..20);
+    drop(history);
+    let later = [MIGRATIONS, &["ALTER TABLE notice ADD COLUMN mood TEXT"]].concat();
+    // The second time as if the first one had been killed before it could say that it was done.
+    for _ in 0..2 {
+        set_version(&url, MIGRATIONS.len() as u32);
+        prepare(&mut session(&url), &place(&url), &later).unwrap();
+        assert_eq!(version_of(&url), Some(later.len() as u32));
+        let found: (u32, u32) =
+            session(&url).query_first("SELECT count(*), count(mood) FROM notice").unwrap().unwrap();
+        assert_eq!(found, (18, 0));
+    }
 }
 
 /// No error, and nothing that is shown of a history, holds the password.
@@ -288,7 +333,8 @@ fn what_stays_in_the_spool_is_taken_in_when_the_history_is_opened_again() {
 #[test]
 fn a_server_that_hangs_is_one_that_is_gone() {
     let Some(server) = MariaDb::start() else { return };
-    let store = Arc::new(Remote::open(&place(&server.fresh())).unwrap());
+    let limits = Limits { patience: Duration::from_secs(2), ..Limits::USUAL };
+    let store = Arc::new(Remote::within(&place(&server.fresh()), limits).unwrap());
     let history = History::of(store.clone()).unwrap();
     let run = history.begin_run(&run_info("hangs")).unwrap();
     record(&history, run, 0..100);
@@ -317,7 +363,7 @@ fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
     store.append(&entries(0..10), &[]).unwrap();
     store.append(&entries(10..20), &[]).unwrap();
     {
-        let mut state = lock(&store.shared.state);
+        let mut state = store.shared.state.lock();
         // As if the answer to the last one had been lost.
         let number = state.batch - 1;
         state.spool.push_batch(number, &entries(10..20), &[]).unwrap();
@@ -335,7 +381,7 @@ fn a_batch_whose_fate_is_unknown_is_taken_in_once() {
 #[test]
 fn a_full_spool_makes_gaps_in_the_end() {
     let Some(server) = MariaDb::start() else { return };
-    let store = Arc::new(Remote::with_spool_of(&place(&server.fresh()), 20_000).unwrap());
+    let store = Arc::new(Remote::within(&place(&server.fresh()), SMALL).unwrap());
     let history = History::of(store.clone()).unwrap();
     let run = history.begin_run(&run_info("full")).unwrap();
     let recorder = history.recorder(run).unwrap();
@@ -371,7 +417,7 @@ fn a_full_spool_makes_gaps_in_the_end() {
 fn a_full_spool_that_is_left_behind_tells_its_gap() {
     let Some(server) = MariaDb::start() else { return };
     let place = place(&server.fresh());
-    let history = History::of(Arc::new(Remote::with_spool_of(&place, 20_000).unwrap())).unwrap();
+    let history = History::of(Arc::new(Remote::within(&place, SMALL).unwrap())).unwrap();
     let run = history.begin_run(&run_info("left full")).unwrap();
     let recorder = history.recorder(run).unwrap();
     server.stop();

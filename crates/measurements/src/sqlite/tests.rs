@@ -91,17 +91,29 @@ fn refuses_what_is_no_history_and_leaves_it_alone() {
     assert!(matches!(refusal(&folder.path().join("no/such/folder")), Error::Open { .. }));
 }
 
+/// Of a newer cotorra, or of one from before the first release, whose versions went up to 5.
 #[test]
-fn refuses_a_newer_schema_and_leaves_it_alone() {
+fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
     let (_folder, path) = folder();
     drop(Sqlite::open(&path).unwrap());
-    let newer = MIGRATIONS.len() as u32 + 1;
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", newer).unwrap();
-    let error = refusal(&path);
-    assert!(matches!(error, Error::NewerSchema { found, known, .. } if found == newer && known == newer - 1));
-    let found: u32 =
-        Connection::open(&path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap();
-    assert_eq!(found, newer);
+    for other in (MIGRATIONS.len() as u32 + 1..).take(5) {
+        Connection::open(&path).unwrap().pragma_update(None, "user_version", other).unwrap();
+        let before = fs::read(&path).unwrap();
+        for error in [refusal(&path), Sqlite::open_to_read(&path).err().unwrap()] {
+            let told = error.to_string();
+            assert!(
+                matches!(error, Error::UnknownSchema { found, known, .. } if (found, known) == (other, MIGRATIONS.len() as u32)),
+                "{told}"
+            );
+            assert!(told.contains(&format!("version {other}")) && told.contains("history export"), "{told}");
+        }
+        assert_eq!(fs::read(&path).unwrap(), before);
+        assert_eq!(version_of(&path), other);
+    }
+}
+
+fn version_of(path: &Path) -> u32 {
+    Connection::open(path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap()
 }
 
 #[test]
@@ -134,8 +146,8 @@ fn what_cannot_be_written_can_be_asked() {
         let store = Sqlite {
             path: place.into(),
             name: "kept".into(),
-            writer: std::sync::Mutex::new(super::Writer::new(connection)),
-            readers: std::sync::Mutex::default(),
+            writer: Mutex::new(super::Writer::new(connection)),
+            readers: Mutex::default(),
         };
         let history = History::of(Arc::new(store)).unwrap();
         assert_eq!(everything(&history, run), [placement(1, "brain", "fog")]);
@@ -362,22 +374,25 @@ fn questions_use_the_keys() {
 #[test]
 fn brings_an_older_file_up_to_date() {
     let (_folder, path) = folder();
-    let old = Connection::open(&path).unwrap();
-    old.execute_batch(MIGRATIONS[0]).unwrap();
-    old.pragma_update(None, "application_id", APPLICATION_ID).unwrap();
-    old.pragma_update(None, "user_version", 1).unwrap();
-    old.execute_batch(
-        "INSERT INTO run VALUES (1, 'old', 7, 0, '', NULL, 1); INSERT INTO notice VALUES (1, 5, 0, 'from before')",
-    )
-    .unwrap();
-    drop(old);
-    let history = History::open(&path).unwrap();
-    let run = history.runs(None, 1).unwrap()[0].id;
-    assert_eq!(everything(&history, run), [notice(5, "from before")]);
-    drop(history);
-    let version: u32 =
-        Connection::open(&path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap();
-    assert_eq!(version, MIGRATIONS.len() as u32);
+    let store = Sqlite::open(&path).unwrap();
+    let run = store.begin_run(&run_info("old")).unwrap();
+    store.append(&[Entry { run, stamped: notice(5, "from before") }], &[]).unwrap();
+    drop(store);
+    assert_eq!(version_of(&path), MIGRATIONS.len() as u32);
+
+    let later = [MIGRATIONS, &["ALTER TABLE notice ADD COLUMN mood TEXT"]].concat();
+    let mut connection = Connection::open(&path).unwrap();
+    for _ in 0..2 {
+        prepare(&mut connection, &"a history".into(), &later).unwrap();
+        let found: (i64, String, Option<String>) = connection
+            .query_row("SELECT t_ns, message, mood FROM notice", [], |row| {
+                Ok((row.get(0)?, row.get(1)?, row.get(2)?))
+            })
+            .unwrap();
+        assert_eq!(found, (5, "from before".to_owned(), None));
+    }
+    drop(connection);
+    assert_eq!(version_of(&path), later.len() as u32);
 }
 
 /// A loss of power cuts the write-ahead log off anywhere: whole batches are left, from the first on.

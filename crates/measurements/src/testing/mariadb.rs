@@ -11,11 +11,12 @@ use std::{
     net::{TcpListener, TcpStream},
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::{Mutex, PoisonError, Weak},
+    sync::Weak,
     thread,
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use tempfile::TempDir;
 
 /// A server. Ends when it is dropped.
@@ -35,7 +36,7 @@ impl MariaDb {
     /// The server that tests share which do nothing to it but use a database of their own; `None` if there is none
     /// to be had.
     pub fn shared() -> Option<std::sync::Arc<Self>> {
-        let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shared = SHARED.lock();
         if let Some(server) = shared.upgrade() {
             return Some(server);
         }
@@ -144,7 +145,7 @@ impl MariaDb {
             assert!(child.try_wait().unwrap().is_none(), "mariadbd ended: {}", self.log());
             thread::sleep(Duration::from_millis(20));
         }
-        *self.child.lock().unwrap() = Some(child);
+        *self.child.lock() = Some(child);
     }
 
     /// Ends it in order; connections are cut off.
@@ -159,7 +160,7 @@ impl MariaDb {
 
     /// It stays, and does nothing any more, until `-CONT`.
     pub fn signal(&self, signal: &str) {
-        if let Some(child) = &*self.child.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(child) = &*self.child.lock() {
             let done = Command::new("kill").args([signal, &child.id().to_string()]).status();
             assert!(done.unwrap().success());
         }
@@ -167,7 +168,7 @@ impl MariaDb {
 
     fn end(&self, signal: &str) {
         self.signal(signal);
-        if let Some(mut child) = self.child.lock().unwrap_or_else(PoisonError::into_inner).take() {
+        if let Some(mut child) = self.child.lock().take() {
             child.wait().unwrap();
         }
     }
@@ -188,7 +189,7 @@ impl MariaDb {
 
     /// The URL of a database that nobody has.
     pub fn fresh(&self) -> String {
-        let mut databases = self.databases.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut databases = self.databases.lock();
         *databases += 1;
         self.url(&format!("test{databases}"))
     }

@@ -19,7 +19,7 @@ use std::{
 use super::{Shared, topics::Subscription};
 use crate::{
     master::{self, RpcError},
-    queue::{SendQueue, lock},
+    queue::SendQueue,
     tcpros::{FrameReader, Header, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
     uri::Endpoint,
     xmlrpc::Value,
@@ -132,7 +132,7 @@ impl Engine {
     pub fn run(mut self, shared: &Arc<Shared>) {
         let mut events = Events::with_capacity(256);
         while self.turn(shared, &mut events) {}
-        let state = std::mem::take(&mut *lock(&shared.state));
+        let state = std::mem::take(&mut *shared.state.lock());
         state.publications.values().for_each(|publication| publication.close());
         state.watches.values().for_each(|watch| watch.close());
         for subscription in state.subscriptions.values() {
@@ -203,7 +203,7 @@ impl Engine {
     fn obey(&mut self, shared: &Arc<Shared>, command: Command) {
         match command {
             Command::Publishers { subscription, publishers } => {
-                let subscribed = lock(&shared.state).subscriptions.get(&subscription).cloned();
+                let subscribed = shared.state.lock().subscriptions.get(&subscription).cloned();
                 if subscribed.is_some_and(|subscribed| !subscribed.told.load(Ordering::Acquire)) {
                     self.set_publishers(shared, subscription, &publishers);
                 }
@@ -357,7 +357,7 @@ impl Engine {
 
     /// Connects to publishers that are new, and leaves those that are no longer.
     fn set_publishers(&mut self, shared: &Arc<Shared>, subscription: u64, publishers: &[String]) {
-        if !lock(&shared.state).subscriptions.contains_key(&subscription) {
+        if !shared.state.lock().subscriptions.contains_key(&subscription) {
             return;
         }
         let links = self.links.entry(subscription).or_default();
@@ -371,7 +371,7 @@ impl Engine {
 
     /// Connects to a publisher, on a thread of its own: names are looked up, and peers may not answer.
     fn connect(&mut self, shared: &Arc<Shared>, subscription: u64, publisher: &str) {
-        let Some(subscribed) = lock(&shared.state).subscriptions.get(&subscription).cloned() else { return };
+        let Some(subscribed) = shared.state.lock().subscriptions.get(&subscription).cloned() else { return };
         let links = self.links.entry(subscription).or_default();
         let link = links.entry(publisher.to_owned());
         link.or_insert(Link { state: LinkState::Connecting, retry: FIRST_RETRY }).state =
@@ -405,7 +405,7 @@ impl Engine {
     ) {
         // It may no longer be wanted, or have been made twice.
         let wanted = self.link(id, &publisher).is_some_and(|link| link.state == LinkState::Connecting);
-        let subscription = lock(&shared.state).subscriptions.get(&id).cloned();
+        let subscription = shared.state.lock().subscriptions.get(&id).cloned();
         let Some(subscription) = subscription.filter(|_| wanted) else { return };
         let called = publisher.clone();
         let opened = stream.and_then(|stream| {

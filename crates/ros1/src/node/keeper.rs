@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{Shared, engine::Command, params::Watch, topics::Subscription};
-use crate::{master::RpcError, queue::lock};
+use crate::master::RpcError;
 
 /// How often the master is asked whether it still knows the node.
 const HEARTBEAT: Duration = Duration::from_secs(1);
@@ -38,10 +38,10 @@ pub(super) fn run(shared: &Arc<Shared>, errands: &mpsc::Receiver<Errand>) {
     }
     {
         // After this, nothing new is registered.
-        let _state = lock(&shared.state);
+        let _state = shared.state.lock();
         shared.stopped.store(true, Ordering::Release);
     }
-    let _order = lock(&shared.registrar);
+    let _order = shared.registrar.lock();
     note(&unregister_all(shared));
     shared.command(Command::Stop);
 }
@@ -55,20 +55,20 @@ fn note(result: &Result<(), RpcError>) {
 
 /// Tells that something ended, unless it began anew in the meantime.
 fn unregister(shared: &Shared, errand: &Errand) -> Result<(), RpcError> {
-    let _order = lock(&shared.registrar);
+    let _order = shared.registrar.lock();
     let (master, api, service) = (&shared.master, &shared.api, shared.tcpros.rosrpc());
     let gone = |known: bool| !known;
     match errand {
-        Errand::Unpublished(topic) if gone(lock(&shared.state).publications.contains_key(topic)) => {
+        Errand::Unpublished(topic) if gone(shared.state.lock().publications.contains_key(topic)) => {
             master.unregister_publisher(topic, api)
         }
-        Errand::Unsubscribed(topic) if gone(lock(&shared.state).subscribes(topic)) => {
+        Errand::Unsubscribed(topic) if gone(shared.state.lock().subscribes(topic)) => {
             master.unregister_subscriber(topic, api)
         }
-        Errand::Unserved(name) if gone(lock(&shared.state).services.contains_key(name)) => {
+        Errand::Unserved(name) if gone(shared.state.lock().services.contains_key(name)) => {
             master.unregister_service(name, &service)
         }
-        Errand::Unwatched(name) if gone(lock(&shared.state).watches(name)) => {
+        Errand::Unwatched(name) if gone(shared.state.lock().watches(name)) => {
             master.unsubscribe_param(name, api)
         }
         _ => Ok(()),
@@ -85,7 +85,7 @@ struct Registered {
 
 impl Registered {
     fn of(shared: &Shared) -> Self {
-        let state = lock(&shared.state);
+        let state = shared.state.lock();
         let publications = state.publications.iter().map(|(topic, p)| (topic.clone(), p.kind.name));
         Self {
             publications: publications.collect(),
@@ -117,10 +117,10 @@ fn unregister_all(shared: &Shared) -> Result<(), RpcError> {
 
 /// Registers all anew if the master does not know the node any more.
 fn heartbeat(shared: &Shared) -> Result<(), RpcError> {
-    if lock(&shared.state).is_empty() {
+    if shared.state.lock().is_empty() {
         return Ok(());
     }
-    let _order = lock(&shared.registrar);
+    let _order = shared.registrar.lock();
     match shared.master.lookup_node(shared.names.node()) {
         Err(RpcError::Refused { .. }) => {}
         // If another node took the name, the master tells this one to shut down.

@@ -1,12 +1,11 @@
 //! Parameters that a node is told the changes of.
 
-use std::{
-    sync::{Arc, Condvar, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
+
+use parking_lot::{Condvar, Mutex};
 
 use super::{Node, NodeError, RecvError, Shared, keeper::Errand};
-use crate::{queue::lock, xmlrpc::Value};
+use crate::xmlrpc::Value;
 
 /// A parameter that is watched.
 #[derive(Debug)]
@@ -27,7 +26,7 @@ impl Watch {
     /// A parameter changed: this one, one above it or one in it.
     pub fn update(&self, name: &str, value: &Value) {
         let name = name.trim_end_matches('/');
-        let mut state = lock(&self.state);
+        let mut state = self.state.lock();
         if let Some(inner) = self.name.strip_prefix(name) {
             if !(inner.is_empty() || inner.starts_with('/')) {
                 return;
@@ -44,7 +43,7 @@ impl Watch {
     }
 
     pub fn close(&self) {
-        lock(&self.state).closed = true;
+        self.state.lock().closed = true;
         self.changed.notify_all();
     }
 }
@@ -85,7 +84,7 @@ pub struct ParamWatch {
 impl ParamWatch {
     /// Its value; `None` if it is not set.
     pub fn value(&self) -> Option<Value> {
-        lock(&self.watch.state).value.clone()
+        self.watch.state.lock().value.clone()
     }
 
     /// Its value at its next change. A change since the last call counts.
@@ -93,10 +92,9 @@ impl ParamWatch {
     /// # Errors
     /// [`RecvError`] if none comes in time.
     pub fn changed(&self, timeout: Duration) -> Result<Option<Value>, RecvError> {
-        let state = lock(&self.watch.state);
+        let mut state = self.watch.state.lock();
         let same = |state: &mut WatchState| !state.fresh && !state.closed;
-        let waited = self.watch.changed.wait_timeout_while(state, timeout, same);
-        let mut state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        self.watch.changed.wait_while_for(&mut state, same, timeout);
         match (std::mem::take(&mut state.fresh), state.closed) {
             (true, _) => Ok(state.value.clone()),
             (false, true) => Err(RecvError::ShutDown),
@@ -107,7 +105,7 @@ impl ParamWatch {
 
 impl Drop for ParamWatch {
     fn drop(&mut self) {
-        lock(&self.shared.state).watches.remove(&self.id);
+        self.shared.state.lock().watches.remove(&self.id);
         self.shared.errand(Errand::Unwatched(self.watch.name.clone()));
     }
 }
@@ -131,7 +129,7 @@ impl Node {
             |state| drop(state.watches.remove(&id)),
         )?;
         {
-            let mut state = lock(&watch.state);
+            let mut state = watch.state.lock();
             if !state.fresh {
                 state.value = set(&value).cloned();
             }
@@ -149,7 +147,7 @@ mod tests {
     }
 
     fn value(watch: &Watch) -> Option<Value> {
-        lock(&watch.state).value.clone()
+        watch.state.lock().value.clone()
     }
 
     #[test]

@@ -16,7 +16,6 @@ use crate::{
     definition::{Message, Service},
     master::{self, RpcError},
     names::NameError,
-    queue::lock,
     tcpros::{self, Header, LENGTH_LEN, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
     uri::{Endpoint, UriError},
     wire::{DecodeError, Field},
@@ -71,7 +70,7 @@ impl fmt::Debug for ServiceServer {
 
 impl Drop for ServiceServer {
     fn drop(&mut self) {
-        lock(&self.shared.state).services.remove(&self.name);
+        self.shared.state.lock().services.remove(&self.name);
         self.shared.command(Command::Unserved(self.name.clone()));
         self.shared.errand(Errand::Unserved(self.name.clone()));
     }

@@ -5,18 +5,19 @@ use std::{
     marker::PhantomData,
     net::Shutdown,
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
     },
     time::Duration,
 };
 
 use mio::net::TcpStream;
+use parking_lot::Mutex;
 
 use super::{Kind, Node, NodeError, RecvError, Shared, engine::Command, keeper::Errand};
 use crate::{
     definition::Message,
-    queue::{Inbox, SendQueue, lock},
+    queue::{Inbox, SendQueue},
     tcpros::{self, Header},
 };
 
@@ -76,7 +77,7 @@ pub(super) struct Outgoing {
 
 impl Outgoing {
     fn send(&self, frame: &Arc<Vec<u8>>) {
-        let mut queue = lock(&self.queue);
+        let mut queue = self.queue.lock();
         queue.push(Arc::clone(frame));
         if queue.flush(&mut &self.stream).is_err() {
             // The engine sees that, and forgets the connection.
@@ -86,12 +87,12 @@ impl Outgoing {
 
     /// Sends what waits, once there is room.
     pub fn flush(&self) -> io::Result<()> {
-        lock(&self.queue).flush(&mut &self.stream)
+        self.queue.lock().flush(&mut &self.stream)
     }
 
     /// How many bytes and frames were sent.
     pub fn sent(&self) -> (u64, u64) {
-        let queue = lock(&self.queue);
+        let queue = self.queue.lock();
         (queue.bytes, queue.frames)
     }
 }
@@ -109,7 +110,7 @@ impl Publication {
             ("latching", if self.options.latch { "1" } else { "0" }),
             ("tcp_nodelay", "1"),
         ]);
-        let mut connections = lock(&self.connections);
+        let mut connections = self.connections.lock();
         let mut queue = SendQueue::new(self.options.queue, Some(header.to_frame()));
         connections.latched.iter().for_each(|latched| queue.push(Arc::clone(latched)));
         // A failure shows at the next event.
@@ -127,12 +128,12 @@ impl Publication {
 
     /// Forgets a connection.
     pub fn disconnect(&self, outgoing: &Arc<Outgoing>) {
-        lock(&self.connections).open.retain(|open| !Arc::ptr_eq(open, outgoing));
+        self.connections.lock().open.retain(|open| !Arc::ptr_eq(open, outgoing));
     }
 
     /// Ends all connections. What the kernel has taken still arrives.
     pub fn close(&self) {
-        let mut connections = lock(&self.connections);
+        let mut connections = self.connections.lock();
         connections.closed = true;
         for outgoing in connections.open.drain(..) {
             let _ = outgoing.stream.shutdown(Shutdown::Both);
@@ -155,7 +156,7 @@ struct Advertised {
 impl Drop for Advertised {
     fn drop(&mut self) {
         let topic = &self.publication.topic;
-        lock(&self.shared.state).publications.remove(topic);
+        self.shared.state.lock().publications.remove(topic);
         self.publication.close();
         self.shared.errand(Errand::Unpublished(topic.clone()));
     }
@@ -181,13 +182,13 @@ impl<M> Publisher<M> {
 
     /// How many subscribers are connected.
     pub fn subscribers(&self) -> usize {
-        lock(&self.advertised.publication.connections).open.len()
+        self.advertised.publication.connections.lock().open.len()
     }
 
     /// How many messages were dropped because a connected subscriber takes them too slowly.
     pub fn dropped(&self) -> u64 {
-        let connections = lock(&self.advertised.publication.connections);
-        connections.open.iter().map(|outgoing| lock(&outgoing.queue).dropped).sum()
+        let connections = self.advertised.publication.connections.lock();
+        connections.open.iter().map(|outgoing| outgoing.queue.lock().dropped).sum()
     }
 }
 
@@ -195,7 +196,7 @@ impl<M: Message> Publisher<M> {
     /// Publishes a message. Never waits: what a subscriber's connection does not take at once is queued.
     pub fn publish(&self, message: &M) {
         let publication = &self.advertised.publication;
-        let mut connections = lock(&publication.connections);
+        let mut connections = publication.connections.lock();
         if connections.closed || (connections.open.is_empty() && !publication.options.latch) {
             return;
         }
@@ -236,7 +237,7 @@ impl<M> fmt::Debug for Subscriber<M> {
 
 impl<M> Drop for Subscriber<M> {
     fn drop(&mut self) {
-        lock(&self.shared.state).subscriptions.remove(&self.subscription.id);
+        self.shared.state.lock().subscriptions.remove(&self.subscription.id);
         self.shared.command(Command::Unsubscribed(self.subscription.id));
         self.shared.errand(Errand::Unsubscribed(self.subscription.topic.clone()));
     }

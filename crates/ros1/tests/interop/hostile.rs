@@ -4,7 +4,6 @@ use std::{
     io::{Read, Write},
     net::{TcpListener, TcpStream},
     thread,
-    time::Duration,
 };
 
 use crate::{
@@ -167,7 +166,7 @@ fn a_service_that_lies_about_its_length_is_an_error() {
         // Until the client ends.
         let _ = client.read_to_end(&mut Vec::new());
     });
-    let called = node.call::<EmptyService>("liar", &EmptyRequest {}, Duration::from_secs(5));
+    let called = node.call::<EmptyService>("liar", &EmptyRequest {}, PATIENCE);
     assert!(
         matches!(&called, Err(CallError::Unreachable(error)) if error.to_string().contains("over the limit")),
         "{called:?}"

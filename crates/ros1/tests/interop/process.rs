@@ -5,10 +5,12 @@ use std::{
     io::{self, Read},
     os::unix::process::CommandExt,
     process::{Child, Command, Stdio},
-    sync::{Arc, Mutex},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
+
+use parking_lot::Mutex;
 
 /// How long anything may take; far more than it does, even on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -47,7 +49,7 @@ impl Process {
         thread::spawn(move || {
             let mut piece = [0; 4096];
             while let Ok(read @ 1..) = reader.read(&mut piece) {
-                collected.lock().unwrap().extend_from_slice(&piece[..read]);
+                collected.lock().extend_from_slice(&piece[..read]);
             }
         });
         Ok(Self { child, output })
@@ -55,7 +57,7 @@ impl Process {
 
     /// What it printed until now.
     pub fn output(&self) -> String {
-        String::from_utf8_lossy(&self.output.lock().unwrap()).into_owned()
+        String::from_utf8_lossy(&self.output.lock()).into_owned()
     }
 
     /// Waits until it printed that.

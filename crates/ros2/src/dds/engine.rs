@@ -8,7 +8,6 @@ use rustdds::{
 };
 
 use super::participant::Shared;
-use crate::queue::lock;
 
 const WAKER: Token = Token(0);
 const DISCOVERY: Token = Token(1);
@@ -54,10 +53,10 @@ impl Engine {
             }
             // First who publishes, then what.
             while let Some(event) = self.discovery.try_recv_status() {
-                lock(&self.shared.graph).apply(event);
+                self.shared.graph.lock().apply(event);
             }
             let (subscriptions, publications) = {
-                let state = lock(&self.shared.state);
+                let state = self.shared.state.lock();
                 let subscriptions = events.iter().filter_map(|event| state.readers.get(&event.token().0));
                 let publications: Vec<_> = state.publications.values().cloned().collect();
                 (subscriptions.cloned().collect::<Vec<_>>(), publications)

@@ -4,12 +4,13 @@ use std::{
     collections::BTreeMap,
     net::IpAddr,
     sync::{
-        Arc, Mutex,
+        Arc,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread::{self, JoinHandle},
 };
 
+use parking_lot::Mutex;
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, QosPolicies, RTPSEntity, Topic, TopicKind, dds::CreateError,
     mio1 as mio, no_key::DataWriterCdr,
@@ -27,7 +28,6 @@ use crate::{
     node::NodeError,
     peers::Peers,
     qos::Qos,
-    queue::lock,
     topics::{Carrier, Incoming, Inlet, Outlet},
 };
 
@@ -109,7 +109,7 @@ impl Shared {
         &self,
         act: impl FnOnce(&mut Participant) -> Result<T, NodeError>,
     ) -> Result<T, NodeError> {
-        lock(&self.participant).as_mut().map_or(Err(NodeError::ShutDown), act)
+        self.participant.lock().as_mut().map_or(Err(NodeError::ShutDown), act)
     }
 
     pub fn wake(&self) {
@@ -143,7 +143,7 @@ impl Dds {
             participant: Mutex::new(None),
         });
         let engine = Engine::new(poll, participant.dds.status_listener(), Arc::clone(&shared))?;
-        *lock(&shared.participant) = Some(participant);
+        *shared.participant.lock() = Some(participant);
         let thread = thread::Builder::new().name("ros2".to_owned()).spawn(move || engine.run())?;
         Ok(Self { shared, thread: Mutex::new(Some(thread)) })
     }
@@ -164,21 +164,21 @@ impl Carrier for Dds {
     }
 
     fn peers(&self, topic: &str) -> Peers {
-        lock(&self.shared.graph).peers(&dds_topic(topic))
+        self.shared.graph.lock().peers(&dds_topic(topic))
     }
 
     fn shut_down(&self) {
         self.shared.stopped.store(true, Ordering::Release);
         self.shared.wake();
-        if let Some(thread) = lock(&self.thread).take() {
+        if let Some(thread) = self.thread.lock().take() {
             // A thread that panicked has ended, too.
             let _ = thread.join();
         }
-        let State { publications, readers } = std::mem::take(&mut *lock(&self.shared.state));
+        let State { publications, readers } = std::mem::take(&mut *self.shared.state.lock());
         publications.values().for_each(|publication| publication.close(&self.shared));
         readers.values().for_each(|(subscription, _)| subscription.close());
         // The last one that holds it: it tells others, and waits for its threads.
-        drop(lock(&self.shared.participant).take());
+        drop(self.shared.participant.lock().take());
     }
 
     fn is_shut_down(&self) -> bool {

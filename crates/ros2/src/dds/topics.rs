@@ -1,10 +1,8 @@
 //! Publishers and subscribers in DDS.
 
-use std::{
-    sync::{Arc, Mutex},
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
+use parking_lot::Mutex;
 use rustdds::{
     RTPSEntity, Timestamp,
     bytes::Bytes,
@@ -23,7 +21,7 @@ use crate::{
     node::NodeError,
     peers::Endpoint,
     qos::Qos,
-    queue::{Waiting, lock},
+    queue::Waiting,
     topics::{Incoming, Inlet, Outlet},
 };
 
@@ -65,7 +63,7 @@ impl Publication {
                     // A subscriber of another type never acknowledges, but RustDDS waits for it. A new writer does
                     // not, for a while.
                     let gid = writer.guid().to_bytes();
-                    if !lock(&shared.graph).meets_others(&gid) {
+                    if !shared.graph.lock().meets_others(&gid) {
                         return true;
                     }
                     shared.forget(&[gid]);
@@ -86,12 +84,12 @@ impl Publication {
 
     /// Sends what waits. Returns whether something is left.
     pub fn flush(&self, shared: &Shared) -> bool {
-        self.flush_output(&mut lock(&self.output), shared)
+        self.flush_output(&mut self.output.lock(), shared)
     }
 
     /// Publishes nothing any more, once what was published has arrived, or after some time.
     pub fn close(&self, shared: &Shared) {
-        let mut output = lock(&self.output);
+        let mut output = self.output.lock();
         output.closed = true;
         self.flush_output(&mut output, shared);
         for writer in output.writers.drain(..).flatten() {
@@ -111,11 +109,11 @@ impl Shared {
         self.with(|participant| {
             let endpoint = Self::endpoint(topic, kind);
             // RustDDS waits for subscribers of another type, too: let it be for as long as it can.
-            let bounded = !lock(&self.graph).is_subscribed_otherwise(&endpoint);
+            let bounded = !self.graph.lock().is_subscribed_otherwise(&endpoint);
             let topic = participant.topic(topic, kind, &qos.policies(bounded))?;
             let writer: Writer = participant.publisher.create_datawriter_no_key(&topic, None)?;
             let gid = writer.guid().to_bytes();
-            lock(&self.graph).add_own(gid, endpoint);
+            self.graph.lock().add_own(gid, endpoint);
             participant.writers.push(gid);
             participant.announce(&self.names);
             Ok(writer)
@@ -128,7 +126,7 @@ impl Shared {
             let topic = participant.topic(topic, kind, &qos.policies(true))?;
             let reader: Reader = participant.subscriber.create_simple_datareader_no_key(&topic, None)?;
             let gid = reader.guid().to_bytes();
-            lock(&self.graph).add_own(gid, endpoint);
+            self.graph.lock().add_own(gid, endpoint);
             participant.readers.push(gid);
             participant.announce(&self.names);
             Ok(reader)
@@ -136,7 +134,7 @@ impl Shared {
     }
 
     fn forget(&self, gids: &[Gid]) {
-        let mut graph = lock(&self.graph);
+        let mut graph = self.graph.lock();
         gids.iter().for_each(|gid| graph.remove_own(*gid));
         drop(graph);
         // A node that was shut down has told that already.
@@ -164,12 +162,12 @@ impl Advertised {
         let output = Mutex::new(Output { writers, waiting: Waiting::new(qos.depth()), closed: false });
         let topic = topic.to_owned();
         let publication = Arc::new(Publication { id: shared.next_id(), topic, kinds, qos, output });
-        lock(&shared.state).publications.insert(publication.id, Arc::clone(&publication));
+        shared.state.lock().publications.insert(publication.id, Arc::clone(&publication));
         Ok(Self { shared: Arc::clone(shared), publication })
     }
 
     fn gids(&self) -> Vec<Gid> {
-        let output = lock(&self.publication.output);
+        let output = self.publication.output.lock();
         output.writers.iter().flatten().map(|writer| writer.guid().to_bytes()).collect()
     }
 }
@@ -177,13 +175,13 @@ impl Advertised {
 impl Outlet for Advertised {
     fn send(&self, encode: &dyn Fn(usize) -> Vec<u8>) {
         let Self { shared, publication } = self;
-        let mut output = lock(&publication.output);
+        let mut output = publication.output.lock();
         if output.closed {
             return;
         }
         let numbers = match &publication.kinds[..] {
             [_] => [0].into(),
-            kinds => lock(&shared.graph).wanted(&dds_topic(&publication.topic), kinds),
+            kinds => shared.graph.lock().wanted(&dds_topic(&publication.topic), kinds),
         };
         for number in numbers {
             if output.writers[number].is_none()
@@ -202,18 +200,18 @@ impl Outlet for Advertised {
 
     fn subscribers(&self) -> usize {
         let gids = self.gids();
-        let graph = lock(&self.shared.graph);
+        let graph = self.shared.graph.lock();
         gids.iter().map(|gid| graph.connected(gid)).sum()
     }
 
     fn dropped(&self) -> u64 {
-        lock(&self.publication.output).waiting.dropped
+        self.publication.output.lock().waiting.dropped
     }
 }
 
 impl Drop for Advertised {
     fn drop(&mut self) {
-        lock(&self.shared.state).publications.remove(&self.publication.id);
+        self.shared.state.lock().publications.remove(&self.publication.id);
         let gids = self.gids();
         self.publication.close(&self.shared);
         self.shared.forget(&gids);
@@ -231,7 +229,7 @@ pub struct Subscription {
 impl Subscription {
     /// Takes what came as the type of that number.
     pub fn take(&self, number: usize, graph: &Mutex<Graph>) {
-        let readers = lock(&self.readers);
+        let readers = self.readers.lock();
         let Some(reader) = readers.get(number) else { return };
         let kind = &self.kinds[number].dds_name;
         reader.drain_read_notifications();
@@ -240,7 +238,7 @@ impl Subscription {
                 Ok(None) => return,
                 Ok(Some(sample)) => {
                     // All readers of a topic are given what any of them receives.
-                    if lock(graph).publishes(&sample.writer_guid().to_bytes(), kind) {
+                    if graph.lock().publishes(&sample.writer_guid().to_bytes(), kind) {
                         self.incoming.inbox.push((number, sample.into_value()));
                     }
                 }
@@ -255,7 +253,7 @@ impl Subscription {
 
     /// Nothing comes any more.
     pub fn close(&self) {
-        lock(&self.readers).clear();
+        self.readers.lock().clear();
         self.incoming.inbox.close();
     }
 }
@@ -281,12 +279,12 @@ impl Subscribed {
         let gids = readers.iter().map(|reader| reader.guid().to_bytes()).collect();
         let ids: Vec<_> = readers.iter().map(|_| shared.next_id()).collect();
         let subscription = Arc::new(Subscription { kinds, readers: Mutex::default(), incoming });
-        let mut state = lock(&shared.state);
+        let mut state = shared.state.lock();
         for (number, (id, reader)) in ids.iter().zip(&mut readers).enumerate() {
             state.readers.insert(*id, (Arc::clone(&subscription), number));
             shared.registry.register(reader, Token(*id), Interest::READABLE)?;
         }
-        *lock(&subscription.readers) = readers;
+        *subscription.readers.lock() = readers;
         drop(state);
         // What came before it was registered.
         shared.wake();
@@ -296,14 +294,14 @@ impl Subscribed {
 
 impl Inlet for Subscribed {
     fn publishers(&self) -> usize {
-        let graph = lock(&self.shared.graph);
+        let graph = self.shared.graph.lock();
         self.gids.iter().map(|gid| graph.connected(gid)).sum()
     }
 }
 
 impl Drop for Subscribed {
     fn drop(&mut self) {
-        lock(&self.shared.state).readers.retain(|id, _| !self.ids.contains(id));
+        self.shared.state.lock().readers.retain(|id, _| !self.ids.contains(id));
         self.subscription.close();
         self.shared.forget(&self.gids);
     }

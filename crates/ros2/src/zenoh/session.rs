@@ -3,11 +3,12 @@
 use std::{
     collections::BTreeMap,
     sync::{
-        Arc, Mutex, Weak,
+        Arc, Weak,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
 };
 
+use parking_lot::Mutex;
 use zenoh::{
     Config, Session, Wait,
     liveliness::LivelinessToken,
@@ -25,7 +26,6 @@ use crate::{
     node::NodeError,
     peers::{Endpoint, Peers, types, wanted, warn_of_other_fields},
     qos::Qos,
-    queue::lock,
     topics::{Carrier, Incoming, Inlet, Outlet},
 };
 
@@ -163,7 +163,7 @@ impl Zenoh {
             .declare_subscriber(all_tokens(domain))
             .history(true)
             .callback(move |sample: Sample| {
-                lock(&known).apply(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
+                known.lock().apply(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
             })
             .wait()
             .map_err(refused)?;
@@ -197,7 +197,7 @@ impl Carrier for Zenoh {
         qos: Qos,
     ) -> Result<Box<dyn Inlet>, NodeError> {
         self.is_open()?;
-        let mut all = lock(&self.shared.incoming);
+        let mut all = self.shared.incoming.lock();
         all.retain(|incoming| incoming.strong_count() > 0);
         all.push(Arc::downgrade(&incoming));
         drop(all);
@@ -205,19 +205,19 @@ impl Carrier for Zenoh {
     }
 
     fn peers(&self, topic: &str) -> Peers {
-        lock(&self.shared.graph).peers(topic)
+        self.shared.graph.lock().peers(topic)
     }
 
     fn shut_down(&self) {
         if self.shared.closed.swap(true, Ordering::AcqRel) {
             return;
         }
-        drop(lock(&self.told).take());
+        drop(self.told.lock().take());
         // Others see it by the tokens that are gone, too.
         if let Err(error) = self.shared.session.close().wait() {
             tracing::debug!("{}: {error}", self.shared.names.node());
         }
-        let incoming = std::mem::take(&mut *lock(&self.shared.incoming));
+        let incoming = std::mem::take(&mut *self.shared.incoming.lock());
         incoming.iter().filter_map(Weak::upgrade).for_each(|incoming| incoming.inbox.close());
     }
 

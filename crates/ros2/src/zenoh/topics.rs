@@ -1,7 +1,8 @@
 //! Publishers and subscribers in Zenoh.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use twox_hash::XxHash3_128;
 use zenoh::{
     Wait,
@@ -23,7 +24,6 @@ use crate::{
     node::NodeError,
     peers::Endpoint,
     qos::Qos,
-    queue::lock,
     topics::{Incoming, Inlet, Outlet},
 };
 
@@ -66,7 +66,7 @@ impl Writer {
         };
         let publisher = publisher.wait().map_err(refused)?;
         let (told, token) = shared.tell(Role::Publisher, topic, kind, qos)?;
-        lock(&shared.graph).add_own(endpoint(topic, kind));
+        shared.graph.lock().add_own(endpoint(topic, kind));
         // By which others know who published a message.
         let gid = XxHash3_128::oneshot(token.as_bytes()).to_le_bytes();
         Ok(Self { publisher, gid, sequence: 0, _told: told })
@@ -102,7 +102,7 @@ impl Advertised {
 
     /// The types as which it is published, with those who subscribe to them.
     fn open_kinds(&self) -> Vec<Endpoint> {
-        let writers = lock(&self.writers);
+        let writers = self.writers.lock();
         let open = self.kinds.iter().zip(&*writers).filter(|(_, writer)| writer.is_some());
         open.map(|(kind, _)| endpoint(&self.topic, kind)).collect()
     }
@@ -111,13 +111,13 @@ impl Advertised {
 impl Outlet for Advertised {
     fn send(&self, encode: &dyn Fn(usize) -> Vec<u8>) {
         let Self { shared, topic, kinds, qos, writers } = self;
-        let mut writers = lock(writers);
+        let mut writers = writers.lock();
         if shared.is_closed() {
             return;
         }
         let numbers = match &kinds[..] {
             [_] => [0].into(),
-            kinds => lock(&shared.graph).wanted(topic, kinds),
+            kinds => shared.graph.lock().wanted(topic, kinds),
         };
         for number in numbers {
             if writers[number].is_none() {
@@ -137,7 +137,7 @@ impl Outlet for Advertised {
     }
 
     fn subscribers(&self) -> usize {
-        let graph = lock(&self.shared.graph);
+        let graph = self.shared.graph.lock();
         self.open_kinds().iter().map(|own| graph.connected(own, Role::Subscriber)).sum()
     }
 
@@ -150,7 +150,7 @@ impl Outlet for Advertised {
 impl Drop for Advertised {
     fn drop(&mut self) {
         let open = self.open_kinds();
-        let mut graph = lock(&self.shared.graph);
+        let mut graph = self.shared.graph.lock();
         open.iter().for_each(|own| graph.remove_own(own));
     }
 }
@@ -189,21 +189,21 @@ impl Subscribed {
         };
         let readers = kinds.iter().enumerate().map(open).collect::<Result<_, NodeError>>()?;
         let kinds: Vec<_> = kinds.iter().map(|kind| endpoint(&incoming.topic, kind)).collect();
-        kinds.iter().for_each(|own| lock(&shared.graph).add_own(own.clone()));
+        kinds.iter().for_each(|own| shared.graph.lock().add_own(own.clone()));
         Ok(Self { shared: Arc::clone(shared), kinds, _readers: readers })
     }
 }
 
 impl Inlet for Subscribed {
     fn publishers(&self) -> usize {
-        let graph = lock(&self.shared.graph);
+        let graph = self.shared.graph.lock();
         self.kinds.iter().map(|own| graph.connected(own, Role::Publisher)).sum()
     }
 }
 
 impl Drop for Subscribed {
     fn drop(&mut self) {
-        let mut graph = lock(&self.shared.graph);
+        let mut graph = self.shared.graph.lock();
         self.kinds.iter().for_each(|own| graph.remove_own(own));
     }
 }

@@ -6,14 +6,11 @@ mod problem;
 mod routes;
 mod websocket;
 
-use std::{
-    future::Future,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{future::Future, sync::Arc, time::Duration};
 
 use axum::{Router, http::StatusCode, middleware, routing::get};
 use cotorra_graph::Timestamp;
+use parking_lot::Mutex;
 use tokio::sync::Notify;
 use utoipa::OpenApi as _;
 use utoipa_axum::{router::OpenApiRouter, routes as paths};
@@ -134,7 +131,7 @@ impl Service {
 
     /// Does something with the service, which knows what is fresh enough then.
     fn with<R>(&self, act: impl FnOnce(&mut Wais) -> R) -> R {
-        let mut state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.0.state.lock();
         let (wais, known) = &mut *state;
         let now = self.now();
         let freshness = self.0.testbed.freshness();

@@ -36,7 +36,7 @@ impl Testbed for Still {
     }
 
     fn tell(&self, message: String) {
-        let _ = self.told.lock().unwrap().send(message);
+        let _ = self.told.lock().send(message);
     }
 }
 

@@ -1,10 +1,6 @@
 //! WebSockets to consumers that cannot, or may not, be called back: each notification is a text message.
 
-use std::{
-    collections::HashMap,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use axum::{
     extract::{
@@ -14,6 +10,7 @@ use axum::{
     http::StatusCode,
     response::{IntoResponse, Response},
 };
+use parking_lot::Mutex;
 use tokio::sync::{mpsc, oneshot};
 
 use super::{Service, extract::Id, problem::Problem};
@@ -39,7 +36,7 @@ impl Sockets {
         &self,
         act: impl FnOnce(&mut u64, &mut HashMap<u64, (u64, mpsc::Sender<Outgoing>)>) -> R,
     ) -> R {
-        let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut open = self.0.lock();
         let (last, sockets) = &mut *open;
         act(last, sockets)
     }

@@ -15,7 +15,7 @@ use super::{
 use crate::{
     http,
     node::{Shared, keeper::Errand, topics::Subscription},
-    queue::{SendQueue, lock},
+    queue::SendQueue,
     slave::{self, Request},
     uri::Endpoint,
     xmlrpc::{self, Call, Value},
@@ -78,7 +78,7 @@ impl Engine {
 
     /// Does what the node is asked for.
     fn fulfil(&mut self, shared: &Arc<Shared>, request: Request) -> Value {
-        let state = lock(&shared.state);
+        let state = shared.state.lock();
         match request {
             Request::BusStats => {
                 drop(state);
@@ -156,7 +156,7 @@ impl Engine {
         let mut sent: BTreeMap<String, (u64, Vec<Value>)> = BTreeMap::new();
         let mut received: BTreeMap<String, Vec<Value>> = BTreeMap::new();
         {
-            let state = lock(&shared.state);
+            let state = shared.state.lock();
             sent.extend(state.publications.keys().map(|topic| (topic.clone(), Default::default())));
             received.extend(state.subscriptions.values().map(|s| (s.topic.clone(), Vec::new())));
         }

@@ -16,7 +16,7 @@ use crate::{
         service::{self, Offer},
         topics::{Outgoing, Publication, Subscription},
     },
-    queue::{SendQueue, lock},
+    queue::SendQueue,
     tcpros::{FrameReader, Header, MAX_MESSAGE_LEN},
 };
 
@@ -165,7 +165,7 @@ enum Purpose {
 
 impl Purpose {
     fn of(shared: &Shared, header: &Header) -> Result<Self, String> {
-        let state = lock(&shared.state);
+        let state = shared.state.lock();
         let subscriber = header.get("callerid").unwrap_or_default().to_owned();
         if let Some(name) = header.get("service") {
             let offer = state.services.get(name).ok_or_else(|| format!("{name} is not served here"))?;
