@@ -10,7 +10,7 @@ use std::{
 
 use clap::Args;
 use cotorra_graph::{
-    Testbed, Timestamp,
+    PluginId, Testbed, Timestamp,
     testbed_file::{self, Setting},
 };
 use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOptions, Speed};
@@ -28,7 +28,7 @@ use crate::{
 ///
 /// What is known, what was up to then and what happens are as in the run; nothing of what is to come is told.
 /// Instructions are refused, because nothing can change what was, and printed: a line of JSON each, as the decisions that
-/// the plug-in would have made.
+/// the plug-in would have made. A plug-in that floods or hangs is cut off as in a run, and that is printed, too.
 ///
 /// With --speed max the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin), and
 /// waits for it as virtual time does: it sees the same events each time, and none too many or too few.
@@ -38,6 +38,7 @@ Examples:
   cotorra replay latest
   cotorra replay latest --speed 10x --from 1min --to 2min
   cotorra replay latest --foxglove
+  cotorra replay latest --speed max --bundled okpi > decisions.jsonl
   cotorra replay latest --speed max > decisions.jsonl &
   COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
 pub struct ReplayArgs {
@@ -46,9 +47,13 @@ pub struct ReplayArgs {
     /// So many seconds of the run in one, as in 1x or 2.5x; or max
     #[arg(long, value_name = "SPEED", default_value = "1x", value_parser = parse_speed)]
     pub speed: Pace,
-    /// With --speed max: begin when so many follow the stream of events, each under a name
-    #[arg(long, value_name = "N", default_value = "1")]
-    pub plugins: NonZero<usize>,
+    /// With --speed max: begin when so many follow the stream of events, each under a name; by default 1, and 0 with
+    /// --bundled
+    #[arg(long, value_name = "N")]
+    pub plugins: Option<NonZero<usize>>,
+    /// Play to this bundled plug-in, too, with its settings in the testbed file if it is there
+    #[arg(long, value_name = "PLUGIN")]
+    pub bundled: Option<PluginId>,
     #[command(flatten)]
     pub span: Span,
     /// Address of the HTTP API, as of `cotorra run`
@@ -94,18 +99,25 @@ enum Error {
 /// Plays a run.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let source = Source::find(&args.run, &args.place)?;
-    let testbed = recorded(&source.run.info.testbed, &args.run, &args.base).map_err(FileError::from)?;
+    let bundled = args.bundled.as_ref().map(|plugin| format!("plugin={plugin}"));
+    let settings = bundled.iter().map(|setting| setting.parse().expect("a plug-in's name is a value"));
+    let testbed = recorded_with(&source.run.info.testbed, &args.run, &args.base, settings);
+    let testbed = testbed.map_err(FileError::from)?;
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
         tokens: run::tokens()?,
         speed: match args.speed {
             Pace::Times(times) => Speed::Times(times),
-            Pace::Max => Speed::Max { followers: args.plugins.get() },
+            Pace::Max => {
+                let by_itself = usize::from(args.bundled.is_none());
+                Speed::Max { followers: args.plugins.map_or(by_itself, NonZero::get) }
+            }
         },
         from: args.span.from.map_or(Timestamp::ZERO, after_start),
         to: args.span.to.map(after_start),
         foxglove: args.foxglove,
+        to_plugins: args.bundled.is_some(),
     };
     let interrupts = signals::listen().map_err(Error::Signals)?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
@@ -121,12 +133,9 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
                 bar.set_message(format!("{:.1} s", now.as_secs_f64()));
                 bar.tick();
             }
-            Played::Refused(decision) => {
-                let json = serde_json::to_string(decision).expect("a decision holds only what JSON can");
+            Played::Refused(event) | Played::CutOff(event) => {
+                let json = serde_json::to_string(event).expect("an event holds only what JSON can");
                 printed = bar.suspend(|| output::print(&(json + "\n")));
-            }
-            Played::LeftBehind(plugin) => {
-                bar.suspend(|| eprintln!("{plugin} was silent for too long, and is not waited for any more"));
             }
         }
         printed.is_ok() && interrupts.try_recv().is_err()
@@ -145,9 +154,20 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
 
 /// The testbed as it was run, with the settings that were noted behind its file.
 pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, cotorra_graph::Diagnostics> {
+    recorded_with(text, run, base, [])
+}
+
+/// The same with more settings.
+fn recorded_with(
+    text: &str,
+    run: &str,
+    base: &Path,
+    more: impl IntoIterator<Item = Setting>,
+) -> Result<Testbed, cotorra_graph::Diagnostics> {
     let noted = text.lines().rev().map_while(|line| line.strip_prefix("# set: "));
     let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
     settings.reverse();
+    settings.extend(more);
     testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
 }
 

@@ -1,12 +1,10 @@
 //! What links carried whose packets are not the fabric's: the kernel counts them from the beginning, and λ is the difference
 //! between two looks.
 
-use std::{
-    collections::HashMap,
-    sync::{Mutex, PoisonError},
-};
+use std::collections::HashMap;
 
 use cotorra_graph::{Direction, LinkContext, LinkCounters, LinkId, Timestamp};
+use parking_lot::Mutex;
 
 /// The counters of links, by direction.
 pub(crate) type Counted = HashMap<(LinkId, Direction), LinkCounters>;
@@ -32,7 +30,7 @@ impl Carried {
         counted: &Counted,
         all: bool,
     ) {
-        let mut seen = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut seen = self.0.lock();
         let seconds = now.since(seen.at).as_secs_f64();
         for context in contexts {
             let key = (context.link.clone(), context.direction);

@@ -19,6 +19,7 @@ use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, 
 
 use crate::{
     domain::Domains,
+    plugins::host::{Controlled, Fault},
     robots::RobotError,
     script::{Change, Script},
 };
@@ -220,41 +221,6 @@ impl<N: Network, E: Engine> Core<N, E> {
         self.events.push_back(event);
     }
 
-    /// Does what somebody asked for, and tells the decision.
-    pub(crate) fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), Refused> {
-        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction));
-        let done = match &instruction {
-            _ if own.is_err() => own.map(|()| Vec::new()).map_err(|reason| Refused(reason.to_string())),
-            Instruction::Move { robot, velocity, waypoint } => {
-                let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
-                moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
-            }
-            Instruction::Halt { robot } | Instruction::Go { robot } => {
-                let halted = matches!(instruction, Instruction::Halt { .. });
-                let done = self.middleware.halt(now, robot, halted);
-                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
-            }
-            _ => self.control.instruct(now, &instruction),
-        };
-        let refused = done.as_ref().err().map(ToString::to_string);
-        let instruction = instruction.public();
-        let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
-        self.tell(now, vec![decision]);
-        self.tell(now, done?);
-        Ok(())
-    }
-
-    /// A robot whose controller was cut off stops.
-    pub(crate) fn stop_robot(&mut self, now: Timestamp, robot: &NodeId) {
-        self.middleware.stop(now, robot);
-    }
-
     /// Whether every walk is done; never where there is none.
     pub(crate) fn is_finished(&self) -> bool {
         self.middleware.finished()
@@ -285,5 +251,43 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     fn tell(&mut self, at: Timestamp, events: Vec<Event>) {
         self.events.extend(events.into_iter().map(|event| Stamped { at, event }));
+    }
+}
+
+impl<N: Network, E: Engine> Controlled for Core<N, E> {
+    fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction));
+        let done = match &instruction {
+            _ if own.is_err() => own.map(|()| Vec::new()).map_err(|reason| Refused(reason.to_string())),
+            Instruction::Move { robot, velocity, waypoint } => {
+                let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
+                moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
+            Instruction::Halt { robot } | Instruction::Go { robot } => {
+                let halted = matches!(instruction, Instruction::Halt { .. });
+                let done = self.middleware.halt(now, robot, halted);
+                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
+            _ => self.control.instruct(now, &instruction),
+        };
+        let refused = done.as_ref().err().map(ToString::to_string);
+        let instruction = instruction.public();
+        let decision = Event::Decision(Decision { plugin, instruction, reason, refused });
+        self.tell(now, vec![decision]);
+        self.tell(now, done?);
+        Ok(())
+    }
+
+    fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]) {
+        for robot in robots {
+            self.middleware.stop(now, robot);
+        }
+        self.tell(now, vec![Event::PluginFault { plugin, reason: fault.to_string() }]);
     }
 }

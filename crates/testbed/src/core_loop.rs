@@ -7,9 +7,10 @@ use std::{
     sync::{Arc, mpsc},
 };
 
-use cotorra_graph::{Event, Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
 use cotorra_network_control::{Network, Refused, vim::Engine};
+use cotorra_plugin::Actions;
 use cotorra_recording::Tap;
 use tokio::sync::broadcast;
 
@@ -17,7 +18,7 @@ use crate::{
     api::Follower,
     core::Core,
     live::Live,
-    plugins::{Now, PluginHost, Refusal},
+    plugins::{Now, host::Fault, running::RunningPlugins},
     report::Report,
 };
 
@@ -47,12 +48,14 @@ pub(crate) enum Message {
         /// Where to say what came of it.
         reply: Option<Reply>,
     },
-    /// A plug-in panicked or ended.
-    PluginFailed {
+    /// A call of a plug-in in process came back.
+    Returned {
         /// Which.
         plugin: PluginId,
-        /// How.
-        reason: String,
+        /// When.
+        at: Timestamp,
+        /// What it wants done, or how it failed.
+        outcome: Result<Actions, Fault>,
     },
     /// The emulated network tells what happened in it.
     Network(Stamped),
@@ -80,7 +83,7 @@ pub(crate) struct Readers {
     pub(crate) recorder: Recorder,
     pub(crate) report: Report,
     pub(crate) stream: broadcast::Sender<Arc<Stamped>>,
-    pub(crate) plugins: PluginHost,
+    pub(crate) plugins: RunningPlugins,
     pub(crate) tap: Option<Tap>,
 }
 
@@ -151,9 +154,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             self.transmit();
             if now >= next_check {
                 next_check = now + CHECK;
-                for (plugin, reason) in self.readers.plugins.check(now) {
-                    self.cut_off(now, &plugin, reason);
-                }
+                self.readers.plugins.check(now, &mut self.core);
             }
             self.publish();
             let deadline =
@@ -197,44 +198,20 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         match message {
             Message::Datagram { robot, at, bytes } => self.core.receive(at, &robot, &bytes),
             Message::Instruct { plugin, instruction, reason, reply } => {
-                let done = self.instruct(now, plugin, instruction, reason);
+                let core = &mut self.core;
+                let done = self.readers.plugins.instruct(now, plugin, instruction, reason, core);
                 if let Some(reply) = reply {
                     // What the instruction did is told before the answer to it.
                     self.publish();
                     reply(done);
                 }
             }
-            Message::PluginFailed { plugin, reason } => self.cut_off(now, &plugin, reason),
+            Message::Returned { plugin, at, outcome } => {
+                self.readers.plugins.returned(at, &plugin, outcome, &mut self.core);
+            }
             Message::Network(event) => self.core.observe(event),
             Message::Follow(_) | Message::Done { .. } | Message::Wake | Message::Stop => {}
         }
-    }
-
-    fn instruct(
-        &mut self,
-        now: Timestamp,
-        plugin: PluginId,
-        instruction: Instruction,
-        reason: Option<String>,
-    ) -> Result<(), Refused> {
-        if let Err(refusal) = self.readers.plugins.admit(now, &plugin) {
-            if refusal == Refusal::Flood {
-                self.cut_off(now, &plugin, refusal.to_string());
-            }
-            return Err(Refused(refusal.to_string()));
-        }
-        if let Instruction::Move { robot, .. } = &instruction {
-            self.readers.plugins.moved(robot, &plugin);
-        }
-        self.core.instruct(now, plugin, instruction, reason)
-    }
-
-    fn cut_off(&mut self, now: Timestamp, plugin: &PluginId, reason: String) {
-        for robot in self.readers.plugins.cut_off(plugin) {
-            self.core.stop_robot(now, &robot);
-        }
-        let event = Event::PluginFault { plugin: plugin.clone(), reason };
-        self.readers.publish(Stamped { at: now, event });
     }
 }
 

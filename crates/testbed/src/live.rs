@@ -1,14 +1,12 @@
 //! What is known right now: the last of every embedding. The API and the terminal read it; only events write it.
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, PoisonError, RwLock},
-};
+use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
     Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
     ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
+use parking_lot::RwLock;
 use serde::Serialize;
 
 /// The last of every embedding.
@@ -51,12 +49,11 @@ pub struct Live(Arc<RwLock<Snapshot>>);
 impl Live {
     /// Reads it.
     pub fn read<R>(&self, read: impl FnOnce(&Snapshot) -> R) -> R {
-        // A reader that panicked cannot have left it half written.
-        read(&self.0.read().unwrap_or_else(PoisonError::into_inner))
+        read(&self.0.read())
     }
 
     pub(crate) fn absorb(&self, Stamped { at, event }: &Stamped) {
-        let mut now = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        let mut now = self.0.write();
         now.at = now.at.max(*at);
         match event.clone() {
             Event::Robot(context) => {

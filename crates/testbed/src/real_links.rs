@@ -5,7 +5,6 @@ use std::{
     collections::{BTreeMap, HashMap},
     io,
     net::IpAddr,
-    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use cotorra_fabric::Fabric;
@@ -14,6 +13,7 @@ use cotorra_graph::{
     Testbed, Timestamp,
 };
 use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
+use parking_lot::{Mutex, MutexGuard};
 
 use crate::{
     carried::{Carried, Counted},
@@ -252,7 +252,7 @@ impl RealLinks {
     }
 
     fn hold(&self) -> MutexGuard<'_, Hold> {
-        self.hold.lock().unwrap_or_else(PoisonError::into_inner)
+        self.hold.lock()
     }
 }
 

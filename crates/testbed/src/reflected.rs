@@ -7,7 +7,7 @@ use std::{
     io,
     net::{IpAddr, SocketAddr},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::{self, JoinHandle},
@@ -17,6 +17,7 @@ use std::{
 use cotorra_fabric::{Histogram, WireProbes};
 use cotorra_graph::{Conditions, HardwareGraph, Lateness, LinkId, Probed, Probing};
 use cotorra_stamp::{Clock, PORT, Sender, SessionConfig, Told, Utc};
+use parking_lot::{Mutex, MutexGuard};
 
 use crate::real_links::RealLinkError;
 
@@ -164,7 +165,7 @@ impl Reflected {
     /// By how much longer round trips took than links and their media were asked to, on those where no jitter and no
     /// reordering leaves that to chance.
     pub(crate) fn lateness(&self) -> Lateness {
-        self.late.lock().unwrap_or_else(PoisonError::into_inner).summary()
+        self.late.lock().summary()
     }
 }
 
@@ -179,7 +180,7 @@ impl Drop for Reflected {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     fn probe(&self, mut sender: Sender, link: &LinkId, probing: Probing, late: &Mutex<Histogram>) {
@@ -202,7 +203,7 @@ impl Shared {
                 && now - took >= state.since
                 && let Some(asked) = state.alone()
             {
-                late.lock().unwrap_or_else(PoisonError::into_inner).record(took.saturating_sub(asked));
+                late.lock().record(took.saturating_sub(asked));
             }
             let (_, asked) = state.asked.back().expect("there is always one");
             let config = WireProbes::session(&probing, asked.each_ref());

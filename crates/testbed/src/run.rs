@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
     process::{ChildStdout, Command, ExitStatus},
     sync::{
-        Arc, Mutex,
+        Arc,
         mpsc::{self, Sender},
     },
     thread,
@@ -35,7 +35,7 @@ use crate::{
     core_loop::{CoreLoop, End, Message, Readers, receive},
     earlier::Earlier,
     live::Live,
-    plugins::{Now, PluginError, Prepared, Said},
+    plugins::{Now, PluginError, running::Prepared},
     real_links::{RealLinkError, RealLinks, interface_plans},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
@@ -252,16 +252,6 @@ impl Run {
 
         let live = Live::default();
         let (stream, _) = broadcast::channel(STREAM);
-        let to_core = tell.clone();
-        let say = move |said| {
-            let message = match said {
-                Said::Instruct { plugin, instruction, reason } => {
-                    Message::Instruct { plugin, instruction, reason, reply: None }
-                }
-                Said::Failed { plugin, reason } => Message::PluginFailed { plugin, reason },
-            };
-            let _ = to_core.send(message);
-        };
 
         let sockets = open_sockets(&testbed, &datapath)?;
         let launcher = NodeLauncher {
@@ -270,7 +260,7 @@ impl Run {
             testbed_file: absolute(file)?,
             settings: options.settings.iter().map(|setting| format!("{setting}\n")).collect(),
             robots: robots_by_vnf(&testbed),
-            tell: Mutex::new(tell.clone()),
+            tell: tell.clone(),
         };
         let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
         let engine = ProcessEngine::new(Arc::new(launcher), folder.logs(), cgroups);
@@ -300,7 +290,7 @@ impl Run {
             },
         };
         let server = Server::start(listener, context, options.tokens)?;
-        let plugins = plugins.start(&testbed, &now, server.address(), &folder.logs(), &say)?;
+        let plugins = plugins.start(&testbed, &now, server.address(), &folder.logs(), &tell)?;
 
         for (robot, socket) in &sockets {
             let socket = socket.try_clone().map_err(system("share a robot's socket"))?;
@@ -508,7 +498,7 @@ struct NodeLauncher {
     /// One a line.
     settings: String,
     robots: BTreeMap<VnfId, NodeId>,
-    tell: Mutex<Sender<Message>>,
+    tell: Sender<Message>,
 }
 
 impl Launcher for NodeLauncher {
@@ -540,9 +530,7 @@ impl Launcher for NodeLauncher {
     }
 
     fn wake(&self) {
-        if let Ok(tell) = self.tell.lock() {
-            let _ = tell.send(Message::Wake);
-        }
+        let _ = self.tell.send(Message::Wake);
     }
 }
 

@@ -337,3 +337,25 @@ fn a_replay_tells_a_plugin_the_same_each_time_and_changes_nothing() {
     let (child, _, _said) = replay(&["--speed", "1000x", "--from", "5s", "--to", "15s"]);
     assert!(child.wait_with_output().unwrap().status.success());
 }
+
+#[test]
+fn a_bundled_plugin_decides_in_a_replay_what_it_decided_in_the_run() {
+    let runs = &Runs::new();
+    let corridor = corridor();
+    let base = text(corridor.parent().unwrap());
+    let arguments = ["--base", base, "--api", "127.0.0.1:0", "--speed", "max", "--bundled", "okpi"];
+    let played = cotorra(["replay", text(&runs.okpi)]).args(arguments).output().unwrap();
+    assert!(played.status.success(), "{}", stderr(&played));
+    let decisions = |lines: &str| -> Vec<Value> {
+        let decision = |line: &str| {
+            let mut decision: Value = serde_json::from_str(line).unwrap();
+            decision.as_object_mut().unwrap().remove("refused");
+            decision
+        };
+        lines.lines().map(decision).collect()
+    };
+    let recorded = runs.answer(&["events", text(&runs.okpi), "--kinds", "decision", "--json"]);
+    let recorded = decisions(&recorded);
+    assert!(!recorded.is_empty());
+    assert_eq!(decisions(&stdout(&played)), recorded);
+}

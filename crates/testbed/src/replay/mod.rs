@@ -6,29 +6,34 @@ use std::{
     net::{Ipv4Addr, SocketAddr},
     ops::Bound,
     path::Path,
-    sync::{Arc, mpsc},
+    sync::Arc,
     time::Duration,
 };
 
-use cotorra_graph::{Decision, Event, Stamped, Testbed, Timestamp};
+use cotorra_federation::Ledgers;
+use cotorra_graph::{
+    Decision, Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
+};
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::Refused;
 use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
-use tokio::sync::broadcast;
 
 use crate::{
-    api::{self, ApiError, Follower, Listener, Lockstep, Server, Tokens, Told},
-    core_loop::Message,
+    api::{self, ApiError, Listener, Lockstep as Waiting, Tokens},
+    domain::Domains,
     live::Live,
+    plugins::{
+        Bundled, Now, PATIENCE, PluginError,
+        apart::{Programs, Stage},
+        host::{Controlled, Fault, PluginHost},
+        lockstep::{Call, Guarded, Locals, Lockstep, Returned, wall_clock},
+        programs,
+    },
     run::{about, epoch},
 };
 
-/// Events that wait for a reader that nobody waits for; one that is further behind misses the oldest.
-const STREAM: usize = 4096;
 /// How often it is asked whether to go on.
 const LOOK: Duration = Duration::from_millis(50);
-/// A follower that says nothing for so long while time waits for it is left behind.
-const PATIENCE: Duration = Duration::from_secs(60);
 /// Events between two questions to the history.
 const STEP: usize = 1000;
 const REFUSAL: &str = "this is a replay: what was recorded is played, and nothing can change it";
@@ -60,6 +65,8 @@ pub struct ReplayOptions {
     pub to: Option<Timestamp>,
     /// Where what is played is served to Foxglove, too.
     pub foxglove: Option<SocketAddr>,
+    /// Whether it is played to the testbed's plug-ins, too, which are to be bundled ones.
+    pub to_plugins: bool,
 }
 
 /// What happens in a replay.
@@ -69,8 +76,8 @@ pub enum Played<'a> {
     Time(Timestamp),
     /// Somebody asked for something, which is refused.
     Refused(&'a Stamped),
-    /// A follower was silent for too long, and is not waited for any more.
-    LeftBehind(&'a str),
+    /// A plug-in was cut off, and is not waited for any more.
+    CutOff(&'a Stamped),
 }
 
 /// How a replay ended.
@@ -86,78 +93,183 @@ pub enum ReplayEnd {
 
 /// A run that is ready to be played.
 pub struct Replay {
-    server: Server,
-    inbox: mpsc::Receiver<Message>,
+    programs: Programs,
+    audience: Guarded<Audience>,
     history: Arc<History>,
     run: RunId,
-    live: Live,
-    stream: broadcast::Sender<Arc<Stamped>>,
     options: ReplayOptions,
     watched: Option<Recording>,
     tap: Option<Tap>,
-    followers: Vec<Following>,
-    marks: u64,
+}
+
+/// The plug-ins that a run is played to.
+struct Audience {
+    host: PluginHost,
+    locals: Locals,
+    /// What bundled ones share.
+    _ledgers: Ledgers,
+    record: Record,
     now: Timestamp,
 }
 
-/// Somebody whom time waits for.
-struct Following {
-    follower: Follower,
-    untold: Vec<Arc<Stamped>>,
-    owes: Option<u64>,
-    wake_at: Option<Timestamp>,
-    due: bool,
+/// A recorded run as what plug-ins control: it refuses everything.
+#[derive(Default)]
+struct Record {
+    /// What plug-ins did, to be told.
+    told: VecDeque<Stamped>,
+}
+
+impl Controlled for Record {
+    fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let refused = Some(REFUSAL.to_owned());
+        let event = Event::Decision(Decision { plugin, instruction, reason, refused });
+        self.told.push_back(Stamped { at: now, event });
+        Err(Refused(REFUSAL.to_owned()))
+    }
+
+    fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
+        let event = Event::PluginFault { plugin, reason: fault.to_string() };
+        self.told.push_back(Stamped { at: now, event });
+    }
+}
+
+impl Audience {
+    fn new(now: Timestamp) -> Self {
+        Self {
+            host: PluginHost::new([], PATIENCE),
+            locals: Locals::default(),
+            _ledgers: Ledgers::default(),
+            record: Record::default(),
+            now,
+        }
+    }
+
+    /// Makes the plug-ins of a testbed.
+    fn invite(&mut self, testbed: &Arc<Testbed>, seed: u64) -> Result<(), ReplayError> {
+        if let Some(program) = programs(testbed).next() {
+            return Err(ReplayError::Program(program.clone()));
+        }
+        let domains = Domains::new(testbed);
+        let mut bundled = Bundled::new(testbed, seed, Ledgers::in_virtual_time());
+        for spec in &testbed.plugins {
+            if let PluginProgram::Bundled(name) = &spec.program {
+                let (plugin, view) = (bundled.make(spec, name)?, domains.of_plugin(&spec.id).cloned());
+                self.host.add(spec.id.clone());
+                self.locals.add(spec.id.clone(), plugin, testbed, view);
+            }
+        }
+        self._ledgers = bundled.into_ledgers();
+        Ok(())
+    }
+
+    /// When a plug-in wants to be woken next.
+    fn next_wake(&self) -> Option<Timestamp> {
+        let wake = self.host.next_wake().into_iter().chain(self.locals.next_deadline()).min();
+        // One that was met is not to come again at the same time.
+        wake.map(|wake| wake.max(self.now + Duration::from_nanos(1)))
+    }
+}
+
+impl Lockstep for Audience {
+    fn patience(&self) -> Duration {
+        self.host.patience()
+    }
+
+    fn next_call(&mut self) -> Option<Call> {
+        self.locals.next_call(self.now)
+    }
+
+    fn returned(&mut self, returned: Returned) {
+        let (plugin, outcome) = self.locals.returned(returned);
+        self.host.returned(self.now, &plugin, outcome, &mut self.record);
+        self.locals.end_cut_off(&self.host);
+    }
+
+    fn go_on(&mut self) -> bool {
+        false
+    }
 }
 
 impl Replay {
     /// Serves the API of a run that is about to be played.
     ///
     /// # Errors
-    /// [`ApiError`] when it cannot be served; the history's errors.
+    /// [`ApiError`] when it cannot be served; [`PluginError`] when a plug-in cannot be made; the history's errors.
     pub fn new(
         testbed: Testbed,
         history: History,
         run: RunId,
         options: ReplayOptions,
     ) -> Result<Self, ReplayError> {
+        Self::by_the_clock(testbed, history, run, options, wall_clock())
+    }
+
+    /// The same, plug-ins taking as long as the clock `wall` says.
+    pub(crate) fn by_the_clock(
+        testbed: Testbed,
+        history: History,
+        run: RunId,
+        options: ReplayOptions,
+        wall: Now,
+    ) -> Result<Self, ReplayError> {
         let default = SocketAddr::from((Ipv4Addr::LOCALHOST, 7700));
         let address = options.api.unwrap_or(default);
         let listener = Listener::bind(address, options.api.is_none(), &options.tokens)?;
-        let (history, live) = (Arc::new(history), Live::default());
-        let testbed = Arc::new(testbed);
+        let (history, testbed) = (Arc::new(history), Arc::new(testbed));
         let wanted = Wanted { file: None, foxglove: options.foxglove };
         let info = history.run(run)?.info;
+        let mut audience = Audience::new(options.from);
+        if options.to_plugins {
+            audience.invite(&testbed, info.seed)?;
+        }
         let watched = Recording::begin(&wanted, Path::new(""), &testbed, about(&info), Pace::Live)?;
         let tap = watched.as_ref().map(Recording::tap);
+        let waits = matches!(options.speed, Speed::Max { .. });
+        let live = Live::default();
         let before = Timestamp::from_nanos(options.from.as_nanos().saturating_sub(1));
         if options.from > Timestamp::ZERO {
             know(&live, tap.as_ref(), history.state_at(run, before)?);
         }
-        let (core, inbox) = mpsc::channel();
-        let (stream, _) = broadcast::channel(STREAM);
-        let epoch = epoch(&history.run(run)?.info);
-        let waits = matches!(options.speed, Speed::Max { .. });
-        let context = api::Context {
+        let context = |events, core| api::Context {
             testbed,
             live: live.clone(),
             history: Arc::clone(&history),
             run,
-            events: stream.clone(),
+            events,
             core,
             namespaces: Arc::new(BTreeMap::new()),
-            lockstep: waits.then_some(Lockstep { plugins: None, recorder: None }),
+            lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
-            wais: api::WaisOptions { epoch, ..Default::default() },
+            wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
         };
-        let server = Server::start(listener, context, options.tokens.clone())?;
-        let (followers, now) = (Vec::new(), options.from);
-        let marks = 0;
-        Ok(Self { server, inbox, history, run, live, stream, options, watched, tap, followers, marks, now })
+        let programs = Programs::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
+        Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })
+    }
+
+    /// Plays it to a plug-in in process, too.
+    #[cfg(test)]
+    pub(crate) fn to(
+        mut self,
+        id: PluginId,
+        plugin: Box<dyn cotorra_plugin::Plugin>,
+        testbed: &Arc<Testbed>,
+        patience: Duration,
+    ) -> Self {
+        self.audience.host.set_patience(patience);
+        self.audience.host.add(id.clone());
+        self.audience.locals.add(id, plugin, testbed, None);
+        self
     }
 
     /// Where the API listens.
     pub fn api_address(&self) -> SocketAddr {
-        self.server.address()
+        self.programs.api_address()
     }
 
     /// Where it serves Foxglove, if it does.
@@ -170,139 +282,135 @@ impl Replay {
     /// # Errors
     /// The history's.
     #[allow(clippy::disallowed_types, reason = "a replay at a speed goes by the wall clock")]
-    pub fn play(mut self, mut tell: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
-        let awaited = match self.options.speed {
+    pub fn play(self, tell: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
+        let Self { mut programs, audience, history, run, options, watched: _watched, tap } = self;
+        let mut playing = Playing { audience, tap, tell, stopped: false };
+        let awaited = match options.speed {
             Speed::Max { followers } => followers,
             Speed::Times(_) => 0,
         };
-        while self.followers.len() < awaited {
-            if !self.listen(LOOK, &mut tell) {
+        while playing.host().followers() < awaited {
+            if !programs.listen(LOOK, &mut playing) {
                 return Ok(ReplayEnd::Stopped);
             }
         }
         let began = std::time::Instant::now();
-        let end = self.options.to.map_or(Bound::Unbounded, Bound::Excluded);
+        let end = options.to.map_or(Bound::Unbounded, Bound::Excluded);
         let mut request = PageRequest::first(STEP);
         let mut moment: VecDeque<Stamped> = VecDeque::new();
         loop {
-            let range = (Bound::Included(self.options.from), end);
-            let page = self.history.events(self.run, &[], range, request)?;
+            let page = history.events(run, &[], (Bound::Included(options.from), end), request)?;
             moment.extend(page.items);
             // The last moment of a page may go on in the next one.
             let open = page.next.and(moment.back().map(|last| last.at));
             while let Some(at) = moment.front().map(|event| event.at).filter(|at| Some(*at) != open) {
-                if let Speed::Times(speed) = self.options.speed {
-                    let due = began + at.since(self.options.from).div_f64(speed);
+                // Plug-ins may want to be woken before.
+                let wake = playing.audience.next_wake().filter(|wake| *wake < at);
+                let next = wake.unwrap_or(at);
+                if let Speed::Times(speed) = options.speed {
+                    let due = began + next.since(options.from).div_f64(speed);
                     while let Some(left) = due.checked_duration_since(std::time::Instant::now())
                         && !left.is_zero()
                     {
-                        if !self.listen(left.min(LOOK), &mut tell) {
+                        if !programs.listen(left.min(LOOK), &mut playing) {
                             return Ok(ReplayEnd::Stopped);
                         }
                     }
                 }
-                while let Some(wake) =
-                    self.followers.iter().filter_map(|f| f.wake_at).min().filter(|w| *w < at)
-                {
-                    self.now = self.now.max(wake);
-                    if let Some(end) = self.settle(awaited, &mut tell) {
-                        return Ok(end);
-                    }
+                playing.audience.now = next;
+                while let Some(event) = moment.pop_front_if(|event| event.at <= next) {
+                    playing.publish(&Arc::new(event), &programs);
                 }
-                self.now = at;
-                while let Some(event) = moment.pop_front_if(|event| event.at == at) {
-                    self.publish(event);
+                if !playing.settle(&mut programs) {
+                    return Ok(ReplayEnd::Stopped);
                 }
-                if let Some(end) = self.settle(awaited, &mut tell) {
-                    return Ok(end);
+                if awaited > 0 && playing.is_alone() {
+                    return Ok(ReplayEnd::Alone);
                 }
             }
             let Some(next) = page.next else { return Ok(ReplayEnd::Played) };
             request = PageRequest::after(next, STEP);
         }
     }
+}
 
-    fn publish(&mut self, event: Stamped) {
-        self.live.absorb(&event);
-        let event = Arc::new(event);
-        for following in &mut self.followers {
-            following.untold.extend(following.follower.sees(&event));
-        }
+/// A run that is played.
+struct Playing<T> {
+    audience: Guarded<Audience>,
+    tap: Option<Tap>,
+    tell: T,
+    /// It was not to go on: whoever said so may not say so again.
+    stopped: bool,
+}
+
+impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
+    fn publish(&mut self, event: &Arc<Stamped>, programs: &Programs) {
+        programs.publish(event, &mut self.audience.host);
+        self.audience.locals.publish(event);
         if let Some(tap) = &self.tap {
-            tap.event(Arc::clone(&event));
+            tap.event(Arc::clone(event));
         }
-        // Nobody may be listening.
-        let _ = self.stream.send(event);
     }
 
-    /// Lets those who follow take in what happened up to now, one after the other; gives the end if this is it.
-    #[allow(clippy::disallowed_types, reason = "followers run on the wall clock, and may hang there")]
-    fn settle(&mut self, awaited: usize, tell: &mut impl FnMut(Played<'_>) -> bool) -> Option<ReplayEnd> {
-        let now = self.now;
-        for following in &mut self.followers {
-            following.due |= following.wake_at.take_if(|at| *at <= now).is_some();
-        }
-        if !self.listen(Duration::ZERO, tell) {
-            return Some(ReplayEnd::Stopped);
-        }
-        while let Some(place) = self.followers.iter().position(|f| f.due || !f.untold.is_empty()) {
-            self.marks += 1;
-            let following = &mut self.followers[place];
-            (following.owes, following.due) = (Some(self.marks), false);
-            let (follower, mark) = (&following.follower, Told::Mark { number: self.marks, now });
-            let mut told = following.untold.drain(..).map(Told::Event).chain([mark]);
-            let mut is_there = told.all(|told| follower.tell(told));
-            drop(told);
-            let asked = std::time::Instant::now();
-            while is_there && self.followers[place].owes.is_some() {
-                if !self.listen(LOOK, tell) {
-                    return Some(ReplayEnd::Stopped);
-                }
-                is_there = !self.followers[place].follower.is_gone();
-                if asked.elapsed() > PATIENCE {
-                    is_there = false;
-                    tell(Played::LeftBehind(self.followers[place].follower.plugin.as_str()));
-                }
-            }
-            if !is_there {
-                self.followers.remove(place);
-            }
-        }
-        self.followers.retain(|following| !following.follower.is_gone());
-        (awaited > 0 && self.followers.is_empty()).then_some(ReplayEnd::Alone)
+    /// Lets plug-ins take in what happened up to now, first those in process; gives whether to go on.
+    fn settle(&mut self, programs: &mut Programs) -> bool {
+        self.audience.locals.wake();
+        let now = self.audience.now;
+        self.stopped |= !self.audience.run(&mut || (self.tell)(Played::Time(now)));
+        self.tell_decisions();
+        // At least what was said already.
+        !self.stopped && programs.listen(Duration::ZERO, self) && programs.settle(self)
     }
 
-    /// Hears what is said within a time, at least what was said already; gives whether to go on.
-    fn listen(&mut self, within: Duration, tell: &mut impl FnMut(Played<'_>) -> bool) -> bool {
-        let mut next = self.inbox.recv_timeout(within).ok();
-        while let Some(message) = next {
-            match message {
-                Message::Follow(follower) => {
-                    let (untold, owes, wake_at) = (Vec::new(), None, None);
-                    self.followers.push(Following { follower, untold, owes, wake_at, due: true });
-                }
-                Message::Done { mark, wake_at } => {
-                    let following = self.followers.iter_mut().find(|f| f.owes == Some(mark));
-                    if let Some(following) = following {
-                        (following.owes, following.wake_at) = (None, wake_at);
-                    }
-                }
-                Message::Instruct { plugin, instruction, reason, reply } => {
-                    let refused = Some(REFUSAL.to_owned());
-                    let event = Event::Decision(Decision { plugin, instruction, reason, refused });
-                    let goes_on = tell(Played::Refused(&Stamped { at: self.now, event }));
-                    if let Some(reply) = reply {
-                        reply(Err(Refused(REFUSAL.to_owned())));
-                    }
-                    if !goes_on {
-                        return false;
-                    }
-                }
-                _ => {}
-            }
-            next = self.inbox.try_recv().ok();
+    fn tell_decisions(&mut self) {
+        while let Some(told) = self.audience.record.told.pop_front() {
+            let played = match told.event {
+                Event::PluginFault { .. } => Played::CutOff(&told),
+                _ => Played::Refused(&told),
+            };
+            self.stopped |= !(self.tell)(played);
         }
-        tell(Played::Time(self.now))
+    }
+
+    /// Whether nobody is there any more.
+    fn is_alone(&mut self) -> bool {
+        self.audience.host.forget_gone();
+        self.audience.host.followers() == 0 && self.audience.locals.is_empty()
+    }
+}
+
+impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
+    fn now(&self) -> Timestamp {
+        self.audience.now
+    }
+
+    fn host(&mut self) -> &mut PluginHost {
+        &mut self.audience.host
+    }
+
+    fn instruct(
+        &mut self,
+        _programs: &mut Programs,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let audience = &mut *self.audience;
+        let done = audience.host.instruct(audience.now, plugin, instruction, reason, &mut audience.record);
+        self.tell_decisions();
+        done
+    }
+
+    fn cut_off(&mut self, _programs: &mut Programs, plugin: &PluginId, fault: &Fault) {
+        let audience = &mut *self.audience;
+        audience.host.cut_off(audience.now, plugin, fault, &mut audience.record);
+        self.tell_decisions();
+    }
+
+    fn goes_on(&mut self) -> bool {
+        let now = self.audience.now;
+        self.stopped = self.stopped || !(self.tell)(Played::Time(now));
+        !self.stopped
     }
 }
 
@@ -332,6 +440,14 @@ pub enum ReplayError {
     /// The API.
     #[error(transparent)]
     Api(#[from] ApiError),
+    /// A plug-in cannot be made.
+    #[error(transparent)]
+    Plugin(#[from] PluginError),
+    /// A plug-in that is a program follows by itself.
+    #[error(
+        "plug-in `{0}` is a program of its own: start it beside the replay, with COTORRA_API and COTORRA_PLUGIN set"
+    )]
+    Program(PluginId),
     /// Who watches.
     #[error(transparent)]
     Recording(#[from] RecordingError),

@@ -1,9 +1,8 @@
 //! What runs VNFs in virtual time: the bundled ones, as parts of the simulation.
 
 use std::{
-    cell::RefCell,
     collections::{BTreeMap, VecDeque},
-    rc::Rc,
+    sync::Arc,
 };
 
 use cotorra_brain::NavigationVnf;
@@ -11,6 +10,7 @@ use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
 use cotorra_network_control::vim::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_plugin::wire;
 use cotorra_robot_middleware::LocalizationVnf;
+use parking_lot::Mutex;
 
 /// An instance of a bundled VNF.
 #[derive(Clone)]
@@ -34,19 +34,19 @@ type Instances = BTreeMap<NodeId, Vec<(InstanceId, u16, Bundled)>>;
 
 /// The VNFs that serve on each node.
 #[derive(Clone, Default)]
-pub(super) struct Serving(Rc<RefCell<Instances>>);
+pub(crate) struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
     /// Writes what the VNFs on a node answer to a datagram that came to that port; false if none does.
     pub(super) fn answer(&self, node: &NodeId, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
-        let mut all = self.0.borrow_mut();
+        let mut all = self.0.lock();
         let mut here = all.get_mut(node).into_iter().flatten().filter(|(_, at, _)| *at == port);
         here.any(|(_, _, vnf)| vnf.answer(datagram, answer))
     }
 }
 
 /// Runs the bundled VNFs as parts of the simulation; an instance is ready at once.
-pub(super) struct VirtualEngine {
+pub(crate) struct VirtualEngine {
     /// What an instance begins as, and its port, by VNF.
     planned: BTreeMap<VnfId, (u16, Bundled)>,
     serving: Serving,
@@ -56,7 +56,7 @@ pub(super) struct VirtualEngine {
 
 impl VirtualEngine {
     /// Plans all walks, and prepares the map.
-    pub(super) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Self {
+    pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Self {
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed);
         let planned = testbed.services.iter().flat_map(|service| {
@@ -82,7 +82,7 @@ impl Engine for VirtualEngine {
             return Err("only the bundled VNFs run in virtual time".to_owned());
         }
         let (port, bundled) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
-        self.serving.0.borrow_mut().entry(node.clone()).or_default().push((instance, port, bundled));
+        self.serving.0.lock().entry(node.clone()).or_default().push((instance, port, bundled));
         self.running.insert(instance, node.clone());
         self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
         Ok(())
@@ -90,7 +90,7 @@ impl Engine for VirtualEngine {
 
     fn stop(&mut self, instance: InstanceId) {
         if let Some(node) = self.running.remove(&instance)
-            && let Some(instances) = self.serving.0.borrow_mut().get_mut(&node)
+            && let Some(instances) = self.serving.0.lock().get_mut(&node)
         {
             instances.retain(|(id, ..)| *id != instance);
         }
@@ -102,6 +102,6 @@ impl Engine for VirtualEngine {
 
     fn shut_down(&mut self) {
         self.running.clear();
-        self.serving.0.borrow_mut().clear();
+        self.serving.0.lock().clear();
     }
 }

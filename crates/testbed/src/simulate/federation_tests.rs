@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_federation::Step;
-use cotorra_graph::{Decision, RobotContext, VnfState, testbed_file, testbed_file::Setting};
+use cotorra_graph::{Decision, Event, RobotContext, VnfState, testbed_file, testbed_file::Setting};
 use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
 use cotorra_measurements::{History, RunInfo};
 

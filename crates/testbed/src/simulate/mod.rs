@@ -1,41 +1,40 @@
 //! A testbed in virtual time: the very same core, fabric, robots and plug-ins, driven by their own deadlines instead of
 //! a clock. Nothing sleeps, nothing is random but by the seed, and the same seed gives the same events.
 
-mod apart;
 mod engine;
 mod network;
 mod run;
 mod udp;
 
 use std::{
-    borrow::Cow,
     collections::{HashMap, VecDeque},
     net::Ipv4Addr,
-    panic::{AssertUnwindSafe, catch_unwind},
     sync::Arc,
     time::Duration,
 };
 
 use cotorra_fabric::{Fabric, PortId};
 use cotorra_federation::Ledgers;
-use cotorra_graph::{
-    Event, HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
-};
+use cotorra_graph::{HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::Refused;
-use cotorra_plugin::{Actions, Plugin};
 use cotorra_robot_middleware::SensedScan;
 
 pub use self::run::simulate;
-use self::{
+pub(crate) use self::{
     engine::{Serving, VirtualEngine},
     network::VirtualNetwork,
 };
 use crate::{
     core::Core,
-    domain::{DomainView, Domains},
+    domain::Domains,
     earlier::Earlier,
-    plugins::{Bundled, PluginError, panic_text, programs},
+    plugins::{
+        Bundled, PATIENCE, PluginError,
+        host::{Fault, PluginHost},
+        lockstep::{Call, Locals, Lockstep, Returned},
+        programs,
+    },
     robots::simulated,
     run::{RunError, probe_links},
     script::Script,
@@ -49,24 +48,39 @@ pub struct Simulation {
     core: Core<VirtualNetwork, VirtualEngine>,
     network: VirtualNetwork,
     serving: Serving,
-    plugins: Vec<Hosted>,
+    host: PluginHost,
+    locals: Locals,
     /// What orchestrators share.
     _ledgers: Ledgers,
-    graph: Arc<Testbed>,
     ports: HashMap<Ipv4Addr, PortId>,
-    events: VecDeque<Stamped>,
+    happened: VecDeque<Happened>,
+    /// Events among that.
+    events: usize,
     /// When somebody outside wants a step.
     alarm: Option<Timestamp>,
+    /// Up to where [`Lockstep::run`] goes.
+    stretch: Stretch,
+    /// When it began.
+    stretch_began: Timestamp,
     /// Whether the next step is not the first.
     begun: bool,
 }
 
-struct Hosted {
-    id: PluginId,
-    plugin: Box<dyn Plugin>,
-    cut: bool,
-    /// What it sees, if that is one domain.
-    view: Option<Arc<DomainView>>,
+/// Something that a simulation tells, in order.
+pub(crate) enum Happened {
+    Event(Arc<Stamped>),
+    Scan(SensedScan),
+}
+
+/// How far to go on without being looked after.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Stretch {
+    /// No step: only what plug-ins want to do about what happened.
+    Settle,
+    /// One step.
+    Step,
+    /// Steps until so many events wait to be polled, the alarm has come, all walks are done, or it is this time.
+    Events(usize, Option<Timestamp>),
 }
 
 impl Simulation {
@@ -102,106 +116,144 @@ impl Simulation {
         let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, script, simulated)?;
         let domains = Domains::new(&testbed);
         let mut bundled = Bundled::new(&testbed, seed, ledgers);
-        let plugins = testbed.plugins.iter().filter_map(|spec| match &spec.program {
-            PluginProgram::Bundled(name) => Some(bundled.make(spec, name).map(|plugin| Hosted {
-                id: spec.id.clone(),
-                plugin,
-                cut: false,
-                view: domains.of_plugin(&spec.id).cloned(),
-            })),
-            PluginProgram::Command(_) => None,
-        });
-        let mut plugins = plugins.collect::<Result<Vec<_>, _>>()?;
-        if let Some(earlier) = earlier {
-            plugins.iter_mut().for_each(|hosted| hosted.plugin.resume(earlier.noted_by(&hosted.id)));
+        let mut locals = Locals::default();
+        for spec in &testbed.plugins {
+            let PluginProgram::Bundled(name) = &spec.program else { continue };
+            let mut plugin = bundled.make(spec, name)?;
+            if let Some(earlier) = earlier {
+                plugin.resume(earlier.noted_by(&spec.id));
+            }
+            locals.add(spec.id.clone(), plugin, &testbed, domains.of_plugin(&spec.id).cloned());
         }
         core.start(Timestamp::ZERO);
-        let ledgers = bundled.into_ledgers();
         let hosts = testbed.graph.hosts().count();
-        let mut simulation = Self {
+        Ok(Self {
             core,
             network,
             serving,
-            plugins,
-            _ledgers: ledgers,
+            host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE),
+            locals,
+            _ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
-            graph: testbed,
-            events: VecDeque::new(),
+            happened: VecDeque::new(),
+            events: 0,
             alarm: None,
+            stretch: Stretch::Step,
+            stretch_began: Timestamp::ZERO,
             begun: false,
-        };
-        for place in 0..simulation.plugins.len() {
-            let (testbed, view) = (Arc::clone(&simulation.graph), simulation.plugins[place].view.clone());
-            let testbed = view.as_ref().map_or(&*testbed, |view| view.testbed());
-            simulation
-                .call(Timestamp::ZERO, place, |plugin, now, actions| plugin.start(now, testbed, actions));
-        }
-        Ok(simulation)
+        })
+    }
+
+    /// The same with another plug-in in process.
+    #[cfg(test)]
+    pub(crate) fn with_plugin(
+        mut self,
+        id: PluginId,
+        plugin: Box<dyn cotorra_plugin::Plugin>,
+        testbed: &Arc<Testbed>,
+    ) -> Self {
+        self.host.add(id.clone());
+        self.locals.add(id, plugin, testbed, None);
+        self
+    }
+
+    /// The same with another patience for plug-ins.
+    pub(crate) fn with_patience(mut self, patience: Duration) -> Self {
+        self.host.set_patience(patience);
+        self
     }
 
     /// Goes on to the next thing that is due, and does it; gives the time. Events are to be polled after each step.
+    /// Plug-ins are called on this thread: one that hangs hangs it.
     pub fn step(&mut self) -> Timestamp {
+        self.go(Stretch::Step);
+        self.run();
+        self.now()
+    }
+
+    /// Says how far to go next.
+    pub(crate) fn go(&mut self, stretch: Stretch) {
+        self.stretch = stretch;
+        self.stretch_began = self.now();
+    }
+
+    /// The time.
+    pub(crate) fn now(&self) -> Timestamp {
+        self.network.now()
+    }
+
+    /// Goes to the next thing that is due, and does it, but for what plug-ins want.
+    fn begin_step(&mut self) {
         if self.begun {
-            self.network.now.set(self.next_time());
+            self.network.set_now(self.next_time());
         }
         self.begun = true;
-        let now = self.network.now.get();
+        let now = self.now();
         // In memory nothing can be gone.
         let _ = self.core.advance(now);
         self.carry(now);
-        self.tell(now);
-        now
+        self.locals.wake();
     }
 
     /// When the next thing is due.
     fn next_time(&self) -> Timestamp {
-        let now = self.network.now.get();
-        let plugins = self.plugins.iter().filter(|p| !p.cut).filter_map(|p| p.plugin.next_deadline());
-        let fabric = self.network.fabric.borrow_mut().poll(now, &mut |_, _| {});
-        let next = plugins.chain(fabric).chain(self.alarm).fold(self.core.next_deadline(), Timestamp::min);
+        let now = self.now();
+        let plugins = self.locals.next_deadline();
+        let fabric = self.network.fabric().poll(now, &mut |_, _| {});
+        let others = plugins.into_iter().chain(fabric).chain(self.alarm);
+        let next = others.fold(self.core.next_deadline(), Timestamp::min);
         // A deadline that is not in the future was met by this step; time must not stand still.
         next.max(now + Duration::from_nanos(1))
     }
 
     /// Lets the next step be at that time at the latest.
-    fn set_alarm(&mut self, at: Option<Timestamp>) {
+    pub(crate) fn set_alarm(&mut self, at: Option<Timestamp>) {
         self.alarm = at;
     }
 
-    /// Does what somebody outside asks for, now.
-    fn instruct(
+    /// Who decides about plug-ins.
+    pub(crate) fn host(&mut self) -> &mut PluginHost {
+        &mut self.host
+    }
+
+    /// Does what somebody outside asks for, now. What plug-ins in process want to do about it is still to be done.
+    pub(crate) fn instruct(
         &mut self,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), Refused> {
-        let now = self.network.now.get();
-        let done = self.core.instruct(now, plugin, instruction, reason);
-        self.tell_events(now);
+        let done = self.host.instruct(self.network.now(), plugin, instruction, reason, &mut self.core);
+        // It may have gone by the name of one in process.
+        self.locals.end_cut_off(&self.host);
         done
     }
 
-    /// Tells that a plug-in outside was cut off; the robots that it moved stop.
-    fn cut_off(&mut self, plugin: PluginId, reason: String, robots: &[NodeId]) {
-        let now = self.network.now.get();
-        robots.iter().for_each(|robot| self.core.stop_robot(now, robot));
-        self.events.push_back(Stamped { at: now, event: Event::PluginFault { plugin, reason } });
-        self.tell_events(now);
+    /// Cuts a program off.
+    pub(crate) fn cut_off(&mut self, plugin: &PluginId, fault: &Fault) {
+        self.host.cut_off(self.network.now(), plugin, fault, &mut self.core);
+    }
+
+    /// What happened, oldest first; scans are left out.
+    pub fn poll_event(&mut self) -> Option<Stamped> {
+        loop {
+            match self.poll()? {
+                Happened::Event(event) => return Some(Arc::unwrap_or_clone(event)),
+                Happened::Scan(_) => {}
+            }
+        }
     }
 
     /// What happened, oldest first.
-    pub fn poll_event(&mut self) -> Option<Stamped> {
-        self.events.pop_front()
+    pub(crate) fn poll(&mut self) -> Option<Happened> {
+        let happened = self.happened.pop_front()?;
+        self.events -= usize::from(matches!(happened, Happened::Event(_)));
+        Some(happened)
     }
 
-    /// From now on scans are to be polled after each step, like events.
-    fn tap_scans(&mut self) {
+    /// From now on scans are told, too: after the events of each step.
+    pub(crate) fn tap_scans(&mut self) {
         self.core.tap_scans();
-    }
-
-    /// A scan that was completed, oldest first.
-    fn poll_scan(&mut self) -> Option<SensedScan> {
-        self.core.poll_scan()
     }
 
     /// How far off localization was so far, of each robot that a VNF localizes.
@@ -224,7 +276,7 @@ impl Simulation {
         }
         loop {
             let mut delivered = Vec::new();
-            self.network.fabric.borrow_mut().poll(now, &mut |port, frame| delivered.push((port, frame)));
+            self.network.fabric().poll(now, &mut |port, frame| delivered.push((port, frame)));
             while let Some(event) = self.network.next_event() {
                 self.core.observe(event);
             }
@@ -233,14 +285,14 @@ impl Simulation {
             }
             for (port, frame) in delivered {
                 self.deliver(now, port, frame.bytes());
-                self.network.fabric.borrow_mut().recycle(frame);
+                self.network.fabric().recycle(frame);
             }
         }
     }
 
     fn deliver(&mut self, now: Timestamp, port: PortId, frame: &[u8]) {
         let Some(datagram) = udp::parse(frame) else { return };
-        let Some(host) = self.network.fabric.borrow().host(port).cloned() else { return };
+        let Some(host) = self.network.fabric().host(port).cloned() else { return };
         if datagram.to == ROBOT_PORT {
             return self.core.receive(now, &host, datagram.payload);
         }
@@ -252,65 +304,69 @@ impl Simulation {
     }
 
     fn send(&mut self, now: Timestamp, from: (PortId, u16), to: (PortId, u16), payload: &[u8]) {
-        let mut fabric = self.network.fabric.borrow_mut();
+        let mut fabric = self.network.fabric();
         let mut buffer = fabric.buffer(0);
         udp::build(&mut buffer, from, to, payload);
         fabric.push(now, from.0, cotorra_fabric::Frame::new(buffer));
     }
 
     fn port(&self, host: &NodeId) -> Option<PortId> {
-        self.network.fabric.borrow().port(host)
+        self.network.fabric().port(host)
     }
 
     fn port_at(&self, address: Ipv4Addr) -> Option<PortId> {
         self.ports.get(&address).copied()
     }
+}
 
-    /// Tells plug-ins what happened, and does what they ask for, until nothing new happens.
-    fn tell(&mut self, now: Timestamp) {
-        for place in 0..self.plugins.len() {
-            if self.plugins[place].plugin.next_deadline().is_some_and(|deadline| deadline <= now) {
-                self.call(now, place, |plugin, now, actions| plugin.expire(now, actions));
-            }
-        }
-        self.tell_events(now);
+impl Lockstep for Simulation {
+    fn patience(&self) -> Duration {
+        self.host.patience()
     }
 
-    fn tell_events(&mut self, now: Timestamp) {
-        while let Some(event) = self.core.poll_event() {
-            for place in 0..self.plugins.len() {
-                let view = self.plugins[place].view.clone();
-                let seen = view.as_ref().map_or(Some(Cow::Borrowed(&event)), |view| view.event(&event));
-                let Some(seen) = seen else { continue };
-                self.call(now, place, |plugin, now, actions| plugin.handle(now, &seen.event, actions));
+    fn next_call(&mut self) -> Option<Call> {
+        loop {
+            if let Some(call) = self.locals.next_call(self.network.now()) {
+                return Some(call);
             }
-            self.events.push_back(event);
+            // Plug-ins are started before anything is told.
+            if !self.begun {
+                return None;
+            }
+            let event = Arc::new(self.core.poll_event()?);
+            self.locals.publish(&event);
+            self.happened.push_back(Happened::Event(event));
+            self.events += 1;
         }
     }
 
-    fn call(
-        &mut self,
-        now: Timestamp,
-        place: usize,
-        call: impl FnOnce(&mut dyn Plugin, Timestamp, &mut Actions),
-    ) {
-        let hosted = &mut self.plugins[place];
-        if hosted.cut {
-            return;
+    fn returned(&mut self, returned: Returned) {
+        let (plugin, outcome) = self.locals.returned(returned);
+        self.host.returned(self.network.now(), &plugin, outcome, &mut self.core);
+        self.locals.end_cut_off(&self.host);
+    }
+
+    fn go_on(&mut self) -> bool {
+        // They come after the events of their step.
+        self.happened.extend(std::iter::from_fn(|| self.core.poll_scan()).map(Happened::Scan));
+        let goes_on = match self.stretch {
+            Stretch::Settle => false,
+            Stretch::Step => true,
+            Stretch::Events(wanted, until) => {
+                let now = self.now();
+                let has_come = |at: Option<Timestamp>| at.is_some_and(|at| now >= at);
+                // Time goes on even where the alarm is set to the past.
+                let is_woken = now > self.stretch_began && has_come(self.alarm);
+                self.events < wanted && !self.is_finished() && !is_woken && !has_come(until)
+            }
+        };
+        if goes_on {
+            if self.stretch == Stretch::Step {
+                self.stretch = Stretch::Settle;
+            }
+            self.begin_step();
         }
-        let mut actions = Actions::default();
-        let returned = catch_unwind(AssertUnwindSafe(|| call(&mut *hosted.plugin, now, &mut actions)));
-        let id = hosted.id.clone();
-        if let Err(panic) = returned {
-            hosted.cut = true;
-            let reason = format!("panicked: {}", panic_text(&*panic));
-            self.events.push_back(Stamped { at: now, event: Event::PluginFault { plugin: id, reason } });
-            return;
-        }
-        for (instruction, reason) in actions.drain() {
-            // A refusal is told with the decision.
-            let _ = self.core.instruct(now, id.clone(), instruction, reason);
-        }
+        goes_on
     }
 }
 

@@ -1,29 +1,42 @@
 //! The emulated network in virtual time: the fabric itself, within reach.
 
-use std::{
-    cell::{Cell, RefCell},
-    rc::Rc,
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering},
 };
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{Stamped, Timestamp};
 use cotorra_network_control::{Network, NetworkGone};
+use parking_lot::{Mutex, MutexGuard};
 
-/// The emulated network in virtual time.
+/// The emulated network in virtual time. One thread at a time has it.
 #[derive(Clone)]
-pub(super) struct VirtualNetwork {
-    pub(super) fabric: Rc<RefCell<Fabric>>,
-    pub(super) now: Rc<Cell<Timestamp>>,
+pub(crate) struct VirtualNetwork {
+    fabric: Arc<Mutex<Fabric>>,
+    now_ns: Arc<AtomicU64>,
 }
 
 impl VirtualNetwork {
     /// At time zero.
-    pub(super) fn new(fabric: Fabric) -> Self {
-        Self { fabric: Rc::new(RefCell::new(fabric)), now: Rc::new(Cell::new(Timestamp::ZERO)) }
+    pub(crate) fn new(fabric: Fabric) -> Self {
+        Self { fabric: Arc::new(Mutex::new(fabric)), now_ns: Arc::default() }
+    }
+
+    pub(super) fn fabric(&self) -> MutexGuard<'_, Fabric> {
+        self.fabric.lock()
+    }
+
+    pub(super) fn now(&self) -> Timestamp {
+        Timestamp::from_nanos(self.now_ns.load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn set_now(&self, now: Timestamp) {
+        self.now_ns.store(now.as_nanos(), Ordering::Relaxed);
     }
 
     pub(super) fn next_event(&self) -> Option<Stamped> {
-        self.fabric.borrow_mut().next_event()
+        self.fabric().next_event()
     }
 }
 
@@ -32,6 +45,6 @@ impl Network for VirtualNetwork {
         &self,
         action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
     ) -> Result<R, NetworkGone> {
-        Ok(action(&mut self.fabric.borrow_mut(), self.now.get()))
+        Ok(action(&mut self.fabric(), self.now()))
     }
 }

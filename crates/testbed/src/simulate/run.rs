@@ -1,18 +1,30 @@
 //! A whole run in virtual time: what a run leaves, in a folder.
 
-use std::{sync::Arc, time::Duration};
-
-use cotorra_graph::{Stamped, Testbed, Timestamp};
-use cotorra_measurements::{PacedRecorder, RunInfo};
-use cotorra_recording::{Pace, Recording, Tap};
-
-use super::{
-    Simulation,
-    apart::{Apart, Asked},
+use std::{
+    collections::BTreeMap,
+    net::{Ipv4Addr, SocketAddr},
+    sync::Arc,
+    time::Duration,
 };
+
+use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
+use cotorra_measurements::{PacedRecorder, RunInfo};
+use cotorra_network_control::Refused;
+use cotorra_recording::{Pace, Recording, Tap};
+use cotorra_robot_middleware::SensedScan;
+
+use super::{Happened, Simulation, Stretch};
 use crate::{
+    api::{self, Listener, Lockstep},
     core_loop::End,
-    plugins,
+    live::Live,
+    plugins::{
+        self, Now, PATIENCE,
+        apart::{Programs, Stage},
+        host::{Fault, PluginHost},
+        lockstep::{Guarded, wall_clock},
+        programs,
+    },
     recorded::Recorded,
     report::{Losses, Report, RunFolder},
     run::{Finished, Options, RunError, about},
@@ -20,9 +32,6 @@ use crate::{
 
 /// After so many events they are written.
 const HISTORY_PACE: usize = 10_000;
-
-/// A program that says nothing for so long while time waits for it counts as hung.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Runs a testbed in virtual time to the end of its walks, or up to `options.until`, and leaves what a run leaves; gives
 /// what it came to. `go_on` is asked now and then, with the time, whether to. The API is served where a plug-in is a
@@ -38,16 +47,17 @@ pub fn simulate(
     options: &Options,
     go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
-    simulate_with(testbed, text, options, PATIENCE, go_on)
+    simulate_with(testbed, text, options, PATIENCE, wall_clock(), go_on)
 }
 
-/// The same with another patience for programs.
+/// The same with another patience for plug-ins, by another clock on the wall.
 pub(super) fn simulate_with(
     testbed: Testbed,
     text: &str,
     options: &Options,
     patience: Duration,
-    mut go_on: impl FnMut(Timestamp) -> bool,
+    wall: Now,
+    go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
     let testbed = Arc::new(testbed);
     let seed = options.seed.unwrap_or(testbed.seed);
@@ -56,7 +66,8 @@ pub(super) fn simulate_with(
         return Err(RunError::Endless);
     }
     plugins::check_programs(&testbed)?;
-    let mut simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?;
+    let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?.with_patience(patience);
+    let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
     // The calendar is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
@@ -69,53 +80,134 @@ pub(super) fn simulate_with(
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
-    let mut books = Books { report: Report::new(&testbed, seed), recorder, unwritten: 0, tap };
-    let asked =
-        Asked { testbed: &testbed, history: &history, run, recorder: &books.recorder, logs: &folder.logs() };
-    let mut apart = Apart::start(&asked, options, patience)?;
-    let mut now = Timestamp::ZERO;
+    let books = Books { report: Report::new(&testbed, seed), recorder: recorder.clone(), unwritten: 0, tap };
+    let mut underway = Underway { simulation, books, go_on, stopped: false };
+    let mut apart = None;
+    if programs(&testbed).next().is_some() {
+        let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+        let listener = Listener::bind(options.api.unwrap_or(any_port), false, &options.tokens)?;
+        let waited_for = Arc::new(programs(&testbed).cloned().collect());
+        let context = |events, core| api::Context {
+            testbed: Arc::clone(&testbed),
+            live: Live::default(),
+            history: Arc::clone(&history),
+            run,
+            events,
+            core,
+            namespaces: Arc::new(BTreeMap::new()),
+            lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
+            replay: false,
+            wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
+        };
+        let programs = apart.insert(Programs::serve(listener, options.tokens.clone(), wall, context)?);
+        programs.start(&testbed, &folder.logs(), underway.simulation.host())?;
+    }
     let end = loop {
         // Before the first step, too: programs are there when it begins.
-        if let Some(apart) = &mut apart
-            && !apart.settle(now, &mut simulation, &mut |event| books.keep(event), &mut go_on)
+        if let Some(programs) = &mut apart
+            && !programs.settle(&mut underway)
         {
             break End::Stopped;
         }
-        if simulation.is_finished() {
+        if apart.is_some() {
+            let alarm = underway.simulation.host().next_wake();
+            underway.simulation.set_alarm(alarm);
+        }
+        if underway.simulation.is_finished() {
             break End::Walked;
         }
-        if until.is_some_and(|until| now >= until) {
+        if until.is_some_and(|until| underway.simulation.now() >= until) {
             break End::Until;
         }
-        now = simulation.step();
-        while let Some(event) = simulation.poll_event() {
-            if let Some(apart) = &mut apart {
-                apart.publish(&event);
-            }
-            books.keep(event);
+        // Programs are told after each moment with events; the history is written after the same step each time.
+        let stretch = match HISTORY_PACE.saturating_sub(underway.books.unwritten) {
+            0 => Stretch::Step,
+            _ if apart.is_some() => Stretch::Events(1, until),
+            room => Stretch::Events(room, until),
+        };
+        if !underway.advance(stretch, apart.as_mut()) {
+            break End::Stopped;
         }
-        if let Some(tap) = &books.tap {
-            while let Some(scan) = simulation.poll_scan() {
-                tap.scan(scan);
-            }
-        }
-        if books.unwritten >= HISTORY_PACE {
-            books.catch_up()?;
-            if !go_on(now) {
+        if underway.books.unwritten >= HISTORY_PACE {
+            underway.books.catch_up()?;
+            if !underway.goes_on() {
                 break End::Stopped;
             }
         }
     };
     drop(apart);
+    let Underway { simulation, mut books, .. } = underway;
     books.catch_up()?;
     let Books { mut report, recorder, .. } = books;
     report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
-    let summary = report.summary(now, end.as_str(), losses);
+    let summary = report.summary(simulation.now(), end.as_str(), losses);
     folder.write_report(&report, &summary)?;
-    history.end_run(run, now)?;
+    history.end_run(run, simulation.now())?;
     Ok(Finished { summary, report, folder: folder.path().to_owned(), run, recording })
+}
+
+/// A simulation whose events are kept.
+struct Underway<G> {
+    simulation: Guarded<Simulation>,
+    books: Books,
+    go_on: G,
+    /// It was not to go on: whoever said so may not say so again.
+    stopped: bool,
+}
+
+impl<G: FnMut(Timestamp) -> bool> Underway<G> {
+    /// Goes so far, and tells what happened; gives whether to go on.
+    fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut Programs>) -> bool {
+        self.simulation.go(stretch);
+        let now = self.simulation.now();
+        self.stopped |= !self.simulation.run(&mut || (self.go_on)(now));
+        while let Some(happened) = self.simulation.poll() {
+            match happened {
+                Happened::Event(event) => {
+                    if let Some(programs) = &mut programs {
+                        programs.publish(&event, self.simulation.host());
+                    }
+                    self.books.keep(event);
+                }
+                Happened::Scan(scan) => self.books.scan(scan),
+            }
+        }
+        !self.stopped
+    }
+}
+
+impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
+    fn now(&self) -> Timestamp {
+        self.simulation.now()
+    }
+
+    fn host(&mut self) -> &mut PluginHost {
+        self.simulation.host()
+    }
+
+    fn instruct(
+        &mut self,
+        programs: &mut Programs,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused> {
+        let done = self.simulation.instruct(plugin, instruction, reason);
+        self.advance(Stretch::Settle, Some(programs));
+        done
+    }
+
+    fn cut_off(&mut self, programs: &mut Programs, plugin: &PluginId, fault: &Fault) {
+        self.simulation.cut_off(plugin, fault);
+        self.advance(Stretch::Settle, Some(programs));
+    }
+
+    fn goes_on(&mut self) -> bool {
+        self.stopped = self.stopped || !(self.go_on)(self.simulation.now());
+        !self.stopped
+    }
 }
 
 /// Where what happens is kept.
@@ -127,13 +219,19 @@ struct Books {
 }
 
 impl Books {
-    fn keep(&mut self, event: Stamped) {
+    fn keep(&mut self, event: Arc<Stamped>) {
         self.report.absorb(&event);
         if let Some(tap) = &self.tap {
-            tap.event(Arc::new(event.clone()));
+            tap.event(Arc::clone(&event));
         }
-        self.recorder.record(event);
+        self.recorder.record(Arc::unwrap_or_clone(event));
         self.unwritten += 1;
+    }
+
+    fn scan(&self, scan: SensedScan) {
+        if let Some(tap) = &self.tap {
+            tap.scan(scan);
+        }
     }
 
     fn catch_up(&mut self) -> Result<(), cotorra_measurements::Error> {

@@ -1,10 +1,12 @@
 use std::path::Path;
 
-use cotorra_graph::{Instruction, PoseSource};
+use cotorra_graph::{Event, Instruction, PoseSource};
+use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
 use super::*;
 use crate::{
     Finished, Options,
+    plugins::lockstep::wall_clock,
     report::{Losses, Place, Report},
 };
 
@@ -81,12 +83,11 @@ fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
                 servers.push(sample.server.to_string());
             }
         }
-        if !moved && simulation.network.now.get().as_secs_f64() > 5.0 {
+        if !moved && simulation.now().as_secs_f64() > 5.0 {
             moved = true;
             let place =
                 Instruction::Place { vnf: "navigation".parse().unwrap(), node: "edge".parse().unwrap() };
-            let now = simulation.network.now.get();
-            simulation.core.instruct(now, "test".parse().unwrap(), place, None).unwrap();
+            simulation.instruct("test".parse().unwrap(), place, None).unwrap();
         }
     }
     servers.dedup();
@@ -101,7 +102,7 @@ fn whenever_a_vnf_moves_every_position_packet_is_answered() {
     let mut moves =
         (0..100_u16).map(|i| (Timestamp::from_secs_f64(1.0 + 0.1525 * f64::from(i)), i % 2)).peekable();
     let (mut node, mut switched, mut samples) = ("cloud".to_owned(), Vec::new(), 0);
-    while moves.peek().is_some() || simulation.network.now.get().as_secs_f64() < 18.0 {
+    while moves.peek().is_some() || simulation.now().as_secs_f64() < 18.0 {
         simulation.set_alarm(moves.peek().map(|(at, _)| *at));
         let now = simulation.step();
         while let Some(Stamped { at, event }) = simulation.poll_event() {
@@ -149,7 +150,7 @@ fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajector
                 _ => {}
             }
         }
-        if simulation.network.now.get().as_secs_f64() > next
+        if simulation.now().as_secs_f64() > next
             && let Some((_, node)) = moves.next()
         {
             next += 10.0;
@@ -200,7 +201,7 @@ fn a_robot_that_nobody_localizes_knows_less_and_less_and_is_found_again() {
                 spreads.push((at.as_secs_f64(), spread(&context.sensors.pose)));
             }
         }
-        let now = simulation.network.now.get().as_secs_f64();
+        let now = simulation.now().as_secs_f64();
         if let Some((_, loss)) = conditions.next_if(|(at, _)| *at <= now) {
             simulation.instruct("test".parse().unwrap(), cut(loss), None).unwrap();
         }
@@ -221,13 +222,8 @@ fn a_plugin_that_panics_is_cut_off_and_the_robot_walks_on() {
         }
     }
     let testbed = corridor();
-    let mut simulation = Simulation::new(testbed, 1).unwrap();
-    simulation.plugins.push(Hosted {
-        id: "bomb".parse().unwrap(),
-        plugin: Box::new(Bomb),
-        cut: false,
-        view: None,
-    });
+    let simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
+    let mut simulation = simulation.with_plugin("bomb".parse().unwrap(), Box::new(Bomb), &testbed);
     let (mut faults, mut answered) = (Vec::new(), 0);
     while simulation.step().as_secs_f64() < 3.0 {
         while let Some(event) = simulation.poll_event() {
@@ -312,7 +308,7 @@ fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Dur
         folder: Place::In(out.path().to_owned()),
         ..Options::default()
     };
-    let finished = run::simulate_with(testbed, "", &options, patience, |_| true).unwrap();
+    let finished = run::simulate_with(testbed, "", &options, patience, wall_clock(), |_| true).unwrap();
     let samples = std::fs::read_to_string(finished.folder.join("service_time.csv")).unwrap();
     (finished, samples)
 }
@@ -339,6 +335,16 @@ fn the_program_of_other_tests() {
         loop {
             std::thread::park();
         }
+    }
+    if settings.contains_key("flood") {
+        let client = cotorra_plugin::client::Client::from_env().unwrap();
+        let mut events = client.events(&["robot"]).unwrap();
+        events.next().unwrap().unwrap();
+        let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
+        while !matches!(client.instruct(&scan, None), Err(ClientError::Refused(why)) if why.contains("1000"))
+        {
+        }
+        return;
     }
     let mut probing = cotorra_probing::Probing::from_settings(&settings, 1).unwrap();
     cotorra_plugin::client::run(&mut probing).unwrap();
@@ -380,6 +386,19 @@ fn a_program_that_hangs_or_ends_is_cut_off_and_the_run_goes_on() {
         assert!(matches!(&faults[..], [fault] if fault.contains(complaint)), "{command:?}: {faults:?}");
         assert!(finished.summary.samples > 1100);
     }
+}
+
+#[test]
+fn a_program_that_floods_is_cut_off_after_the_same_instructions_each_time() {
+    let [exact, name] = AS_PROGRAM;
+    let flood = || {
+        let command = [&*this_program(), exact, name];
+        run_with_program(&command, serde_json::json!({ "flood": true }), PATIENT).0.summary
+    };
+    let summary = flood();
+    let reason = "it asked for more than 1000 things in a second";
+    assert!(matches!(&summary.plugin_faults[..], [fault] if fault.ends_with(reason)), "{summary:?}");
+    assert_eq!(summary, flood());
 }
 
 #[test]

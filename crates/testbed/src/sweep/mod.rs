@@ -55,14 +55,17 @@ pub use self::{
 };
 use crate::{
     core_loop::End,
-    plugins::{panic_text, programs},
+    plugins::{
+        lockstep::{Guarded, wall_clock},
+        panic_text, programs,
+    },
     report::{FolderError, Losses, Place, Report},
     run::{Options, RunError},
-    simulate::{Simulation, simulate},
+    simulate::{Simulation, Stretch, simulate},
 };
 
-/// So many steps of a run pass between two looks whether the sweep is to stop.
-const STEPS_A_LOOK: u32 = 10_000;
+/// So many events of a run pass between two looks whether the sweep is to stop.
+const EVENTS_A_LOOK: usize = 1000;
 
 /// A testbed file, the settings to vary, and how often to repeat each combination.
 #[derive(Debug, Clone)]
@@ -324,27 +327,25 @@ impl Sweep {
         if until.is_none() && testbed.walks.is_empty() {
             return Err(RunError::Endless);
         }
-        let mut simulation = Simulation::new(Arc::clone(&testbed), seed)?;
+        let mut simulation = Guarded::new(Simulation::new(Arc::clone(&testbed), seed)?, wall_clock());
         let mut report = Report::new(&testbed, seed);
-        for step in 1_u32.. {
-            let now = simulation.step();
+        loop {
+            simulation.go(Stretch::Events(EVENTS_A_LOOK, until));
+            if !simulation.run(&mut || !stop.load(Ordering::Relaxed)) {
+                return Ok(None);
+            }
             while let Some(event) = simulation.poll_event() {
                 report.absorb(&event);
             }
-            let end = match until {
-                _ if simulation.is_finished() => Some(End::Walked),
-                Some(until) if now >= until => Some(End::Until),
-                _ => None,
+            let (now, end) = match until {
+                _ if simulation.is_finished() => (simulation.now(), End::Walked),
+                Some(until) if simulation.now() >= until => (simulation.now(), End::Until),
+                _ if stop.load(Ordering::Relaxed) => return Ok(None),
+                _ => continue,
             };
-            if let Some(end) = end {
-                let summary = report.summary(now, end.as_str(), Losses::default());
-                return Ok(Some(Measured::of(&summary)));
-            }
-            if step % STEPS_A_LOOK == 0 && stop.load(Ordering::Relaxed) {
-                break;
-            }
+            let summary = report.summary(now, end.as_str(), Losses::default());
+            return Ok(Some(Measured::of(&summary)));
         }
-        Ok(None)
     }
 
     /// The same where plug-ins are programs of their own, which need the folder of a run. It stays where one of them

@@ -1,0 +1,418 @@
+//! The plug-in host as a state machine: which plug-in may ask for what, which one is cut off and why, and which one time
+//! waits for. It has no clock, thread or socket. Real time, virtual time and replays put a shell around it, which calls
+//! plug-ins and ends them.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    process::ExitStatus,
+    sync::Arc,
+    time::Duration,
+};
+
+use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_network_control::Refused;
+use cotorra_plugin::Actions;
+
+use crate::api::{Follower, Told};
+
+/// A plug-in may ask for so much in a second; a burst of the same size is allowed.
+const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
+
+/// Why a plug-in is cut off.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Fault {
+    #[error("panicked: {0}")]
+    Panicked(String),
+    #[error("did not return from a call within {} s", .0.as_secs_f64())]
+    Hung(Duration),
+    #[error(
+        "was not done with mark {mark} within {} s: virtual time stands still until `POST /api/v1/marks/{mark}` says that it is",
+        .patience.as_secs_f64()
+    )]
+    Undone { mark: u64, patience: Duration },
+    #[error("followed no `/api/v1/events` within {} s, as its own `X-Cotorra-Plugin`", .0.as_secs_f64())]
+    Absent(Duration),
+    #[error("it asked for more than {INSTRUCTIONS_PER_SECOND} things in a second")]
+    Flooded,
+    #[error("its program ended: {0}")]
+    Ended(ExitStatus),
+    #[error("its program is lost: {0}")]
+    Lost(std::io::Error),
+}
+
+/// Why an instruction is not even tried.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error("this plug-in was cut off")]
+    CutOff,
+    #[error("{0}")]
+    Fault(Fault),
+    #[error("no more than {INSTRUCTIONS_PER_SECOND} instructions a second are taken")]
+    TooMany,
+}
+
+/// What plug-ins control: a testbed, or a recorded run, which refuses everything.
+pub(crate) trait Controlled {
+    /// Does what a plug-in asks for, and tells the decision.
+    fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+    ) -> Result<(), Refused>;
+
+    /// Stops the robots that a plug-in moved, which is cut off, and tells why it is.
+    fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]);
+}
+
+/// How many instructions a plug-in has left; a token bucket.
+#[derive(Debug)]
+struct Budget {
+    left: f64,
+    at: Timestamp,
+}
+
+impl Budget {
+    fn take(&mut self, now: Timestamp) -> bool {
+        let earned = now.since(self.at).as_secs_f64() * INSTRUCTIONS_PER_SECOND;
+        self.at = self.at.max(now);
+        self.left = (self.left + earned).min(INSTRUCTIONS_PER_SECOND);
+        let allowed = self.left >= 1.0;
+        self.left -= f64::from(u8::from(allowed));
+        allowed
+    }
+}
+
+/// A plug-in that follows the API's stream of events, and that time waits for.
+struct Program {
+    id: PluginId,
+    streams: Vec<Stream>,
+    /// Waited for from the beginning on; another one only while it follows.
+    is_expected: bool,
+}
+
+/// A stream that a program follows.
+struct Stream {
+    follower: Follower,
+    untold: Vec<Arc<Stamped>>,
+    /// The mark that it was told last, until it is done with that.
+    owes: Option<u64>,
+    wake_at: Option<Timestamp>,
+    /// Told now, events or not: it is new, or its time to be woken has come.
+    is_due: bool,
+}
+
+impl Program {
+    /// Whether time cannot go on without it: it is not there yet, has not heard everything, or is not done with it.
+    fn is_waited_for(&self) -> bool {
+        let waits = |s: &Stream| s.is_due || s.owes.is_some() || !s.untold.is_empty();
+        (self.streams.is_empty() && self.is_expected) || self.streams.iter().any(waits)
+    }
+
+    /// Tells each stream that is done with what it was told the rest, and that this is all up to now.
+    fn tell(&mut self, now: Timestamp, marks: &mut u64) {
+        self.streams.retain_mut(|stream| {
+            if stream.owes.is_some() || (stream.untold.is_empty() && !stream.is_due) {
+                return true;
+            }
+            *marks += 1;
+            (stream.owes, stream.is_due) = (Some(*marks), false);
+            let follower = &stream.follower;
+            stream.untold.drain(..).all(|event| follower.tell(Told::Event(event)))
+                && follower.tell(Told::Mark { number: *marks, now })
+        });
+    }
+}
+
+/// All plug-ins of a run.
+pub(crate) struct PluginHost {
+    members: BTreeSet<PluginId>,
+    cut: BTreeSet<PluginId>,
+    budgets: BTreeMap<PluginId, Budget>,
+    movers: BTreeMap<NodeId, PluginId>,
+    /// In the order in which they are told.
+    programs: Vec<Program>,
+    marks: u64,
+    /// A plug-in that says nothing for longer is cut off.
+    patience: Duration,
+}
+
+impl PluginHost {
+    /// The host of these plug-ins.
+    pub(crate) fn new(members: impl IntoIterator<Item = PluginId>, patience: Duration) -> Self {
+        Self {
+            members: members.into_iter().collect(),
+            cut: BTreeSet::new(),
+            budgets: BTreeMap::new(),
+            movers: BTreeMap::new(),
+            programs: Vec::new(),
+            marks: 0,
+            patience,
+        }
+    }
+
+    /// Hosts another one.
+    pub(crate) fn add(&mut self, plugin: PluginId) {
+        self.members.insert(plugin);
+    }
+
+    /// How long a plug-in may say nothing.
+    pub(crate) fn patience(&self) -> Duration {
+        self.patience
+    }
+
+    /// Changes that.
+    pub(crate) fn set_patience(&mut self, patience: Duration) {
+        self.patience = patience;
+    }
+
+    /// Whether a plug-in was cut off, and is to be ended.
+    pub(crate) fn is_cut_off(&self, plugin: &PluginId) -> bool {
+        self.cut.contains(plugin)
+    }
+
+    /// Does what somebody asked for at `now`, if it is admitted. A plug-in that asks too often is cut off.
+    pub(crate) fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+        controlled: &mut impl Controlled,
+    ) -> Result<(), Refused> {
+        if let Err(refusal) = self.admit(now, &plugin) {
+            let refused = Refused(refusal.to_string());
+            if let Refusal::Fault(fault) = refusal {
+                self.cut_off(now, &plugin, &fault, controlled);
+            }
+            return Err(refused);
+        }
+        let moved = match &instruction {
+            Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
+                Some((robot.clone(), plugin.clone()))
+            }
+            _ => None,
+        };
+        controlled.instruct(now, plugin, instruction, reason)?;
+        self.movers.extend(moved);
+        Ok(())
+    }
+
+    /// A call of a plug-in came back at `now`: does what it left, until it is cut off.
+    pub(crate) fn returned(
+        &mut self,
+        now: Timestamp,
+        plugin: &PluginId,
+        outcome: Result<Actions, Fault>,
+        controlled: &mut impl Controlled,
+    ) {
+        let mut actions = match outcome {
+            Ok(actions) => actions,
+            Err(fault) => return self.cut_off(now, plugin, &fault, controlled),
+        };
+        for (instruction, reason) in actions.drain() {
+            if self.is_cut_off(plugin) {
+                return;
+            }
+            // A refusal is told with the decision.
+            let _ = self.instruct(now, plugin.clone(), instruction, reason, controlled);
+        }
+    }
+
+    /// Cuts a plug-in off; only its first fault counts.
+    pub(crate) fn cut_off(
+        &mut self,
+        now: Timestamp,
+        plugin: &PluginId,
+        fault: &Fault,
+        controlled: &mut impl Controlled,
+    ) {
+        if !self.cut.insert(plugin.clone()) {
+            return;
+        }
+        self.programs.retain(|program| program.id != *plugin);
+        let robots: Vec<_> =
+            self.movers.iter().filter(|(_, by)| *by == plugin).map(|(robot, _)| robot.clone()).collect();
+        self.movers.retain(|_, by| by != plugin);
+        controlled.cut_off(now, plugin.clone(), fault, &robots);
+    }
+
+    fn admit(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), Refusal> {
+        if self.is_cut_off(plugin) {
+            return Err(Refusal::CutOff);
+        }
+        let full = || Budget { left: INSTRUCTIONS_PER_SECOND, at: now };
+        if self.budgets.entry(plugin.clone()).or_insert_with(full).take(now) {
+            return Ok(());
+        }
+        // Somebody at the API is no plug-in, and welcome again later.
+        let is_plugin = self.members.contains(plugin);
+        Err(if is_plugin { Refusal::Fault(Fault::Flooded) } else { Refusal::TooMany })
+    }
+}
+
+/// The protocol of following and marks, by which time waits for programs.
+impl PluginHost {
+    /// From the beginning on time waits for this program.
+    pub(crate) fn expect(&mut self, plugin: PluginId) {
+        self.members.insert(plugin.clone());
+        self.programs.push(Program { id: plugin, streams: Vec::new(), is_expected: true });
+    }
+
+    /// A program follows: it is told a mark at once.
+    pub(crate) fn follow(&mut self, now: Timestamp, follower: Follower) {
+        if self.is_cut_off(&follower.plugin) {
+            return;
+        }
+        let id = follower.plugin.clone();
+        let stream = Stream { follower, untold: Vec::new(), owes: None, wake_at: None, is_due: true };
+        let place = self.programs.iter().position(|program| program.id == id).unwrap_or_else(|| {
+            self.members.insert(id.clone());
+            self.programs.push(Program { id, streams: Vec::new(), is_expected: false });
+            self.programs.len() - 1
+        });
+        let program = &mut self.programs[place];
+        program.streams.push(stream);
+        program.tell(now, &mut self.marks);
+    }
+
+    /// A program is done with a mark; gives which one it is.
+    pub(crate) fn done(&mut self, mark: u64, wake_at: Option<Timestamp>) -> Option<PluginId> {
+        self.programs.iter_mut().find_map(|program| {
+            let stream = program.streams.iter_mut().find(|stream| stream.owes == Some(mark))?;
+            (stream.owes, stream.wake_at) = (None, wake_at);
+            Some(program.id.clone())
+        })
+    }
+
+    /// Something happened: programs are told with their next mark.
+    pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
+        for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
+            stream.untold.extend(stream.follower.sees(event));
+        }
+    }
+
+    /// It is a later time: programs that wanted to be woken by then are told a mark.
+    pub(crate) fn wake(&mut self, now: Timestamp) {
+        for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
+            stream.is_due |= stream.wake_at.take_if(|at| *at <= now).is_some();
+        }
+    }
+
+    /// When a program wants to be woken next.
+    pub(crate) fn next_wake(&self) -> Option<Timestamp> {
+        self.programs.iter().flat_map(|program| &program.streams).filter_map(|stream| stream.wake_at).min()
+    }
+
+    /// The first program that time waits for. It is told what it has not heard yet.
+    pub(crate) fn next_awaited(&mut self, now: Timestamp) -> Option<PluginId> {
+        let program = self.programs.iter_mut().find(|program| program.is_waited_for())?;
+        program.tell(now, &mut self.marks);
+        Some(program.id.clone())
+    }
+
+    /// Whether a program is still to say that it is done, or even to follow.
+    pub(crate) fn is_busy(&self, plugin: &PluginId) -> bool {
+        let program = self.programs.iter().find(|program| program.id == *plugin);
+        program.is_some_and(|program| match &program.streams[..] {
+            [] => program.is_expected,
+            streams => streams.iter().any(|stream| stream.owes.is_some()),
+        })
+    }
+
+    /// Why a program is cut off that was silent for longer than the host's patience.
+    pub(crate) fn silence(&self, plugin: &PluginId) -> Fault {
+        let mut streams = self.programs.iter().filter(|p| p.id == *plugin).flat_map(|p| &p.streams);
+        let patience = self.patience;
+        match streams.find_map(|stream| stream.owes) {
+            Some(mark) => Fault::Undone { mark, patience },
+            None => Fault::Absent(patience),
+        }
+    }
+
+    /// Forgets streams that nobody reads any more.
+    pub(crate) fn forget_gone(&mut self) {
+        for program in &mut self.programs {
+            program.streams.retain(|stream| !stream.follower.is_gone());
+        }
+        self.programs.retain(|program| program.is_expected || !program.streams.is_empty());
+    }
+
+    /// How many streams are followed.
+    pub(crate) fn followers(&self) -> usize {
+        self.programs.iter().map(|program| program.streams.len()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Does everything, and keeps what was cut off.
+    #[derive(Default)]
+    struct Obedient {
+        done: usize,
+        faults: Vec<(String, Vec<NodeId>)>,
+    }
+
+    impl Controlled for Obedient {
+        fn instruct(
+            &mut self,
+            _now: Timestamp,
+            _plugin: PluginId,
+            _instruction: Instruction,
+            _reason: Option<String>,
+        ) -> Result<(), Refused> {
+            self.done += 1;
+            Ok(())
+        }
+
+        fn cut_off(&mut self, _now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]) {
+            self.faults.push((format!("{plugin}: {fault}"), robots.to_vec()));
+        }
+    }
+
+    fn move_robot() -> Instruction {
+        Instruction::Move { robot: "robot".parse().unwrap(), velocity: Default::default(), waypoint: 0 }
+    }
+
+    #[test]
+    fn a_flood_is_refused_and_the_robots_that_it_moved_are_named() {
+        let (flooding, somebody): (PluginId, PluginId) =
+            ("flooding".parse().unwrap(), "somebody".parse().unwrap());
+        let mut host = PluginHost::new([flooding.clone()], Duration::from_secs(1));
+        let mut testbed = Obedient::default();
+        let now = Timestamp::from_secs_f64(1.0);
+        let mut ask = |now, who: &PluginId, testbed: &mut Obedient| {
+            host.instruct(now, who.clone(), move_robot(), None, testbed).map_err(|refused| refused.0)
+        };
+        for _ in 0..1000 {
+            ask(now, &flooding, &mut testbed).unwrap();
+        }
+        let flooded = "it asked for more than 1000 things in a second".to_owned();
+        assert_eq!(ask(now, &flooding, &mut testbed), Err(flooded.clone()));
+        let robot: NodeId = "robot".parse().unwrap();
+        assert_eq!(testbed.faults, [(format!("flooding: {flooded}"), vec![robot])]);
+        let later = now + Duration::from_secs(1);
+        assert_eq!(ask(later, &flooding, &mut testbed), Err("this plug-in was cut off".to_owned()));
+        // Somebody at the API is not a plug-in: refused, and welcome again later.
+        for _ in 0..1000 {
+            ask(now, &somebody, &mut testbed).unwrap();
+        }
+        assert!(ask(now, &somebody, &mut testbed).unwrap_err().starts_with("no more than 1000"));
+        assert_eq!(ask(later, &somebody, &mut testbed), Ok(()));
+        assert_eq!((testbed.done, testbed.faults.len()), (2001, 1));
+        assert!(host.is_cut_off(&flooding) && !host.is_cut_off(&somebody));
+    }
+
+    #[test]
+    fn only_the_first_fault_of_a_plugin_counts() {
+        let plugin: PluginId = "plugin".parse().unwrap();
+        let mut host = PluginHost::new([plugin.clone()], Duration::from_secs(1));
+        let mut testbed = Obedient::default();
+        host.cut_off(Timestamp::ZERO, &plugin, &Fault::Panicked("once".to_owned()), &mut testbed);
+        host.cut_off(Timestamp::ZERO, &plugin, &Fault::Hung(Duration::from_secs(2)), &mut testbed);
+        assert_eq!(testbed.faults, [("plugin: panicked: once".to_owned(), Vec::new())]);
+    }
+}

@@ -1,0 +1,386 @@
+//! Plug-ins in real time, which waits for nobody: each in process has a thread, the others are processes.
+
+use std::{
+    collections::BTreeMap,
+    net::SocketAddr,
+    path::Path,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+        mpsc,
+    },
+    thread,
+    time::Duration,
+};
+
+use cotorra_federation::Ledgers;
+use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_network_control::Refused;
+use cotorra_plugin::{Actions, Plugin};
+
+use super::{
+    Bundled, Now, PluginError, Process, check_programs,
+    host::{Controlled, Fault, PluginHost},
+    lockstep::{Call, Occasion},
+};
+use crate::{
+    core_loop::Message,
+    domain::{self, DomainView, Domains},
+    earlier::Earlier,
+};
+
+/// A call that takes longer than this counts as hung.
+const LONGEST_CALL: Duration = Duration::from_secs(2);
+/// Events that wait for a plug-in; one that is further behind misses the oldest.
+const QUEUE: usize = 4096;
+const IDLE: u64 = u64::MAX;
+
+/// The plug-ins of a testbed, checked and made, before anything of the run is there: a mistake in a testbed file, or a ledger
+/// that cannot be had, leaves nothing behind.
+pub(crate) struct Prepared {
+    bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
+    ledgers: Ledgers,
+}
+
+impl Prepared {
+    /// Makes what is bundled, and looks for the programs of the others.
+    pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
+        check_programs(testbed)?;
+        let mut maker = Bundled::new(testbed, seed, Ledgers::default());
+        let mut bundled = BTreeMap::new();
+        for spec in &testbed.plugins {
+            if let PluginProgram::Bundled(name) = &spec.program {
+                bundled.insert(spec.id.clone(), maker.make(spec, name)?);
+            }
+        }
+        Ok(Self { bundled, ledgers: maker.into_ledgers() })
+    }
+
+    /// Tells those that are bundled what they noted in an earlier run.
+    pub(crate) fn resume(&mut self, earlier: &Earlier) {
+        self.bundled.iter_mut().for_each(|(id, plugin)| plugin.resume(earlier.noted_by(id)));
+    }
+
+    /// Starts all of them. Those in process say on `tell` what they want.
+    pub(crate) fn start(
+        mut self,
+        testbed: &Arc<Testbed>,
+        now: &Now,
+        api: SocketAddr,
+        logs: &Path,
+        tell: &mpsc::Sender<Message>,
+    ) -> Result<RunningPlugins, PluginError> {
+        let domains = Domains::new(testbed);
+        let members = testbed.plugins.iter().map(|spec| spec.id.clone());
+        let mut plugins = RunningPlugins::new(PluginHost::new(members, LONGEST_CALL), self.ledgers);
+        for spec in &testbed.plugins {
+            match &spec.program {
+                PluginProgram::Command(words) => {
+                    let process = Process::start(spec, words, api, logs)?;
+                    plugins.places.insert(spec.id.clone(), Place::Process(process));
+                }
+                PluginProgram::Bundled(_) => {
+                    let plugin = self.bundled.remove(&spec.id).expect("each that is bundled was made");
+                    let view = domains.of_plugin(&spec.id).cloned();
+                    plugins.spawn(spec.id.clone(), plugin, testbed, view, now, tell.clone());
+                }
+            }
+        }
+        Ok(plugins)
+    }
+}
+
+/// Where a plug-in runs.
+enum Place {
+    Thread {
+        /// What it sees, if that is one domain.
+        view: Option<Arc<DomainView>>,
+        events: mpsc::SyncSender<Arc<Stamped>>,
+        /// When the call that it is in began, in nanoseconds; [`IDLE`] between calls.
+        busy_since: Arc<AtomicU64>,
+        /// Set when it is cut off: what it still says is not passed on.
+        cut: Arc<AtomicBool>,
+    },
+    Process(Process),
+}
+
+/// All plug-ins of a run in real time. Threads end when their channel closes; a hung one ends with the process.
+pub(crate) struct RunningPlugins {
+    host: PluginHost,
+    places: BTreeMap<PluginId, Place>,
+    missed: u64,
+    /// What bundled ones share: it ends with them.
+    _ledgers: Ledgers,
+}
+
+impl RunningPlugins {
+    /// None yet.
+    pub(crate) fn new(host: PluginHost, ledgers: Ledgers) -> Self {
+        Self { host, places: BTreeMap::new(), missed: 0, _ledgers: ledgers }
+    }
+
+    /// Starts a plug-in on a thread of its own.
+    pub(crate) fn spawn(
+        &mut self,
+        id: PluginId,
+        plugin: Box<dyn Plugin>,
+        testbed: &Arc<Testbed>,
+        view: Option<Arc<DomainView>>,
+        now: &Now,
+        tell: mpsc::Sender<Message>,
+    ) {
+        let (events, inbox) = mpsc::sync_channel(QUEUE);
+        let busy_since = Arc::new(AtomicU64::new(IDLE));
+        let cut = Arc::new(AtomicBool::new(false));
+        let guard = Guard {
+            id: id.clone(),
+            now: Arc::clone(now),
+            busy_since: Arc::clone(&busy_since),
+            cut: Arc::clone(&cut),
+            tell,
+        };
+        let start = Occasion::Start(Arc::clone(testbed), view.clone());
+        thread::Builder::new()
+            .name(format!("plugin-{id}"))
+            .spawn(move || guard.run(plugin, start, &inbox))
+            .expect("the system has room for a thread a plug-in");
+        self.places.insert(id, Place::Thread { view, events, busy_since, cut });
+    }
+
+    /// Passes an event on to all plug-ins in process; those apart follow the API's stream.
+    pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
+        for place in self.places.values() {
+            let Place::Thread { view, events, .. } = place else { continue };
+            let Some(seen) = domain::seen(view.as_deref(), event) else { continue };
+            if events.try_send(seen).is_err() {
+                self.missed += 1;
+            }
+        }
+    }
+
+    /// Does what somebody asks for.
+    pub(crate) fn instruct(
+        &mut self,
+        now: Timestamp,
+        plugin: PluginId,
+        instruction: Instruction,
+        reason: Option<String>,
+        core: &mut impl Controlled,
+    ) -> Result<(), Refused> {
+        let done = self.host.instruct(now, plugin, instruction, reason, core);
+        self.end_cut_off();
+        done
+    }
+
+    /// A call of a plug-in in process came back at `at`.
+    pub(crate) fn returned(
+        &mut self,
+        at: Timestamp,
+        plugin: &PluginId,
+        outcome: Result<Actions, Fault>,
+        core: &mut impl Controlled,
+    ) {
+        self.host.returned(at, plugin, outcome, core);
+        self.end_cut_off();
+    }
+
+    /// Cuts off plug-ins that hang or whose process ended.
+    pub(crate) fn check(&mut self, now: Timestamp, core: &mut impl Controlled) {
+        let patience = self.host.patience();
+        for (id, place) in &mut self.places {
+            let fault = match place {
+                Place::Thread { busy_since, .. } => {
+                    let since = busy_since.load(Ordering::Acquire);
+                    let hung = since != IDLE && now.since(Timestamp::from_nanos(since)) > patience;
+                    hung.then_some(Fault::Hung(patience))
+                }
+                Place::Process(process) => process.fault(),
+            };
+            if let Some(fault) = fault {
+                self.host.cut_off(now, id, &fault, core);
+            }
+        }
+        self.end_cut_off();
+    }
+
+    fn end_cut_off(&mut self) {
+        for (_, place) in self.places.extract_if(.., |id, _| self.host.is_cut_off(id)) {
+            if let Place::Thread { cut, .. } = place {
+                cut.store(true, Ordering::Release);
+            }
+        }
+    }
+}
+
+/// Calls a plug-in so that what it does wrong stays with it.
+struct Guard {
+    id: PluginId,
+    now: Now,
+    busy_since: Arc<AtomicU64>,
+    cut: Arc<AtomicBool>,
+    tell: mpsc::Sender<Message>,
+}
+
+impl Guard {
+    fn run(self, plugin: Box<dyn Plugin>, start: Occasion, inbox: &mpsc::Receiver<Arc<Stamped>>) {
+        let mut going = self.call(plugin, start);
+        while let Some((plugin, next_deadline)) = going {
+            let received = match next_deadline {
+                None => inbox.recv().map_err(|_| mpsc::RecvTimeoutError::Disconnected),
+                Some(deadline) => inbox.recv_timeout(deadline.since((self.now)())),
+            };
+            going = match received {
+                Ok(event) => self.call(plugin, Occasion::Event(event)),
+                Err(mpsc::RecvTimeoutError::Timeout) => self.call(plugin, Occasion::Deadline),
+                Err(mpsc::RecvTimeoutError::Disconnected) => None,
+            };
+        }
+    }
+
+    /// One call; gives the plug-in back, with its next deadline, unless it was the last.
+    fn call(
+        &self,
+        plugin: Box<dyn Plugin>,
+        occasion: Occasion,
+    ) -> Option<(Box<dyn Plugin>, Option<Timestamp>)> {
+        let now = (self.now)();
+        self.busy_since.store(now.as_nanos(), Ordering::Release);
+        let called = Call { plugin, now, occasion }.make();
+        self.busy_since.store(IDLE, Ordering::Release);
+        if self.cut.load(Ordering::Acquire) {
+            return None;
+        }
+        let (going, outcome) = match called {
+            Ok(answer) => {
+                let going = Some((answer.plugin, answer.next_deadline));
+                if answer.actions.is_empty() {
+                    return going;
+                }
+                (going, Ok(answer.actions))
+            }
+            Err(fault) => (None, Err(fault)),
+        };
+        let (id, at) = (self.id.clone(), (self.now)());
+        self.tell.send(Message::Returned { plugin: id, at, outcome }).ok()?;
+        going
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cotorra_graph::{Event, HardwareGraph, NodeId};
+
+    struct Scripted(fn(&mut Actions));
+
+    impl Plugin for Scripted {
+        fn handle(&mut self, _now: Timestamp, _event: &Event, actions: &mut Actions) {
+            (self.0)(actions);
+        }
+    }
+
+    /// Keeps what was cut off.
+    #[derive(Default)]
+    struct Faults(Vec<(PluginId, String)>);
+
+    impl Controlled for Faults {
+        fn instruct(
+            &mut self,
+            _now: Timestamp,
+            _plugin: PluginId,
+            _instruction: Instruction,
+            _reason: Option<String>,
+        ) -> Result<(), Refused> {
+            Ok(())
+        }
+
+        fn cut_off(&mut self, _now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
+            self.0.push((plugin, fault.to_string()));
+        }
+    }
+
+    fn testbed() -> Arc<Testbed> {
+        Arc::new(Testbed {
+            name: "test".into(),
+            description: String::new(),
+            graph: HardwareGraph {
+                domains: Vec::new(),
+                nodes: Vec::new(),
+                links: Vec::new(),
+                wireless: BTreeMap::new(),
+            },
+            services: Vec::new(),
+            map: None,
+            walks: Vec::new(),
+            plugins: Vec::new(),
+            wais: Default::default(),
+            seed: 1,
+            emulation: Default::default(),
+            script: Default::default(),
+            probes: None,
+            retention: Default::default(),
+        })
+    }
+
+    fn id() -> PluginId {
+        "scripted".parse().unwrap()
+    }
+
+    /// One plug-in in process, and what it says.
+    fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
+        let mut plugins = RunningPlugins::new(PluginHost::new([id()], LONGEST_CALL), Ledgers::default());
+        let (tell, said) = mpsc::channel();
+        let now: Now = Arc::new(|| Timestamp::from_secs_f64(1.0));
+        plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, tell);
+        plugins.publish(&Arc::new(Stamped {
+            at: Timestamp::ZERO,
+            event: Event::Notice { message: String::new() },
+        }));
+        (plugins, said)
+    }
+
+    #[test]
+    fn what_a_plugin_asks_for_arrives_with_its_reason() {
+        let (_plugins, said) = running(|actions| {
+            actions.instruct_because(Instruction::Scan { robot: "robot".parse().unwrap() }, "time to look");
+        });
+        let Message::Returned { plugin, outcome, .. } = said.recv().unwrap() else { panic!("no call") };
+        let reason = outcome.unwrap().drain().next().unwrap().1;
+        assert_eq!((plugin, reason.as_deref()), (id(), Some("time to look")));
+    }
+
+    #[test]
+    fn a_panic_is_reported_and_ends_only_the_plugin() {
+        let (_plugins, said) = running(|_| panic!("by design"));
+        let Message::Returned { outcome, .. } = said.recv().unwrap() else { panic!("no report") };
+        assert_eq!(outcome.unwrap_err().to_string(), "panicked: by design");
+        assert!(said.recv().is_err(), "the plug-in's thread ended");
+    }
+
+    #[test]
+    fn a_plugin_that_does_not_return_is_cut_off() {
+        // Not as soon as it is busy: the call that starts it is one, too, and returns.
+        static HANGS: AtomicBool = AtomicBool::new(false);
+        let (mut plugins, _said) = running(|_| {
+            HANGS.store(true, Ordering::Release);
+            loop {
+                thread::park();
+            }
+        });
+        while !HANGS.load(Ordering::Acquire) {
+            thread::yield_now();
+        }
+        let mut told = Faults::default();
+        plugins.check(Timestamp::from_secs_f64(2.9), &mut told);
+        assert!(told.0.is_empty());
+        plugins.check(Timestamp::from_secs_f64(3.1), &mut told);
+        assert!(
+            matches!(&told.0[..], [(who, why)] if *who == id() && why.contains("within 2 s")),
+            "{:?}",
+            told.0
+        );
+        let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
+        let refused = plugins.instruct(Timestamp::from_secs_f64(3.2), id(), scan, None, &mut told);
+        assert_eq!(refused, Err(Refused("this plug-in was cut off".to_owned())));
+    }
+}
