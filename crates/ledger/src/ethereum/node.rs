@@ -13,7 +13,7 @@ use alloy::{
 };
 use tokio::{
     runtime::{Builder, Runtime},
-    time::Interval,
+    time::{Interval, MissedTickBehavior},
 };
 
 use super::{abi, key::Key, socket::AtOnce};
@@ -154,7 +154,10 @@ impl Heads {
         const METHOD_NOT_FOUND: i64 = -32601;
         match provider.subscribe_blocks().await {
             Err(error) if error.as_error_resp().is_some_and(|e| e.code == METHOD_NOT_FOUND) => {
-                Ok(Self::Asked(tokio::time::interval(ASK)))
+                let mut interval = tokio::time::interval(ASK);
+                // A node that is slow is not asked all the more.
+                interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                Ok(Self::Asked(interval))
             }
             heads => heads.map(Self::Told),
         }
