@@ -1,12 +1,10 @@
 //! The life of an operator's transactions, without a network and without a clock: each gets a nonce, is sent, sent again
-//! with a higher fee while nobody includes it, and again after a reorganisation took it back.
+//! while nobody includes it, with a higher fee where that is what holds it up, and again after a reorganisation took it back.
 //!
 //! Sent again, a transaction has the nonce that it had, so that no chain has both. Should the nonce be used by something
 //! else, it gets another: what was done already, the contract refuses, for its ids are unique and its states are passed once.
 
-use std::{collections::VecDeque, time::Duration};
-
-use cotorra_graph::Timestamp;
+use std::collections::VecDeque;
 
 use crate::{
     ledger::{Rejection, Ticket},
@@ -14,18 +12,42 @@ use crate::{
     values::TransactionHash,
 };
 
-/// So long nobody may include a transaction before it is sent again with a higher fee, in blocks.
+/// So long nobody may include a transaction before it is sent again, in blocks.
 const PATIENCE_BLOCKS: u64 = 3;
-/// And in time: a node that is busy may include it still. Where it does, some have the other one wait for ever, and all behind it.
-const PATIENCE: Duration = Duration::from_secs(10);
+
+/// What is offered for a unit of gas (EIP-1559).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Fees {
+    /// With the tip.
+    pub(crate) most: u128,
+    pub(crate) tip: u128,
+}
+
+impl Fees {
+    /// What to offer where that is the base fee, and that tip usual: enough for a base fee that doubles. What was offered before is
+    /// offered again as long as it is enough. A node that is only slow may include that transaction still, and some (EthereumJS)
+    /// then keep the one that took its place, and include nothing more of the account.
+    pub(crate) fn offer(base: u128, tip: u128, before: Option<Self>) -> Self {
+        let now = Self { most: 2 * base + tip, tip };
+        match before {
+            None => now,
+            Some(before) if before.most >= base + tip && before.tip >= tip => before,
+            // Nodes take a transaction in place of one with the same nonce if both are a tenth higher.
+            Some(before) => {
+                let more = |fee: u128| fee + fee / 4 + 1;
+                Self { most: now.most.max(more(before.most)), tip: now.tip.max(more(before.tip)) }
+            }
+        }
+    }
+}
 
 /// What is to be done for a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Action {
     /// Try the call on the node, and say what gas it takes: [`Outbox::estimated`].
     Estimate { ticket: Ticket, call: Call },
-    /// Sign it, say [`Outbox::sent`], and send it.
-    Send { ticket: Ticket, call: Call, nonce: u64, gas: u64, bumps: u32 },
+    /// Sign it, say [`Outbox::sent`], and send it. `before` is what was offered for it last.
+    Send { ticket: Ticket, call: Call, nonce: u64, gas: u64, before: Option<Fees> },
     /// Ask in which block one of these is: [`Outbox::checked`].
     Check { ticket: Ticket, hashes: Vec<TransactionHash> },
 }
@@ -67,10 +89,10 @@ enum Stage {
 struct Sent {
     gas: u64,
     nonce: u64,
-    bumps: u32,
+    /// What was offered for it last.
+    fees: Option<Fees>,
     hashes: Vec<TransactionHash>,
-    /// When it was sent last.
-    at: Timestamp,
+    /// The head when it was sent last.
     at_block: u64,
     is_due: bool,
     /// The head by which it was looked for last.
@@ -128,8 +150,8 @@ impl Outbox {
         }
     }
 
-    /// What is to be done next; `None`: to wait for a head, or until [`Outbox::next_deadline`].
-    pub(crate) fn next(&mut self, now: Timestamp) -> Option<Action> {
+    /// What is to be done next; `None`: to wait for a head.
+    pub(crate) fn next(&mut self) -> Option<Action> {
         let head = self.head;
         let on_chain = self.on_chain?;
         let nonce = self.next_nonce(on_chain);
@@ -147,48 +169,31 @@ impl Outbox {
                     let sent = Sent {
                         gas,
                         nonce,
-                        bumps: 0,
+                        fees: None,
                         hashes,
-                        at: now,
                         at_block: head,
                         is_due: false,
                         checked: Some(head),
                         included: None,
                     };
                     entry.stage = Stage::Sent(sent);
-                    return Some(Action::Send { ticket, call: call.clone(), nonce, gas, bumps: 0 });
+                    return Some(Action::Send { ticket, call: call.clone(), nonce, gas, before: None });
                 }
                 Stage::Sent(sent) => {
                     if sent.checked != Some(head) && !sent.hashes.is_empty() {
                         sent.checked = Some(head);
                         return Some(Action::Check { ticket, hashes: sent.hashes.clone() });
                     }
-                    let is_late = sent.included.is_none()
-                        && head >= sent.at_block + PATIENCE_BLOCKS
-                        && now >= sent.at + PATIENCE;
-                    if is_late {
-                        sent.bumps += 1;
-                    }
+                    let is_late = sent.included.is_none() && head >= sent.at_block + PATIENCE_BLOCKS;
                     if sent.is_due || is_late {
-                        (sent.is_due, sent.at, sent.at_block) = (false, now, head);
-                        let Sent { nonce, gas, bumps, .. } = *sent;
-                        return Some(Action::Send { ticket, call: call.clone(), nonce, gas, bumps });
+                        (sent.is_due, sent.at_block) = (false, head);
+                        let Sent { nonce, gas, fees, .. } = *sent;
+                        return Some(Action::Send { ticket, call: call.clone(), nonce, gas, before: fees });
                     }
                 }
             }
         }
         None
-    }
-
-    /// When [`Outbox::next`] may have something although no head came.
-    pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
-        let due = |entry: &Entry| match &entry.stage {
-            Stage::Sent(sent) if sent.included.is_none() && self.head >= sent.at_block + PATIENCE_BLOCKS => {
-                Some(sent.at + PATIENCE)
-            }
-            _ => None,
-        };
-        self.entries.iter().filter_map(due).min()
     }
 
     /// The first nonce that neither the chain nor a transaction under way has.
@@ -219,10 +224,10 @@ impl Outbox {
     }
 
     /// A transaction is being sent: from now on it may be in a block, whatever the connection does.
-    pub(crate) fn sent(&mut self, ticket: Ticket, hash: TransactionHash) {
-        if let Some(sent) = self.sent_mut(ticket)
-            && !sent.hashes.contains(&hash)
-        {
+    pub(crate) fn sent(&mut self, ticket: Ticket, hash: TransactionHash, fees: Fees) {
+        let Some(sent) = self.sent_mut(ticket) else { return };
+        sent.fees = Some(fees);
+        if !sent.hashes.contains(&hash) {
             sent.hashes.push(hash);
         }
     }
@@ -307,8 +312,9 @@ mod tests {
     /// A chain with one operator, whose node loses transactions and whose blocks are taken back.
     #[derive(Default)]
     struct Node {
-        /// Transactions that wait, by nonce: hash, bumps and what they say.
-        pool: HashMap<u64, (TransactionHash, u32, Call)>,
+        /// Transactions that wait, by nonce: hash, fees and what they say.
+        pool: HashMap<u64, (TransactionHash, Fees, Call)>,
+        base_fee: u128,
         blocks: Vec<Vec<(u64, TransactionHash, Call)>>,
     }
 
@@ -326,8 +332,13 @@ mod tests {
 
         fn mine(&mut self) {
             let mut block = Vec::new();
-            while let Some((hash, _, call)) = self.pool.remove(&(self.count() + block.len() as u64)) {
-                block.push((self.count() + block.len() as u64, hash, call));
+            loop {
+                let nonce = self.count() + block.len() as u64;
+                if self.pool.get(&nonce).is_none_or(|(_, fees, _)| fees.most < self.base_fee) {
+                    break;
+                }
+                let (hash, _, call) = self.pool.remove(&nonce).unwrap();
+                block.push((nonce, hash, call));
             }
             self.blocks.push(block);
         }
@@ -335,18 +346,21 @@ mod tests {
         fn act(&mut self, outbox: &mut Outbox, action: Action) -> Option<Told> {
             match action {
                 Action::Estimate { ticket, .. } => outbox.estimated(ticket, Ok(100_000)),
-                Action::Send { ticket, call, nonce, bumps, .. } => {
+                Action::Send { ticket, call, nonce, before, .. } => {
+                    let fees = Fees::offer(self.base_fee, 1, before);
                     // The same transaction has the same hash.
                     let mut hash = TransactionHash::default();
                     hash.0[..8].copy_from_slice(&(1000 * ticket.0 + nonce).to_be_bytes());
-                    hash.0[8] = u8::try_from(bumps).unwrap();
-                    outbox.sent(ticket, hash);
+                    hash.0[8..24].copy_from_slice(&fees.most.to_be_bytes());
+                    outbox.sent(ticket, hash, fees);
                     if nonce < self.count() {
                         outbox.nonce_is_used(ticket);
                     } else {
-                        let is_better = self.pool.get(&nonce).is_none_or(|(_, other, _)| bumps > *other);
-                        if is_better {
-                            self.pool.insert(nonce, (hash, bumps, call));
+                        let is_better = |other: Fees| {
+                            10 * fees.most >= 11 * other.most && 10 * fees.tip >= 11 * other.tip
+                        };
+                        if self.pool.get(&nonce).is_none_or(|(_, other, _)| is_better(*other)) {
+                            self.pool.insert(nonce, (hash, fees, call));
                         }
                     }
                     None
@@ -365,6 +379,8 @@ mod tests {
         Mine,
         /// The node forgets what waits.
         Drop,
+        /// Blocks become dearer than what was offered.
+        Dearer,
         /// The last block is taken back, and what was in it forgotten.
         Reorganise,
         Reconnect,
@@ -372,7 +388,7 @@ mod tests {
 
     fn happening() -> impl Strategy<Value = Happening> {
         use Happening::*;
-        prop_oneof![3 => Just(Submit), 4 => Just(Mine), 1 => Just(Drop), 1 => Just(Reorganise), 1 => Just(Reconnect)]
+        prop_oneof![3 => Just(Submit), 4 => Just(Mine), 1 => Just(Drop), 1 => Just(Dearer), 1 => Just(Reorganise), 1 => Just(Reconnect)]
     }
 
     fn call(number: u64) -> Call {
@@ -387,10 +403,9 @@ mod tests {
             happenings in prop::collection::vec(happening(), 1..60),
         ) {
             let (mut node, mut outbox) = (Node::default(), Outbox::new(3));
-            let (mut now, mut submitted) = (Timestamp::ZERO, 0);
+            let mut submitted = 0;
             let after = vec![Happening::Mine; 40];
             for happening in happenings.into_iter().chain(after) {
-                now = now + Duration::from_secs(1);
                 match happening {
                     Happening::Submit => {
                         submitted += 1;
@@ -398,6 +413,7 @@ mod tests {
                     }
                     Happening::Mine => node.mine(),
                     Happening::Drop => node.pool.clear(),
+                    Happening::Dearer => node.base_fee = 3 * node.base_fee + 10,
                     Happening::Reorganise => {
                         // No deeper than what the outbox is told is possible: the block that replaces it comes at once.
                         if node.blocks.pop().is_some() {
@@ -409,7 +425,7 @@ mod tests {
                 }
                 outbox.on_head(node.blocks.len() as u64, node.count());
                 for _ in 0..1000 {
-                    let Some(action) = outbox.next(now) else { break };
+                    let Some(action) = outbox.next() else { break };
                     node.act(&mut outbox, action);
                 }
             }
@@ -428,16 +444,26 @@ mod tests {
         outbox.on_head(1, 5);
         outbox.submit(Ticket(1), call(1));
         outbox.submit(Ticket(2), call(2));
-        assert!(matches!(outbox.next(Timestamp::ZERO), Some(Action::Estimate { ticket: Ticket(1), .. })));
-        assert_eq!(outbox.next(Timestamp::ZERO), None, "the second may build on the first");
+        assert!(matches!(outbox.next(), Some(Action::Estimate { ticket: Ticket(1), .. })));
+        assert_eq!(outbox.next(), None, "the second may build on the first");
         let rejection = Rejection::from(crate::Refusal::OnlyCreator);
         assert_eq!(
             outbox.estimated(Ticket(1), Err(rejection.clone())),
             Some(Told::Refused(Ticket(1), rejection))
         );
-        outbox.next(Timestamp::ZERO);
+        outbox.next();
         outbox.estimated(Ticket(2), Ok(7));
-        let sent = Action::Send { ticket: Ticket(2), call: call(2), nonce: 5, gas: 7, bumps: 0 };
-        assert_eq!(outbox.next(Timestamp::ZERO), Some(sent));
+        let sent = Action::Send { ticket: Ticket(2), call: call(2), nonce: 5, gas: 7, before: None };
+        assert_eq!(outbox.next(), Some(sent));
+    }
+
+    #[test]
+    fn what_a_slow_node_has_not_included_yet_is_offered_again_as_it_was() {
+        let before = Fees::offer(7, 1, None);
+        assert_eq!(before, Fees { most: 15, tip: 1 });
+        assert_eq!(Fees::offer(7, 1, Some(before)), before);
+        assert_eq!(Fees::offer(14, 1, Some(before)), before, "it can still be included");
+        assert_eq!(Fees::offer(15, 1, Some(before)), Fees { most: 31, tip: 2 }, "it cannot");
+        assert_eq!(Fees::offer(7, 2, Some(before)), Fees { most: 19, tip: 2 }, "others pay more");
     }
 }

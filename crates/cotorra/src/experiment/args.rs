@@ -98,7 +98,7 @@ Examples:
   COTORRA_LEDGER_PASSWORD=… cotorra experiment federation --emulate --ledger wss://node.example --keys keys \\
       --ledger domain-2=ws://127.0.0.1:8546                 on a network that is there already: domain 2 by a node of its own
   scripts/ledger-network --block-period 1 -- cotorra experiment federation --emulate
-                                                            on a network of this machine with consensus
+                                                            on a network of several nodes on this machine
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct FederationArgs {
@@ -149,7 +149,7 @@ pub struct LedgerArgs {
     /// How many blocks make a transaction final: 0 where consensus is final at once
     #[arg(long, value_name = "BLOCKS", env = "COTORRA_LEDGER_DEPTH", default_value_t = 0)]
     pub depth: u64,
-    /// What the network is, for the figure and the table, as in "a network of 4 validators"
+    /// What the network is, for the figure and the table, as in "a network of 4 nodes"
     #[arg(long, value_name = "TEXT", env = "COTORRA_LEDGER_NETWORK")]
     pub network: Option<String>,
 }

@@ -1,11 +1,6 @@
 //! An operator's connection to a network of Ethereum nodes, by JSON-RPC over WebSocket, in a thread of its own.
-#![allow(clippy::disallowed_types, reason = "the shell that owns the clock of transactions")]
 
-use std::{
-    sync::mpsc as std_mpsc,
-    thread,
-    time::{Duration, Instant},
-};
+use std::{sync::mpsc as std_mpsc, thread, time::Duration};
 
 use alloy::{
     consensus::TxEip1559,
@@ -26,7 +21,7 @@ use super::{
 use crate::{
     ledger::{Ledger, Notice, Rejection, Ticket},
     message::{Call, Event},
-    outbox::{Action, Outbox, Status, Told},
+    outbox::{Action, Fees, Outbox, Status, Told},
     values::{Account, BlockHash, ChainTime, TransactionHash},
 };
 
@@ -83,13 +78,20 @@ impl EthereumLedger {
             blocks: Blocks::default(),
             next_block: None,
             is_connected: false,
-            began: Instant::now(),
         };
         thread::Builder::new()
             .name("ledger".to_owned())
             .spawn(move || runtime.block_on(client.run()))
             .map_err(EthereumError::Thread)?;
         Ok(Self { account, submitted: 0, polled: Timestamp::ZERO, calls, notices })
+    }
+
+    /// Waits for what happens next, as [`Ledger::poll`] does not.
+    ///
+    /// # Panics
+    /// If the client's thread panicked.
+    pub fn wait(&mut self) -> Notice {
+        self.notices.recv().expect("the client tells as long as this is there")
     }
 }
 
@@ -127,7 +129,6 @@ struct Client {
     next_block: Option<u64>,
     /// Whether the transactions have heard of a head since the connection was made.
     is_connected: bool,
-    began: Instant,
 }
 
 /// Why a session with a node is over.
@@ -172,10 +173,6 @@ impl Client {
         self.tell.send(notice).map_err(|_| Over::Ledger)
     }
 
-    fn now(&self) -> Timestamp {
-        Timestamp::ZERO + self.began.elapsed()
-    }
-
     /// From a connection to its end.
     async fn session(&mut self, was_up: &mut bool) -> Result<(), Over> {
         let late = |_| Over::Connection(format!("{} did not answer within {ANSWER:?}", self.settings.url));
@@ -197,7 +194,6 @@ impl Client {
         self.on_head(&provider, head).await?;
         loop {
             self.act(&provider, chain).await?;
-            let deadline = self.outbox.next_deadline().map_or(ANSWER, |at| at.since(self.now()));
             tokio::select! {
                 head = heads.next(&provider) => {
                     let head = head?.ok_or_else(|| Over::Connection("the connection broke".to_owned()))?;
@@ -207,7 +203,6 @@ impl Client {
                     let (ticket, call) = call.ok_or(Over::Ledger)?;
                     self.outbox.submit(ticket, call);
                 }
-                () = tokio::time::sleep(deadline) => {}
             }
         }
     }
@@ -326,7 +321,7 @@ impl Client {
 
     /// Does what the transactions need.
     async fn act(&mut self, provider: &RootProvider, chain: u64) -> Result<(), Over> {
-        while let Some(action) = self.outbox.next(self.now()) {
+        while let Some(action) = self.outbox.next() {
             let told = match action {
                 Action::Estimate { ticket, call } => {
                     let result = match node::estimate(provider, self.request(&call)).await {
@@ -335,8 +330,8 @@ impl Client {
                     };
                     self.outbox.estimated(ticket, result)
                 }
-                Action::Send { ticket, call, nonce, gas, bumps } => {
-                    self.send(provider, chain, ticket, &call, (nonce, gas, bumps)).await?
+                Action::Send { ticket, call, nonce, gas, before } => {
+                    self.send(provider, chain, ticket, &call, (nonce, gas, before)).await?
                 }
                 Action::Check { ticket, hashes } => {
                     let status = self.status(provider, hashes).await?;
@@ -358,36 +353,35 @@ impl Client {
         chain: u64,
         ticket: Ticket,
         call: &Call,
-        (nonce, gas, bumps): (u64, u64, u32),
+        (nonce, gas, before): (u64, u64, Option<Fees>),
     ) -> Result<Option<Told>, Over> {
-        let (fee, tip) = node::fees(provider, bumps).await?;
+        let (base, tip) = node::asked(provider).await?;
+        let fees = Fees::offer(base, tip, before);
         let transaction = self.key.sign(TxEip1559 {
             chain_id: chain,
             nonce,
             gas_limit: gas,
-            max_fee_per_gas: fee,
-            max_priority_fee_per_gas: tip,
+            max_fee_per_gas: fees.most,
+            max_priority_fee_per_gas: fees.tip,
             to: TxKind::Call(Address::from(self.settings.contract.0)),
             value: U256::from(call.value().0),
             input: Bytes::from(abi::encode(call)),
             ..TxEip1559::default()
         });
         let hash = TransactionHash(transaction.tx_hash().0);
-        self.outbox.sent(ticket, hash);
+        self.outbox.sent(ticket, hash, fees);
         let Err(error) = provider.send_raw_transaction(&transaction.encoded_2718()).await else {
             return Ok(None);
         };
         let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
-        let reason = payload.message.to_lowercase();
-        // Nodes have no codes for these, only words, which differ little.
-        if ["already known", "already imported", "underpriced"].iter().any(|known| reason.contains(known)) {
-            return Ok(None);
+        match Objection::of(&payload.message) {
+            Objection::Waits => Ok(None),
+            Objection::NonceIsUsed => {
+                self.outbox.nonce_is_used(ticket);
+                Ok(None)
+            }
+            Objection::Other => Ok(self.outbox.not_sent(ticket, hash, payload.message.to_string())),
         }
-        if reason.contains("nonce too low") {
-            self.outbox.nonce_is_used(ticket);
-            return Ok(None);
-        }
-        Ok(self.outbox.not_sent(ticket, hash, payload.message.to_string()))
     }
 
     async fn status(&self, provider: &RootProvider, hashes: Vec<TransactionHash>) -> Result<Status, Over> {
@@ -426,9 +420,66 @@ impl Client {
     }
 }
 
+/// Why a node does not take a transaction.
+#[derive(Debug, PartialEq, Eq)]
+enum Objection {
+    /// It has that one already, or another with its nonce.
+    Waits,
+    NonceIsUsed,
+    /// What will not pass.
+    Other,
+}
+
+impl Objection {
+    /// Nodes have no codes for these, only words.
+    fn of(message: &str) -> Self {
+        let message = message.to_lowercase();
+        let says = |words: &[&str]| words.iter().any(|words| message.contains(words));
+        if says(&[
+            "already known",
+            "already imported",
+            "already in the txpool",
+            "underpriced",
+            "replacement gas too low",
+        ]) {
+            Self::Waits
+        } else if says(&["nonce too low"]) {
+            Self::NonceIsUsed
+        } else {
+            Self::Other
+        }
+    }
+}
+
 /// Why a node does not do a call; an error of the connection is passed on.
 fn rejection(error: Failed) -> Result<Rejection, Over> {
     let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
     let refusal = payload.as_revert_data().and_then(|data| abi::decode_refusal(&data).ok());
     Ok(refusal.map_or_else(|| Rejection::Node(payload.message.to_string()), Rejection::Contract))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_transaction_that_waits_is_not_taken_for_one_that_is_refused() {
+        for (said, means) in [
+            // geth, anvil
+            ("already known", Objection::Waits),
+            ("transaction already imported", Objection::Waits),
+            ("replacement transaction underpriced", Objection::Waits),
+            ("nonce too low: next nonce 3, tx nonce 2", Objection::NonceIsUsed),
+            ("insufficient funds for gas * price + value", Objection::Other),
+            // EthereumJS
+            ("0x12ab: this transaction is already in the TxPool", Objection::Waits),
+            ("replacement gas too low, got tip 1, min: 2, got fee 3, min: 4", Objection::Waits),
+            (
+                "0x12ab tries to send a tx with nonce 2, but account has nonce 3 (tx nonce too low)",
+                Objection::NonceIsUsed,
+            ),
+        ] {
+            assert_eq!(Objection::of(said), means, "{said}");
+        }
+    }
 }

@@ -13,11 +13,11 @@ use alloy::{
 };
 use tokio::{
     runtime::{Builder, Runtime},
-    time::Interval,
+    time::{Interval, MissedTickBehavior},
 };
 
 use super::{abi, key::Key, socket::AtOnce};
-use crate::values::Account;
+use crate::{outbox::Fees, values::Account};
 
 /// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -60,13 +60,14 @@ async fn create(url: &str, key: &Key) -> Result<TransactionReceipt, Failed> {
     // By both names: nodes know the one or the other.
     let input_of = TransactionInput::both(input.clone());
     let request = TransactionRequest { from: Some(from), input: input_of, ..Default::default() };
-    let (fee, tip) = fees(&provider, 0).await?;
+    let (base, tip) = asked(&provider).await?;
+    let fees = Fees::offer(base, tip, None);
     let transaction = key.sign(TxEip1559 {
         chain_id: provider.get_chain_id().await?,
         nonce: provider.get_transaction_count(from).pending().await?,
         gas_limit: estimate(&provider, request).await?,
-        max_fee_per_gas: fee,
-        max_priority_fee_per_gas: tip,
+        max_fee_per_gas: fees.most,
+        max_priority_fee_per_gas: fees.tip,
         to: TxKind::Create,
         input,
         ..TxEip1559::default()
@@ -97,9 +98,8 @@ const DEPLOYMENT: Duration = Duration::from_secs(120);
 /// Where a node cannot say what tip is usual: 1 Gwei.
 const TIP: u128 = 1_000_000_000;
 
-/// Fee and tip for a unit of gas (EIP-1559): the base fee may double until the transaction is in a block. Nodes take a transaction in
-/// place of one with the same nonce if both are a tenth higher.
-pub(super) async fn fees(provider: &RootProvider, bumps: u32) -> Result<(u128, u128), Failed> {
+/// The base fee of the last block, and the tip that is usual.
+pub(super) async fn asked(provider: &RootProvider) -> Result<(u128, u128), Failed> {
     let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
     let base = head.and_then(|block| block.header.base_fee_per_gas).unwrap_or_default();
     // Not all nodes have this one.
@@ -107,8 +107,7 @@ pub(super) async fn fees(provider: &RootProvider, bumps: u32) -> Result<(u128, u
         Err(error) if error.as_error_resp().is_some() => TIP,
         tip => tip?.max(1),
     };
-    let bumped = |fee: u128| (0..bumps.min(20)).fold(fee, |fee, _| fee + fee / 4 + 1);
-    Ok((bumped(2 * u128::from(base) + tip), bumped(tip)))
+    Ok((base.into(), tip))
 }
 
 /// The gas that a call takes, behind those that wait, where the node knows of such.
@@ -155,7 +154,10 @@ impl Heads {
         const METHOD_NOT_FOUND: i64 = -32601;
         match provider.subscribe_blocks().await {
             Err(error) if error.as_error_resp().is_some_and(|e| e.code == METHOD_NOT_FOUND) => {
-                Ok(Self::Asked(tokio::time::interval(ASK)))
+                let mut interval = tokio::time::interval(ASK);
+                // A node that is slow is not asked all the more.
+                interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                Ok(Self::Asked(interval))
             }
             heads => heads.map(Self::Told),
         }

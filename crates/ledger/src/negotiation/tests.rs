@@ -1,7 +1,7 @@
 //! Negotiations over the modelled ledger, in virtual time: as they should go, when something goes wrong, and with
 //! everything going wrong at random.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, ops::Range, time::Duration};
 
 use cotorra_graph::Timestamp;
 use proptest::prelude::*;
@@ -98,6 +98,18 @@ struct Faulty {
 }
 
 impl Faulty {
+    /// It cannot reach the chain for some time.
+    fn cut_off(&mut self, chain: &ModelledChain, outage: Range<Timestamp>) {
+        let another = chain.ledger(self.ledger.account());
+        self.ledger = std::mem::replace(&mut self.ledger, another).away(outage);
+    }
+
+    /// A new process hears all that was said.
+    fn restart(&mut self, chain: &ModelledChain) {
+        self.ledger = chain.ledger(self.ledger.account());
+        self.waiting.clear();
+    }
+
     fn take_in(&mut self, now: Timestamp) {
         while let Some(notice) = self.ledger.poll(now) {
             let fault = match self.faults.by_notice.len() {
@@ -253,6 +265,22 @@ impl World {
             self.steps.push((now, step));
         }
         self.creator.submit(now, &mut self.ledger);
+    }
+
+    /// The creator cannot reach the ledger for some time.
+    fn cut_off_creator(&mut self, outage: Range<Timestamp>) {
+        self.ledger.cut_off(&self.chain, outage);
+    }
+
+    /// A service comes to be used, and is paid.
+    fn assert_used_and_paid(&self, what: &str) {
+        self.assert_over();
+        assert_eq!(self.failure(), None, "{what}: {:?}", self.steps);
+        assert_eq!(self.outcome(), Some(Outcome::Released), "{what}");
+        let contract = self.chain.contract();
+        let paid: u128 = (1..=self.providers.len() as u8).map(|of| contract.balance(account(of)).0).sum();
+        assert!(paid > 0, "{what}");
+        assert_eq!(Wei(contract.balance(account(0)).0 + paid), contract.holds(), "{what}");
     }
 
     fn failure(&self) -> Option<Failure> {
@@ -411,6 +439,71 @@ fn a_creator_that_is_restarted_at_any_time_goes_on_where_it_was() {
         assert_eq!(world.failure(), None, "restarted at {restart} s: {:?}", world.steps);
         assert_eq!(world.outcome(), Some(Outcome::Released), "restarted at {restart} s");
     }
+}
+
+#[test]
+fn a_creator_whose_node_is_away_for_a_while_goes_on_when_it_is_back() {
+    for from in (7..60).step_by(3) {
+        let mut world = World::new(&[(Manner::Honest, 5), (Manner::Honest, 6)], Faults::default());
+        world.cut_off_creator(seconds(f64::from(from))..seconds(f64::from(from + 12)));
+        world.run(seconds(600.0));
+        world.assert_used_and_paid(&format!("away from {from} s on"));
+    }
+}
+
+#[test]
+fn a_winner_that_is_cut_off_deploys_for_nothing_and_takes_it_down_when_it_is_back() {
+    let mut world = World::new(&[(Manner::NeverDeploys, 5), (Manner::Honest, 6)], Faults::default());
+    world.run(seconds(22.0));
+    let winner = &mut world.providers[0];
+    assert!(winner.steps.iter().any(|(_, step)| *step == ProviderStep::Won));
+    winner.ledger.cut_off(&world.chain, world.now..seconds(80.0));
+    // It deploys, and cannot tell.
+    winner.bids[0].deployed(attachment());
+    world.run(seconds(600.0));
+    world.assert_over();
+    assert_eq!(world.failure(), Some(Failure::NotDeployed));
+    let nothing = |(_, step): &(_, ProviderStep)| matches!(step, ProviderStep::Ended { charge: Wei(0), .. });
+    assert!(world.providers[0].steps.iter().any(nothing), "{:?}", world.providers[0].steps);
+    assert_eq!(world.chain.contract().balance(account(1)), Wei(0));
+    assert_eq!(world.chain.contract().balance(account(0)), world.chain.contract().holds());
+}
+
+#[test]
+fn both_are_started_again_at_any_time_and_go_on_where_they_were() {
+    for restart in (7..60).step_by(2) {
+        let mut world = World::new(&[(Manner::Honest, 5)], Faults::default());
+        world.run(seconds(f64::from(restart)));
+        world.creator = Creator::new(world.now, account(0), secret(0), Salt([1; 32]), request());
+        world.ledger.restart(&world.chain);
+        (world.attach_at, world.release_at) = (None, None);
+        let provider = &mut world.providers[0];
+        provider.ledger.restart(&world.chain);
+        provider.bids.clear();
+        world.run(seconds(600.0));
+        world.assert_used_and_paid(&format!("started again at {restart} s"));
+    }
+}
+
+#[test]
+fn an_announcement_that_is_replayed_changes_nothing() {
+    let mut world = World::new(&[(Manner::Honest, 5)], Faults::default());
+    // Word for word, by the creator and by somebody else.
+    let [mut again, mut mallory] = [0, 9].map(|number| world.chain.ledger(account(number)));
+    mallory.submit(seconds(1.0), Call::Register { name: "mallory".to_owned() });
+    world.run(seconds(12.0));
+    let salt = Salt([1; 32]);
+    let Request { requirements, terms, .. } = request();
+    let announce = Call::Announce { salt, key: secret(0).public_key(salt), requirements, terms };
+    let refused = again.submit(world.now, announce.clone());
+    let copied = mallory.submit(world.now, announce);
+    world.run(seconds(600.0));
+    world.assert_used_and_paid("with a copy");
+    let heard = |ledger: &mut ModelledLedger| -> Vec<Notice> {
+        std::iter::from_fn(|| ledger.poll(world.now)).collect()
+    };
+    assert!(heard(&mut again).contains(&Notice::Refused(refused, Refusal::AlreadyAnnounced.into())));
+    assert!(heard(&mut mallory).contains(&Notice::Included(copied)), "it is another service");
 }
 
 /// A ledger of which only what is submitted matters.

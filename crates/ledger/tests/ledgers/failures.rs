@@ -1,19 +1,21 @@
 //! What goes wrong between two domains, on a real ledger: each time all ends in order, and nobody pays for what it did not get.
 //! All of it at once, each with operators of its own.
 //!
-//! `COTORRA_TEST_LEDGER` names another ledger than an anvil node with a block each half second; there, each operator uses another of
-//! its nodes.
+//! Each is on an anvil node of its own, whose blocks it makes itself. `COTORRA_TEST_LEDGER` names another ledger, for all of them;
+//! there, each operator uses another of its nodes.
 
-use std::{env, panic, thread, time::Duration};
+use std::{env, panic, thread};
 
 use cotorra_ledger::{
-    Account, Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Terms, Ticket, Wei,
-    negotiation::{CreatorStep, Failure, Policy, ProviderStep},
+    Account, Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Terms, Wei,
+    negotiation::{CreatorStep, Failure, ProviderStep},
 };
 
 use crate::{
-    node::{Node, PATIENCE, key},
-    operator::{Behaviour, CreatorSide, Operator, ProviderSide, attachment, policy, request, until_all},
+    node::{Node, key},
+    operator::{
+        Behaviour, CreatorSide, Operator, ProviderSide, attachment, one_bid, policy, request, until_all,
+    },
     proxy::Proxy,
 };
 
@@ -36,18 +38,23 @@ const SCENARIOS: [Scenario; 9] = [
 
 #[test]
 fn whatever_goes_wrong_ends_in_order() {
-    let node = match env::var("COTORRA_TEST_LEDGER") {
-        Ok(urls) => Node::existing(&urls.split(',').collect::<Vec<_>>()),
-        Err(_) => match Node::start_with(Some(Duration::from_millis(500))) {
-            Some(node) => node,
-            None => return,
-        },
-    };
-    node.share((0..4 * SCENARIOS.len() as u8).map(|index| KEYS + index));
+    let existing = env::var("COTORRA_TEST_LEDGER").ok().map(|urls| {
+        let node = Node::existing(&urls.split(',').collect::<Vec<_>>());
+        node.share((0..4 * SCENARIOS.len() as u8).map(|index| KEYS + index));
+        node
+    });
     thread::scope(|scope| {
         let threads = SCENARIOS.iter().enumerate().map(|(index, (name, scenario))| {
-            let stage = Stage { node: &node, first: KEYS + 4 * index as u8 };
-            let play = move || scenario(&stage);
+            let existing = existing.as_ref();
+            let play = move || {
+                let first = KEYS + 4 * index as u8;
+                if let Some(node) = existing {
+                    return scenario(&Stage { node, first });
+                }
+                let Some(node) = Node::start() else { return };
+                (0..4).for_each(|index| node.enrich(first + index));
+                scenario(&Stage { node: &node, first });
+            };
             thread::Builder::new().name((*name).to_owned()).spawn_scoped(scope, play).unwrap()
         });
         for thread in threads.collect::<Vec<_>>() {
@@ -68,10 +75,7 @@ impl Stage<'_> {
     }
 
     fn registered(&self, mut operators: Vec<Operator>) -> Vec<Operator> {
-        let tickets: Vec<Ticket> = operators.iter_mut().map(Operator::begin_registration).collect();
-        for (operator, ticket) in operators.iter_mut().zip(tickets) {
-            operator.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
-        }
+        self.node.register(&mut operators);
         operators
     }
 
@@ -84,17 +88,12 @@ impl Stage<'_> {
     fn pair(&self, behaviour: Behaviour, terms: Terms) -> (CreatorSide, [ProviderSide; 1]) {
         let mut operators = self.operators(2);
         let provider = self.provider(operators.remove(1), 9).behaving(behaviour);
-        (CreatorSide::asking(operators.remove(0), terms, patient()), [provider])
+        (CreatorSide::asking(operators.remove(0), terms, one_bid()), [provider])
     }
 }
 
 fn price(wei: u128) -> Price {
     Price::new(wei).unwrap()
-}
-
-/// One bid is enough; bids are waited for.
-fn patient() -> Policy {
-    Policy { enough: 1, collect: PATIENCE, patience: PATIENCE, ..policy() }
 }
 
 fn long() -> Terms {
@@ -113,7 +112,7 @@ fn failed(creator: &CreatorSide, with: Failure) {
 }
 
 /// What an operator is paid out.
-fn withdrawn(operator: &mut Operator) -> Wei {
+fn withdrawn(node: &Node, operator: &mut Operator) -> Wei {
     let account = operator.key.account();
     operator.ledger.submit(operator.now(), Call::Withdraw);
     let amount = |notices: &[Notice], of: Account| {
@@ -122,20 +121,20 @@ fn withdrawn(operator: &mut Operator) -> Wei {
             _ => None,
         })
     };
-    operator.until("the payment", |notices| amount(notices, account).is_some());
+    node.until(operator, "the payment", |notices| amount(notices, account).is_some());
     amount(&operator.notices, account).unwrap()
 }
 
 /// The creator has all of its deposit back.
-fn nothing_was_paid(creator: &mut CreatorSide) {
-    assert_eq!(withdrawn(&mut creator.operator), price(9).times(long().use_for));
+fn nothing_was_paid(node: &Node, creator: &mut CreatorSide) {
+    assert_eq!(withdrawn(node, &mut creator.operator), price(9).times(long().use_for));
 }
 
 /// It comes to be used in spite of all, and is paid.
-fn used_and_paid(creator: &mut CreatorSide, providers: &mut [ProviderSide; 1]) {
-    until_all(creator, providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+fn used_and_paid(node: &Node, creator: &mut CreatorSide, providers: &mut [ProviderSide; 1]) {
+    until_all(node, creator, providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
     creator.negotiation.release();
-    until_all(creator, providers, |creator, providers| {
+    until_all(node, creator, providers, |creator, providers| {
         creator.negotiation.is_over() && providers[0].ended().is_some()
     });
     assert!(creator.has(|step| *step == CreatorStep::Deployed(attachment())));
@@ -143,57 +142,60 @@ fn used_and_paid(creator: &mut CreatorSide, providers: &mut [ProviderSide; 1]) {
     assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
     let charge = providers[0].ended().unwrap();
     assert!(charge > Wei(0));
-    assert_eq!(withdrawn(&mut providers[0].operator), charge);
-    let Wei(rest) = withdrawn(&mut creator.operator);
+    assert_eq!(withdrawn(node, &mut providers[0].operator), charge);
+    let Wei(rest) = withdrawn(node, &mut creator.operator);
     assert_eq!(Wei(rest + charge.0), price(9).times(long().use_for));
 }
 
 fn nobody_bids(stage: &Stage<'_>) {
-    let policy = Policy { collect: Duration::from_secs(2), ..patient() };
-    let mut creator = CreatorSide::asking(stage.operators(1).remove(0), long(), policy);
-    until_all(&mut creator, &mut [], |creator, _| creator.negotiation.is_over());
+    let mut creator = CreatorSide::asking(stage.operators(1).remove(0), long(), one_bid());
+    until_all(stage.node, &mut creator, &mut [], |creator, _| creator.has(|s| *s == CreatorStep::Announced));
+    creator.operator.pass(one_bid().collect);
+    until_all(stage.node, &mut creator, &mut [], |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NoBid);
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
 }
 
 fn all_bids_are_too_dear(stage: &Stage<'_>) {
     let mut operators = stage.operators(3);
-    // Long enough for both, wherever they are: who waits for bids does not know how many come.
-    let policy = Policy { collect: Duration::from_secs(20), ..patient() };
     let mut providers = [500, 101].map(|wei| stage.provider(operators.pop().unwrap(), wei));
-    let mut creator = CreatorSide::asking(operators.remove(0), long(), policy);
-    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), one_bid());
+    let rejected = |creator: &CreatorSide| {
+        creator.steps.iter().filter(|step| matches!(step, CreatorStep::BidRejected { .. })).count()
+    };
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| rejected(creator) == 2);
+    creator.operator.pass(one_bid().collect);
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NoGoodBid);
-    let rejected = creator.steps.iter().filter(|s| matches!(s, CreatorStep::BidRejected { .. })).count();
-    assert_eq!(rejected, 2, "{:?}", creator.steps);
+    assert_eq!(rejected(&creator), 2, "{:?}", creator.steps);
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
 }
 
 fn the_winner_is_silent(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Silent, short());
-    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
-    nothing_was_paid(&mut creator);
+    nothing_was_paid(stage.node, &mut creator);
 }
 
 fn the_deployment_fails(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Fails, long());
-    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Declined)));
-    nothing_was_paid(&mut creator);
+    nothing_was_paid(stage.node, &mut creator);
 }
 
 fn the_provider_lies(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Honest, long());
     // Nobody beacons where it says.
     creator.finds_nobody();
-    until_all(&mut creator, &mut providers, |creator, providers| {
+    until_all(stage.node, &mut creator, &mut providers, |creator, providers| {
         creator.negotiation.is_over() && providers[0].ended().is_some()
     });
     failed(&creator, Failure::Unusable);
     assert_eq!(providers[0].ended(), Some(Wei(0)));
-    nothing_was_paid(&mut creator);
+    nothing_was_paid(stage.node, &mut creator);
 }
 
 fn the_creators_node_is_away(stage: &Stage<'_>) {
@@ -202,16 +204,15 @@ fn the_creators_node_is_away(stage: &Stage<'_>) {
         vec![stage.node.reconnect_at(stage.first, proxy.url()), stage.node.reconnect(stage.first + 1)];
     let mut operators = stage.registered(operators);
     let mut providers = [stage.provider(operators.remove(1), 9)];
-    let mut creator = CreatorSide::asking(operators.remove(0), long(), patient());
-    until_all(&mut creator, &mut providers, |creator, _| {
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), one_bid());
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| {
         creator.has(|step| *step == CreatorStep::Announcing)
     });
     proxy.cut();
-    creator
-        .operator
-        .until("its node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
+    creator.operator.wait_for(|notice| matches!(notice, Notice::Down(_)));
     proxy.mend();
-    used_and_paid(&mut creator, &mut providers);
+    creator.operator.wait_for(|notice| *notice == Notice::Up);
+    used_and_paid(stage.node, &mut creator, &mut providers);
 }
 
 fn the_winner_is_cut_off(stage: &Stage<'_>) {
@@ -220,29 +221,37 @@ fn the_winner_is_cut_off(stage: &Stage<'_>) {
         vec![stage.node.reconnect(stage.first), stage.node.reconnect_at(stage.first + 1, proxy.url())];
     let mut operators = stage.registered(operators);
     let mut providers = [stage.provider(operators.remove(1), 9).behaving(Behaviour::Silent)];
-    let mut creator = CreatorSide::asking(operators.remove(0), short(), patient());
+    let mut creator = CreatorSide::asking(operators.remove(0), short(), one_bid());
     let has_won = |provider: &ProviderSide| provider.steps.contains(&ProviderStep::Won);
-    until_all(&mut creator, &mut providers, |_, providers| has_won(&providers[0]));
+    until_all(stage.node, &mut creator, &mut providers, |_, providers| has_won(&providers[0]));
     proxy.cut();
+    let operator = &mut providers[0].operator;
+    operator.wait_for(|notice| matches!(notice, Notice::Down(_)));
+    operator.is_cut_off = true;
     // It deploys, and cannot tell.
     providers[0].deploy();
-    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
-    nothing_was_paid(&mut creator);
+    nothing_was_paid(stage.node, &mut creator);
     proxy.mend();
+    let operator = &mut providers[0].operator;
+    operator.wait_for(|notice| *notice == Notice::Up);
+    operator.is_cut_off = false;
     // It hears that it is over, and takes it down.
-    until_all(&mut creator, &mut providers, |_, providers| providers[0].ended().is_some());
+    until_all(stage.node, &mut creator, &mut providers, |_, providers| providers[0].ended().is_some());
     assert_eq!(providers[0].ended(), Some(Wei(0)));
 }
 
 fn both_are_started_again(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Silent, long());
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Chosen));
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::Chosen)
+    });
     drop((creator, providers));
     // New processes with the same keys: all else comes from the chain.
-    let mut creator = CreatorSide::asking(stage.node.reconnect(stage.first), long(), patient());
+    let mut creator = CreatorSide::asking(stage.node.reconnect(stage.first), long(), one_bid());
     let mut providers = [stage.provider(stage.node.reconnect(stage.first + 1), 9)];
-    used_and_paid(&mut creator, &mut providers);
+    used_and_paid(stage.node, &mut creator, &mut providers);
     let announced = creator.operator.notices.iter().filter(
         |notice| matches!(notice, Notice::Event(Event::ServiceAnnounced { creator: of, .. }) if *of == creator.operator.key.account()),
     );
@@ -253,8 +262,10 @@ fn the_announcement_is_replayed(stage: &Stage<'_>) {
     let mut operators = stage.operators(3);
     let mut mallory = operators.pop().unwrap();
     let mut providers = [stage.provider(operators.pop().unwrap(), 9)];
-    let mut creator = CreatorSide::asking(operators.remove(0), long(), patient());
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Announced));
+    let mut creator = CreatorSide::asking(operators.remove(0), long(), one_bid());
+    until_all(stage.node, &mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::Announced)
+    });
     // Word for word, by the creator and by somebody else.
     let secret = creator.operator.key.secret();
     let salt = secret.announcement_salt(1);
@@ -264,8 +275,8 @@ fn the_announcement_is_replayed(stage: &Stage<'_>) {
     };
     let refused = creator.operator.ledger.submit(creator.operator.now(), again());
     let copied = mallory.ledger.submit(mallory.now(), again());
-    mallory.until("the copy", |notices| notices.contains(&Notice::Included(copied)));
+    stage.node.until(&mut mallory, "the copy", |notices| notices.contains(&Notice::Included(copied)));
     let told = Notice::Refused(refused, Rejection::Contract(Refusal::AlreadyAnnounced));
-    used_and_paid(&mut creator, &mut providers);
+    used_and_paid(stage.node, &mut creator, &mut providers);
     assert!(creator.operator.notices.contains(&told), "{:?}", creator.operator.notices);
 }

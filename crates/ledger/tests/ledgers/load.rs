@@ -1,13 +1,9 @@
 //! Many providers and many services at once, on one ledger: each step of each service is reached, and no money is lost.
 //!
-//! `COTORRA_TEST_LOAD=50,200,5` has 50 providers, 200 announcements at once, and five bids for each; `COTORRA_TEST_LEDGER` names
-//! another ledger than an anvil node with a block each second.
+//! `COTORRA_TEST_LOAD=50,200,5` has 50 providers, 200 announcements at once, and five bids for each, as `scripts/test --full`
+//! does; `COTORRA_TEST_LEDGER` names another ledger than an anvil node whose blocks the test makes.
 
-use std::{
-    collections::BTreeMap,
-    env, thread,
-    time::{Duration, Instant},
-};
+use std::{collections::BTreeMap, env, time::Instant};
 
 use cotorra_ledger::{
     Call, Event, Ledger, Notice, Outcome, Price, ServiceId, Wei,
@@ -15,12 +11,10 @@ use cotorra_ledger::{
 };
 
 use crate::{
-    node::Node,
-    operator::{Operator, attachment, request},
+    node::{BLOCKS, Node},
+    operator::{Operator, attachment, policy, request},
 };
 
-/// Far more than it takes, even on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(1200);
 /// Operators that announce; each has its part of the services.
 const CREATORS: usize = 20;
 /// The first keys of creators and providers; the deployer's is between them.
@@ -30,11 +24,20 @@ const KEYS: (u8, u8) = (10, 110);
 struct Side<T> {
     operator: Operator,
     services: BTreeMap<ServiceId, (T, Vec<String>)>,
+    heard: usize,
 }
 
 impl<T> Side<T> {
     fn new(operator: Operator) -> Self {
-        Self { operator, services: BTreeMap::new() }
+        Self { operator, services: BTreeMap::new(), heard: 0 }
+    }
+
+    /// What it has not heard yet.
+    fn news(&mut self) -> Vec<Notice> {
+        self.operator.listen();
+        let news = self.operator.notices[self.heard..].to_vec();
+        self.heard = self.operator.notices.len();
+        news
     }
 
     /// Those whom a notice concerns.
@@ -53,7 +56,7 @@ impl<T> Side<T> {
 impl Side<Creator> {
     fn go_on(&mut self) {
         let now = self.operator.now();
-        for notice in self.operator.listen() {
+        for notice in self.news() {
             self.concerned(&notice).for_each(|(creator, _)| creator.handle(now, &notice));
         }
         for (creator, steps) in self.services.values_mut() {
@@ -78,7 +81,7 @@ impl Side<Creator> {
 impl Side<Provider> {
     fn go_on(&mut self, bids_for: impl Fn(ServiceId) -> bool, price: Price) {
         let now = self.operator.now();
-        for notice in self.operator.listen() {
+        for notice in self.news() {
             if let Notice::Event(event @ Event::ServiceAnnounced { id, .. }) = &notice
                 && bids_for(*id)
                 && !self.services.contains_key(id)
@@ -105,7 +108,8 @@ impl Side<Provider> {
 }
 
 fn numbers() -> [usize; 3] {
-    let text = env::var("COTORRA_TEST_LOAD").unwrap_or_else(|_| "8,24,3".to_owned());
+    let usual = if env::var_os("COTORRA_FULL").is_some() { "50,200,5" } else { "8,24,3" };
+    let text = env::var("COTORRA_TEST_LOAD").unwrap_or_else(|_| usual.to_owned());
     let numbers: Vec<usize> = text.split(',').map(|number| number.parse().unwrap()).collect();
     let numbers: [usize; 3] = numbers.try_into().expect("providers, announcements, bids for each");
     assert!(numbers[0] <= 100 && numbers[1] > 0 && (1..=numbers[0]).contains(&numbers[2]), "{numbers:?}");
@@ -117,7 +121,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     let [providers, announcements, bids] = numbers();
     let node = match env::var("COTORRA_TEST_LEDGER") {
         Ok(urls) => Node::existing(&urls.split(',').collect::<Vec<_>>()),
-        Err(_) => match Node::start_with(Some(Duration::from_secs(1))) {
+        Err(_) => match Node::start() {
             Some(node) => node,
             None => return,
         },
@@ -127,25 +131,21 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     node.share(creator_keys().chain(provider_keys()));
     let operators = |keys: &mut dyn Iterator<Item = u8>| -> Vec<Operator> {
         let mut operators: Vec<_> = keys.map(|number| node.reconnect(number)).collect();
-        let tickets: Vec<_> = operators.iter_mut().map(Operator::begin_registration).collect();
-        for (operator, ticket) in operators.iter_mut().zip(tickets) {
-            operator.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
-        }
+        node.register(&mut operators);
         operators
     };
     let mut creators: Vec<Side<Creator>> =
         operators(&mut creator_keys()).into_iter().map(Side::new).collect();
     let mut sides: Vec<Side<Provider>> = operators(&mut provider_keys()).into_iter().map(Side::new).collect();
 
-    let policy =
-        Policy { highest: Price::new(1000).unwrap(), collect: PATIENCE, enough: bids, patience: PATIENCE };
+    // All bids are waited for, as long as its clock stands still.
+    let policy = Policy { highest: Price::new(1000).unwrap(), enough: bids, ..policy() };
     let mut numbers_of: BTreeMap<ServiceId, usize> = BTreeMap::new();
     for number in 0..announcements {
         let index = number % creators.len();
         let side = &mut creators[index];
         let (account, secret) = (side.operator.key.account(), side.operator.key.secret());
-        let mut request = request(policy);
-        request.terms.open_for = 7200;
+        let request = request(policy);
         let creator = Creator::new(
             side.operator.now(),
             account,
@@ -169,14 +169,17 @@ fn many_services_at_once_lose_no_step_and_no_money() {
                 .flat_map(|side| side.services.values())
                 .all(|(provider, _)| provider.is_over())
     };
+    let mut blocks = 0;
     while !is_over(&creators, &sides) {
         creators.iter_mut().for_each(Side::<Creator>::go_on);
         for (index, side) in sides.iter_mut().enumerate() {
             let price = Price::new(10 + index as u128).unwrap();
             side.go_on(|id| bids_for(index, id), price);
         }
-        assert!(began.elapsed() < PATIENCE, "not all is over");
-        thread::sleep(Duration::from_millis(5));
+        assert!(blocks < BLOCKS, "not all is over within {BLOCKS} blocks");
+        blocks += 1;
+        let creators = creators.iter_mut().map(|side| &mut side.operator);
+        node.next_block(creators.chain(sides.iter_mut().map(|side| &mut side.operator)));
     }
     let took = began.elapsed();
 
@@ -218,7 +221,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
         Event::Withdrawn { amount, .. } => amount.0,
         _ => 0,
     };
-    heard.until("all is paid out", |notices| paid(notices, &deposit) == paid(notices, &withdrawn));
+    node.until(heard, "all is paid out", |notices| paid(notices, &deposit) == paid(notices, &withdrawn));
     let charged = |event: &Event| match event {
         Event::ServiceEnded { charge: Wei(charge), .. } => *charge,
         _ => 0,

@@ -17,10 +17,10 @@ use std::{
 
 use cotorra_ledger::{
     Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Wei,
-    negotiation::{CreatorStep, Failure, Policy, ProviderStep},
+    negotiation::{CreatorStep, Failure, ProviderStep},
 };
-use node::{Node, PATIENCE};
-use operator::{CreatorSide, ProviderSide, announcements, attachment, policy, until_all};
+use node::Node;
+use operator::{CreatorSide, ProviderSide, announcements, attachment, one_bid, policy, until_all};
 
 #[test]
 fn a_service_is_negotiated_used_and_paid() {
@@ -40,17 +40,18 @@ fn a_service_is_negotiated_used_and_paid_on_a_network_that_is_there() {
 
 fn negotiate(node: &Node) {
     let began = Instant::now();
-    // Both bids are waited for, however slow a network that is there may be.
-    let policy = Policy { collect: PATIENCE, patience: PATIENCE, ..policy() };
-    let mut creator = CreatorSide::new(node.operator(1), policy);
+    // Both bids are waited for, as long as its clock stands still.
+    let mut creator = CreatorSide::new(node.operator(1), policy());
     let mut providers = [
         ProviderSide::new(node.operator(2), Price::new(9).unwrap()),
         ProviderSide::new(node.operator(3), Price::new(7).unwrap()),
     ];
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+    until_all(node, &mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::InUse)
+    });
     println!("from the registrations to the use: {:?}", began.elapsed());
     creator.negotiation.release();
-    until_all(&mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
+    until_all(node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     assert!(creator.has(|step| *step == CreatorStep::Deployed(attachment())));
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Released)));
     assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
@@ -65,7 +66,7 @@ fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
     let mut operator = node.operator(1);
     let ticket = operator.ledger.submit(operator.now(), Call::Withdraw);
     let refused = Notice::Refused(ticket, Rejection::Contract(Refusal::NothingToWithdraw));
-    operator.until("the refusal", |notices| notices.contains(&refused));
+    node.until(&mut operator, "the refusal", |notices| notices.contains(&refused));
     assert_eq!(node.transactions(&operator), 1, "the registration");
 }
 
@@ -74,7 +75,7 @@ fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.poor_operator(9);
     let ticket = operator.ledger.submit(operator.now(), Call::Register { name: "poor".to_owned() });
-    operator.until("the refusal", |notices| {
+    node.until(&mut operator, "the refusal", |notices| {
         notices
             .iter()
             .any(|notice| matches!(notice, Notice::Refused(of, Rejection::Node(_)) if *of == ticket))
@@ -82,51 +83,49 @@ fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
 }
 
 #[test]
-fn a_transaction_that_the_node_drops_is_sent_again() {
+fn a_transaction_that_the_node_drops_is_sent_again_as_it_was() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
-    node.rpc("evm_setAutomine", "[false]");
     let announced = operator.announce();
-    node.until("it waits", || node.rpc("txpool_status", "[]")["pending"] == "0x1");
+    while node.waiting() == 0 {}
+    let pool = node.rpc("txpool_content", "[]");
+    let hash = pool.pointer(&format!("/pending/{}/1/hash", operator.key.account())).unwrap();
     node.rpc("anvil_dropAllTransactions", "[]");
-    node.until("it is dropped", || node.rpc("txpool_status", "[]")["pending"] == "0x0");
-    operator.until("it is included", |notices| {
-        node.rpc("evm_mine", "[]");
+    assert_eq!(node.waiting(), 0);
+    node.until(&mut operator, "it is included", |notices| {
         notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
     });
+    assert!(node.rpc("eth_getTransactionReceipt", &format!("[{hash}]")).is_object(), "it is another one");
 }
 
 #[test]
 fn a_transaction_whose_fee_is_too_low_is_sent_again_with_a_higher_one() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
-    node.rpc("evm_setAutomine", "[false]");
     let announced = operator.announce();
-    node.until("it waits", || node.rpc("txpool_status", "[]")["pending"] == "0x1");
+    while node.waiting() == 0 {}
     // Blocks go by that are too dear for it.
     for _ in 0..8 {
         node.rpc("anvil_setNextBlockBaseFeePerGas", "[\"0x2540be400000\"]");
-        node.rpc("evm_mine", "[]");
+        node.next_block([&mut operator]);
     }
-    operator.until("it is included", |notices| {
-        node.rpc("evm_mine", "[]");
+    node.until(&mut operator, "it is included", |notices| {
         notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
     });
 }
 
 #[test]
 fn what_is_reorganised_away_is_taken_back_and_sent_again() {
-    let Some(node) = Node::start() else { return };
+    let Some(node) = Node::start_automatic() else { return };
     let mut operator = node.operator(1);
     let announced = operator.announce();
-    operator.until("it is announced", |notices| {
+    node.until(&mut operator, "it is announced", |notices| {
         notices.contains(&Notice::Included(announced)) && announcements(notices) == 1
     });
     // The last block is replaced by an empty one.
     node.rpc("anvil_reorg", "[1, []]");
-    operator.until("it is taken back", |notices| notices.iter().any(|n| matches!(n, Notice::Retracted(_))));
-    operator.until("it is told again", |notices| {
-        node.rpc("evm_mine", "[]");
+    operator.wait_for(|notice| matches!(notice, Notice::Retracted(_)));
+    node.until(&mut operator, "it is told again", |notices| {
         let told = |notice: &&Notice| matches!(notice, Notice::Event(Event::ServiceAnnounced { .. }));
         notices.iter().filter(told).count() == 2
     });
@@ -136,15 +135,17 @@ fn what_is_reorganised_away_is_taken_back_and_sent_again() {
 /// A service comes into use though the node was away after that step.
 fn goes_on_with_the_node_away_after(step: impl Fn(&CreatorStep) -> bool) {
     let Some(mut node) = Node::start() else { return };
-    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut creator = CreatorSide::new(node.operator(1), one_bid());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(&step));
+    until_all(&node, &mut creator, &mut providers, |creator, _| creator.has(&step));
     node.stop();
-    creator
-        .operator
-        .until("the node is away", |notices| notices.iter().any(|n| matches!(n, Notice::Down(_))));
+    creator.operator.wait_for(|notice| matches!(notice, Notice::Down(_)));
     node.restart();
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+    // No other block tells that nothing was missed.
+    creator.operator.wait_for(|notice| matches!(notice, Notice::Head { .. }));
+    until_all(&node, &mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::InUse)
+    });
 }
 
 #[test]
@@ -152,7 +153,6 @@ fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
     goes_on_with_the_node_away_after(|step| *step == CreatorStep::Announced);
 }
 
-/// On a node that makes blocks for transactions alone: no other block tells that nothing was missed.
 #[test]
 fn a_node_that_comes_back_with_nothing_new_is_known_to_be_back() {
     goes_on_with_the_node_away_after(|step| matches!(step, CreatorStep::BidReceived { .. }));
@@ -161,22 +161,28 @@ fn a_node_that_comes_back_with_nothing_new_is_known_to_be_back() {
 #[test]
 fn an_operator_that_is_restarted_hears_all_that_was_said() {
     let Some(node) = Node::start() else { return };
-    let mut creator = CreatorSide::new(node.operator(1), policy());
+    let mut creator = CreatorSide::new(node.operator(1), one_bid());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
-    until_all(&mut creator, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::Chosen));
+    until_all(&node, &mut creator, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::Chosen)
+    });
     // The creator's process ends, and a new one has its key and the salt.
-    let mut again = CreatorSide::new(node.reconnect(1), policy());
+    let mut again = CreatorSide::new(node.reconnect(1), one_bid());
     drop(creator);
-    until_all(&mut again, &mut providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
+    until_all(&node, &mut again, &mut providers, |creator, _| {
+        creator.has(|step| *step == CreatorStep::InUse)
+    });
     again.negotiation.release();
-    until_all(&mut again, &mut providers, |creator, _| creator.negotiation.is_over());
+    until_all(&node, &mut again, &mut providers, |creator, _| creator.negotiation.is_over());
 }
 
 #[test]
 fn nobody_answers_and_the_creator_hears_it_in_time() {
     let Some(node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
-    until_all(&mut creator, &mut [], |creator, _| creator.negotiation.is_over());
+    until_all(&node, &mut creator, &mut [], |creator, _| creator.has(|s| *s == CreatorStep::Announced));
+    creator.operator.pass(policy().collect);
+    until_all(&node, &mut creator, &mut [], |creator, _| creator.negotiation.is_over());
     assert!(creator.has(|step| *step == CreatorStep::Failed(Failure::NoBid)));
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
 }
@@ -184,13 +190,13 @@ fn nobody_answers_and_the_creator_hears_it_in_time() {
 /// Prints what a transaction takes, from the call to the news that it is in a block.
 #[test]
 fn transactions_are_timed() {
-    let Some(node) = Node::start() else { return };
+    let Some(node) = Node::start_automatic() else { return };
     let mut operator = node.operator(1);
     let mut times: Vec<Duration> = (0..50)
         .map(|_| {
             let began = Instant::now();
             let ticket = operator.announce();
-            operator.until_closely(|notices| notices.contains(&Notice::Included(ticket)));
+            operator.wait_for(|notice| *notice == Notice::Included(ticket));
             began.elapsed()
         })
         .collect();
@@ -199,7 +205,9 @@ fn transactions_are_timed() {
         "a transaction on anvil, from the call to its inclusion: median {:?}, 95 % {:?}",
         times[25], times[47]
     );
-    operator.until("all are heard", |notices| announcements(notices) == 50);
+    while announcements(&operator.notices) < 50 {
+        operator.wait();
+    }
     assert_eq!(node.transactions(&operator), 51);
     assert!(node.holds() == Wei(0));
 }

@@ -1,13 +1,9 @@
 //! An anvil node with the contract, that a test can torment.
 
-use std::{
-    path::PathBuf,
-    thread,
-    time::{Duration, Instant},
-};
+use std::path::PathBuf;
 
 use cotorra_ledger::{
-    Account, Wei,
+    Account, Notice, Ticket, Wei,
     ethereum::{
         self, EthereumLedger, Key, Settings,
         anvil::{self, Anvil},
@@ -19,8 +15,8 @@ use tempfile::TempDir;
 
 use crate::{common::program, operator::Operator};
 
-/// How long anything may take; far more than it does, even on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(300);
+/// So many blocks anything may take, however long they take; far more than it does.
+pub const BLOCKS: u32 = 1000;
 
 /// The account with the money of an existing network is one test's at a time: its transactions have numbers.
 static DEPLOYER: Mutex<()> = Mutex::new(());
@@ -31,9 +27,20 @@ pub struct Node {
     folder: TempDir,
     contract: Account,
     port: u16,
-    block_period: Option<Duration>,
+    blocks: Blocks,
     /// The nodes of a network that is there already.
     existing: Vec<String>,
+}
+
+/// Who makes blocks.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Blocks {
+    /// The test, each a second of the chain's time after the last.
+    Ours,
+    /// The node, one for each transaction.
+    ForEachTransaction,
+    /// The network.
+    Theirs,
 }
 
 /// The key of a test's operator.
@@ -42,15 +49,19 @@ pub fn key(number: u8) -> Key {
 }
 
 impl Node {
-    /// A node that makes a block for each transaction; `None` where there is no anvil.
+    /// A node whose blocks the test makes; `None` where there is no anvil.
     pub fn start() -> Option<Self> {
-        Self::start_with(None)
+        Self::start_with(Blocks::Ours)
     }
 
-    /// A node that makes a block each period.
-    pub fn start_with(block_period: Option<Duration>) -> Option<Self> {
+    /// A node that makes a block for each transaction.
+    pub fn start_automatic() -> Option<Self> {
+        Self::start_with(Blocks::ForEachTransaction)
+    }
+
+    fn start_with(blocks: Blocks) -> Option<Self> {
         let mut node = Self {
-            block_period,
+            blocks: Blocks::ForEachTransaction,
             anvil: None,
             program: program()?,
             folder: tempfile::tempdir().unwrap(),
@@ -61,6 +72,8 @@ impl Node {
         node.restart();
         node.enrich(99);
         (node.contract, _) = ethereum::deploy(&node.url(1), &key(99)).unwrap();
+        node.blocks = blocks;
+        node.prepare();
         Some(node)
     }
 
@@ -70,7 +83,7 @@ impl Node {
         let (contract, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
         let (anvil, program, folder) = (None, PathBuf::new(), tempfile::tempdir().unwrap());
         let existing = urls.iter().map(|url| (*url).to_owned()).collect();
-        Self { anvil, program, folder, contract, port: 0, block_period: None, existing }
+        Self { anvil, program, folder, contract, port: 0, blocks: Blocks::Theirs, existing }
     }
 
     /// The node again, with the chain that it had, where it was.
@@ -80,11 +93,54 @@ impl Node {
             program: Some(self.program.clone()),
             state,
             port: self.port,
-            block_period: self.block_period,
+            block_period: None,
         };
         let anvil = Anvil::start(&settings).unwrap();
         self.port = anvil.address().port();
         self.anvil = Some(anvil);
+        self.prepare();
+    }
+
+    fn prepare(&self) {
+        if self.blocks == Blocks::Ours {
+            self.rpc("evm_setAutomine", "[false]");
+            self.rpc("anvil_setBlockTimestampInterval", "[1]");
+        }
+    }
+
+    /// Has a block made, where that is the test's to do, and waits until all have heard of one more.
+    pub fn next_block<'a>(&self, operators: impl IntoIterator<Item = &'a mut Operator>) {
+        match self.blocks {
+            Blocks::Ours => {
+                self.rpc("evm_mine", "[]");
+                let number = self.rpc("eth_blockNumber", "[]");
+                let number = u64::from_str_radix(&number.as_str().unwrap()[2..], 16).unwrap();
+                operators.into_iter().for_each(|operator| operator.hear_block(number));
+            }
+            // Without a transaction there is none: whatever comes next is news.
+            Blocks::ForEachTransaction => operators.into_iter().for_each(|operator| _ = operator.wait()),
+            Blocks::Theirs => operators.into_iter().for_each(Operator::hear_another_block),
+        }
+    }
+
+    /// Lets blocks go by until the condition holds for what an operator heard.
+    pub fn until(&self, operator: &mut Operator, what: &str, condition: impl Fn(&[Notice]) -> bool) {
+        operator.listen();
+        for _ in 0..BLOCKS {
+            if condition(&operator.notices) {
+                return;
+            }
+            self.next_block([&mut *operator]);
+        }
+        panic!("not within {BLOCKS} blocks: {what}; heard {:?}", operator.notices);
+    }
+
+    /// Lets blocks go by until all of these are registered.
+    pub fn register(&self, operators: &mut [Operator]) {
+        let tickets: Vec<Ticket> = operators.iter_mut().map(Operator::begin_registration).collect();
+        for (operator, ticket) in operators.iter_mut().zip(tickets) {
+            self.until(operator, "the registration", |notices| notices.contains(&Notice::Included(ticket)));
+        }
     }
 
     /// Ends the node.
@@ -143,8 +199,9 @@ impl Node {
     /// A registered operator with money.
     pub fn operator(&self, number: u8) -> Operator {
         self.enrich(number);
-        let mut operator = self.reconnect(number);
-        operator.register();
+        let mut operators = [self.reconnect(number)];
+        self.register(&mut operators);
+        let [operator] = operators;
         operator
     }
 
@@ -187,12 +244,9 @@ impl Node {
         answer["result"].take()
     }
 
-    /// Waits.
-    pub fn until(&self, what: &str, mut condition: impl FnMut() -> bool) {
-        let began = Instant::now();
-        while !condition() {
-            assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}");
-            thread::sleep(Duration::from_millis(5));
-        }
+    /// How many transactions wait for a block.
+    pub fn waiting(&self) -> u64 {
+        let status = self.rpc("txpool_status", "[]");
+        u64::from_str_radix(&status["pending"].as_str().unwrap()[2..], 16).unwrap()
     }
 }

@@ -1,9 +1,7 @@
-//! Operators of tests, and the two sides of a negotiation on the wall clock.
+//! Operators of tests, and the two sides of a negotiation, block by block. An operator's own clock stands still until a test
+//! moves it.
 
-use std::{
-    thread,
-    time::{Duration, Instant},
-};
+use std::time::Duration;
 
 use cotorra_graph::Timestamp;
 use cotorra_ledger::{
@@ -12,29 +10,37 @@ use cotorra_ledger::{
     negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Request},
 };
 
-use crate::node::PATIENCE;
+use crate::node::{BLOCKS, Node};
 
 pub struct Operator {
     pub ledger: EthereumLedger,
     pub key: Key,
     /// All that was heard.
     pub notices: Vec<Notice>,
-    began: Instant,
+    /// Whether the test keeps it from its node: nobody waits for it.
+    pub is_cut_off: bool,
+    now: Timestamp,
+    /// The last block that it heard of.
+    head: u64,
     announced: u64,
 }
 
 impl Operator {
+    /// One that has heard of the chain's head.
     pub fn new(ledger: EthereumLedger, key: Key) -> Self {
-        Self { ledger, key, notices: Vec::new(), began: Instant::now(), announced: 0 }
+        let (notices, now) = (Vec::new(), Timestamp::ZERO);
+        let mut operator = Self { ledger, key, notices, is_cut_off: false, now, head: 0, announced: 0 };
+        operator.wait_for(|notice| matches!(notice, Notice::Head { .. }));
+        operator
     }
 
     pub fn now(&self) -> Timestamp {
-        Timestamp::ZERO + self.began.elapsed()
+        self.now
     }
 
-    pub fn register(&mut self) {
-        let ticket = self.begin_registration();
-        self.until("the registration", |notices| notices.contains(&Notice::Included(ticket)));
+    /// Its own clock goes on by so much.
+    pub fn pass(&mut self, time: Duration) {
+        self.now = self.now + time;
     }
 
     pub fn begin_registration(&mut self) -> Ticket {
@@ -51,32 +57,42 @@ impl Operator {
         self.ledger.submit(self.now(), Call::Announce { salt, key, requirements, terms })
     }
 
-    /// Listens until the condition holds.
-    pub fn until(&mut self, what: &str, mut condition: impl FnMut(&[Notice]) -> bool) {
-        let began = Instant::now();
-        loop {
-            self.listen();
-            if condition(&self.notices) {
-                return;
-            }
-            assert!(began.elapsed() < PATIENCE, "not within {PATIENCE:?}: {what}; heard {:?}", self.notices);
-            thread::sleep(Duration::from_millis(5));
+    /// Waits until it hears that, whatever blocks there are or are not.
+    pub fn wait_for(&mut self, is_it: impl Fn(&Notice) -> bool) {
+        while !is_it(self.wait()) {}
+    }
+
+    /// Waits until it has heard of that block, if it can.
+    pub fn hear_block(&mut self, number: u64) {
+        self.listen();
+        while !self.is_cut_off && self.head < number {
+            self.wait();
         }
     }
 
-    /// The same, without sleeping: for what is timed.
-    pub fn until_closely(&mut self, mut condition: impl FnMut(&[Notice]) -> bool) {
-        while !condition(&self.notices) {
-            self.listen();
-            thread::yield_now();
+    /// Waits until it has heard of another block, if it can.
+    pub fn hear_another_block(&mut self) {
+        self.hear_block(self.head + 1);
+    }
+
+    /// Waits for the next news.
+    pub fn wait(&mut self) -> &Notice {
+        let notice = self.ledger.wait();
+        self.take_in(notice);
+        self.notices.last().unwrap()
+    }
+
+    pub fn listen(&mut self) {
+        while let Some(notice) = self.ledger.poll(self.now) {
+            self.take_in(notice);
         }
     }
 
-    pub fn listen(&mut self) -> Vec<Notice> {
-        let now = self.now();
-        let heard: Vec<Notice> = std::iter::from_fn(|| self.ledger.poll(now)).collect();
-        self.notices.extend(heard.iter().cloned());
-        heard
+    fn take_in(&mut self, notice: Notice) {
+        if let Notice::Head { number, .. } = notice {
+            self.head = number;
+        }
+        self.notices.push(notice);
     }
 }
 
@@ -100,6 +116,11 @@ pub fn policy() -> Policy {
     }
 }
 
+/// One bid is enough. It is waited for, as long as the creator's clock stands still.
+pub fn one_bid() -> Policy {
+    Policy { enough: 1, ..policy() }
+}
+
 pub fn request(policy: Policy) -> Request {
     let requirements = Requirements {
         vnf: "vAP".to_owned(),
@@ -113,7 +134,7 @@ pub fn request(policy: Policy) -> Request {
         width_mhz: 20,
         signal_dbm: -70,
     };
-    let terms = Terms { open_for: 300, deploy_within: 300, accept_within: 300, use_for: 600 };
+    let terms = Terms { open_for: 7200, deploy_within: 7200, accept_within: 7200, use_for: 600 };
     Request { requirements, terms, policy }
 }
 
@@ -168,10 +189,6 @@ impl CreatorSide {
             self.negotiation.handle(now, notice);
         }
         self.heard = self.operator.notices.len();
-        // One that was restarted hears first where it was.
-        if !self.operator.notices.iter().any(|notice| matches!(notice, Notice::Head { .. })) {
-            return;
-        }
         self.negotiation.expire(now);
         self.negotiation.submit(now, &mut self.operator.ledger);
         while let Some(step) = self.negotiation.poll_step() {
@@ -202,6 +219,7 @@ pub struct ProviderSide {
     pub operator: Operator,
     price: Price,
     negotiation: Option<Provider>,
+    heard: usize,
     behaviour: Behaviour,
     /// Whose services it bids for, if not for everybody's.
     serves: Option<Account>,
@@ -214,6 +232,7 @@ impl ProviderSide {
             operator,
             price,
             negotiation: None,
+            heard: 0,
             behaviour: Behaviour::Honest,
             serves: None,
             steps: Vec::new(),
@@ -243,9 +262,10 @@ impl ProviderSide {
     }
 
     fn go_on(&mut self) {
+        self.operator.listen();
         let now = self.operator.now();
-        for notice in self.operator.listen() {
-            if let (Notice::Event(event), None) = (&notice, &self.negotiation)
+        for notice in &self.operator.notices[self.heard..] {
+            if let (Notice::Event(event), None) = (notice, &self.negotiation)
                 && self.serves.is_none_or(
                     |of| matches!(event, Event::ServiceAnnounced { creator, .. } if *creator == of),
                 )
@@ -255,9 +275,10 @@ impl ProviderSide {
                 self.negotiation = Provider::new(key.account(), key.secret(), event, offer).unwrap();
             }
             if let Some(negotiation) = &mut self.negotiation {
-                negotiation.handle(now, &notice);
+                negotiation.handle(now, notice);
             }
         }
+        self.heard = self.operator.notices.len();
         let Some(negotiation) = &mut self.negotiation else { return };
         negotiation.submit(now, &mut self.operator.ledger).unwrap();
         while let Some(step) = negotiation.poll_step() {
@@ -272,17 +293,21 @@ impl ProviderSide {
     }
 }
 
-/// Lets all take part until the condition holds.
+/// Lets all take part, block by block, until the condition holds.
 pub fn until_all(
+    node: &Node,
     creator: &mut CreatorSide,
     providers: &mut [ProviderSide],
     condition: impl Fn(&CreatorSide, &[ProviderSide]) -> bool,
 ) {
-    let began = Instant::now();
-    while !condition(creator, providers) {
+    for _ in 0..BLOCKS {
         creator.go_on();
         providers.iter_mut().for_each(ProviderSide::go_on);
-        assert!(began.elapsed() < PATIENCE, "{:?} {:?}", creator.steps, creator.negotiation);
-        thread::sleep(Duration::from_millis(2));
+        if condition(creator, providers) {
+            return;
+        }
+        let others = providers.iter_mut().map(|provider| &mut provider.operator);
+        node.next_block([&mut creator.operator].into_iter().chain(others));
     }
+    panic!("not within {BLOCKS} blocks: {:?} {:?}", creator.steps, creator.negotiation);
 }

@@ -1,5 +1,5 @@
 //! The ledger of an experiment: how its orchestrators are set to it, and what it is called where its figures are shown, for
-//! a model, a single node and a network with consensus are not the same thing.
+//! a model, a single node and a network of several are not the same thing.
 
 use std::{collections::BTreeSet, fmt, time::Duration};
 
@@ -18,7 +18,7 @@ pub enum On {
     Network {
         /// It, and how each domain gets there.
         network: Network,
-        /// What it is, as its owner says: `a network of 4 validators`.
+        /// What it is, as its owner says: `a network of a university`.
         called: Option<String>,
     },
 }
@@ -105,10 +105,10 @@ mod tests {
             depth: 0,
             block_period: Duration::from_secs(1),
         };
-        let on = On::Network { network, called: Some("a network of 4 validators".to_owned()) };
+        let on = On::Network { network, called: Some("a network of a university".to_owned()) };
         assert_eq!(
             on.to_string(),
-            "a network of 4 validators: 4 nodes at 127.0.0.1, [::1], node.example (EthereumJS/1; chain 7701)"
+            "a network of a university: 4 nodes at 127.0.0.1, [::1], node.example (EthereumJS/1; chain 7701)"
         );
         let setting = on.setting(Some(&"two".parse().unwrap()), Duration::from_secs(1));
         assert!(
