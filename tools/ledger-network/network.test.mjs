@@ -1,7 +1,7 @@
 // Networks of real execution clients: they agree, go on without one, take it back, and start again with what they had. Nothing here
 // waits for a time: blocks are made one by one.
 //
-//   node --test tools/ledger-network
+//   node --test tools/ledger-network/network.test.mjs
 import assert from "node:assert/strict";
 import { mkdtempSync, rmSync } from "node:fs";
 import { createRequire } from "node:module";
