@@ -10,9 +10,9 @@ use std::{
 
 use indicatif::MultiProgress;
 use parking_lot::Mutex;
-use tracing_subscriber::{EnvFilter, Layer, fmt, layer::SubscriberExt, util::SubscriberInitExt};
+use tracing_subscriber::{Layer, filter::Targets, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
-/// Filters both logs, in `tracing_subscriber`'s syntax: `info,cotorra_fabric=trace`.
+/// Filters both logs: a level, and other levels for targets, as in `info,cotorra_fabric=trace`.
 const VARIABLE: &str = "COTORRA_LOG";
 
 /// Begins to log: cotorra's warnings (more if `verbose`) to standard error, around what `view` shows, and more of them into a
@@ -21,7 +21,7 @@ pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
     let (shown, kept) = usual(verbose);
     let filter = |usual: &str| {
         let said = env::var(VARIABLE).ok().filter(|said| !said.is_empty());
-        EnvFilter::builder().parse_lossy(said.as_deref().unwrap_or(usual))
+        targets(said.as_deref().unwrap_or(usual))
     };
     let file = LogFile::default();
     let (to_file, view) = (file.clone(), view.clone());
@@ -38,6 +38,23 @@ pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
         .with(kept_log.with_filter(filter(kept)))
         .init();
     file
+}
+
+/// Reads a filter, without what is none in it.
+fn targets(filter: &str) -> Targets {
+    let mut read = Targets::new();
+    for part in filter.split(',').filter(|part| !part.is_empty()) {
+        match part.parse::<Targets>() {
+            Ok(parsed) => {
+                if let Some(level) = parsed.default_level() {
+                    read = read.with_default(level);
+                }
+                read = read.with_targets(parsed);
+            }
+            Err(error) => eprintln!("warning: {VARIABLE}: ignored `{part}`: {error}"),
+        }
+    }
+    read
 }
 
 /// What is shown, and what is kept.
@@ -117,7 +134,7 @@ mod tests {
             let log = LogFile::default();
             let writer = log.clone();
             let layer = fmt::layer().with_writer(move || writer.clone());
-            let filter = EnvFilter::builder().parse_lossy(usual(verbose).0);
+            let filter = targets(usual(verbose).0);
             tracing::subscriber::with_default(
                 tracing_subscriber::registry().with(layer.with_filter(filter)),
                 || {
@@ -131,6 +148,14 @@ mod tests {
         };
         assert_eq!(shown(0), [false, true, true]);
         assert_eq!(shown(1), [true, true, true]);
+    }
+
+    #[test]
+    fn what_is_wrong_in_a_filter_is_left_out() {
+        assert_eq!(
+            targets("info,rustdds=loud,,cotorra_fabric=trace"),
+            "info,cotorra_fabric=trace".parse().unwrap()
+        );
     }
 
     #[test]

@@ -82,6 +82,7 @@ impl OccupancyGrid {
     }
 
     /// The cell at a column and row; `Unknown` off the map.
+    #[inline]
     pub fn cell(&self, column: usize, row: usize) -> Cell {
         if column < self.width && row < self.height {
             self.cells[row * self.width + column]

@@ -79,6 +79,14 @@ pub enum Error {
         /// What the engine says.
         cause: Arc<rusqlite::Error>,
     },
+    /// Servers are left out of this build.
+    #[error(
+        "{history}: this cotorra was built without MySQL and MariaDB: build it with `--features mariadb`, or name a file"
+    )]
+    WithoutServers {
+        /// Its server and database.
+        history: Arc<str>,
+    },
     /// The server cannot be reached, or went away.
     #[error("{history}: the server does not answer: {cause}; start it, or name another host or port")]
     Unreachable {

@@ -23,7 +23,6 @@ use crate::{
     paced::PacedRecorder,
     page::{Page, PageRequest},
     recorder::{Queue, Recorder},
-    server::Remote,
     sqlite::Sqlite,
     store::{Gap, Run, RunId, RunInfo, Selection, Span, Store},
 };
@@ -86,11 +85,14 @@ impl History {
     ///
     /// # Errors
     /// When it cannot be opened, made, or written, is no history, is damaged, or is of a newer cotorra; when a
-    /// server does not answer.
+    /// server does not answer, or this cotorra was built without servers.
     pub fn connect(location: &Location) -> Result<Self> {
         match location {
             Location::File(path) => Self::open(path),
-            Location::Server(server) => Self::of(Arc::new(Remote::open(server)?)),
+            #[cfg(feature = "mariadb")]
+            Location::Server(server) => Self::of(Arc::new(crate::server::Remote::open(server)?)),
+            #[cfg(not(feature = "mariadb"))]
+            server @ Location::Server(_) => Err(server.unsupported()),
         }
     }
 

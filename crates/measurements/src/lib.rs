@@ -22,6 +22,7 @@ mod recorder;
 mod retention;
 mod rolled;
 mod schema;
+#[cfg(feature = "mariadb")]
 mod server;
 mod sqlite;
 mod store;

@@ -7,6 +7,8 @@ use std::{
     sync::Arc,
 };
 
+use crate::error::Error;
+
 /// Where a history is kept. Read from text: a path, or `mysql://user:password@host:port/database`, which MariaDB
 /// answers to as well. Behind a `?`, a server's URL may have `socket=PATH` (a Unix socket instead of host and port)
 /// and `spool=FOLDER` (where to keep what was recorded while the server is away), joined by `&`.
@@ -76,6 +78,21 @@ impl Location {
             }
             other => other,
         }
+    }
+
+    /// Rejects a server if this cotorra was built without the feature `mariadb`.
+    ///
+    /// # Errors
+    /// [`Error::WithoutServers`].
+    pub fn check(&self) -> Result<(), Error> {
+        match self {
+            Self::Server(_) if cfg!(not(feature = "mariadb")) => Err(self.unsupported()),
+            _ => Ok(()),
+        }
+    }
+
+    pub(crate) fn unsupported(&self) -> Error {
+        Error::WithoutServers { history: self.to_string().into() }
     }
 
     /// Whether it has a password.
@@ -186,6 +203,17 @@ impl fmt::Debug for Server {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(not(feature = "mariadb"))]
+    #[test]
+    fn without_the_feature_the_error_names_it() {
+        let location: Location = "mysql://ana:secret@db/cotorra".parse().unwrap();
+        for refused in [location.check().err(), crate::History::connect(&location).err()] {
+            let told = refused.unwrap().to_string();
+            assert!(told.contains("`--features mariadb`") && !told.contains("secret"), "{told}");
+        }
+        Location::from(Path::new("runs/all.sqlite")).check().unwrap();
+    }
 
     fn server(text: &str) -> Server {
         match text.parse().unwrap() {

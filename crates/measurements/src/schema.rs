@@ -9,6 +9,7 @@ pub(crate) const MIGRATIONS: &[&str] = &[include_str!("schema/1.sql")];
 pub(crate) const STRETCH: i64 = 5_000_000_000;
 
 /// What a server says otherwise, in the order in which it is replaced.
+#[cfg(feature = "mariadb")]
 const OTHERWISE: &[(&str, &str)] = &[
     // A migration that was killed half-way goes on where it was: a server commits each statement by itself.
     ("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"),
@@ -24,6 +25,7 @@ const OTHERWISE: &[(&str, &str)] = &[
 ];
 
 /// A migration as single statements for MySQL and MariaDB, in a session with `ANSI_QUOTES`.
+#[cfg(feature = "mariadb")]
 pub(crate) fn for_server(migration: &str) -> Vec<String> {
     let words = |line: &str| line.split_whitespace().collect::<Vec<_>>().join(" ");
     let without_comments = migration.lines().map(|line| words(line.split("--").next().unwrap_or_default()));
@@ -39,7 +41,7 @@ pub(crate) fn for_server(migration: &str) -> Vec<String> {
     statements.map(translate).collect()
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "mariadb"))]
 mod tests {
     use super::*;
 

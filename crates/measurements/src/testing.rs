@@ -1,5 +1,6 @@
 //! Events for tests: any that can be, from a small set of names so that series meet themselves again.
 
+#[cfg(feature = "mariadb")]
 pub mod mariadb;
 
 use std::{sync::Arc, time::Duration};

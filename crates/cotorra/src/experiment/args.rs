@@ -76,7 +76,7 @@ pub struct OkpiArgs {
     /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
     ///
     /// Several runs can share one. A server is named as mysql://USER@HOST:PORT/DATABASE, and its password in the environment
-    /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
+    /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. Needs a cotorra that was built with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     #[command(flatten)]

@@ -147,7 +147,8 @@ pub struct ImportArgs {
 pub struct HistoryPlace {
     /// The history that runs are numbered in: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
     ///
-    /// Its password is in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it.
+    /// Its password is in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a
+    /// cotorra that was built with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Folder with the folders of runs

@@ -30,14 +30,20 @@ impl fmt::Debug for Place {
 
 /// What was typed names no history.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
-#[error("--history or {HISTORY_VARIABLE}: {0}")]
-#[diagnostic(help("or a file, as in runs/all.sqlite"))]
-pub struct WrongPlace(InvalidLocation);
+pub enum WrongPlace {
+    #[error("--history or {HISTORY_VARIABLE}: {0}")]
+    #[diagnostic(help("or a file, as in runs/all.sqlite"))]
+    Invalid(#[from] InvalidLocation),
+    /// A kind of history that this build leaves out.
+    #[error("--history or {HISTORY_VARIABLE}: {0}")]
+    Unsupported(cotorra_measurements::Error),
+}
 
 /// The place as a location. An empty text, as an empty variable has it, is none.
 pub fn location(place: Option<&Place>) -> Result<Option<Location>, WrongPlace> {
     let Some(Place(text)) = place.filter(|place| !place.0.is_empty()) else { return Ok(None) };
-    let location: Location = text.parse().map_err(WrongPlace)?;
+    let location: Location = text.parse()?;
+    location.check().map_err(WrongPlace::Unsupported)?;
     if location.has_password() && std::env::var(HISTORY_VARIABLE).as_ref() != Ok(text) {
         eprintln!(
             "warning: everyone on this machine can see the password in --history: leave it out there, and set \

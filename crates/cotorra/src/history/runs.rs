@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use chrono::{DateTime, Local};
 use cotorra_measurements::Run;
 
 use super::args::HistoryRunsArgs;
@@ -67,9 +68,10 @@ fn heads(first: &str) -> Table {
 fn row(table: &mut Table, name: String, run: &Run) {
     let began = match run.info.started_at_unix_ns {
         0 => "in virtual time".to_owned(),
-        ns => jiff::Timestamp::from_nanosecond(ns.into())
-            .map(|t| t.to_zoned(jiff::tz::TimeZone::system()).strftime("%Y-%m-%d %H:%M:%S").to_string())
-            .unwrap_or_else(|_| "?".to_owned()),
+        ns => {
+            let began = DateTime::from_timestamp_nanos(ns).with_timezone(&Local);
+            began.format("%Y-%m-%d %H:%M:%S").to_string()
+        }
     };
     let lasted = run.ended.map_or("no end".to_owned(), |ended| clock(ended.as_secs_f64()));
     table.row([name, run.info.name.clone(), run.info.seed.to_string(), began, lasted]);

@@ -17,6 +17,7 @@ const REAL: u8 = 2;
 const TEXT: u8 = 3;
 
 /// Appends an entry.
+#[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "of spools alone"))]
 pub(crate) fn write(entry: &Entry, bytes: &mut Vec<u8>) {
     let (mut row, mut children) = (Fields::default(), Fields::default());
     encode(&entry.stamped.event, &mut row, &mut children);
@@ -74,6 +75,7 @@ type Answer<T> = std::result::Result<T, ReadError>;
 
 impl Bytes<'_> {
     /// The next entry.
+    #[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "of spools alone"))]
     pub fn entry(&mut self) -> Answer<Entry> {
         let run = RunId(self.plain_integer()?);
         let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());

@@ -9,28 +9,34 @@ use std::sync::Arc;
 use crate::{
     Figure, LinkQuantity, RobotQuantity,
     error::Error,
-    location::Location,
     memory::Memory,
     rolled::Reading,
-    server::Remote,
     sqlite::Sqlite,
-    testing::{figure, mariadb::MariaDb, run_info, stamped, time},
+    testing::{figure, run_info, stamped, time},
 };
+#[cfg(feature = "mariadb")]
+use crate::{location::Location, server::Remote, testing::mariadb::MariaDb};
 
 /// All engines, for the many cases of one test.
 struct Engines {
     folder: tempfile::TempDir,
     /// A server's tables take long to make: its cases share a database.
+    #[cfg(feature = "mariadb")]
     remote: Option<(Arc<Remote>, Arc<MariaDb>)>,
 }
 
 impl Engines {
     fn new() -> Self {
+        #[cfg(feature = "mariadb")]
         let remote = MariaDb::shared().map(|server| {
             let Location::Server(place) = server.fresh().parse().unwrap() else { panic!("it is a server") };
             (Arc::new(Remote::open(&place).unwrap()), server)
         });
-        Self { folder: tempfile::tempdir().unwrap(), remote }
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            #[cfg(feature = "mariadb")]
+            remote,
+        }
     }
 
     /// Each engine with two runs: the first is asked, the second is in the way.
@@ -41,6 +47,7 @@ impl Engines {
         }
         let mut stores: Vec<Arc<dyn Store>> =
             vec![Arc::<Memory>::default(), Arc::new(Sqlite::open(&path).unwrap())];
+        #[cfg(feature = "mariadb")]
         if let Some((remote, _)) = &self.remote {
             stores.push(remote.clone());
         }

@@ -53,7 +53,7 @@ impl Place {
         let (parent, names): (_, Vec<_>) = match self {
             Self::At(path) => (path.parent().unwrap_or(Path::new("")), vec![path.clone()]),
             Self::In(parent) => {
-                let time = jiff::Zoned::now().strftime("%Y%m%d-%H%M%S");
+                let time = chrono::Local::now().format("%Y%m%d-%H%M%S");
                 let stem = format!("{name}-{time}");
                 // Two runs within one second each get their own.
                 let names = std::iter::once(stem.clone()).chain((2..1000).map(|i| format!("{stem}-{i}")));
