@@ -7,7 +7,7 @@ mod engine;
 mod memory;
 mod process;
 
-use std::{collections::BTreeMap, time::Duration};
+use std::time::Duration;
 
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
@@ -110,56 +110,51 @@ fn life(vnf: &VnfId, node: &NodeId, state: VnfState, detail: Option<String>) -> 
 pub struct Vim<E> {
     engine: E,
     graph: HardwareGraph,
-    slots: BTreeMap<VnfId, Slot>,
+    /// By name. They are looked at in each step of virtual time: a map would take longer.
+    slots: Vec<Slot>,
     instances: u64,
 }
 
 impl<E: Engine> Vim<E> {
     /// Manages the VNFs of these services; nothing runs before [`Vim::start`].
     pub fn new(graph: HardwareGraph, services: &[Service], engine: E) -> Self {
-        let slots = services
-            .iter()
-            .flat_map(|service| &service.vnfs)
-            .map(|vnf| {
-                let slot = Slot {
-                    vnf: vnf.clone(),
-                    current: None,
-                    next: None,
-                    last: Vec::new(),
-                    node: vnf.node.clone(),
-                    restart_at: None,
-                    backoff: FIRST_BACKOFF,
-                };
-                (vnf.id.clone(), slot)
-            })
-            .collect();
+        let slot = |vnf: &Vnf| Slot {
+            vnf: vnf.clone(),
+            current: None,
+            next: None,
+            last: Vec::new(),
+            node: vnf.node.clone(),
+            restart_at: None,
+            backoff: FIRST_BACKOFF,
+        };
+        let mut slots: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(slot).collect();
+        slots.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
         Self { engine, graph, slots, instances: 0 }
     }
 
     /// Starts every VNF where the testbed file puts it.
     pub fn start(&mut self, now: Timestamp) -> Vec<Event> {
-        let vnfs: Vec<_> = self.slots.keys().cloned().collect();
         let mut events = Vec::new();
-        for vnf in vnfs {
-            let node = self.slots[&vnf].node.clone();
-            self.launch(now, &vnf, node, &mut events);
+        for index in 0..self.slots.len() {
+            let node = self.slots[index].node.clone();
+            self.launch(now, index, node, &mut events);
         }
         events
     }
 
     /// Where a VNF runs, or is about to for the first time.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
-        self.slots.get(vnf).map(|slot| &slot.node)
+        self.index(vnf).map(|index| &self.slots[index].node)
     }
 
     /// Where every VNF runs.
     pub fn placements(&self) -> Vec<Placement> {
-        self.slots.values().map(|s| Placement { vnf: s.vnf.id.clone(), node: s.node.clone() }).collect()
+        self.slots.iter().map(|s| Placement { vnf: s.vnf.id.clone(), node: s.node.clone() }).collect()
     }
 
     /// Whether every VNF runs and is ready.
     pub fn all_ready(&self) -> bool {
-        self.slots.values().all(|s| s.current.as_ref().is_some_and(|i| i.ready))
+        self.slots.iter().all(|s| s.current.as_ref().is_some_and(|i| i.ready))
     }
 
     /// Begins to move a VNF; [`Event::Placement`] tells when packets go to the new node. Does nothing where it runs
@@ -168,7 +163,8 @@ impl<E: Engine> Vim<E> {
     /// # Errors
     /// [`VimError`]; then nothing changed.
     pub fn place(&mut self, now: Timestamp, vnf: &VnfId, node: &NodeId) -> Result<Vec<Event>, VimError> {
-        let slot = self.slots.get(vnf).ok_or_else(|| VimError::UnknownVnf(vnf.clone()))?;
+        let index = self.index(vnf).ok_or_else(|| VimError::UnknownVnf(vnf.clone()))?;
+        let slot = &self.slots[index];
         if let Some(pinned) = slot.vnf.pinned_to.as_ref().filter(|pinned| *pinned != node) {
             return Err(VimError::Pinned { vnf: vnf.clone(), node: pinned.clone() });
         }
@@ -179,7 +175,7 @@ impl<E: Engine> Vim<E> {
             self.check_room(vnf, slot.vnf.cpus, slot.vnf.memory_bytes, node)?;
         }
         let mut events = Vec::new();
-        let slot = self.slots.get_mut(vnf).expect("it was found above");
+        let slot = &mut self.slots[index];
         if let Some(given_up) = slot.next.take() {
             self.engine.stop(given_up.id);
         }
@@ -192,7 +188,7 @@ impl<E: Engine> Vim<E> {
                 let (_, instance) = slot.last.swap_remove(place);
                 slot.switch(now, instance, &mut events);
             }
-            None => self.launch(now, vnf, node.clone(), &mut events),
+            None => self.launch(now, index, node.clone(), &mut events),
         }
         Ok(events)
     }
@@ -203,21 +199,18 @@ impl<E: Engine> Vim<E> {
         while let Some(happened) = self.engine.poll() {
             self.absorb(now, happened, &mut events);
         }
-        for slot in self.slots.values_mut() {
+        for slot in &mut self.slots {
             for (_, old) in slot.last.extract_if(.., |(until, _)| *until <= now) {
                 events.push(life(&slot.vnf.id, &old.node, VnfState::Stopped, None));
                 self.engine.stop(old.id);
             }
         }
-        let due: Vec<_> = self
-            .slots
-            .values()
-            .filter(|s| s.restart_at.is_some_and(|at| at <= now))
-            .map(|s| (s.vnf.id.clone(), s.node.clone()))
-            .collect();
-        for (vnf, node) in due {
-            self.slots.get_mut(&vnf).expect("it was listed above").restart_at = None;
-            self.launch(now, &vnf, node, &mut events);
+        for index in 0..self.slots.len() {
+            let slot = &mut self.slots[index];
+            if slot.restart_at.take_if(|at| *at <= now).is_some() {
+                let node = slot.node.clone();
+                self.launch(now, index, node, &mut events);
+            }
         }
         events
     }
@@ -226,12 +219,12 @@ impl<E: Engine> Vim<E> {
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let of_slot =
             |slot: &Slot| slot.restart_at.into_iter().chain(slot.last.iter().map(|(until, _)| *until)).min();
-        self.slots.values().filter_map(of_slot).min()
+        self.slots.iter().filter_map(of_slot).min()
     }
 
     /// Stops everything and waits for it.
     pub fn shut_down(&mut self) {
-        for slot in self.slots.values_mut() {
+        for slot in &mut self.slots {
             slot.restart_at = None;
             let last = slot.last.drain(..).map(|(_, instance)| instance);
             for instance in slot.current.take().into_iter().chain(slot.next.take()).chain(last) {
@@ -253,7 +246,7 @@ impl<E: Engine> Vim<E> {
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
         let others = || {
             self.slots
-                .values()
+                .iter()
                 .filter(|s| s.vnf.id != *vnf && s.node == *id)
                 .map(|s| (s.vnf.cpus, s.vnf.memory_bytes))
         };
@@ -273,9 +266,13 @@ impl<E: Engine> Vim<E> {
         Ok(())
     }
 
+    fn index(&self, vnf: &VnfId) -> Option<usize> {
+        self.slots.binary_search_by(|slot| slot.vnf.id.cmp(vnf)).ok()
+    }
+
     /// Starts an instance of a VNF on a node; it becomes the current one when it is ready.
-    fn launch(&mut self, now: Timestamp, vnf: &VnfId, node: NodeId, events: &mut Vec<Event>) {
-        let Some(slot) = self.slots.get_mut(vnf) else { return };
+    fn launch(&mut self, now: Timestamp, index: usize, node: NodeId, events: &mut Vec<Event>) {
+        let slot = &mut self.slots[index];
         self.instances += 1;
         let id = InstanceId(self.instances);
         slot.next = Some(Instance { id, node: node.clone(), since: now, ready: false });
@@ -290,10 +287,10 @@ impl<E: Engine> Vim<E> {
     fn absorb(&mut self, now: Timestamp, happened: EngineEvent, events: &mut Vec<Event>) {
         if let Outcome::Died(_) = happened.outcome {
             // One that was to stop soon anyway.
-            self.slots.values_mut().for_each(|slot| slot.last.retain(|(_, i)| i.id != happened.instance));
+            self.slots.iter_mut().for_each(|slot| slot.last.retain(|(_, i)| i.id != happened.instance));
         }
         let is = |i: &Option<Instance>| i.as_ref().is_some_and(|i| i.id == happened.instance);
-        let Some(slot) = self.slots.values_mut().find(|s| is(&s.current) || is(&s.next)) else {
+        let Some(slot) = self.slots.iter_mut().find(|s| is(&s.current) || is(&s.next)) else {
             return; // A stopped instance has its last word; nobody waits for it.
         };
         let vnf = slot.vnf.id.clone();

@@ -1,3 +1,5 @@
+use std::collections::BTreeMap;
+
 use cotorra_graph::{Capacity, DomainId, Node, NodeKind, Server, ServiceId, Tier};
 
 use super::*;
