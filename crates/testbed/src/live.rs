@@ -10,7 +10,8 @@ use parking_lot::RwLock;
 use serde::Serialize;
 
 /// The last of every embedding.
-#[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Snapshot {
     /// When the last event happened.
     pub at: Timestamp,

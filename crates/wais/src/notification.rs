@@ -4,7 +4,6 @@ use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
 use cotorra_graph::Timestamp;
 use serde::Serialize;
-use utoipa::ToSchema;
 
 use crate::{
     measurement::{Measured, Reports},
@@ -26,7 +25,8 @@ const MEASUREMENT: Duration = Duration::from_secs(1);
 const TIME_UNIT: Duration = Duration::from_micros(1024);
 
 /// What consumers are told.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "notificationType")]
 pub enum Notification {
     /// Who is associated with an access point (6.4.2).
@@ -63,15 +63,15 @@ pub enum Notification {
         time_stamp: TimeStamp,
         /// What stations hear.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[schema(required = false)]
+        #[cfg_attr(feature = "openapi", schema(required = false))]
         beacon_report: Vec<BeaconReport>,
         /// Access points that they could go to.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[schema(required = false)]
+        #[cfg_attr(feature = "openapi", schema(required = false))]
         neighbor_report: Vec<NeighborReport>,
         /// How busy channels are.
         #[serde(skip_serializing_if = "Vec::is_empty")]
-        #[schema(required = false)]
+        #[cfg_attr(feature = "openapi", schema(required = false))]
         channel_load: Vec<ChannelLoad>,
     },
     /// Tests that notifications arrive (6.4.6).

@@ -4,12 +4,12 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity, TimeStamp};
 
 /// A subscription.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "subscriptionType")]
 pub enum Subscription {
     /// Who is associated with an access point.
@@ -21,47 +21,50 @@ pub enum Subscription {
 }
 
 /// Where notifications go, and until when.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct Notifying {
     /// Where notifications are posted: `http://host:port/path`, on a network that the operator allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(format = "uri", nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
     pub callback_reference: Option<String>,
     /// Ask for a `TestNotification` first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub request_test_notification: Option<bool>,
     /// Ask for a WebSocket in place of a callback; wins where both are given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub websock_notif_config: Option<WebsockNotifConfig>,
     /// Set by the service.
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub links: Option<SelfLink>,
     /// When the subscription ends: what is asked for, but a day at most. Without it, with the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub expiry_deadline: Option<TimeStamp>,
 }
 
 /// A WebSocket for notifications (6.5.42).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct WebsockNotifConfig {
     /// Set by the service: where to connect.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(format = "uri", nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
     pub websocket_uri: Option<String>,
     /// True asks for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub request_websocket_uri: Option<bool>,
 }
 
 /// Asks who is associated with an access point (6.3.2): periodically, at a threshold, or periodically beyond it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct AssocStaSubscription {
     /// Where to, and until when.
@@ -71,59 +74,62 @@ pub struct AssocStaSubscription {
     pub ap_id: ApIdentity,
     /// Seconds between notifications; one of this and `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 1, maximum = 255, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
     pub notification_period: Option<u8>,
     /// The threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub notification_event: Option<AssocStaEvent>,
 }
 
 /// A number of stations (6.3.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AssocStaEvent {
     /// 1: at the threshold or more; 2: at the threshold or fewer.
-    #[schema(minimum = 1, maximum = 2)]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 2))]
     pub trigger: u8,
     /// Stations.
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub threshold: u8,
 }
 
 /// Asks for rates of stations (6.3.3).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRateSubscription {
     /// Where to, and until when.
     #[serde(flatten)]
     pub notifying: Notifying,
     /// The stations.
-    #[schema(min_items = 1)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
     /// Seconds between notifications; one of this and `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(minimum = 1, maximum = 255, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
     pub notification_period: Option<u8>,
     /// The threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub notification_event: Option<StaDataRateEvent>,
 }
 
 /// Rates to compare with (6.3.3).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRateEvent {
     /// 1 and 2: downlink at its threshold or more, or less; 3 and 4: uplink; 5 and 6: both; 7 and 8: either.
-    #[schema(minimum = 1, maximum = 8)]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 8))]
     pub trigger: u8,
     /// kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub downlink_rate_threshold: Option<u32>,
     /// kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub uplink_rate_threshold: Option<u32>,
 }
 
@@ -145,155 +151,164 @@ impl StaDataRateEvent {
 }
 
 /// Asks for reports of a measurement (6.3.5).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementReportSubscription {
     /// Where to, and until when.
     #[serde(flatten)]
     pub notifying: Notifying,
     /// The stations.
-    #[schema(min_items = 1)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
     /// What the consumer calls it.
-    #[schema(value_type = String)]
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
     /// What is measured.
     pub measurement_info: MeasurementInfo,
 }
 
 /// A measurement whose reports are told with stations' information (6.2.4).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfig {
     /// Set by the service.
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub links: Option<SelfLink>,
     /// What the consumer calls it; no other configuration may be called so.
-    #[schema(value_type = String)]
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
     /// The stations.
-    #[schema(min_items = 1)]
+    #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
     /// What is measured.
     pub measurement_info: MeasurementInfo,
 }
 
 /// What is measured (6.5.41): exactly one of the four.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementInfo {
     /// Units of 1024 µs between reports of a subscription, where that is more than a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(maximum = 65535, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
     pub measurement_duration: Option<u16>,
     /// Accepted, and of no effect: nothing is put on the air that would have to be spread.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(maximum = 65535, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
     pub random_interval: Option<u16>,
     /// How busy a channel is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub channel_load_conf: Option<ChannelLoadConfig>,
     /// What stations hear.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub beacon_request_conf: Option<BeaconRequestConfig>,
     /// Counters of a station, which this service does not have: refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub sta_statistics_conf: Option<StaStatisticsConfig>,
     /// Access points that stations could go to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub neighbor_report_conf: Option<NeighborReportConfig>,
 }
 
 /// How busy a channel is (6.5.24).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ChannelLoadConfig {
     /// Global operating class (IEEE 802.11-2016, Table E-4).
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub operating_class: u8,
     /// The channel.
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub channel: u8,
     /// 0, or left out: always; 1: at the threshold or more; 2: at the threshold or less.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(maximum = 2, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 2, nullable = false))]
     pub reporting_condition: Option<u8>,
     /// 255 is busy all the time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(maximum = 255, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255, nullable = false))]
     pub threshold: Option<u8>,
 }
 
 /// What stations hear (6.5.25).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconRequestConfig {
     /// Global operating class (IEEE 802.11-2016, Table E-4).
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub operating_class: u8,
     /// A channel of that class; 0 or 255: all of them.
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub channel_id: u8,
     /// 0: passive, 1: active, 2: the beacon table. Whichever it is, what the station heard last is told: this service
     /// takes no radio off its channel.
-    #[schema(maximum = 2)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 2))]
     pub measurement_mode: u8,
     /// Only this access point.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub bssid: Option<Mac>,
     /// Only this network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub ssid: Option<String>,
     /// Which of what is heard is reported.
     pub beacon_reporting_conf: BeaconReportingConfig,
 }
 
 /// Which beacons are reported (6.5.28).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReportingConfig {
     /// 0: all; 1 and 2: RCPI above or below the threshold; 3 and 4: RSNI; 5 to 8: the same beside the serving access
     /// point's with an offset; 9 and 10: RCPI or RSNI between the serving access point's and that with the offset.
-    #[schema(maximum = 10)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 10))]
     pub reporting_condition: u8,
     /// The threshold, or the offset: an 8-bit two's complement number in units of 0.5 dB.
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub threshold: u8,
 }
 
 /// Counters of a station (6.5.26), as far as they are named: nothing of it is known here.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaStatisticsConfig {
     /// Which counters.
-    #[schema(maximum = 255)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub group_identity: u8,
     /// When.
     pub triggered_report: bool,
 }
 
 /// Access points that stations could go to (6.5.32).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NeighborReportConfig {
     /// Of this network; without it, of the station's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub ssid: Option<String>,
     /// Only this one; ignored without `ssid`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub bssid: Option<Mac>,
 }
 
 /// Links to subscriptions (6.3.4).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SubscriptionLinkList {
     /// To this list.
     #[serde(rename = "_links")]
@@ -303,18 +318,20 @@ pub struct SubscriptionLinkList {
 }
 
 /// A link to a subscription (6.3.4).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct SubscriptionLink {
     /// Its URI.
-    #[schema(format = "uri")]
+    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
     /// Its type.
     pub subscription_type: &'static str,
 }
 
 /// Links to measurement configurations (6.2.5).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLinkList {
     /// To this list.
@@ -325,19 +342,21 @@ pub struct MeasurementConfigLinkList {
 }
 
 /// A link to a measurement configuration (6.2.5).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLink {
     /// Its URI.
-    #[schema(format = "uri")]
+    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
     /// What the consumer calls it.
-    #[schema(value_type = String)]
+    #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
 }
 
 /// Tells that a subscription is about to expire, or tests it: its link (6.4.4, 6.4.6).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ToSubscription {
     /// The subscription.
     pub subscription: LinkType,

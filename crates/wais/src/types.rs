@@ -5,16 +5,16 @@ use std::{fmt, str::FromStr, sync::Arc};
 
 use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// Time since 1970-01-01 UTC (6.5.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct TimeStamp {
     /// Whole seconds.
     pub seconds: u32,
     /// The rest.
-    #[schema(maximum = 999_999_999)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 999_999_999))]
     pub nano_seconds: u32,
 }
 
@@ -41,8 +41,10 @@ impl Epoch {
 }
 
 /// A MAC address, written in lower case with colons.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
-#[schema(value_type = String, pattern = "^([0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}$", examples("02:77:00:00:00:01"))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(value_type = String, pattern = "^([0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}$",
+    examples("02:77:00:00:00:01")))]
 #[serde(try_from = "String", into = "String")]
 pub struct Mac(pub [u8; 6]);
 
@@ -89,15 +91,17 @@ impl fmt::Display for Mac {
 }
 
 /// A link to a resource (6.5.23).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LinkType {
     /// Its URI.
-    #[schema(format = "uri")]
+    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
 }
 
 /// The link to the resource itself.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SelfLink {
     /// Its URI.
     #[serde(rename = "self")]
@@ -111,43 +115,46 @@ impl SelfLink {
 }
 
 /// Which access point (6.5.3).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ApIdentity {
     /// Its MAC address.
     pub bssid: Mac,
     /// The networks that it serves.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[schema(value_type = Vec<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ssid: Arc<[String]>,
     /// Its addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[schema(value_type = Vec<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ip_address: Arc<[String]>,
 }
 
 /// Which station (6.5.11).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaIdentity {
     /// Its MAC address.
     pub mac_id: Mac,
     /// The network that it joins.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[schema(value_type = Vec<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ssid: Arc<[String]>,
     /// Its addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
-    #[schema(value_type = Vec<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ip_address: Arc<[String]>,
 }
 
 /// An access point and what is known of it (6.2.2).
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ApInfo {
     /// When that was known; left out with `fields`.
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub time_stamp: TimeStamp,
     /// Which.
     pub ap_id: ApIdentity,
@@ -165,7 +172,8 @@ pub struct ApInfo {
 }
 
 /// The BSS Load element (6.5.7; IEEE 802.11-2016, 9.4.2.28).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BssLoad {
     /// Stations associated now.
@@ -177,7 +185,8 @@ pub struct BssLoad {
 }
 
 /// The wired link behind an access point (6.5.6; Hotspot 2.0).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct WanMetrics {
     /// 1: the link is up; 5: and it is as fast in both directions.
@@ -195,14 +204,16 @@ pub struct WanMetrics {
 }
 
 /// Where an access point is (6.5.9).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ApLocation {
     /// On Earth.
     pub geolocation: GeoLocation,
 }
 
 /// A place on Earth (6.5.19; RFC 6225): fixed point with 25 bits of fraction, two's complement in 34 bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct GeoLocation {
     /// 0: unknown.
@@ -218,18 +229,19 @@ pub struct GeoLocation {
 }
 
 /// A station and what is known of it (6.2.3).
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaInfo {
     /// When that was known; left out with `fields`.
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub time_stamp: TimeStamp,
     /// Which.
     pub sta_id: StaIdentity,
     /// The channel of its access point.
     pub channel: u32,
     /// Its access point; left out with `fields`.
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub ap_associated: ApIdentity,
     /// What its access point receives of it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -239,28 +251,30 @@ pub struct StaInfo {
     pub sta_data_rate: Option<StaDataRate>,
     /// What it hears, for measurement configurations that ask for it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub beacon_report: Vec<BeaconReport>,
     /// Access points that it could go to, for measurement configurations that ask for it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub neighbor_report: Vec<NeighborReport>,
     /// How busy channels are, for measurement configurations that ask for it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[schema(required = false)]
+    #[cfg_attr(feature = "openapi", schema(required = false))]
     pub channel_load: Vec<ChannelLoad>,
 }
 
 /// Received signal (6.5.21).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Rssi {
     /// Coded as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110), P in dBm.
-    #[schema(maximum = 220)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 220))]
     pub rssi: u8,
 }
 
 /// Rates of a station (6.5.22).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRate {
     /// Which; left out where the station is told around it.
@@ -273,7 +287,8 @@ pub struct StaDataRate {
 }
 
 /// What a station hears of an access point (6.5.27).
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReport {
     /// Which station; left out where it is told around it.
@@ -292,14 +307,15 @@ pub struct BeaconReport {
     /// The network.
     pub ssid: String,
     /// Received power: 2·(P + 110), P in dBm.
-    #[schema(maximum = 220)]
+    #[cfg_attr(feature = "openapi", schema(maximum = 220))]
     pub rcpi: u8,
     /// Over the noise floor: 2·(SNR + 10), SNR in dB (IEEE 802.11-2016, 9.4.2.41).
     pub rsni: u8,
 }
 
 /// A frame that was heard (6.5.29).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ReportedBeaconFrameInfo {
     /// `dot11PHYType`: 4 OFDM, 6 ERP, 7 HT, 9 VHT.
@@ -309,7 +325,8 @@ pub struct ReportedBeaconFrameInfo {
 }
 
 /// An access point that a station could go to (6.5.10).
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct NeighborReport {
     /// Which station; left out where it is told around it.
@@ -330,7 +347,8 @@ pub struct NeighborReport {
 }
 
 /// What a neighbor can do (6.5.30).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BssidInfo {
     /// 3: reachable.
@@ -350,7 +368,8 @@ pub struct BssidInfo {
 }
 
 /// Options of an access point (6.5.31).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BssCapabilities {
     /// Not emulated.
@@ -370,7 +389,8 @@ pub struct BssCapabilities {
 }
 
 /// How busy a channel is (6.5.39).
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ChannelLoad {
     /// Which station; left out where it is told around it.

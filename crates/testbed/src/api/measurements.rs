@@ -12,17 +12,20 @@ use cotorra_measurements::{
 };
 use serde::Deserialize;
 
+#[cfg(feature = "openapi")]
+use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
     stream::parse_kinds,
-    types::{Failure, FailureBody, GapBody, Path, Query, RunBody},
+    types::{Failure, GapBody, Path, Query, RunBody},
 };
 
 /// Which part of the history.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Part {
     /// From here on, seconds since the run began.
     #[serde(default)]
@@ -32,14 +35,14 @@ pub(super) struct Part {
     /// How many at the most; 1000 if it is left out, never more than 10000.
     limit: Option<usize>,
     /// The `next` of the page before.
-    #[param(value_type = Option<String>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<String>))]
     after: Option<Cursor>,
     /// One direction of the link, `forward` if it is left out; for links only.
     direction: Option<Direction>,
     /// Kinds of events, with commas between, all if it is left out; for events only.
     kinds: Option<String>,
     /// The number of another run of the same history, in place of this one.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
@@ -93,9 +96,9 @@ fn this_run(caller: &Caller, run: Option<RunId>) -> Result<(), Failure> {
 }
 
 /// κ of a robot over time.
-#[utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<RobotContext>>), (status = 404, body = FailureBody)))]
+    responses((status = 200, body = Page<Sample<RobotContext>>), (status = 404, body = FailureBody))))]
 pub(super) async fn robot_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -120,9 +123,9 @@ pub(super) async fn robot_history(
 }
 
 /// d, λ and conditions of one direction of a link over time.
-#[utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<LinkContext>>), (status = 404, body = FailureBody)))]
+    responses((status = 200, body = Page<Sample<LinkContext>>), (status = 404, body = FailureBody))))]
 pub(super) async fn link_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -145,8 +148,9 @@ pub(super) async fn link_history(
 }
 
 /// Service times.
-#[utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements", params(Part),
-    responses((status = 200, body = Page<Sample<ServiceTime>>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
+    params(Part),
+    responses((status = 200, body = Page<Sample<ServiceTime>>))))]
 pub(super) async fn service_times(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -163,8 +167,9 @@ pub(super) async fn service_times(
 
 /// How far samples of a run were rolled up, by kind: what is told of the time before has one sample a step, and figures
 /// are of all that there were. None if all are as they were recorded.
-#[utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements", params(OfRun),
-    responses((status = 200, body = Vec<Retained>), (status = 404, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
+    params(OfRun),
+    responses((status = 200, body = Vec<Retained>), (status = 404, body = FailureBody))))]
 pub(super) async fn retained(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -175,18 +180,20 @@ pub(super) async fn retained(
 }
 
 /// Which run.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct OfRun {
     /// The number of another run of the same history, in place of this one.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
 /// Handovers.
-#[utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements", params(Part),
-    responses((status = 200, body = Page<Sample<Handover>>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements",
+    params(Part),
+    responses((status = 200, body = Page<Sample<Handover>>))))]
 pub(super) async fn handovers(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -201,8 +208,9 @@ pub(super) async fn handovers(
 
 /// Events of any kind, as they were told. Where a domain's token is shown, a page has fewer than its limit: the others are
 /// not the domain's.
-#[utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements", params(Part),
-    responses((status = 200, body = Page<Stamped>), (status = 400, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
+    params(Part),
+    responses((status = 200, body = Page<Stamped>), (status = 400, body = FailureBody))))]
 pub(super) async fn events(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -222,8 +230,9 @@ pub(super) async fn events(
 }
 
 /// Where events were lost.
-#[utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements", params(Part),
-    responses((status = 200, body = Page<GapBody>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements",
+    params(Part),
+    responses((status = 200, body = Page<GapBody>))))]
 pub(super) async fn gaps(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -238,15 +247,16 @@ pub(super) async fn gaps(
 }
 
 /// Which figure, and how.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
     /// The figure and what it is of: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward if
     /// no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`, `turn:…` or `obstacle:…`;
     /// `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all if they
     /// are left out); `lateness_p50`, `lateness_p99` or `lateness_max`.
-    #[param(value_type = String)]
+    #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
     /// From here on, seconds since the run began.
     #[serde(default)]
@@ -258,14 +268,15 @@ pub(super) struct Which {
     /// Quantiles that each point is to have, as shares from 0 to 1 with commas between; 0.5 if it is left out.
     quantiles: Option<String>,
     /// The number of another run of the same history, in place of this one.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
 /// A figure over time in a bounded number of points: of each the count, least, greatest, mean, last and quantiles of its
 /// samples, and whether events were lost.
-#[utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements", params(Which),
-    responses((status = 200, body = Curve), (status = 400, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
+    params(Which),
+    responses((status = 200, body = Curve), (status = 400, body = FailureBody))))]
 pub(super) async fn series(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -288,20 +299,22 @@ pub(super) async fn series(
 }
 
 /// Which runs.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Runs {
     /// Those after this one.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     after: Option<RunId>,
     /// How many at the most; 1000 if it is left out, never more than 10000.
     limit: Option<usize>,
 }
 
 /// The runs that share this run's history, the oldest first.
-#[utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements", params(Runs),
-    responses((status = 200, body = Vec<RunBody>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements",
+    params(Runs),
+    responses((status = 200, body = Vec<RunBody>))))]
 pub(super) async fn runs(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -317,21 +330,23 @@ pub(super) async fn runs(
 }
 
 /// Which runs are compared.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Pair {
     /// The number of the one run.
-    #[param(value_type = i64)]
+    #[cfg_attr(feature = "openapi", param(value_type = i64))]
     a: RunId,
     /// The number of the other; this one if it is left out.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     b: Option<RunId>,
 }
 
 /// Two runs of this run's history side by side.
-#[utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements", params(Pair),
-    responses((status = 200, body = Difference), (status = 404, body = FailureBody), (status = 409, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
+    params(Pair),
+    responses((status = 200, body = Difference), (status = 404, body = FailureBody), (status = 409, body = FailureBody))))]
 pub(super) async fn difference(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -346,20 +361,22 @@ pub(super) async fn difference(
 }
 
 /// At which time.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct At {
     /// Seconds since the run began; if it is left out, now, and of another run its end.
     at_s: Option<f64>,
     /// The number of another run of the same history, in place of this one.
-    #[param(value_type = Option<i64>)]
+    #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
 /// The whole graph at a time: of everything the last that was known.
-#[utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements", params(At),
-    responses((status = 200, body = GraphState)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
+    params(At),
+    responses((status = 200, body = GraphState))))]
 pub(super) async fn state(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -5,18 +5,20 @@ use cotorra_graph::{
     Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
 };
 
+#[cfg(feature = "openapi")]
+use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
     types::{
-        Body, Done, Failure, FailureBody, InstructionBody, LinkBody, NodeBody, Path, TestbedBody,
-        ThroughputTestBody,
+        Body, Done, Failure, InstructionBody, LinkBody, NodeBody, Path, TestbedBody, ThroughputTestBody,
     },
 };
 use crate::core_loop::Message;
 
 /// The testbed: graph, services, walks and plug-ins.
-#[utoipa::path(get, path = "/api/v1/testbed", tag = "network", responses((status = 200, body = TestbedBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/testbed", tag = "network",
+    responses((status = 200, body = TestbedBody))))]
 pub(super) async fn testbed(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -25,8 +27,9 @@ pub(super) async fn testbed(
 }
 
 /// A node, its addresses and its namespace.
-#[utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network", params(("id" = String, Path)),
-    responses((status = 200, body = NodeBody), (status = 404, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network",
+    params(("id" = String, Path)),
+    responses((status = 200, body = NodeBody), (status = 404, body = FailureBody))))]
 pub(super) async fn node(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -40,7 +43,8 @@ pub(super) async fn node(
 }
 
 /// κ of every robot.
-#[utoipa::path(get, path = "/api/v1/robots", tag = "robots", responses((status = 200, body = Vec<RobotContext>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots", tag = "robots",
+    responses((status = 200, body = Vec<RobotContext>))))]
 pub(super) async fn robots(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -53,8 +57,9 @@ pub(super) async fn robots(
 }
 
 /// κ of a robot.
-#[utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots", params(("id" = String, Path)),
-    responses((status = 200, body = RobotContext), (status = 404, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots",
+    params(("id" = String, Path)),
+    responses((status = 200, body = RobotContext), (status = 404, body = FailureBody))))]
 pub(super) async fn robot(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -72,8 +77,8 @@ pub(super) async fn robot(
 }
 
 /// d, λ and conditions of every link, in both directions.
-#[utoipa::path(get, path = "/api/v1/network/links", tag = "network",
-    responses((status = 200, body = Vec<LinkBody>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/links", tag = "network",
+    responses((status = 200, body = Vec<LinkBody>))))]
 pub(super) async fn links(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -89,9 +94,9 @@ pub(super) async fn links(
 ///
 /// It is bounded: 10 s and 1 Gbit/s at most, one test of a direction at a time, and none for four times as long
 /// afterwards. What came of it is in the link's `tested` a second after the last packet.
-#[utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
     params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
-    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody))))]
 pub(super) async fn test_throughput(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -111,8 +116,8 @@ pub(super) async fn test_throughput(
 }
 
 /// ι of every radio unit.
-#[utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
-    responses((status = 200, body = Vec<RadioContext>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
+    responses((status = 200, body = Vec<RadioContext>))))]
 pub(super) async fn radio_units(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -122,8 +127,8 @@ pub(super) async fn radio_units(
 }
 
 /// a(n): where every VNF runs.
-#[utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
-    responses((status = 200, body = Vec<Placement>)))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
+    responses((status = 200, body = Vec<Placement>))))]
 pub(super) async fn placements(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -149,9 +154,10 @@ pub(super) fn plugin(caller: &Caller, headers: &HeaderMap) -> Result<Option<Plug
 /// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change or test a link.
 ///
 /// The header `X-Cotorra-Plugin` names who asks; the decision is recorded under that name.
-#[utoipa::path(post, path = "/api/v1/instructions", tag = "instructions", request_body = InstructionBody,
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
+    request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody)))]
+    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody))))]
 pub(super) async fn instruct(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -17,11 +17,13 @@ use tokio_stream::{
     wrappers::{BroadcastStream, UnboundedReceiverStream, errors::BroadcastStreamRecvError},
 };
 
+#[cfg(feature = "openapi")]
+use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
     routes::plugin,
-    types::{Done, Failure, FailureBody, Path, Query},
+    types::{Done, Failure, Path, Query},
 };
 use crate::{core_loop::Message, domain};
 
@@ -65,9 +67,10 @@ impl Follower {
 }
 
 /// Which events.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
     /// Kinds of events, with commas between; all if it is left out.
     kinds: Option<String>,
@@ -79,10 +82,10 @@ pub(super) struct Which {
 /// In virtual time a plug-in that the testbed started (`X-Cotorra-Plugin` names it) loses none: at once, and then after
 /// the events of each moment, its stream has an event named `mark`, with a number as its `id` and the time, in
 /// nanoseconds, as its data. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
-#[utoipa::path(get, path = "/api/v1/events", tag = "events",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/events", tag = "events",
     params(Which, ("X-Cotorra-Plugin" = Option<String>, Header)),
     responses((status = 200, body = String, content_type = "text/event-stream",
-        description = "each `data:` is a Stamped event"), (status = 400, body = FailureBody)))]
+        description = "each `data:` is a Stamped event"), (status = 400, body = FailureBody))))]
 pub(super) async fn events(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -115,9 +118,10 @@ pub(super) async fn events(
 }
 
 /// When a plug-in wants to be woken.
-#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
+#[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Wake {
     /// At this time at the latest, nanoseconds since the run began, there is another mark, events or not.
     wake_at_ns: Option<u64>,
@@ -125,8 +129,9 @@ pub(super) struct Wake {
 
 /// Say that all events before a mark were taken in, and all instructions that they call for were given: virtual time
 /// goes on. In real time, which waits for nobody, it does nothing.
-#[utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events", params(("number" = u64, Path), Wake),
-    responses((status = 200, body = Done), (status = 400, body = FailureBody)))]
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
+    params(("number" = u64, Path), Wake),
+    responses((status = 200, body = Done), (status = 400, body = FailureBody))))]
 pub(super) async fn done(
     State(context): State<Context>,
     Path(mark): Path<u64>,

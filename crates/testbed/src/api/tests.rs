@@ -388,3 +388,10 @@ fn the_stream_of_a_domain_has_no_events_of_others() {
     assert_eq!((first(&mut one), first(&mut one)), (json!("service_time"), json!("lateness")));
     assert_eq!(first(&mut two), "lateness");
 }
+
+#[test]
+fn the_document_has_every_path() {
+    let document: Value = serde_json::from_str(&openapi()).unwrap();
+    let documented: BTreeSet<_> = document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(documented, paths().iter().map(|(path, _)| *path).collect());
+}

@@ -14,10 +14,10 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{Gap, Run, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// A testbed.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct TestbedBody {
     name: String,
     description: String,
@@ -44,19 +44,21 @@ impl From<&Testbed> for TestbedBody {
 }
 
 /// A node and how to reach it.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct NodeBody {
     #[serde(flatten)]
     pub(super) node: Node,
     /// Its addresses; none for a switch and a real machine.
     pub(super) address: Option<HostAddress>,
     /// Its network namespace, for `nsenter --net=`; none for a switch and a real machine.
-    #[schema(value_type = Option<String>)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub(super) namespace: Option<PathBuf>,
 }
 
 /// One direction of a link, and how long ago it was told so. Ages of what was measured actively count up to then.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct LinkBody {
     #[serde(flatten)]
     context: LinkContext,
@@ -71,7 +73,8 @@ impl LinkBody {
 }
 
 /// A test of a link's throughput.
-#[derive(Debug, Deserialize, ToSchema)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub(super) struct ThroughputTestBody {
     /// Which direction.
@@ -85,9 +88,10 @@ pub(super) struct ThroughputTestBody {
 }
 
 /// A run in a history.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct RunBody {
-    #[schema(value_type = i64)]
+    #[cfg_attr(feature = "openapi", schema(value_type = i64))]
     run: RunId,
     /// The testbed's.
     name: String,
@@ -108,7 +112,8 @@ impl RunBody {
 }
 
 /// Events that were lost: [`cotorra_measurements::Gap`] as it is shown.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct GapBody {
     /// Time of the earliest that is missing, nanoseconds since the run began.
     from: Timestamp,
@@ -125,7 +130,8 @@ impl From<Gap> for GapBody {
 }
 
 /// An instruction and why it is given.
-#[derive(Debug, Deserialize, ToSchema)]
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub(super) struct InstructionBody {
     pub(super) instruction: Instruction,
@@ -135,7 +141,8 @@ pub(super) struct InstructionBody {
 }
 
 /// An instruction was done, or its doing began.
-#[derive(Debug, Serialize, ToSchema)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct Done {
     pub(super) done: bool,
 }
@@ -149,43 +156,13 @@ pub(super) struct Failure {
 }
 
 /// The body of a failure: `error` for a request that cannot be, `refused` for one that the testbed does not do.
-#[derive(Debug, Serialize, ToSchema)]
+#[cfg(feature = "openapi")]
+#[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct FailureBody {
     /// What is wrong with the request.
     error: Option<String>,
     /// Why the testbed does not do it.
     refused: Option<String>,
-}
-
-/// Adds to every operation of a document what can go wrong with any: a request that cannot be, a caller who is not let
-/// in, something that is not there, a body that cannot be read, an API whose run has ended.
-pub(super) fn document_failures(document: &mut utoipa::openapi::OpenApi) {
-    use utoipa::openapi::{Ref, RefOr, ResponseBuilder, content::ContentBuilder};
-    let always = [
-        ("400", "the request cannot be"),
-        ("401", "the API needs its token"),
-        ("403", "it is of another domain than the token, or asked by a web page from elsewhere"),
-        ("404", "there is no such thing"),
-        ("503", "the run has ended, or its history cannot answer"),
-    ];
-    let with_body = [
-        ("413", "the body is too long"),
-        ("415", "the body does not say that it is JSON"),
-        ("422", "the body is not what it should be"),
-    ];
-    let operations =
-        document.paths.paths.values_mut().flat_map(|item| {
-            [&mut item.get, &mut item.post, &mut item.put, &mut item.delete, &mut item.patch]
-        });
-    for operation in operations.flatten() {
-        let bodies = with_body.into_iter().filter(|_| operation.request_body.is_some());
-        for (status, description) in always.into_iter().chain(bodies) {
-            let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("FailureBody"))).build();
-            let response =
-                ResponseBuilder::new().description(description).content("application/json", content).build();
-            operation.responses.responses.entry(status.to_owned()).or_insert(RefOr::T(response));
-        }
-    }
 }
 
 impl Failure {

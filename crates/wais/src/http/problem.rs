@@ -5,16 +5,16 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use serde::Serialize;
-use utoipa::ToSchema;
 
 use crate::{callback::CallbackError, requests::InvalidRequest, view::QueryError, wais::Refused};
 
 /// What went wrong (RFC 9457).
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ProblemDetails {
     /// `about:blank`: the status says what kind of problem it is.
     #[serde(rename = "type")]
-    #[schema(format = "uri")]
+    #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     kind: &'static str,
     /// The status in words.
     title: &'static str,
@@ -106,6 +106,7 @@ impl From<InvalidRequest> for Problem {
 }
 
 /// What can go wrong with any request.
+#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "it is there for the OpenAPI document")]
 pub(crate) enum Asked {
@@ -130,6 +131,7 @@ pub(crate) enum Asked {
 }
 
 /// What can go wrong with a change beside that.
+#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "it is there for the OpenAPI document")]
 pub(crate) enum Changing {

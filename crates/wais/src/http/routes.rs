@@ -7,22 +7,29 @@ use axum::{
 };
 use serde::Serialize;
 
+#[cfg(feature = "openapi")]
+use super::problem::{Asked, Changing};
 use super::{
     Service,
     extract::{Base, Id, Json, Parameters, if_match, text},
-    problem::{Asked, Changing, Problem},
+    problem::Problem,
 };
 use crate::{
     conditional::is_known,
-    requests::{MeasurementConfig, MeasurementConfigLinkList, Subscription, SubscriptionLinkList},
-    types::{ApInfo, StaInfo},
+    requests::{MeasurementConfig, Subscription},
     view::{Kind, Query},
     wais::Resource,
+};
+#[cfg(feature = "openapi")]
+use crate::{
+    requests::{MeasurementConfigLinkList, SubscriptionLinkList},
+    types::{ApInfo, StaInfo},
 };
 
 type Answer = Result<Response, Problem>;
 
 /// What of which things (ETSI GS MEC 009, 6.18 and 6.19).
+#[cfg(feature = "openapi")]
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "it is there for the OpenAPI document")]
@@ -78,9 +85,9 @@ fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
 }
 
 /// Access points and what is known of them.
-#[utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked))]
+    responses((status = 200, body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -90,9 +97,9 @@ pub(super) async fn ap_information(
 }
 
 /// Stations that are associated, and what is known of them.
-#[utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked))]
+    responses((status = 200, body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -109,9 +116,9 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 ];
 
 /// Links to subscriptions.
-#[utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, body = SubscriptionLinkList), Asked))]
+    responses((status = 200, body = SubscriptionLinkList), Asked)))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -132,9 +139,10 @@ pub(super) async fn subscriptions(
 }
 
 /// Subscribe to notifications.
-#[utoipa::path(post, path = "/subscriptions", tag = "subscriptions", request_body = Subscription,
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
+    request_body = Subscription,
     responses((status = 201, body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        Asked, Changing))]
+        Asked, Changing)))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
     service.check_callback(&subscription).await?;
@@ -145,10 +153,10 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A subscription.
-#[utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), Asked))]
+        (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn subscription(
     State(service): State<Service>,
     Base(base): Base,
@@ -159,9 +167,10 @@ pub(super) async fn subscription(
 }
 
 /// Replace a subscription by another of its type.
-#[utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions", request_body = Subscription,
+#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+    request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, body = Subscription, headers(("ETag" = String))), Asked, Changing))]
+    responses((status = 200, body = Subscription, headers(("ETag" = String))), Asked, Changing)))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -180,9 +189,9 @@ pub(super) async fn resubscribe(
 }
 
 /// End a subscription.
-#[utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
+#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), Asked, Changing))]
+    responses((status = 204, description = "it has ended"), Asked, Changing)))]
 pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
@@ -191,8 +200,8 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 }
 
 /// Links to measurement configurations.
-#[utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, body = MeasurementConfigLinkList), Asked))]
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements", tag = "measurements",
+    responses((status = 200, body = MeasurementConfigLinkList), Asked)))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -206,9 +215,10 @@ pub(super) async fn measurements(
 }
 
 /// Configure a measurement, whose reports are told with stations' information from then on.
-#[utoipa::path(post, path = "/measurements", tag = "measurements", request_body = MeasurementConfig,
+#[cfg_attr(feature = "openapi", utoipa::path(post, path = "/measurements", tag = "measurements",
+    request_body = MeasurementConfig,
     responses((status = 201, body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
-        Asked, Changing))]
+        Asked, Changing)))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
     let now = service.now();
@@ -216,10 +226,10 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 }
 
 /// A measurement configuration.
-#[utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), Asked))]
+        (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn measurement(
     State(service): State<Service>,
     Base(base): Base,
@@ -230,10 +240,10 @@ pub(super) async fn measurement(
 }
 
 /// Replace a measurement configuration.
-#[utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[cfg_attr(feature = "openapi", utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing))]
+    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing)))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,
@@ -249,9 +259,9 @@ pub(super) async fn reconfigure(
 }
 
 /// End a measurement.
-#[utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
+#[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), Asked, Changing))]
+    responses((status = 204, description = "it has ended"), Asked, Changing)))]
 pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;

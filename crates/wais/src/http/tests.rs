@@ -1,6 +1,7 @@
 //! The service over real sockets: what is answered to whom, and what reaches consumers. Time is the tests' own.
 
 use std::{
+    collections::BTreeSet,
     io::{BufRead, BufReader, Read, Write},
     net::{SocketAddr, TcpListener, TcpStream},
     sync::{
@@ -293,6 +294,7 @@ fn a_websocket_brings_notifications_and_closes_with_its_subscription() {
 fn the_document_has_every_resource() {
     let document: Value = serde_json::from_str(&openapi()).unwrap();
     let paths: Vec<_> = document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(BTreeSet::from_iter(paths.clone()), resources().iter().map(|(path, _)| *path).collect());
     assert_eq!(
         paths,
         [

@@ -1,0 +1,81 @@
+//! The OpenAPI document, derived from the types and handlers.
+
+use utoipa::OpenApi as _;
+
+use super::{measurements, routes, stream};
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "cotorra",
+        description = "A running testbed: its robots, its network, its measurements and its events. \
+            Times are nanoseconds since the run began unless a name says otherwise. \
+            Where a token is set, every request but this document's needs it as `Authorization: Bearer`. The operator's \
+            opens all; a domain's what is of its own nodes, and what it asks of others is answered with 403.",
+        license(name = "MIT OR Apache-2.0")
+    ),
+    paths(
+        routes::testbed,
+        routes::node,
+        routes::robots,
+        routes::robot,
+        routes::links,
+        routes::test_throughput,
+        routes::radio_units,
+        routes::placements,
+        routes::instruct,
+        measurements::robot_history,
+        measurements::link_history,
+        measurements::service_times,
+        measurements::handovers,
+        measurements::events,
+        measurements::state,
+        measurements::series,
+        measurements::gaps,
+        measurements::retained,
+        measurements::runs,
+        measurements::difference,
+        stream::events,
+        stream::done
+    ),
+    components(schemas(cotorra_graph::Stamped))
+)]
+struct Document;
+
+/// The OpenAPI document of the API.
+pub fn openapi() -> String {
+    let mut document = Document::openapi();
+    document_failures(&mut document);
+    document.to_pretty_json().expect("the document holds only what JSON can") + "\n"
+}
+
+/// Adds to every operation of a document what can go wrong with any: a request that cannot be, a caller who is not let
+/// in, something that is not there, a body that cannot be read, an API whose run has ended.
+fn document_failures(document: &mut utoipa::openapi::OpenApi) {
+    use utoipa::openapi::{Ref, RefOr, ResponseBuilder, content::ContentBuilder};
+    let always = [
+        ("400", "the request cannot be"),
+        ("401", "the API needs its token"),
+        ("403", "it is of another domain than the token, or asked by a web page from elsewhere"),
+        ("404", "there is no such thing"),
+        ("503", "the run has ended, or its history cannot answer"),
+    ];
+    let with_body = [
+        ("413", "the body is too long"),
+        ("415", "the body does not say that it is JSON"),
+        ("422", "the body is not what it should be"),
+    ];
+    let operations =
+        document.paths.paths.values_mut().flat_map(|item| {
+            [&mut item.get, &mut item.post, &mut item.put, &mut item.delete, &mut item.patch]
+        });
+    for operation in operations.flatten() {
+        let bodies = with_body.into_iter().filter(|_| operation.request_body.is_some());
+        for (status, description) in always.into_iter().chain(bodies) {
+            let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("FailureBody"))).build();
+            let response =
+                ResponseBuilder::new().description(description).content("application/json", content).build();
+            operation.responses.responses.entry(status.to_owned()).or_insert(RefOr::T(response));
+        }
+    }
+}
