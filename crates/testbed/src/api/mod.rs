@@ -118,7 +118,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 22] {
 }
 
 /// The OpenAPI document of the API as it is checked in. The feature `openapi` derives it from the code, and the tests compare
-/// the two: deriving it would be a tenth of a first build.
+/// the two: a first build need not compile what derives it.
 #[cfg(not(feature = "openapi"))]
 pub fn openapi() -> String {
     include_str!("../../../../docs/openapi.json").to_owned()

@@ -86,7 +86,7 @@ fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
 }
 
 /// The OpenAPI document of the service as it is checked in. The feature `openapi` derives it from the code, and the tests compare
-/// the two: deriving it would be a tenth of a first build.
+/// the two: a first build need not compile what derives it.
 #[cfg(not(feature = "openapi"))]
 pub fn openapi() -> String {
     include_str!("../../../../docs/wais.openapi.json").to_owned()
