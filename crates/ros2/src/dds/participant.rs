@@ -8,6 +8,7 @@ use std::{
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     thread::{self, JoinHandle},
+    time::Duration,
 };
 
 use parking_lot::Mutex;
@@ -20,7 +21,7 @@ use super::{
     announce::{self, NodeEntitiesInfo, ParticipantEntitiesInfo},
     engine::{self, Engine},
     graph::{Gid, Graph},
-    topics::{Advertised, Publication, Subscribed, Subscription},
+    topics::{Advertised, LAST_WORDS, Publication, Subscribed, Subscription},
 };
 use crate::{
     carried::Kind,
@@ -175,7 +176,13 @@ impl Carrier for Dds {
             let _ = thread.join();
         }
         let State { publications, readers } = std::mem::take(&mut *self.shared.state.lock());
-        publications.values().for_each(|publication| publication.close(&self.shared));
+        // Once one has waited in vain, the others wait no more, so that all of them wait as long as one.
+        let mut patience = LAST_WORDS;
+        for publication in publications.values() {
+            if !publication.close(&self.shared, patience) {
+                patience = Duration::ZERO;
+            }
+        }
         readers.values().for_each(|(subscription, _)| subscription.close());
         // The last one that holds it: it tells others, and waits for its threads.
         drop(self.shared.participant.lock().take());

@@ -25,8 +25,9 @@ use crate::{
     topics::{Incoming, Inlet, Outlet},
 };
 
-/// How long a publisher that ends waits until what it published reliably has arrived.
-const LAST_WORDS: Duration = Duration::from_millis(500);
+/// How long a publisher that ends waits until what it published reliably has arrived. Only a peer that is busy or gone
+/// takes longer than some milliseconds.
+pub const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// A topic that the node publishes.
 pub struct Publication {
@@ -87,15 +88,20 @@ impl Publication {
         self.flush_output(&mut self.output.lock(), shared)
     }
 
-    /// Publishes nothing any more, once what was published has arrived, or after some time.
-    pub fn close(&self, shared: &Shared) {
+    /// Publishes nothing any more, once what was published has arrived, or after this time. Returns whether all of it has
+    /// arrived: what has not is lost, as it would be with any other node that ends.
+    pub fn close(&self, shared: &Shared, mut patience: Duration) -> bool {
         let mut output = self.output.lock();
         output.closed = true;
         self.flush_output(&mut output, shared);
+        let mut arrived = true;
         for writer in output.writers.drain(..).flatten() {
-            // What does not arrive in time is lost, as it would be with any other node that ends.
-            let _ = writer.wait_for_acknowledgments(LAST_WORDS);
+            if !writer.wait_for_acknowledgments(patience).unwrap_or(false) {
+                arrived = false;
+                patience = Duration::ZERO;
+            }
         }
+        arrived
     }
 }
 
@@ -213,7 +219,7 @@ impl Drop for Advertised {
     fn drop(&mut self) {
         self.shared.state.lock().publications.remove(&self.publication.id);
         let gids = self.gids();
-        self.publication.close(&self.shared);
+        self.publication.close(&self.shared, LAST_WORDS);
         self.shared.forget(&gids);
     }
 }
