@@ -104,6 +104,31 @@ pub struct RobotContext {
     pub health: Vec<RobotFault>,
 }
 
+/// Packets that came to a robot as answers and that it did not follow, counted since the run began.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct AnswersRejected {
+    /// r.
+    pub robot: NodeId,
+    /// Answers that came after the robot's command timeout.
+    pub late: u64,
+    /// With a nonce that the robot did not send, or from elsewhere than where it sent the packet.
+    pub forged: u64,
+    /// Answers that came again.
+    pub repeated: u64,
+    /// To no packet that the robot remembers.
+    pub unknown: u64,
+    /// Not packets of the service, or with what cannot be.
+    pub invalid: u64,
+}
+
+impl AnswersRejected {
+    /// None of this robot yet.
+    pub const fn none(robot: NodeId) -> Self {
+        Self { robot, late: 0, forged: 0, repeated: 0, unknown: 0, invalid: 0 }
+    }
+}
+
 /// What can be wrong with a robot. Only robots that are reached over something, such as ROS, can have any of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

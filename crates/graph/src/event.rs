@@ -10,8 +10,8 @@ use crate::{
     active::ThroughputTest,
     conditions::ConditionChange,
     context::{
-        Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime, Velocity,
-        VirtualLinkMapping,
+        AnswersRejected, Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime,
+        Velocity, VirtualLinkMapping,
     },
     hardware::Direction,
     id::{LinkId, NodeId, PluginId, VnfId},
@@ -46,6 +46,8 @@ pub enum Event {
     VirtualLink(VirtualLinkMapping),
     /// A service time was measured.
     ServiceTime(ServiceTime),
+    /// A robot rejected answers since it was told last; once a second at most.
+    AnswersRejected(AnswersRejected),
     /// A robot changed its radio unit.
     Handover(Handover),
     /// A robot has no radio unit any more.

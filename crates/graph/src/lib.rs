@@ -30,8 +30,9 @@ pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
 };
 pub use context::{
-    Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource, RadioContext,
-    RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity, VirtualLinkMapping,
+    AnswersRejected, Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource,
+    RadioContext, RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity,
+    VirtualLinkMapping,
 };
 pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};

@@ -84,6 +84,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::PluginFault => plain(&["plugin", "reason"]),
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),
         Kind::Notice => plain(&["message"]),
+        Kind::AnswersRejected => plain(&["robot", "late", "forged", "repeated", "unknown", "invalid"]),
     }
 }
 

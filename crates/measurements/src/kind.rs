@@ -55,6 +55,8 @@ kinds! {
     WalkFinished = "walk_finished",
     /// Notices.
     Notice = "notice",
+    /// Answers that robots did not follow.
+    AnswersRejected = "answers_rejected",
 }
 
 impl Kind {
@@ -80,6 +82,7 @@ impl Kind {
             Event::Lateness(_) => Self::Lateness,
             Event::WalkFinished { .. } => Self::WalkFinished,
             Event::Notice { .. } => Self::Notice,
+            Event::AnswersRejected(_) => Self::AnswersRejected,
         }
     }
 }

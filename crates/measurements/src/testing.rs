@@ -6,11 +6,11 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction, Event, Handover,
-    Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId,
-    Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
-    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest,
-    Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction,
+    Event, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId,
+    Loss, NodeId, Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate,
+    RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Tested,
+    ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::vec,
@@ -330,6 +330,9 @@ pub fn event() -> impl Strategy<Value = Event> {
         }),
         node().prop_map(|robot| Event::WalkFinished { robot }),
         ".*".prop_map(|message| Event::Notice { message }),
+        (node(), any::<[u64; 5]>()).prop_map(|(robot, [late, forged, repeated, unknown, invalid])| {
+            Event::AnswersRejected(AnswersRejected { robot, late, forged, repeated, unknown, invalid })
+        }),
     ]
 }
 

@@ -10,13 +10,14 @@
 //! | bytes | field |
 //! |---|---|
 //! | 0..4 | magic, `ctra` |
-//! | 4 | version, 2 |
+//! | 4 | version, 3 |
 //! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose |
 //! | 6 | length of the robot's name; 0 in answers |
 //! | 7 | 0 |
 //! | 8..12 | sequence number |
 //! | 12..16 | next waypoint |
 //! | 16..24 | time of emission, ns since the run began |
+//! | 24..32 | nonce: an answer has that of the packet that it answers |
 
 mod localization;
 
@@ -31,10 +32,10 @@ const FIRST_PORT: u16 = 7711;
 /// From there on the system gives ports away.
 const END_OF_PORTS: u16 = 32_768;
 /// Bytes of the header.
-pub const HEADER_LEN: usize = 24;
+pub const HEADER_LEN: usize = 32;
 
 const MAGIC: [u8; 4] = *b"ctra";
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 
 /// The UDP port where a bundled VNF of a testbed listens, wherever it runs: each VNF has one of its own, in the order of the file, so that
 /// one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
@@ -93,6 +94,8 @@ pub struct PositionPacket {
     pub sequence: u32,
     /// When it was emitted, on the robot's clock.
     pub emitted: Timestamp,
+    /// A number that nobody can guess who did not receive the packet.
+    pub nonce: u64,
     /// The next waypoint of the robot's walk, from 0.
     pub waypoint: u32,
     /// Who emits it.
@@ -106,7 +109,8 @@ impl PositionPacket {
     pub fn encode(&self, buffer: &mut Vec<u8>) {
         let name = self.robot.as_str();
         let name_len = u8::try_from(name.len()).expect("a name has 63 bytes at most");
-        write_header(buffer, Kind::Position, name_len, self.sequence, self.waypoint, self.emitted);
+        let PositionPacket { sequence, waypoint, emitted, nonce, .. } = *self;
+        write_header(buffer, Kind::Position, name_len, sequence, waypoint, emitted, nonce);
         buffer.extend_from_slice(name.as_bytes());
         self.pose.encode(buffer);
     }
@@ -121,6 +125,7 @@ impl PositionPacket {
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
+            nonce: header.nonce,
             waypoint: header.waypoint,
             robot,
             pose: Pose::decode(message)?,
@@ -135,6 +140,8 @@ pub struct NavigationPacket {
     pub sequence: u32,
     /// When that one was emitted, as it said.
     pub emitted: Timestamp,
+    /// The nonce of that one.
+    pub nonce: u64,
     /// The next waypoint from here on; the walk's length at its end.
     pub waypoint: u32,
     /// How to move.
@@ -144,12 +151,13 @@ pub struct NavigationPacket {
 impl NavigationPacket {
     /// The answer to a position packet.
     pub fn answering(position: &PositionPacket, waypoint: u32, velocity: Twist) -> Self {
-        Self { sequence: position.sequence, emitted: position.emitted, waypoint, velocity }
+        let PositionPacket { sequence, emitted, nonce, .. } = *position;
+        Self { sequence, emitted, nonce, waypoint, velocity }
     }
 
     /// Writes the packet to `buffer`, in place of what it held.
     pub fn encode(&self, buffer: &mut Vec<u8>) {
-        write_header(buffer, Kind::Navigation, 0, self.sequence, self.waypoint, self.emitted);
+        write_header(buffer, Kind::Navigation, 0, self.sequence, self.waypoint, self.emitted, self.nonce);
         self.velocity.encode(buffer);
     }
 
@@ -165,6 +173,7 @@ impl NavigationPacket {
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
+            nonce: header.nonce,
             waypoint: header.waypoint,
             velocity: Twist::decode(header.rest)?,
         })
@@ -207,6 +216,7 @@ struct Header<'a> {
     sequence: u32,
     waypoint: u32,
     emitted: Timestamp,
+    nonce: u64,
     rest: &'a [u8],
 }
 
@@ -217,6 +227,7 @@ fn write_header(
     sequence: u32,
     waypoint: u32,
     emitted: Timestamp,
+    nonce: u64,
 ) {
     buffer.clear();
     buffer.extend_from_slice(&MAGIC);
@@ -224,6 +235,7 @@ fn write_header(
     buffer.extend_from_slice(&sequence.to_le_bytes());
     buffer.extend_from_slice(&waypoint.to_le_bytes());
     buffer.extend_from_slice(&emitted.as_nanos().to_le_bytes());
+    buffer.extend_from_slice(&nonce.to_le_bytes());
 }
 
 impl<'a> Header<'a> {
@@ -231,11 +243,13 @@ impl<'a> Header<'a> {
         let Some((header, rest)) = datagram.split_first_chunk::<HEADER_LEN>() else {
             return Err(WireError::Short(datagram.len()));
         };
-        let [m0, m1, m2, m3, version, found, name_len, _, s0, s1, s2, s3, w0, w1, w2, w3, emitted @ ..] =
-            *header;
-        if [m0, m1, m2, m3] != MAGIC {
+        let word =
+            |at: usize| u32::from_le_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
+        let long = |at: usize| u64::from(word(at)) | u64::from(word(at + 4)) << 32;
+        if !header.starts_with(&MAGIC) {
             return Err(WireError::Magic);
         }
+        let [version, found, name_len] = [header[4], header[5], header[6]];
         if version != VERSION {
             return Err(WireError::Version(version));
         }
@@ -244,9 +258,10 @@ impl<'a> Header<'a> {
         }
         Ok(Self {
             name_len: usize::from(name_len),
-            sequence: u32::from_le_bytes([s0, s1, s2, s3]),
-            waypoint: u32::from_le_bytes([w0, w1, w2, w3]),
-            emitted: Timestamp::from_nanos(u64::from_le_bytes(emitted)),
+            sequence: word(8),
+            waypoint: word(12),
+            emitted: Timestamp::from_nanos(long(16)),
+            nonce: long(24),
             rest,
         })
     }
@@ -273,6 +288,7 @@ mod tests {
         PositionPacket {
             sequence: 7,
             emitted: Timestamp::from_nanos(1_400_000_123),
+            nonce: 0x0123_4567_89ab_cdef,
             waypoint: 3,
             robot: NodeId::new("robot1").unwrap(),
             pose: (&pose).into(),
@@ -283,11 +299,12 @@ mod tests {
     fn a_position_packet_has_the_documented_layout() {
         let mut bytes = Vec::new();
         position().encode(&mut bytes);
-        assert_eq!(bytes[..8], *b"ctra\x02\x01\x06\x00");
+        assert_eq!(bytes[..8], *b"ctra\x03\x01\x06\x00");
         assert_eq!(bytes[8..16], [7, 0, 0, 0, 3, 0, 0, 0]);
         assert_eq!(bytes[16..24], 1_400_000_123u64.to_le_bytes());
-        assert_eq!(bytes[24..30], *b"robot1");
-        assert_eq!(bytes.len(), 24 + 6 + 4 + 56);
+        assert_eq!(bytes[24..32], 0x0123_4567_89ab_cdef_u64.to_le_bytes());
+        assert_eq!(bytes[32..38], *b"robot1");
+        assert_eq!(bytes.len(), 32 + 6 + 4 + 56);
         assert_eq!(PositionPacket::decode(&bytes).unwrap(), position());
     }
 
@@ -297,18 +314,19 @@ mod tests {
             NavigationPacket::answering(&position(), 4, Velocity { linear: 0.3, angular: -0.1 }.into());
         let mut bytes = b"old".to_vec();
         answer.encode(&mut bytes);
-        assert_eq!(bytes.len(), 24 + 4 + 48);
+        assert_eq!(bytes.len(), 32 + 4 + 48);
         let read = NavigationPacket::decode(&bytes).unwrap();
         assert_eq!(read, answer);
         assert_eq!((read.sequence, read.emitted, read.waypoint), (7, position().emitted, 4));
+        assert_eq!(read.nonce, position().nonce);
     }
 
     #[test]
     fn what_is_no_packet_is_refused_with_its_reason() {
         let mut bytes = Vec::new();
         position().encode(&mut bytes);
-        assert!(matches!(PositionPacket::decode(&bytes[..23]), Err(WireError::Short(23))));
-        assert!(matches!(PositionPacket::decode(&bytes[..28]), Err(WireError::Short(28))));
+        assert!(matches!(PositionPacket::decode(&bytes[..31]), Err(WireError::Short(31))));
+        assert!(matches!(PositionPacket::decode(&bytes[..36]), Err(WireError::Short(36))));
         assert!(matches!(PositionPacket::decode(&bytes[..60]), Err(WireError::Message(_))));
         assert!(matches!(NavigationPacket::decode(&bytes), Err(WireError::Kind { found: 1, expected: 2 })));
         let with = |at: usize, value| {
@@ -318,8 +336,8 @@ mod tests {
         };
         assert!(matches!(with(0, b'x'), Err(WireError::Magic)));
         assert!(matches!(with(4, 9), Err(WireError::Version(9))));
-        assert!(matches!(with(24, b'/'), Err(WireError::Robot)));
-        assert!(matches!(with(24, 0xff), Err(WireError::Robot)));
+        assert!(matches!(with(32, b'/'), Err(WireError::Robot)));
+        assert!(matches!(with(32, 0xff), Err(WireError::Robot)));
         bytes.extend_from_slice(&[0; 4]);
         assert!(matches!(PositionPacket::decode(&bytes), Err(WireError::Message(_))));
     }
@@ -332,7 +350,7 @@ mod tests {
         }
 
         #[test]
-        fn a_damaged_packet_never_panics(at in 0usize..90, value: u8, len in 0usize..=90) {
+        fn a_damaged_packet_never_panics(at in 0usize..98, value: u8, len in 0usize..=98) {
             let mut bytes = Vec::new();
             position().encode(&mut bytes);
             bytes[at] = value;
@@ -342,12 +360,12 @@ mod tests {
 
         #[test]
         fn packets_come_back_as_they_were(
-            sequence: u32, waypoint: u32, emitted: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
+            sequence: u32, waypoint: u32, emitted: u64, nonce: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
             x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
         ) {
             let mut packet = position();
             (packet.sequence, packet.waypoint) = (sequence, waypoint);
-            packet.emitted = Timestamp::from_nanos(emitted);
+            (packet.emitted, packet.nonce) = (Timestamp::from_nanos(emitted), nonce);
             packet.robot = NodeId::new(&name).unwrap();
             packet.pose.position.x = x;
             let mut bytes = Vec::new();

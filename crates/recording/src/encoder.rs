@@ -118,7 +118,8 @@ impl Encoder {
                 };
                 self.tell("/emulation/lateness", at, &message, out);
             }
-            Event::Detached { .. }
+            Event::AnswersRejected(_)
+            | Event::Detached { .. }
             | Event::Scanned { .. }
             | Event::Vnf(_)
             | Event::PluginFault { .. }

@@ -1,6 +1,6 @@
 //! What ROS has standard messages for when things are told to people: the log, and diagnostics.
 
-use cotorra_graph::{Event, Lateness, RadioContext, Timestamp, VnfEvent, VnfState};
+use cotorra_graph::{AnswersRejected, Event, Lateness, RadioContext, Timestamp, VnfEvent, VnfState};
 use cotorra_plugin::messages::{Byte, Header};
 
 use crate::messages::{DiagnosticArray, DiagnosticStatus, KeyValue, Log};
@@ -24,6 +24,14 @@ pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
             (INFO, handover.robot.as_str(), format!("from {from} to {}, gap {gap_ms:.1} ms", handover.to))
         }
         Event::Detached { robot, from } => (WARN, robot.as_str(), format!("lost {from}")),
+        Event::AnswersRejected(counts) => {
+            let AnswersRejected { robot, late, forged, repeated, unknown, invalid } = counts;
+            let level = if *forged > 0 { WARN } else { INFO };
+            let counts = format!(
+                "rejected {late} late, {forged} forged, {repeated} repeated, {unknown} unknown and {invalid} invalid answers"
+            );
+            (level, robot.as_str(), counts)
+        }
         Event::WalkFinished { robot } => (INFO, robot.as_str(), "is at the end of its walk".to_owned()),
         Event::Placement(placement) => (INFO, placement.vnf.as_str(), format!("runs on {}", placement.node)),
         Event::Vnf(event) => {

@@ -94,6 +94,7 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
     let position = PositionPacket {
         sequence: 7,
         emitted: now,
+        nonce: 5,
         waypoint: 3,
         robot: NodeId::new("robot1").expect("a name"),
         pose: (&pose).into(),

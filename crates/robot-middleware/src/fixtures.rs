@@ -1,6 +1,9 @@
 //! Rooms and robots that the tests of several modules share.
 
-use std::time::Duration;
+use std::{
+    net::{Ipv4Addr, SocketAddrV4},
+    time::Duration,
+};
 
 use cotorra_graph::{
     Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
@@ -9,6 +12,9 @@ use cotorra_graph::{
 
 /// Side of a cell, metres.
 pub const CELL: f64 = 0.05;
+
+/// Where the robots' VNFs listen.
+pub const SERVER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 9), 7711);
 
 /// An empty room with walls of one cell; (0, 0) is its inner lower left corner, and its inside is that large.
 pub fn room(width: f64, height: f64) -> OccupancyGrid {

@@ -3,13 +3,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
+    net::SocketAddrV4,
     sync::Arc,
     time::Duration,
 };
 
 use cotorra_graph::{
-    Attachment, Event, Node, NodeId, NodeKind, Position, Program, RobotContext, RobotFault, SensorData,
-    Stamped, Testbed, Timestamp, Velocity,
+    AnswersRejected, Attachment, Event, Node, NodeId, NodeKind, Position, Program, RobotContext, RobotFault,
+    SensorData, Stamped, Testbed, Timestamp, Velocity,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
@@ -18,10 +19,15 @@ use crate::{
     driver::{CommandRefused, RobotDriver},
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
+    nonce::Nonces,
+    rejection::Rejection,
     service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
 };
+
+/// Rejected answers are told no more often.
+const REJECTIONS: Duration = Duration::from_secs(1);
 
 /// Which way a position packet takes.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,6 +36,8 @@ pub struct Route {
     pub attachment: Option<NodeId>,
     /// The node that runs the navigation VNF.
     pub server: NodeId,
+    /// Where that one listens; `None` if nobody can answer.
+    pub address: Option<SocketAddrV4>,
 }
 
 /// Why a robot was not moved.
@@ -78,6 +86,7 @@ pub struct RobotMiddleware {
     robots: BTreeMap<NodeId, Managed>,
     context_interval: Duration,
     next_context: Timestamp,
+    nonces: Nonces,
     /// Up to when time has come. A robot moves there when it is looked at.
     now: Timestamp,
     /// When each service has something due, and whose it is.
@@ -101,6 +110,31 @@ struct Managed {
     told_scan: Option<Timestamp>,
     /// It stands still, whatever its navigation says.
     halted: bool,
+    rejected: Rejected,
+}
+
+/// What a robot rejected, and what was told of it.
+struct Rejected {
+    counts: AnswersRejected,
+    /// When it was told last, and what.
+    told: (Timestamp, AnswersRejected),
+}
+
+impl Rejected {
+    fn none(robot: &NodeId) -> Self {
+        let counts = AnswersRejected::none(robot.clone());
+        Self { told: (Timestamp::ZERO, counts.clone()), counts }
+    }
+
+    /// What is to be told now, if anything is.
+    fn news(&mut self, now: Timestamp) -> Option<AnswersRejected> {
+        let (at, told) = &self.told;
+        if *told == self.counts || now.since(*at) < REJECTIONS {
+            return None;
+        }
+        self.told = (now, self.counts.clone());
+        Some(self.counts.clone())
+    }
 }
 
 /// A robot whose place a VNF finds.
@@ -111,16 +145,18 @@ struct Localized {
 }
 
 impl RobotMiddleware {
-    /// The middleware without robots; κ is built each `context_interval`, from the beginning of the run on.
+    /// The middleware without robots; κ is built each `context_interval`, from the beginning of the run on. Packets have
+    /// these nonces.
     ///
     /// # Panics
     /// If the interval is zero.
-    pub fn new(context_interval: Duration) -> Self {
+    pub fn new(context_interval: Duration, nonces: Nonces) -> Self {
         assert!(!context_interval.is_zero(), "contexts need an interval above zero");
         Self {
             robots: BTreeMap::new(),
             context_interval,
             next_context: Timestamp::ZERO,
+            nonces,
             now: Timestamp::ZERO,
             due: BTreeSet::new(),
             events: VecDeque::new(),
@@ -140,7 +176,8 @@ impl RobotMiddleware {
         seed: u64,
         context_interval: Duration,
     ) -> Result<Self, SimulationError> {
-        Self::driven(testbed, seed, context_interval, |_, simulated| Ok(Box::new(simulated)))
+        let nonces = Nonces::seeded(seed);
+        Self::driven(testbed, seed, context_interval, nonces, |_, simulated| Ok(Box::new(simulated)))
     }
 
     /// The middleware with all robots of a testbed, moved by what `drive` makes for each node; it may use the simulated
@@ -157,9 +194,10 @@ impl RobotMiddleware {
         testbed: &Testbed,
         seed: u64,
         context_interval: Duration,
+        nonces: Nonces,
         mut drive: impl FnMut(&Node, SimulatedRobot) -> Result<Box<dyn RobotDriver>, E>,
     ) -> Result<Self, E> {
-        let mut middleware = Self::new(context_interval);
+        let mut middleware = Self::new(context_interval, nonces);
         let world = Arc::new(testbed.map.as_ref().map_or_else(World::open, World::new));
         for (node, _) in testbed.graph.robots() {
             let walk = testbed.walk(&node.id);
@@ -196,7 +234,9 @@ impl RobotMiddleware {
         let (health, told_scan) = (Vec::new(), None);
         let (localization, due) = (None, None);
         let (flagged, halted) = (false, false);
-        let managed = Managed { driver, service, localization, due, flagged, health, told_scan, halted };
+        let rejected = Rejected::none(&robot);
+        let managed =
+            Managed { driver, service, localization, due, flagged, health, told_scan, halted, rejected };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
@@ -297,6 +337,8 @@ impl RobotMiddleware {
                     health: managed.health.clone(),
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
+                let rejected = managed.rejected.news(now).map(Event::AnswersRejected);
+                self.events.extend(rejected.map(|event| Stamped { at: now, event }));
                 if let Some(scans) = &mut self.scans {
                     scans.extend(managed.fresh_scan(now));
                 }
@@ -326,7 +368,7 @@ impl RobotMiddleware {
             let service = managed.service.as_mut()?;
             // Where a robot is that is not well, nobody knows; and it would not follow the answer.
             if managed.driver.health().is_empty() {
-                let packet = service.emit(now, &pose, route(&robot));
+                let packet = service.emit(now, &pose, route(&robot), self.nonces.draw());
                 self.note_due(&robot);
                 return packet;
             }
@@ -336,37 +378,55 @@ impl RobotMiddleware {
         None
     }
 
-    /// A scan that is due, to be sent to the robot's localization VNF; `None` when no more are. Its emission is `now`.
+    /// A scan that is due, and where it is to be sent; `None` when no more are. Its emission is `now`. `address` tells where a
+    /// robot's localization VNF listens: where none does, the scan is left out.
     ///
     /// It goes out while no position packet is under way, if such a moment comes soon: it is ten times as long as one, and
     /// would hold one up on the air.
-    pub fn poll_localization(&mut self, now: Timestamp) -> Option<ScanPacket> {
+    pub fn poll_localization(
+        &mut self,
+        now: Timestamp,
+        address: impl Fn(&NodeId) -> Option<SocketAddrV4>,
+    ) -> Option<(SocketAddrV4, ScanPacket)> {
         self.due_by(now).into_iter().find_map(|robot| {
             let managed = self.robots.get_mut(&robot)?;
             let quiet = managed.is_quiet();
-            let packet = managed.localization.as_mut()?.endpoint.emit(now, quiet)?;
+            let (to, nonce) = (address(&robot), self.nonces.draw());
+            let packet = managed.localization.as_mut()?.endpoint.emit(now, quiet, to, nonce)?;
             self.note_due(&robot);
-            Some(packet)
+            Some((to?, packet))
         })
     }
 
-    /// A localization VNF's answer arrived at a robot. It believes that, and its odometry since the scan that was answered.
-    pub fn localized(&mut self, robot: &NodeId, packet: &PosePacket) {
-        if let Some(localized) = self.robots.get_mut(robot).and_then(|managed| managed.localization.as_mut())
-        {
-            localized.endpoint.receive(packet);
+    /// A localization VNF's answer arrived at a robot from this address. It believes that, and its odometry since the scan that
+    /// was answered.
+    pub fn localized(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &PosePacket) {
+        let Some(managed) = self.robots.get_mut(robot) else { return };
+        let Some(Localized { endpoint, .. }) = &mut managed.localization else {
+            return managed.reject(Rejection::Unknown);
+        };
+        if let Err(rejection) = endpoint.receive(now, from, packet) {
+            managed.reject(rejection);
         }
     }
 
-    /// A navigation packet arrived at a robot. What it brings is told as events; the robot follows it unless it is
-    /// overtaken, doubled or beyond the robot's limits.
-    pub fn receive(&mut self, now: Timestamp, robot: &NodeId, packet: &NavigationPacket) {
-        let Some(managed) = self.robots.get_mut(robot) else { return };
-        let Some(service) = &mut managed.service else { return };
-        let answer = service.receive(now, packet);
-        if let Some(measured) = answer.service_time {
-            self.events.push_back(Stamped { at: now, event: Event::ServiceTime(measured) });
+    /// Something arrived at a robot that is no answer.
+    pub fn reject(&mut self, robot: &NodeId) {
+        if let Some(managed) = self.robots.get_mut(robot) {
+            managed.reject(Rejection::Invalid);
         }
+    }
+
+    /// A navigation packet arrived at a robot from this address. What it brings is told as events; the robot follows it unless
+    /// it is rejected, overtaken or beyond the robot's limits.
+    pub fn receive(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &NavigationPacket) {
+        let Some(managed) = self.robots.get_mut(robot) else { return };
+        let Some(service) = &mut managed.service else { return managed.reject(Rejection::Unknown) };
+        let answer = match service.receive(now, from, packet) {
+            Ok(answer) => answer,
+            Err(rejection) => return managed.reject(rejection),
+        };
+        self.events.push_back(Stamped { at: now, event: Event::ServiceTime(answer.service_time) });
         if let Some(velocity) = answer.velocity.filter(|_| !managed.halted) {
             // A refusal is told as a notice; the sender of a datagram cannot be told.
             let _ = managed.command(now, velocity, &mut self.events);
@@ -443,6 +503,10 @@ impl RobotMiddleware {
 }
 
 impl Managed {
+    fn reject(&mut self, rejection: Rejection) {
+        rejection.count(&mut self.rejected.counts);
+    }
+
     /// σ: the driver's, with the place where localization has the robot.
     fn sensors(&self) -> SensorData {
         let sensed = self.driver.sensors();

@@ -15,9 +15,14 @@ impl Stream {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, label)))
     }
 
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0.next_u64()
+    }
+
     /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        (self.0.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
+        (self.bits() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
     }
 
     /// Mean 0, deviation 1, bell-shaped and within ±2√3: the sum of four 16-bit uniforms (Irwin-Hall). A bounded

@@ -1,18 +1,18 @@
 //! The robot's end of the navigation service: emits position packets, decides which answers the robot follows, and
 //! measures the service time of each.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, ServiceId, ServiceTime, Timestamp, Velocity, Walk};
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
-use crate::{middleware::Route, random::Stream};
+use crate::{middleware::Route, random::Stream, rejection::Rejection};
 
 /// The robot's end of the navigation service, as a state machine.
 ///
-/// A position packet is answered within the robot's command timeout or counts as unanswered. Each is measured once:
-/// of duplicates, the first counts. The robot follows an answer only if it is to a newer position packet than any
-/// that it followed before, so that a late answer that was overtaken is measured and not followed.
+/// A position packet is answered within the robot's command timeout, by whom it was sent to and with its nonce, or counts as
+/// unanswered. Each is measured once. The robot follows an answer only if it is to a newer position packet than any that it
+/// followed before: one that was overtaken is measured and not followed. Everything else is rejected ([`Rejection`]).
 #[derive(Debug, Clone)]
 pub struct ServiceEndpoint {
     service: ServiceId,
@@ -29,20 +29,30 @@ pub struct ServiceEndpoint {
     followed: Option<u32>,
     /// Emitted and neither answered nor given up, oldest first.
     pending: VecDeque<Pending>,
+    /// The last that were answered or given up, oldest first.
+    past: VecDeque<Past>,
 }
 
 #[derive(Debug, Clone)]
 struct Pending {
     sequence: u32,
     emitted: Timestamp,
+    nonce: u64,
     route: Route,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Past {
+    sequence: u32,
+    nonce: u64,
+    answered: bool,
 }
 
 /// What an answer brings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// What was measured; `None` if that was measured before, or given up.
-    pub service_time: Option<ServiceTime>,
+    /// What was measured.
+    pub service_time: ServiceTime,
     /// How to move on; `None` if the robot does not follow this answer.
     pub velocity: Option<Velocity>,
     /// Whether the walk ended with this answer.
@@ -50,6 +60,8 @@ pub struct Answer {
 }
 
 impl ServiceEndpoint {
+    /// So many packets that were answered or given up are remembered, to tell late answers from invented ones.
+    const REMEMBERED: usize = 256;
     /// Position packets do not follow each other faster.
     pub const LEAST_INTERVAL: Duration = Duration::from_millis(1);
 
@@ -69,6 +81,7 @@ impl ServiceEndpoint {
             waypoint: 0,
             followed: None,
             pending: VecDeque::new(),
+            past: VecDeque::new(),
         }
     }
 
@@ -115,17 +128,18 @@ impl ServiceEndpoint {
 
     /// The position packet that is due at `now`, if one is, with the robot's pose then; it takes the route given. One that is due for more than
     /// an interval is not made up for.
-    pub fn emit(&mut self, now: Timestamp, pose: &Pose, route: Route) -> Option<PositionPacket> {
+    pub fn emit(&mut self, now: Timestamp, pose: &Pose, route: Route, nonce: u64) -> Option<PositionPacket> {
         if !self.is_due(now) {
             return None;
         }
         self.skip(now);
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
-        self.pending.push_back(Pending { sequence, emitted: now, route });
+        self.pending.push_back(Pending { sequence, emitted: now, nonce, route });
         Some(PositionPacket {
             sequence,
             emitted: now,
+            nonce,
             waypoint: self.waypoint,
             robot: self.robot.clone(),
             pose: pose.into(),
@@ -143,34 +157,62 @@ impl ServiceEndpoint {
             self.next_emission + Duration::from_nanos(u64::try_from(step).unwrap_or(u64::MAX));
     }
 
-    /// A navigation packet arrived.
-    pub fn receive(&mut self, now: Timestamp, packet: &NavigationPacket) -> Answer {
-        let ignored = Answer { service_time: None, velocity: None, finished: false };
-        let place = self.pending.iter().position(|p| p.sequence == packet.sequence);
-        let service_time = match place {
-            // Another run's packet, or an invented one.
-            Some(place) if self.pending[place].emitted != packet.emitted => return ignored,
-            Some(place) if now.since(packet.emitted) < self.timeout => {
-                let pending = self.pending.remove(place).expect("`position` found it there");
-                Some(self.measured(pending, Some(now.since(packet.emitted))))
-            }
-            // Given up at the next `expire`, if it is not yet.
-            Some(_) => None,
-            None if packet.sequence >= self.sequence => return ignored,
-            None => None,
+    /// A navigation packet arrived from this address.
+    ///
+    /// # Errors
+    /// [`Rejection`] if the robot must not follow it; then nothing changed.
+    pub fn receive(
+        &mut self,
+        now: Timestamp,
+        from: SocketAddrV4,
+        packet: &NavigationPacket,
+    ) -> Result<Answer, Rejection> {
+        let Some(place) = self.pending.iter().position(|p| p.sequence == packet.sequence) else {
+            return Err(self.reject_past(packet));
         };
+        let asked = &self.pending[place];
+        let is_answer = (asked.nonce, asked.emitted) == (packet.nonce, packet.emitted);
+        if !is_answer || asked.route.address != Some(from) {
+            return Err(Rejection::Forged);
+        }
+        let took = now.since(asked.emitted);
+        if took >= self.timeout {
+            // It is given up at the next `expire`.
+            return Err(Rejection::Late);
+        }
+        let pending = self.pending.remove(place).expect("`position` found it there");
+        self.remember(&pending, true);
+        let service_time = self.measured(pending, Some(took));
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
         if !newest || self.finished() || !self.has_waypoint(packet.waypoint) {
-            return Answer { service_time, ..ignored };
+            return Ok(Answer { service_time, velocity: None, finished: false });
         }
         self.followed = Some(packet.sequence);
         let finished = self.reach(packet.waypoint);
-        Answer { service_time, velocity: Some((&packet.velocity).into()), finished }
+        Ok(Answer { service_time, velocity: Some((&packet.velocity).into()), finished })
+    }
+
+    /// Why an answer is rejected that is to no packet under way.
+    fn reject_past(&self, packet: &NavigationPacket) -> Rejection {
+        match self.past.iter().find(|past| past.sequence == packet.sequence) {
+            None => Rejection::Unknown,
+            Some(past) if past.nonce != packet.nonce => Rejection::Forged,
+            Some(past) if past.answered => Rejection::Repeated,
+            Some(_) => Rejection::Late,
+        }
+    }
+
+    fn remember(&mut self, pending: &Pending, answered: bool) {
+        if self.past.len() == Self::REMEMBERED {
+            self.past.pop_front();
+        }
+        self.past.push_back(Past { sequence: pending.sequence, nonce: pending.nonce, answered });
     }
 
     /// Gives up the oldest position packet that was not answered in time; `None` if there is none.
     pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
         let pending = self.pending.pop_front_if(|p| now.since(p.emitted) >= self.timeout)?;
+        self.remember(&pending, false);
         Some(self.measured(pending, None))
     }
 

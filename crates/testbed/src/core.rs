@@ -15,7 +15,7 @@ use cotorra_graph::{
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
 use cotorra_plugin::wire::{self, Answer};
-use cotorra_robot_middleware::{RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
+use cotorra_robot_middleware::{Nonces, RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
 use crate::{
     domain::Domains,
@@ -34,6 +34,11 @@ const DISCARD: u16 = 9;
 const CONTEXT: Duration = Duration::from_millis(100);
 /// How often ι, d and λ are.
 const OBSERVATION: Duration = Duration::from_secs(1);
+
+/// Where a port of a node is reached; `None` for a node without addresses.
+fn address(testbed: &Testbed, node: &NodeId, port: u16) -> Option<SocketAddrV4> {
+    testbed.graph.address(node).map(|address| SocketAddrV4::new(address.ipv4, port))
+}
 
 /// A datagram that a robot emits.
 #[derive(Debug)]
@@ -71,6 +76,7 @@ impl<N: Network, E: Engine> Core<N, E> {
     pub(crate) fn new(
         testbed: Arc<Testbed>,
         seed: u64,
+        nonces: Nonces,
         network: N,
         engine: E,
         script: Script,
@@ -84,7 +90,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             testbed.services.iter().filter_map(of_service).collect()
         };
         Ok(Self {
-            middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, drive)?,
+            middleware: RobotMiddleware::driven(&testbed, seed, CONTEXT, nonces, drive)?,
             control: NetworkControl::new(&testbed, network, engine),
             navigators: of_robots(Program::Navigation),
             localizers: of_robots(Program::Localization),
@@ -166,44 +172,43 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     fn poll_position(&mut self, now: Timestamp) -> Option<Datagram> {
         loop {
-            let mut route = None;
+            let mut to = None;
             let packet = self.middleware.poll_position(now, |robot| {
                 let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
-                let navigator = self.navigators.get(robot).and_then(|(vnf, _)| self.control.node(vnf));
+                let navigator = self.navigators.get(robot);
+                let server = navigator.and_then(|(vnf, _)| self.control.node(vnf));
                 // Without a navigation VNF the robot talks to itself, and nobody answers.
-                let server = navigator.unwrap_or(robot).clone();
-                let taken = Route { attachment: attached.map(|a| a.radio_unit.clone()), server };
-                route.insert(taken).clone()
+                let server = server.unwrap_or(robot).clone();
+                let port = navigator.map_or(DISCARD, |(_, port)| *port);
+                to = address(&self.testbed, &server, port);
+                Route { attachment: attached.map(|a| a.radio_unit.clone()), server, address: to }
             })?;
-            let address = route.and_then(|route| self.testbed.graph.address(&route.server));
-            let Some(address) = address else { continue };
+            let Some(to) = to else { continue };
             let mut bytes = Vec::with_capacity(512);
             packet.encode(&mut bytes);
-            let port = self.navigators.get(&packet.robot).map_or(DISCARD, |(_, port)| *port);
-            let to = SocketAddrV4::new(address.ipv4, port);
             return Some(Datagram { robot: packet.robot, to, bytes });
         }
     }
 
     fn poll_scan_packet(&mut self, now: Timestamp) -> Option<Datagram> {
-        loop {
-            let packet = self.middleware.poll_localization(now)?;
-            let Some((vnf, port)) = self.localizers.get(&packet.robot) else { continue };
-            let address = self.control.node(vnf).and_then(|node| self.testbed.graph.address(node));
-            let Some(address) = address else { continue };
-            let mut bytes = Vec::with_capacity(1024);
-            packet.encode(&mut bytes);
-            let to = SocketAddrV4::new(address.ipv4, *port);
-            return Some(Datagram { robot: packet.robot, to, bytes });
-        }
+        let (to, packet) = self.middleware.poll_localization(now, |robot| {
+            let (vnf, port) = self.localizers.get(robot)?;
+            address(&self.testbed, self.control.node(vnf)?, *port)
+        })?;
+        let mut bytes = Vec::with_capacity(1024);
+        packet.encode(&mut bytes);
+        Some(Datagram { robot: packet.robot, to, bytes })
     }
 
-    /// A datagram arrived at a robot; what is no answer is ignored.
-    pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, bytes: &[u8]) {
+    /// A datagram arrived at a robot from this address.
+    pub(crate) fn receive(&mut self, at: Timestamp, robot: &NodeId, from: SocketAddrV4, bytes: &[u8]) {
         match Answer::decode(bytes) {
-            Ok(Answer::Navigation(packet)) => self.middleware.receive(at, robot, &packet),
-            Ok(Answer::Pose(packet)) => self.middleware.localized(robot, &packet),
-            Err(error) => tracing::debug!("{robot} received something else: {error}"),
+            Ok(Answer::Navigation(packet)) => self.middleware.receive(at, robot, from, &packet),
+            Ok(Answer::Pose(packet)) => self.middleware.localized(at, robot, from, &packet),
+            Err(error) => {
+                tracing::debug!("{robot} received something else: {error}");
+                self.middleware.reject(robot);
+            }
         }
     }
 

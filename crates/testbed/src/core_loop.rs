@@ -3,7 +3,7 @@
 
 use std::{
     collections::BTreeMap,
-    net::{SocketAddr, UdpSocket},
+    net::{SocketAddr, SocketAddrV4, UdpSocket},
     sync::{Arc, mpsc},
 };
 
@@ -32,6 +32,8 @@ pub(crate) enum Message {
     Datagram {
         /// Which robot.
         robot: NodeId,
+        /// From where.
+        from: SocketAddrV4,
         /// When.
         at: Timestamp,
         /// What.
@@ -196,7 +198,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     fn take(&mut self, message: Message) {
         let now = (self.now)();
         match message {
-            Message::Datagram { robot, at, bytes } => self.core.receive(at, &robot, &bytes),
+            Message::Datagram { robot, from, at, bytes } => self.core.receive(at, &robot, from, &bytes),
             Message::Instruct { plugin, instruction, reason, reply } => {
                 let core = &mut self.core;
                 let done = self.readers.plugins.instruct(now, plugin, instruction, reason, core);
@@ -220,9 +222,11 @@ pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc
     let mut buffer = [0; 2048];
     loop {
         match socket.recv_from(&mut buffer) {
-            Ok((length, _)) => {
-                let message =
-                    Message::Datagram { robot: robot.clone(), at: now(), bytes: buffer[..length].to_vec() };
+            // The emulated network is IPv4 for robots.
+            Ok((_, SocketAddr::V6(_))) => {}
+            Ok((length, SocketAddr::V4(from))) => {
+                let bytes = buffer[..length].to_vec();
+                let message = Message::Datagram { robot: robot.clone(), from, at: now(), bytes };
                 if tell.send(message).is_err() {
                     return;
                 }

@@ -164,6 +164,7 @@ impl DomainView {
             Event::Placement(placement) => self.sees_vnf(&placement.vnf, &placement.node),
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
             Event::ServiceTime(sample) => self.owns(&sample.robot),
+            Event::AnswersRejected(counts) => self.owns(&counts.robot),
             Event::Handover(handover) => self.owns(&handover.robot),
             Event::Detached { robot, from } => self.owns(robot) || self.owns(from),
             Event::Scanned { robot } | Event::WalkFinished { robot } => self.owns(robot),

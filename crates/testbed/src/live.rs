@@ -97,7 +97,8 @@ impl Live {
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),
             Event::PluginFault { plugin, reason } => now.plugin_faults.push(format!("{plugin}: {reason}")),
-            Event::Handover(_)
+            Event::AnswersRejected(_)
+            | Event::Handover(_)
             | Event::Detached { .. }
             | Event::Scanned { .. }
             | Event::Decision(_)

@@ -24,7 +24,7 @@ use cotorra_netem::Confirmed;
 use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
 use cotorra_plugin::wire;
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
-use cotorra_robot_middleware::SimulatedRobot;
+use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 use cotorra_wais::types::Epoch;
 use tokio::sync::broadcast;
 
@@ -267,7 +267,8 @@ impl Run {
         let network = RealNetwork::new(&datapath, real);
         let mut robots = Robots::new(Arc::clone(&testbed), Arc::clone(&datapath), now.clone());
         let drive = |node: &Node, robot: SimulatedRobot| robots.drive(node, robot);
-        let mut core = Core::new(Arc::clone(&testbed), seed, network, engine, script, drive)?;
+        let mut core =
+            Core::new(Arc::clone(&testbed), seed, Nonces::unpredictable(), network, engine, script, drive)?;
 
         let namespaces = testbed
             .graph

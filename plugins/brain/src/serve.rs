@@ -143,6 +143,7 @@ mod tests {
         PositionPacket {
             sequence,
             emitted: stamp,
+            nonce: 5,
             waypoint: 0,
             robot: NodeId::new(name).unwrap(),
             pose: (&pose).into(),
@@ -160,6 +161,7 @@ mod tests {
             let packet = NavigationPacket::decode(&answer).unwrap();
             assert_eq!((packet.sequence, packet.waypoint), (sequence, 1));
             assert_eq!(packet.emitted, Timestamp::from_nanos(5_000 + u64::from(sequence)));
+            assert_eq!(packet.nonce, 5);
             assert_eq!(Velocity::from(&packet.velocity), Velocity { linear: 0.3, angular: 0.0 });
             assert_eq!(vnf.standstill(), None);
         }

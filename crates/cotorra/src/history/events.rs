@@ -82,6 +82,10 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             handover.gap.as_secs_f64() * 1e3,
             if handover.fast { ", fast" } else { "" }
         ),
+        Event::AnswersRejected(counts) => format!(
+            "{} rejected {} late, {} forged, {} repeated, {} unknown and {} invalid answers so far",
+            counts.robot, counts.late, counts.forged, counts.repeated, counts.unknown, counts.invalid
+        ),
         Event::Detached { robot, from } => format!("{robot} lost {from}"),
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
         Event::Vnf(event) => {

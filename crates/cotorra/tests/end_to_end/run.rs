@@ -150,6 +150,47 @@ fn nodes_answer_a_ping_by_name_over_the_emulated_links() {
     assert!(String::from_utf8_lossy(&nobody.stderr).contains("no node `nobody`"));
 }
 
+/// Sends a navigation packet that drives backwards, for each of the first sequence numbers, to all UDP ports of the robot:
+/// `ROBOT PORT…`.
+const FORGER: &str = r#"
+import socket, struct, sys
+robot, ports = sys.argv[1], [int(port) for port in sys.argv[2:]]
+forger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+for sequence in range(2000):
+    header = struct.pack("<4sBBBBIIQQ", b"ctra", 3, 2, 0, 0, sequence, 1, 0, sequence)
+    twist = struct.pack("<4s6d", b"\0\1\0\0", -0.3, 0, 0, 0, 0, 0)
+    for port in ports:
+        forger.sendto(header + twist, (robot, port))
+"#;
+
+#[test]
+fn a_robot_counts_forged_answers_and_follows_none() {
+    let run = Run::start(&corridor(), &["--until", "5min"]);
+    run.wait_for_service();
+    let exec = |node: &str, words: &[&str]| {
+        let done = cotorra(["exec", "--api", run.address(), node, "--"]).args(words).output().unwrap();
+        assert!(done.status.success(), "{done:?}");
+        String::from_utf8(done.stdout).unwrap()
+    };
+    let sockets = exec("robot", &["cat", "/proc/net/udp"]);
+    let port = |line: &str| u16::from_str_radix(line.split_whitespace().nth(1)?.rsplit(':').next()?, 16).ok();
+    let ports: Vec<String> = sockets.lines().skip(1).filter_map(port).map(|port| port.to_string()).collect();
+    let node = run.get("/api/v1/network/nodes/robot");
+    let mut words = vec!["python3", "-c", FORGER, node["address"]["ipv4"].as_str().unwrap()];
+    words.extend(ports.iter().map(String::as_str));
+    let rejected = || {
+        let told = run.get("/api/v1/measurements/events?kinds=answers_rejected&limit=10000");
+        let last = told["items"].as_array().unwrap().last().cloned().unwrap_or_default();
+        last["forged"].as_u64().unwrap_or(0) + last["unknown"].as_u64().unwrap_or(0)
+    };
+    exec("edge", &words);
+    wait_until(|| rejected() > 1000);
+    let series = run.get("/api/v1/measurements/series?figure=speed:robot&points=1000");
+    for point in series["points"].as_array().unwrap() {
+        assert!(point["min"].as_f64().unwrap() >= 0.0, "it drove backwards: {point}");
+    }
+}
+
 #[test]
 fn a_second_run_gets_a_folder_and_a_port_of_its_own() {
     let run = Run::start(&corridor(), &["--until", "5min"]);

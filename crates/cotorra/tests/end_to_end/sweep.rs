@@ -43,6 +43,6 @@ fn a_sweep_that_ctrl_c_stops_is_gone_on_with() {
     assert_eq!(runs().lines().count(), 7);
     assert!(runs().lines().nth(3).unwrap() == kept.lines().nth(3).unwrap(), "a run's row stays as it was");
     let cells = fs::read_to_string(folder.join("cells.csv")).unwrap();
-    assert!(cells.lines().nth(2).unwrap().starts_with("2,3,20.1"), "{cells}");
+    assert!(cells.lines().nth(2).unwrap().starts_with("2,3,20.2"), "{cells}");
     assert!(fs::read_to_string(folder.join("sweep.svg")).unwrap().starts_with("<svg"));
 }

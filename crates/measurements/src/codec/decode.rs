@@ -3,11 +3,11 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Jitter,
-    JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement, PluginId, Pose,
-    PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
-    SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AnswersRejected, Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
+    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement,
+    PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
+    RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace,
+    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 
 use super::direction_of;
@@ -227,6 +227,14 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         }),
         Kind::Detached => Event::Detached { robot: row.name()?, from: row.name()? },
         Kind::Scanned => Event::Scanned { robot: row.name()? },
+        Kind::AnswersRejected => Event::AnswersRejected(AnswersRejected {
+            robot: row.name()?,
+            late: row.unsigned()?,
+            forged: row.unsigned()?,
+            repeated: row.unsigned()?,
+            unknown: row.unsigned()?,
+            invalid: row.unsigned()?,
+        }),
         Kind::WalkFinished => Event::WalkFinished { robot: row.name()? },
         Kind::Vnf => Event::Vnf(VnfEvent {
             vnf: row.name()?,

@@ -3,8 +3,8 @@
 use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose, PoseSource,
-    QueueLimit, Rate, RobotFault, VnfState,
+    AccessPoint, AnswersRejected, Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose,
+    PoseSource, QueueLimit, Rate, RobotFault, VnfState,
 };
 
 use super::{Role, Value, direction_code};
@@ -182,6 +182,13 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
         }
         Event::Notice { message } => {
             row.text(message.as_str());
+        }
+        Event::AnswersRejected(counts) => {
+            let AnswersRejected { robot, late, forged, repeated, unknown, invalid } = counts;
+            row.name(robot.as_str());
+            for count in [late, forged, repeated, unknown, invalid] {
+                row.unsigned(*count);
+            }
         }
     }
 }

@@ -353,6 +353,20 @@ CREATE TABLE notice (
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
+-- Answers that a robot did not follow, counted since the run began.
+CREATE TABLE answers_rejected (
+    run      INTEGER NOT NULL,
+    t_ns     INTEGER NOT NULL,
+    seq      INTEGER NOT NULL,
+    robot    INTEGER NOT NULL,
+    late     INTEGER NOT NULL,
+    forged   INTEGER NOT NULL,
+    repeated INTEGER NOT NULL,
+    unknown  INTEGER NOT NULL,
+    invalid  INTEGER NOT NULL,
+    PRIMARY KEY (run, t_ns, seq)
+) WITHOUT ROWID;
+
 -- How many batches of a process have been taken in, if it had to spool them because its server was away: what was
 -- taken in is not taken in again. Of use to servers only.
 CREATE TABLE spool (

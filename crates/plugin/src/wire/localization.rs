@@ -27,6 +27,8 @@ pub struct ScanPacket {
     pub sequence: u32,
     /// When it was emitted, on the robot's clock.
     pub emitted: Timestamp,
+    /// A number that nobody can guess who did not receive the packet.
+    pub nonce: u64,
     /// Who emits it.
     pub robot: NodeId,
     /// Where odometry says that it is, in whatever frame it began: x, y (metres), heading (radians).
@@ -71,7 +73,8 @@ impl ScanPacket {
         assert!(self.ranges.len() <= MAX_BEAMS, "a scan fits into one packet");
         let name = self.robot.as_str();
         let name_len = u8::try_from(name.len()).expect("a name has 63 bytes at most");
-        write_header(buffer, Kind::Scan, name_len, self.sequence, self.since.unwrap_or(NONE), self.emitted);
+        let since = self.since.unwrap_or(NONE);
+        write_header(buffer, Kind::Scan, name_len, self.sequence, since, self.emitted, self.nonce);
         buffer.extend_from_slice(name.as_bytes());
         put(buffer, &self.odometry);
         self.sweep.iter().for_each(|part| buffer.extend_from_slice(&part.to_le_bytes()));
@@ -104,6 +107,7 @@ impl ScanPacket {
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
+            nonce: header.nonce,
             robot,
             odometry,
             sweep,
@@ -123,6 +127,8 @@ pub struct PosePacket {
     pub sequence: u32,
     /// When that one was emitted, as it said.
     pub emitted: Timestamp,
+    /// The nonce of that one.
+    pub nonce: u64,
     /// Where the robot was.
     pub pose: Pose,
 }
@@ -130,7 +136,7 @@ pub struct PosePacket {
 impl PosePacket {
     /// Writes the packet to `buffer`, in place of what it held.
     pub fn encode(&self, buffer: &mut Vec<u8>) {
-        write_header(buffer, Kind::Pose, 0, self.sequence, 0, self.emitted);
+        write_header(buffer, Kind::Pose, 0, self.sequence, 0, self.emitted, self.nonce);
         put_pose(buffer, &self.pose);
     }
 
@@ -148,7 +154,7 @@ impl PosePacket {
         if !fields.rest.is_empty() {
             return Err(WireError::Long(datagram.len()));
         }
-        Ok(Self { sequence: header.sequence, emitted: header.emitted, pose })
+        Ok(Self { sequence: header.sequence, emitted: header.emitted, nonce: header.nonce, pose })
     }
 }
 
@@ -226,6 +232,7 @@ mod tests {
         ScanPacket {
             sequence: 7,
             emitted: Timestamp::from_nanos(1_400_000_123),
+            nonce: 0x0123_4567_89ab_cdef,
             robot: NodeId::new("robot1").unwrap(),
             odometry: [25.4, -27.7, 1.49],
             sweep: [0.03, 0.0, 0.01],
@@ -249,9 +256,9 @@ mod tests {
     fn a_scan_has_the_documented_layout_and_says_what_hit_nothing() {
         let mut bytes = b"old".to_vec();
         scan().encode(&mut bytes);
-        assert_eq!(bytes[..16], *b"ctra\x02\x03\x06\x00\x07\0\0\0\x06\0\0\0");
-        assert_eq!(bytes[24..30], *b"robot1");
-        assert_eq!(bytes.len(), 30 + 24 + 12 + 72 + 8 + 2 + 2 * 6);
+        assert_eq!(bytes[..16], *b"ctra\x03\x03\x06\x00\x07\0\0\0\x06\0\0\0");
+        assert_eq!(bytes[32..38], *b"robot1");
+        assert_eq!(bytes.len(), 38 + 24 + 12 + 72 + 8 + 2 + 2 * 6);
         assert_eq!(ScanPacket::decode(&bytes).unwrap(), scan());
         let metres: Vec<f32> = scan().in_metres().collect();
         assert_eq!((metres[0], &metres[1..]), (1.234, &[f32::INFINITY; 5][..]));
@@ -275,9 +282,9 @@ mod tests {
     fn what_is_no_scan_and_no_pose_is_refused() {
         let (mut bytes, mut answer) = (Vec::new(), Vec::new());
         scan().encode(&mut bytes);
-        let packet = PosePacket { sequence: 7, emitted: Timestamp::from_nanos(5), pose: pose() };
+        let packet = PosePacket { sequence: 7, emitted: Timestamp::from_nanos(5), nonce: 9, pose: pose() };
         packet.encode(&mut answer);
-        assert_eq!(answer.len(), 24 + 72);
+        assert_eq!(answer.len(), 32 + 72);
         assert_eq!(PosePacket::decode(&answer).unwrap(), packet);
         for length in 0..bytes.len() {
             assert!(ScanPacket::decode(&bytes[..length]).is_err(), "{length} bytes");
@@ -287,8 +294,8 @@ mod tests {
         }
         assert!(matches!(ScanPacket::decode(&answer), Err(WireError::Kind { found: 4, expected: 3 })));
         answer.push(0);
-        assert!(matches!(PosePacket::decode(&answer), Err(WireError::Long(97))));
-        bytes[30..38].copy_from_slice(&f64::NAN.to_le_bytes());
+        assert!(matches!(PosePacket::decode(&answer), Err(WireError::Long(105))));
+        bytes[38..46].copy_from_slice(&f64::NAN.to_le_bytes());
         assert!(matches!(ScanPacket::decode(&bytes), Err(WireError::NotFinite)));
     }
 

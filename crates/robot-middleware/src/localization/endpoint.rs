@@ -1,13 +1,13 @@
 //! The robot's end: when a scan is sent, and where the robot believes to be between the answers.
 
-use std::{collections::VecDeque, time::Duration};
+use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
 use cotorra_graph::{NodeId, Pose, RobotModel, Timestamp};
 use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use super::{believed, parameters, planar, told};
-use crate::lidar::Scan;
+use crate::{lidar::Scan, rejection::Rejection};
 
 /// A scan without an answer for so long is followed by the next, however little the robot went since.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -44,9 +44,18 @@ pub(crate) struct LocalizationEndpoint {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Mark {
     /// The scan; `None` where the robot was put down.
-    scan: Option<(u32, Timestamp)>,
+    scan: Option<Sent>,
     odometry: Pose2,
     believed: Belief,
+}
+
+/// A scan that was sent.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    sequence: u32,
+    emitted: Timestamp,
+    nonce: u64,
+    to: Option<SocketAddrV4>,
 }
 
 impl LocalizationEndpoint {
@@ -81,7 +90,7 @@ impl LocalizationEndpoint {
     pub fn look(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
         let odometry = planar(odometry);
         let before = self.looked.replace((now, odometry));
-        let given_up = |mark: &Mark| mark.scan.is_some_and(|(_, emitted)| now.since(emitted) > GIVEN_UP);
+        let given_up = |mark: &Mark| mark.scan.is_some_and(|sent| now.since(sent.emitted) > GIVEN_UP);
         while self.trail.get(1).is_some_and(given_up) {
             self.trail.pop_front();
         }
@@ -98,6 +107,7 @@ impl LocalizationEndpoint {
         let packet = ScanPacket {
             sequence: self.sequence,
             emitted: now,
+            nonce: 0,
             robot: self.robot.clone(),
             odometry: [odometry.x, odometry.y, odometry.heading],
             sweep: [x, y, heading].map(|part| (share * part) as f32),
@@ -118,7 +128,7 @@ impl LocalizationEndpoint {
             || step.heading.abs() >= self.parameters.update_angle;
         let unanswered = match mark.scan {
             None => true,
-            Some((sequence, emitted)) => self.since != Some(sequence) && now.since(emitted) >= PATIENCE,
+            Some(sent) => self.since != Some(sent.sequence) && now.since(sent.emitted) >= PATIENCE,
         };
         self.waiting.is_none() && (far || unanswered)
     }
@@ -129,14 +139,20 @@ impl LocalizationEndpoint {
         Some(if quiet { *since } else { *since + LONGEST_WAIT })
     }
 
-    /// The scan that is to be sent.
-    pub fn emit(&mut self, now: Timestamp, quiet: bool) -> Option<ScanPacket> {
+    /// The scan that is to be sent there, with this nonce.
+    pub fn emit(
+        &mut self,
+        now: Timestamp,
+        quiet: bool,
+        to: Option<SocketAddrV4>,
+        nonce: u64,
+    ) -> Option<ScanPacket> {
         self.next_deadline(quiet).filter(|at| *at <= now)?;
         let (_, packet) = self.waiting.take()?;
-        let packet = ScanPacket { emitted: now, ..packet };
+        let packet = ScanPacket { emitted: now, nonce, ..packet };
         let [x, y, heading] = packet.odometry;
         self.trail.push_back(Mark {
-            scan: Some((packet.sequence, now)),
+            scan: Some(Sent { sequence: packet.sequence, emitted: now, nonce, to }),
             odometry: Pose2::new(x, y, heading),
             believed: believed(&packet.believed),
         });
@@ -144,13 +160,34 @@ impl LocalizationEndpoint {
         Some(packet)
     }
 
-    /// An answer arrived; one that is to no scan of the trail, or impossible, changes nothing.
-    pub fn receive(&mut self, packet: &PosePacket) {
-        let asked = Some((packet.sequence, packet.emitted));
-        let Some(place) = self.trail.iter().position(|mark| mark.scan == asked) else { return };
-        let possible = [0, 4, 8].iter().all(|&entry| packet.pose.covariance[entry] >= 0.0);
-        if !possible || self.since == Some(packet.sequence) {
-            return;
+    /// An answer arrived from this address.
+    ///
+    /// # Errors
+    /// [`Rejection`] if the robot must not believe it; then nothing changed.
+    pub fn receive(
+        &mut self,
+        now: Timestamp,
+        from: SocketAddrV4,
+        packet: &PosePacket,
+    ) -> Result<(), Rejection> {
+        let sent = |mark: &Mark| mark.scan.filter(|sent| sent.sequence == packet.sequence);
+        let Some((place, sent)) =
+            self.trail.iter().enumerate().find_map(|(place, mark)| Some((place, sent(mark)?)))
+        else {
+            let was_sent = packet.sequence < self.sequence;
+            return Err(if was_sent { Rejection::Late } else { Rejection::Unknown });
+        };
+        if (sent.nonce, sent.emitted, sent.to) != (packet.nonce, packet.emitted, Some(from)) {
+            return Err(Rejection::Forged);
+        }
+        if self.since == Some(packet.sequence) {
+            return Err(Rejection::Repeated);
+        }
+        if now.since(sent.emitted) > GIVEN_UP {
+            return Err(Rejection::Late);
+        }
+        if [0, 4, 8].iter().any(|&entry| packet.pose.covariance[entry] < 0.0) {
+            return Err(Rejection::Invalid);
         }
         self.since = Some(packet.sequence);
         self.trail.drain(..place);
@@ -163,5 +200,6 @@ impl LocalizationEndpoint {
             mark.believed = last.believed.moved_on(step, &self.parameters.motion);
             last = *mark;
         }
+        Ok(())
     }
 }

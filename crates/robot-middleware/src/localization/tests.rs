@@ -1,4 +1,4 @@
-use std::{collections::VecDeque, sync::Arc};
+use std::{collections::VecDeque, net::SocketAddrV4, sync::Arc};
 
 use cotorra_graph::{DomainId, HardwareGraph, Node, NodeId, PoseSource, Testbed, Timestamp, Velocity};
 use cotorra_plugin::wire::{PosePacket, ScanPacket};
@@ -6,7 +6,8 @@ use cotorra_plugin::wire::{PosePacket, ScanPacket};
 use super::*;
 use crate::{
     driver::RobotDriver,
-    fixtures::{id, robot, room, walk},
+    fixtures::{SERVER, id, robot, room, walk},
+    rejection::Rejection,
     simulated::SimulatedRobot,
     world::World,
 };
@@ -58,7 +59,7 @@ impl Drive {
         self.ms += 100;
         self.robot.advance(at(self.ms));
         self.endpoint.look(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
-        self.endpoint.emit(at(self.ms), true)
+        self.endpoint.emit(at(self.ms), true, Some(SERVER), 7)
     }
 
     fn believed(&self) -> Pose {
@@ -91,7 +92,7 @@ fn a_scan_goes_out_when_the_robot_went_far_enough_and_its_answer_is_believed() {
         if let Some(packet) = drive.look() {
             emitted.push(packet.emitted);
             let answer = answered(&mut vnf, &packet);
-            drive.endpoint.receive(&answer);
+            drive.endpoint.receive(at(drive.ms), SERVER, &answer).unwrap();
         }
         assert_eq!(drive.believed().source, PoseSource::Localization);
         assert!(drive.error() < 0.15, "{} m off after {} ms", drive.error(), drive.ms);
@@ -123,17 +124,17 @@ fn a_robot_that_stands_asks_again_until_it_is_answered() {
     let mut look = |ms: u64| {
         drive.robot.advance(at(ms));
         drive.endpoint.look(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
-        (drive.endpoint.emit(at(ms), true), drive.endpoint.clone())
+        (drive.endpoint.emit(at(ms), true, Some(SERVER), 7), drive.endpoint.clone())
     };
     let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
     assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
     // The answer to any of them will do.
     let answer = answered(&mut vnf(), &sent[3]);
-    drive.endpoint.receive(&answer);
+    drive.endpoint.receive(at(3500), SERVER, &answer).unwrap();
     let more = (36..80).filter_map(|i| {
         drive.robot.advance(at(100 * i));
         drive.endpoint.look(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
-        drive.endpoint.emit(at(100 * i), true)
+        drive.endpoint.emit(at(100 * i), true, Some(SERVER), 7)
     });
     assert_eq!(more.count(), 0);
 }
@@ -152,7 +153,7 @@ fn an_answer_that_comes_late_is_believed_as_of_its_scan() {
         while let Some(answer) =
             under_way.pop_front_if(|p| drive.ms >= p.emitted.as_nanos() / 1_000_000 + 2000)
         {
-            drive.endpoint.receive(&answer);
+            drive.endpoint.receive(at(drive.ms), SERVER, &answer).unwrap();
         }
         assert!(drive.error() < 0.2, "{} m off after {} ms", drive.error(), drive.ms);
     }
@@ -166,7 +167,8 @@ fn another_instance_takes_over_and_the_first_one_comes_back() {
         // Each serves for 10 s, with nothing said between them.
         let serving = usize::from(look / 100 % 2 == 1);
         if let Some(packet) = drive.look() {
-            drive.endpoint.receive(&answered(&mut instances[serving], &packet));
+            let answer = answered(&mut instances[serving], &packet);
+            drive.endpoint.receive(at(drive.ms), SERVER, &answer).unwrap();
         }
         assert!(drive.error() < 0.15, "{} m off after {} ms", drive.error(), drive.ms);
     }
@@ -184,21 +186,26 @@ fn answers_that_are_none_change_nothing() {
     let before = drive.believed();
     let mut impossible = answer.pose;
     impossible.covariance[4] = -1.0;
-    for wrong in [
-        PosePacket { sequence: packet.sequence + 1, ..answer },
-        PosePacket { emitted: at(7), ..answer },
-        PosePacket { pose: impossible, ..answer },
+    let (now, elsewhere) = (at(drive.ms), SocketAddrV4::new(*SERVER.ip(), 9));
+    for (now, from, wrong, rejection) in [
+        (now, SERVER, PosePacket { sequence: packet.sequence + 1, ..answer }, Rejection::Unknown),
+        (now, SERVER, PosePacket { emitted: at(7), ..answer }, Rejection::Forged),
+        (now, SERVER, PosePacket { nonce: 8, ..answer }, Rejection::Forged),
+        (now, elsewhere, answer.clone(), Rejection::Forged),
+        (now, SERVER, PosePacket { pose: impossible, ..answer }, Rejection::Invalid),
+        (at(drive.ms + 3001), SERVER, answer.clone(), Rejection::Late),
     ] {
-        drive.endpoint.receive(&wrong);
+        assert_eq!(drive.endpoint.receive(now, from, &wrong), Err(rejection));
         assert_eq!(drive.believed(), before);
     }
-    drive.endpoint.receive(&answer);
+    drive.endpoint.receive(now, SERVER, &answer).unwrap();
     let after = drive.believed();
     assert_ne!(after, before);
     // Once is enough.
-    drive.endpoint.receive(&PosePacket { pose: impossible, ..answer.clone() });
-    drive.endpoint.receive(&answer);
-    assert_eq!(drive.believed(), after);
+    for again in [PosePacket { pose: impossible, ..answer.clone() }, answer] {
+        assert_eq!(drive.endpoint.receive(now, SERVER, &again), Err(Rejection::Repeated));
+        assert_eq!(drive.believed(), after);
+    }
 }
 
 #[test]
@@ -213,10 +220,10 @@ fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
         }
     };
     assert_eq!(drive.endpoint.next_deadline(false), Some(at(emitted + 100)));
-    assert_eq!(drive.endpoint.emit(at(emitted + 99), false), None);
-    let packet = drive.endpoint.clone().emit(at(emitted + 30), true).unwrap();
+    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, Some(SERVER), 7), None);
+    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, Some(SERVER), 7).unwrap();
     assert_eq!(packet.emitted, at(emitted + 30));
-    assert!(drive.endpoint.emit(at(emitted + 100), false).is_some());
+    assert!(drive.endpoint.emit(at(emitted + 100), false, Some(SERVER), 7).is_some());
     assert_eq!(drive.endpoint.next_deadline(true), None);
 }
 

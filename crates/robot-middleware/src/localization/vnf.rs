@@ -127,7 +127,8 @@ impl LocalizationVnf {
             return Err(Rejected::Stranger(packet.robot));
         }
         let pose = self.localize(&packet)?;
-        PosePacket { sequence: packet.sequence, emitted: packet.emitted, pose }.encode(answer);
+        let ScanPacket { sequence, emitted, nonce, .. } = packet;
+        PosePacket { sequence, emitted, nonce, pose }.encode(answer);
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use cotorra_graph::{
 };
 
 use super::*;
-use crate::fixtures::{id, robot, room, walk};
+use crate::fixtures::{SERVER, id, robot, room, walk};
 
 fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
@@ -63,7 +63,7 @@ fn middleware() -> RobotMiddleware {
 }
 
 fn route(_: &NodeId) -> Route {
-    Route { attachment: Some(id("R1")), server: id("cloud") }
+    Route { attachment: Some(id("R1")), server: id("cloud"), address: Some(SERVER) }
 }
 
 fn attached(_: &NodeId) -> Vec<Attachment> {
@@ -99,7 +99,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
             answers.push_back((now + delay, NavigationPacket::answering(&packet, waypoint, velocity.into())));
         }
         while let Some((_, answer)) = answers.pop_front_if(|(arrival, _)| *arrival <= now) {
-            middleware.receive(now, &id("robot1"), &answer);
+            middleware.receive(now, &id("robot1"), SERVER, &answer);
         }
         told.extend(events(&mut middleware));
     }
@@ -138,6 +138,51 @@ fn answers_that_come_too_late_are_given_up() {
     assert!(times.iter().all(|t| t.took.is_none()));
 }
 
+/// The robot goes on for its command timeout after the last answer in time, and not a step further.
+#[test]
+fn answers_that_are_older_than_the_command_timeout_move_nothing_and_are_counted() {
+    let (mut middleware, told) = run(at(15_000), ms(3000), 1);
+    let pose = middleware.sensors(&id("robot1")).unwrap().pose;
+    assert_eq!((pose.x, pose.y), (1.0, 1.0), "it stands where it began");
+    let counts = told.iter().filter_map(|stamped| match &stamped.event {
+        Event::AnswersRejected(counts) => Some((stamped.at, counts.clone())),
+        _ => None,
+    });
+    let counts: Vec<_> = counts.collect();
+    assert!(counts.windows(2).all(|pair| pair[1].0.since(pair[0].0) >= ms(1000)), "{counts:?}");
+    let (_, last) = counts.last().unwrap();
+    assert!(last.late > 50, "{last:?}");
+    assert_eq!(AnswersRejected { late: 0, ..last.clone() }, AnswersRejected::none(id("robot1")));
+}
+
+#[test]
+fn what_arrives_and_is_no_answer_is_counted_by_reason() {
+    let mut middleware = middleware();
+    let robot = id("robot1");
+    middleware.advance(at(900), attached);
+    let packet = middleware.poll_position(at(900), route).unwrap();
+    let answer = NavigationPacket::answering(&packet, 1, Velocity { linear: 0.3, angular: 0.0 }.into());
+    middleware.receive(at(901), &robot, SERVER, &NavigationPacket { nonce: !packet.nonce, ..answer.clone() });
+    middleware.receive(at(902), &robot, SERVER, &answer);
+    middleware.receive(at(903), &robot, SERVER, &answer);
+    middleware.receive(at(904), &robot, SERVER, &NavigationPacket { sequence: 99, ..answer.clone() });
+    middleware.reject(&robot);
+    let pose = PosePacket {
+        sequence: 0,
+        emitted: at(0),
+        nonce: 0,
+        pose: packet.pose.planar(PoseSource::Localization),
+    };
+    middleware.localized(at(905), &robot, SERVER, &pose);
+    middleware.advance(at(1000), attached);
+    let counts = events(&mut middleware).into_iter().find_map(|stamped| match stamped.event {
+        Event::AnswersRejected(counts) => Some(counts),
+        _ => None,
+    });
+    let expected = AnswersRejected { robot, late: 0, forged: 1, repeated: 1, unknown: 2, invalid: 1 };
+    assert_eq!(counts, Some(expected));
+}
+
 #[test]
 fn without_answers_the_robot_stops() {
     let mut middleware = middleware();
@@ -150,7 +195,7 @@ fn without_answers_the_robot_stops() {
     };
     let answer = NavigationPacket::answering(&packet, 1, Velocity { linear: 0.3, angular: 0.0 }.into());
     let received = packet.emitted + ms(10);
-    middleware.receive(received, &id("robot1"), &answer);
+    middleware.receive(received, &id("robot1"), SERVER, &answer);
     middleware.advance(received + ms(590), attached);
     assert!(middleware.sensors(&id("robot1")).unwrap().velocity.linear > 0.25);
     middleware.advance(received + ms(1200), attached);
@@ -300,7 +345,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     middleware.halt(at(500), &robot, true).unwrap();
     assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveRefused::Halted(robot.clone())));
     let packet = middleware.poll_position(at(600), route).unwrap();
-    middleware.receive(at(600), &robot, &NavigationPacket::answering(&packet, 1, forward.into()));
+    middleware.receive(at(600), &robot, SERVER, &NavigationPacket::answering(&packet, 1, forward.into()));
     let samples = events(&mut middleware);
     let measured =
         |stamped: &Stamped| matches!(&stamped.event, Event::ServiceTime(time) if time.took.is_some());
@@ -343,10 +388,14 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
             assert_eq!(position.pose, (&middleware.sensors(&id("robot1")).unwrap().pose).into());
             let velocity = Velocity { linear: 0.3, angular: 0.1 };
             let answer = NavigationPacket::answering(&position, 1, velocity.into());
-            assert_eq!(middleware.poll_localization(at(now)), None, "a position packet is under way");
-            middleware.receive(at(now), &id("robot1"), &answer);
+            assert_eq!(
+                middleware.poll_localization(at(now), |_| Some(SERVER)),
+                None,
+                "a position packet is under way"
+            );
+            middleware.receive(at(now), &id("robot1"), SERVER, &answer);
         }
-        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now))));
+        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now), |_| Some(SERVER))));
         last = service_times(&events(&mut middleware)).last().map(|time| time.service.clone()).or(last);
     }
     assert_eq!(last, Some(ServiceId::new("navigation").unwrap()));

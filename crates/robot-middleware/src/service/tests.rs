@@ -3,7 +3,7 @@ use cotorra_graph::{NodeId, PoseSource};
 use super::*;
 use crate::{
     COMMAND_TIMEOUT,
-    fixtures::{id, walk},
+    fixtures::{SERVER, id, walk},
 };
 
 fn endpoint(seed: u64) -> ServiceEndpoint {
@@ -12,7 +12,7 @@ fn endpoint(seed: u64) -> ServiceEndpoint {
 }
 
 fn route() -> Route {
-    Route { attachment: Some(id("R1")), server: id("cloud") }
+    Route { attachment: Some(id("R1")), server: id("cloud"), address: Some(SERVER) }
 }
 
 fn pose() -> Pose {
@@ -25,7 +25,8 @@ fn ms(ms: u64) -> Duration {
 
 /// Emits the next packet when it is due.
 fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
-    endpoint.emit(endpoint.next_emission, &pose(), route()).unwrap()
+    let nonce = 1_000 + u64::from(endpoint.sequence);
+    endpoint.emit(endpoint.next_emission, &pose(), route(), nonce).unwrap()
 }
 
 fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
@@ -44,7 +45,7 @@ fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
     let second = emit(&mut endpoint);
     assert_eq!((first.sequence, second.sequence), (0, 1));
     assert_eq!(second.emitted.since(first.emitted), ms(200));
-    assert!(endpoint.emit(second.emitted + ms(199), &pose(), route()).is_none());
+    assert!(endpoint.emit(second.emitted + ms(199), &pose(), route(), 7).is_none());
 }
 
 #[test]
@@ -58,18 +59,18 @@ fn a_packet_says_who_where_when_and_what_is_next() {
 fn packets_that_were_missed_are_not_made_up_for() {
     let mut endpoint = endpoint(1);
     let due = endpoint.next_deadline().unwrap();
-    let late = endpoint.emit(due + ms(450), &pose(), route()).unwrap();
+    let late = endpoint.emit(due + ms(450), &pose(), route(), 7).unwrap();
     assert_eq!(late.emitted, due + ms(450));
-    assert!(endpoint.emit(due + ms(599), &pose(), route()).is_none());
-    assert_eq!(endpoint.emit(due + ms(600), &pose(), route()).unwrap().sequence, 1);
+    assert!(endpoint.emit(due + ms(599), &pose(), route(), 7).is_none());
+    assert_eq!(endpoint.emit(due + ms(600), &pose(), route(), 7).unwrap().sequence, 1);
 }
 
 #[test]
 fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
-    let answer = endpoint.receive(packet.emitted + ms(11), &answer(&packet, 2));
-    let measured = answer.service_time.unwrap();
+    let answer = endpoint.receive(packet.emitted + ms(11), SERVER, &answer(&packet, 2)).unwrap();
+    let measured = answer.service_time;
     assert_eq!((measured.sequence, measured.emitted, measured.took), (0, packet.emitted, Some(ms(11))));
     assert_eq!((measured.attachment, measured.server), (Some(id("R1")), NodeId::new("cloud").unwrap()));
     assert_eq!(answer.velocity, Some(Velocity { linear: 0.3, angular: 0.1 }));
@@ -81,9 +82,9 @@ fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
 fn a_duplicate_changes_nothing() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
-    endpoint.receive(packet.emitted + ms(11), &answer(&packet, 2));
-    let again = endpoint.receive(packet.emitted + ms(12), &answer(&packet, 1));
-    assert_eq!(again, Answer { service_time: None, velocity: None, finished: false });
+    endpoint.receive(packet.emitted + ms(11), SERVER, &answer(&packet, 2)).unwrap();
+    let again = endpoint.receive(packet.emitted + ms(12), SERVER, &answer(&packet, 1));
+    assert_eq!(again, Err(Rejection::Repeated));
     assert_eq!(endpoint.waypoint(), 2);
 }
 
@@ -91,9 +92,9 @@ fn a_duplicate_changes_nothing() {
 fn an_answer_that_was_overtaken_is_measured_and_not_followed() {
     let mut endpoint = endpoint(1);
     let (first, second) = (emit(&mut endpoint), emit(&mut endpoint));
-    endpoint.receive(second.emitted + ms(10), &answer(&second, 2));
-    let stale = endpoint.receive(second.emitted + ms(20), &answer(&first, 1));
-    assert_eq!(stale.service_time.unwrap().took, Some(ms(220)));
+    endpoint.receive(second.emitted + ms(10), SERVER, &answer(&second, 2)).unwrap();
+    let stale = endpoint.receive(second.emitted + ms(20), SERVER, &answer(&first, 1)).unwrap();
+    assert_eq!(stale.service_time.took, Some(ms(220)));
     assert_eq!(stale.velocity, None);
     assert_eq!(endpoint.waypoint(), 2);
 }
@@ -106,17 +107,18 @@ fn without_an_answer_in_time_it_is_given_up() {
     let missing = endpoint.expire(packet.emitted + ms(600)).unwrap();
     assert_eq!((missing.sequence, missing.took), (0, None));
     assert!(endpoint.expire(packet.emitted + ms(600)).is_none());
-    // It comes after all: nothing newer was followed, so the robot follows it.
-    let late = endpoint.receive(packet.emitted + ms(700), &answer(&packet, 1));
-    assert_eq!(late.service_time, None);
-    assert!(late.velocity.is_some());
+    // It comes after all, and what the robot should do now is not what it says.
+    let late = endpoint.receive(packet.emitted + ms(700), SERVER, &answer(&packet, 1));
+    assert_eq!(late, Err(Rejection::Late));
+    assert_eq!(endpoint.waypoint(), 0);
 }
 
 #[test]
 fn an_answer_at_the_timeout_is_given_up_whoever_looks_first() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
-    assert_eq!(endpoint.receive(packet.emitted + ms(600), &answer(&packet, 1)).service_time, None);
+    let late = endpoint.receive(packet.emitted + ms(600), SERVER, &answer(&packet, 1));
+    assert_eq!(late, Err(Rejection::Late));
     assert_eq!(endpoint.expire(packet.emitted + ms(600)).unwrap().took, None);
 }
 
@@ -131,29 +133,50 @@ fn deadlines_are_the_next_packet_and_the_end_of_a_wait() {
 }
 
 #[test]
-fn what_was_never_asked_is_ignored() {
+fn only_an_answer_to_a_pending_packet_with_its_nonce_from_where_it_was_sent_is_followed() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
-    let mut invented = answer(&packet, 1);
-    invented.sequence = 9;
-    let ignored = Answer { service_time: None, velocity: None, finished: false };
-    assert_eq!(endpoint.receive(packet.emitted, &invented), ignored);
-    let mut foreign = answer(&packet, 1);
-    foreign.emitted = packet.emitted + ms(1);
-    assert_eq!(endpoint.receive(packet.emitted, &foreign), ignored);
-    assert!(endpoint.receive(packet.emitted + ms(5), &answer(&packet, 1)).service_time.is_some());
+    let right = answer(&packet, 1);
+    let elsewhere = SocketAddrV4::new(*SERVER.ip(), SERVER.port() + 1);
+    for (from, wrong, rejection) in [
+        (SERVER, NavigationPacket { sequence: 9, ..right.clone() }, Rejection::Unknown),
+        (SERVER, NavigationPacket { nonce: packet.nonce ^ 1, ..right.clone() }, Rejection::Forged),
+        (SERVER, NavigationPacket { emitted: packet.emitted + ms(1), ..right.clone() }, Rejection::Forged),
+        (elsewhere, right.clone(), Rejection::Forged),
+    ] {
+        assert_eq!(endpoint.receive(packet.emitted + ms(4), from, &wrong), Err(rejection));
+        assert_eq!(endpoint.waypoint(), 0);
+    }
+    assert!(endpoint.receive(packet.emitted + ms(5), SERVER, &right).unwrap().velocity.is_some());
+}
+
+/// What a node that sees nothing of a robot's packets can do to it.
+#[test]
+fn a_sweep_of_sequence_numbers_moves_nothing() {
+    let mut endpoint = endpoint(1);
+    let packets: Vec<_> = (0..40).map(|_| emit(&mut endpoint)).collect();
+    let now = packets[39].emitted + ms(5);
+    while endpoint.expire(now).is_some() {}
+    for sequence in 0..10_000 {
+        let forged = NavigationPacket { sequence, nonce: 0, ..answer(&packets[39], 1) };
+        let rejection = endpoint.receive(now, SERVER, &forged).unwrap_err();
+        let expected = if sequence < 40 { Rejection::Forged } else { Rejection::Unknown };
+        assert_eq!(rejection, expected);
+    }
+    assert!(endpoint.receive(now, SERVER, &answer(&packets[39], 1)).unwrap().velocity.is_some());
 }
 
 #[test]
 fn the_walk_ends_once_and_packets_with_it() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
-    let beyond = endpoint.receive(packet.emitted + ms(5), &answer(&packet, 4));
-    assert!(beyond.service_time.is_some() && beyond.velocity.is_none());
+    let beyond = endpoint.receive(packet.emitted + ms(5), SERVER, &answer(&packet, 4)).unwrap();
+    assert_eq!(beyond.velocity, None);
     let packet = emit(&mut endpoint);
-    assert!(endpoint.receive(packet.emitted + ms(5), &answer(&packet, 3)).finished);
+    assert!(endpoint.receive(packet.emitted + ms(5), SERVER, &answer(&packet, 3)).unwrap().finished);
     assert!(endpoint.finished());
     assert_eq!(endpoint.next_deadline(), None);
-    assert!(endpoint.emit(packet.emitted + ms(5000), &pose(), route()).is_none());
-    assert!(!endpoint.receive(packet.emitted + ms(6), &answer(&packet, 3)).finished);
+    assert!(endpoint.emit(packet.emitted + ms(5000), &pose(), route(), 7).is_none());
+    let again = endpoint.receive(packet.emitted + ms(6), SERVER, &answer(&packet, 3));
+    assert_eq!(again, Err(Rejection::Repeated));
 }

@@ -17,6 +17,7 @@ use cotorra_graph::{Event, Instruction, PluginId, Stamped, Testbed, Timestamp, V
 use cotorra_measurements::{History, RunInfo};
 use cotorra_network_control::{Network, NetworkGone};
 use cotorra_plugin::{Actions, Plugin, client::Client};
+use cotorra_robot_middleware::Nonces;
 use tokio::sync::broadcast;
 
 use super::{Now, host::PluginHost, lockstep::Guarded, running::RunningPlugins};
@@ -148,7 +149,9 @@ impl Misdeed {
         let network = Ticking { network, now: Arc::clone(&now) };
         let engine = VirtualEngine::new(&testbed, 1, Serving::default());
         let script = Script::load(&testbed).unwrap().0;
-        let mut core = Core::new(Arc::clone(&testbed), 1, network, engine, script, simulated).unwrap();
+        let mut core =
+            Core::new(Arc::clone(&testbed), 1, Nonces::seeded(1), network, engine, script, simulated)
+                .unwrap();
         core.start(now());
         let history = History::in_memory().unwrap();
         let run = history.begin_run(&info()).unwrap();

@@ -8,7 +8,7 @@ mod udp;
 
 use std::{
     collections::{HashMap, VecDeque},
-    net::Ipv4Addr,
+    net::{Ipv4Addr, SocketAddrV4},
     sync::Arc,
     time::Duration,
 };
@@ -18,7 +18,7 @@ use cotorra_federation::Ledgers;
 use cotorra_graph::{HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::Refused;
-use cotorra_robot_middleware::SensedScan;
+use cotorra_robot_middleware::{Nonces, SensedScan};
 
 pub use self::run::simulate;
 pub(crate) use self::{
@@ -113,7 +113,15 @@ impl Simulation {
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone());
-        let mut core = Core::new(Arc::clone(&testbed), seed, network.clone(), engine, script, simulated)?;
+        let mut core = Core::new(
+            Arc::clone(&testbed),
+            seed,
+            Nonces::seeded(seed),
+            network.clone(),
+            engine,
+            script,
+            simulated,
+        )?;
         let domains = Domains::new(&testbed);
         let mut bundled = Bundled::new(&testbed, seed, ledgers);
         let mut locals = Locals::default();
@@ -294,7 +302,8 @@ impl Simulation {
         let Some(datagram) = udp::parse(frame) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
         if datagram.to == ROBOT_PORT {
-            return self.core.receive(now, &host, datagram.payload);
+            let from = SocketAddrV4::new(datagram.sender, datagram.from);
+            return self.core.receive(now, &host, from, datagram.payload);
         }
         let mut answer = Vec::with_capacity(128);
         let answered = self.serving.answer(&host, datagram.to, datagram.payload, &mut answer);

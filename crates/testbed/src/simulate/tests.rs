@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use cotorra_graph::{Event, Instruction, PoseSource};
+use cotorra_graph::{ConditionChange, Event, Instruction, LinkId, PoseSource, Velocity};
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
 use super::*;
@@ -68,6 +68,32 @@ fn the_same_seed_gives_the_same_events_and_another_seed_others() {
     let first = events_of(&testbed, 7, 60.0);
     assert_eq!(first, events_of(&testbed, 7, 60.0));
     assert_ne!(first, events_of(&testbed, 8, 60.0));
+}
+
+/// Navigation whose answers are 3 s old would drive the robot from what it saw then.
+#[test]
+fn a_robot_that_only_hears_stale_answers_stops_within_its_command_timeout() {
+    let mut simulation = Simulation::new(corridor(), 1).unwrap();
+    let delay = ConditionChange { delay_ms: Some(1500.0), ..ConditionChange::default() };
+    let mut last_heard = None;
+    while simulation.step().as_secs_f64() < 20.0 {
+        if simulation.now().as_secs_f64() >= 5.0 && last_heard.is_none() {
+            last_heard = Some(simulation.now());
+            let link = LinkId::new("R1-cloud").unwrap();
+            let change = Instruction::Condition { link, direction: None, change: delay.clone() };
+            simulation.instruct("test".parse().unwrap(), change, None).unwrap();
+        }
+        while let Some(stamped) = simulation.poll_event() {
+            // 0.6 s for a TurtleBot 2, and as long for what it brakes.
+            let stale = last_heard.is_some_and(|heard| stamped.at.since(heard) > Duration::from_millis(1200));
+            if let Event::Robot(context) = &stamped.event
+                && stale
+            {
+                assert_eq!(context.sensors.velocity, Velocity::default(), "at {}", stamped.at);
+            }
+        }
+    }
+    assert!(last_heard.is_some());
 }
 
 #[test]
