@@ -48,7 +48,7 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                 }
                 Err(error) => {
                     all_right = false;
-                    eprintln!("{}: {error}", file.display());
+                    note!("{}: {error}", file.display());
                 }
             },
             Err(error) => {

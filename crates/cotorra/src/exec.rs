@@ -64,7 +64,7 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     let graph = client.testbed().map_err(failed)?.graph;
     cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
     if let Err(error) = HostsFile::of(&graph).and_then(|hosts| hosts.enter()) {
-        eprintln!("node names are not known to `{}`: {error}", args.command[0]);
+        note!("node names are not known to `{}`: {error}", args.command[0]);
     }
     let (program, arguments) =
         args.command.split_first().expect("the command line asks for one word or more");

@@ -62,7 +62,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             ..Options::default()
         };
         let finished = if args.emulate {
-            eprintln!("{} of {}: {}", i + 1, variants.len(), contender.name);
+            note!("{} of {}: {}", i + 1, variants.len(), contender.name);
             stage.emulate(loaded, &args.testbed, options)
         } else {
             stage.simulate(loaded, &options, &format!("{}: ", contender.name))

@@ -179,7 +179,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
         }
         None => {
             output::print(&table)?;
-            eprint!("{told}");
+            output::write_note(format_args!("{told}"));
         }
     }
     Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })

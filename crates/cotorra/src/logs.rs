@@ -51,7 +51,7 @@ fn targets(filter: &str) -> Targets {
                 }
                 read = read.with_targets(parsed);
             }
-            Err(error) => eprintln!("warning: {VARIABLE}: ignored `{part}`: {error}"),
+            Err(error) => note!("warning: {VARIABLE}: ignored `{part}`: {error}"),
         }
     }
     read

@@ -1,6 +1,11 @@
 //! The command line of cotorra. It reads arguments, calls the crates below, and shows what they say; nothing else
 //! is decided here.
 #![forbid(unsafe_code)]
+// They panic where a reader went away.
+#![deny(clippy::print_stderr, clippy::print_stdout)]
+
+#[macro_use]
+mod output;
 
 mod bench;
 mod check;
@@ -15,7 +20,6 @@ mod link;
 mod localize;
 mod logs;
 mod netem;
-mod output;
 mod quantity;
 mod replay;
 mod run;
@@ -43,7 +47,7 @@ fn main() -> ExitCode {
         Err(report) => {
             match report.downcast::<FileError>() {
                 Ok(error) => error.show(),
-                Err(report) => eprintln!("{report:?}"),
+                Err(report) => note!("{report:?}"),
             }
             ExitCode::FAILURE
         }

@@ -1,6 +1,9 @@
-//! Standard output that may be cut short: `cotorra schema | head` is no error.
+//! Standard output and standard error that may be cut short: `cotorra schema | head` is no error.
 
-use std::io::{self, Write};
+use std::{
+    fmt::Arguments,
+    io::{self, Write},
+};
 
 use miette::{IntoDiagnostic, WrapErr};
 
@@ -11,4 +14,16 @@ pub fn print(text: &str) -> miette::Result<()> {
         Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         done => done.into_diagnostic().wrap_err("cannot write to standard output"),
     }
+}
+
+/// Writes a line to standard error.
+macro_rules! note {
+    ($($text:tt)*) => {
+        $crate::output::write_note(format_args!("{}\n", format_args!($($text)*)))
+    };
+}
+
+/// Writes to standard error. What cannot be written is lost: a reader that went away, or a full disk, ends no run.
+pub fn write_note(text: Arguments<'_>) {
+    let _ = io::stderr().lock().write_fmt(text);
 }

@@ -121,9 +121,9 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     };
     let interrupts = signals::listen().map_err(Error::Signals)?;
     let replay = Replay::new(testbed, source.history, source.run.id, options).map_err(Error::from)?;
-    eprintln!("API on http://{}, replay of {}", replay.api_address(), args.run);
+    note!("API on http://{}, replay of {}", replay.api_address(), args.run);
     if let Some(foxglove) = replay.foxglove_address() {
-        eprintln!("Foxglove on ws://{foxglove}");
+        note!("Foxglove on ws://{foxglove}");
     }
     let bar = ProgressBar::new_spinner();
     let mut printed = Ok(());
@@ -148,7 +148,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         ReplayEnd::Alone => ("nobody follows any more", ExitCode::SUCCESS),
         ReplayEnd::Stopped => ("it was stopped", ExitCode::from(INTERRUPTED)),
     };
-    eprintln!("the replay is over: {told}");
+    note!("the replay is over: {told}");
     Ok(code)
 }
 

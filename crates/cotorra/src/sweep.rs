@@ -155,7 +155,7 @@ impl Progress {
             }
             None if done * LINES / of.max(1) >= self.lines => {
                 self.lines = done * LINES / of.max(1) + 1;
-                eprintln!("{done} of {of} runs");
+                note!("{done} of {of} runs");
             }
             None => {}
         }

@@ -1,7 +1,12 @@
 //! The loop of a VNF that answers datagrams, one by one: the robot waits for the answer, so each is sent before anything
 //! else is looked at, by one thread that blocks on its socket.
 
-use std::{convert::Infallible, fmt::Display, io, net::UdpSocket};
+use std::{
+    convert::Infallible,
+    fmt::{Arguments, Display},
+    io::{self, Write},
+    net::UdpSocket,
+};
 
 /// Answers what comes to that socket until the process ends: `answer` writes the answer to a datagram, in place of what
 /// the buffer held, or says why there is none, which goes to standard error now and then.
@@ -27,9 +32,14 @@ pub fn serve<E: Display>(
             Err(reason) => {
                 rejected += 1;
                 if rejected.is_power_of_two() {
-                    eprintln!("ignored a packet from {sender}, number {rejected} so far: {reason}");
+                    log(format_args!("ignored a packet from {sender}, number {rejected} so far: {reason}"));
                 }
             }
         }
     }
+}
+
+/// Writes a line to standard error, which is a VNF's log. What a full disk does not take is lost; the VNF goes on.
+pub fn log(line: Arguments<'_>) {
+    let _ = writeln!(io::stderr().lock(), "{line}");
 }

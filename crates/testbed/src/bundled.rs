@@ -75,7 +75,7 @@ pub fn localization() -> Result<Infallible, VnfError> {
     let mut vnf = LocalizationVnf::new(&testbed, &robot, testbed.seed)?;
     // It works for longer than anyone else may be held up, and nobody measures how fast it answers.
     serve(port, |socket| {
-        eprintln!("localizing `{}`", vnf.robot());
+        vnf::log(format_args!("localizing `{}`", vnf.robot()));
         vnf::serve(socket, |datagram, answer| vnf.answer(datagram, answer))
     })
 }

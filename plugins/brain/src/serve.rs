@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, convert::Infallible, io, net::UdpSocket};
 
 use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, SensorData, Testbed, Velocity};
 use cotorra_plugin::{
-    Actions, Plugin,
+    Actions, Plugin, vnf,
     wire::{NavigationPacket, PositionPacket, WireError},
 };
 
@@ -110,14 +110,14 @@ fn context(packet: &PositionPacket) -> RobotContext {
 ///
 /// # Errors
 /// What the socket cannot recover from.
-pub fn serve(mut vnf: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
+pub fn serve(mut navigation: NavigationVnf, socket: &UdpSocket) -> io::Result<Infallible> {
     let mut standstill: Option<String> = None;
-    eprintln!("navigating `{}`", vnf.robot);
-    cotorra_plugin::vnf::serve(socket, |datagram, answer| {
-        let done = vnf.answer(datagram, answer);
-        if vnf.standstill() != standstill.as_deref() {
-            standstill = vnf.standstill().map(str::to_owned);
-            eprintln!("{}", standstill.as_deref().unwrap_or("the way is open again"));
+    vnf::log(format_args!("navigating `{}`", navigation.robot));
+    vnf::serve(socket, |datagram, answer| {
+        let done = navigation.answer(datagram, answer);
+        if navigation.standstill() != standstill.as_deref() {
+            standstill = navigation.standstill().map(str::to_owned);
+            vnf::log(format_args!("{}", standstill.as_deref().unwrap_or("the way is open again")));
         }
         done
     })

@@ -94,7 +94,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         };
         let what = format!("{name}: ");
         let finished = if args.emulate {
-            eprintln!("{what}{} of {}", number + 1, planned.len());
+            note!("{what}{} of {}", number + 1, planned.len());
             stage.emulate(&plan.loaded, &args.testbed, options)
         } else {
             stage.simulate(&plan.loaded, &options, &what)
@@ -150,14 +150,14 @@ fn ledger(args: &FederationArgs) -> miette::Result<(On, Vec<Duration>)> {
         _ => return Err(Error::Periods.into()),
     };
     let accesses = accesses(args, nodes, keys)?;
-    eprintln!("looking at the network …");
+    note!("looking at the network …");
     let network = Network::join(accesses, *contract, *depth, asked).map_err(Error::from)?;
     let Network { contract: address, from_block, block_period, .. } = &network;
     let seconds = block_period.as_secs_f64();
     if contract.is_none() {
-        eprintln!("the contract is new, and stays there: --contract {address}@{from_block} uses it again");
+        note!("the contract is new, and stays there: --contract {address}@{from_block} uses it again");
     }
-    eprintln!("a block each {seconds:.2} s");
+    note!("a block each {seconds:.2} s");
     let periods = vec![*block_period];
     Ok((On::Network { network, called: called.clone() }, periods))
 }

@@ -28,9 +28,9 @@ pub fn events(args: &EventsArgs) -> miette::Result<()> {
     output::print(&text)?;
     // Beside the events, so that a program that reads them reads nothing else.
     if page.items.is_empty() {
-        eprintln!("nothing in that time");
+        note!("nothing in that time");
     }
-    eprint!("{}", more(&page));
+    output::write_note(format_args!("{}", more(&page)));
     Ok(())
 }
 

@@ -45,7 +45,7 @@ pub fn location(place: Option<&Place>) -> Result<Option<Location>, WrongPlace> {
     let location: Location = text.parse()?;
     location.check().map_err(WrongPlace::Unsupported)?;
     if location.has_password() && std::env::var(HISTORY_VARIABLE).as_ref() != Ok(text) {
-        eprintln!(
+        note!(
             "warning: everyone on this machine can see the password in --history: leave it out there, and set \
              {PASSWORD_VARIABLE} to it"
         );

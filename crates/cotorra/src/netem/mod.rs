@@ -95,9 +95,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
         ));
     };
     if rule.netem.seed.is_some() && kept.netem.seed != rule.netem.seed {
-        eprintln!(
-            "note: this kernel's NetEm takes no seed (Linux 6.7 and later do): losses differ each time"
-        );
+        note!("note: this kernel's NetEm takes no seed (Linux 6.7 and later do): losses differ each time");
     }
     output::print(&line(&device, &kept))
 }
@@ -110,7 +108,7 @@ fn line(device: &Device, rule: &Rule) -> String {
 fn tell(plan: &Plan, device: &Device) {
     let waiting: u64 = device.rules().map(|(_, counters)| counters.waiting).sum();
     if plan.loses_packets() && waiting > 0 {
-        eprintln!("note: up to {waiting} packets that waited in the old conditions were lost");
+        note!("note: up to {waiting} packets that waited in the old conditions were lost");
     }
 }
 

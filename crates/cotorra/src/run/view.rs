@@ -62,9 +62,9 @@ impl<'a> View<'a> {
 
     fn lines(places: &Places<'_>) -> Shape {
         if let Some(foxglove) = places.foxglove {
-            eprintln!("Foxglove on ws://{foxglove}");
+            note!("Foxglove on ws://{foxglove}");
         }
-        eprintln!("API on http://{}, run in {}", places.api, places.folder.display());
+        note!("API on http://{}, run in {}", places.api, places.folder.display());
         Shape::Lines { next_s: LINE_EVERY_S }
     }
 
@@ -125,7 +125,7 @@ impl<'a> View<'a> {
                     let robots: Vec<_> = robots
                         .map(|(r, _)| format!("{} {}", r.id, robot(self.testbed, now, &r.id)))
                         .collect();
-                    eprintln!(
+                    note!(
                         "{at_s:5.0} s  {}; so far {}",
                         robots.join("; "),
                         summary(self.testbed, &self.tally)
@@ -140,7 +140,7 @@ impl<'a> View<'a> {
         const ENDING: &str = "ending in order; Ctrl-C again ends it at once";
         match &self.shape {
             Shape::Live { places, .. } => places.set_message(ENDING),
-            Shape::Lines { .. } => eprintln!("{ENDING}"),
+            Shape::Lines { .. } => note!("{ENDING}"),
         }
     }
 
