@@ -38,6 +38,8 @@ pub(crate) enum Message {
         at: Timestamp,
         /// What.
         bytes: Vec<u8>,
+        /// Each of a robot's datagrams that waits holds one.
+        _waiting: Arc<()>,
     },
     /// Somebody asks for something.
     Instruct {
@@ -198,7 +200,9 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     fn take(&mut self, message: Message) {
         let now = (self.now)();
         match message {
-            Message::Datagram { robot, from, at, bytes } => self.core.receive(at, &robot, from, &bytes),
+            Message::Datagram { robot, from, at, bytes, _waiting } => {
+                self.core.receive(at, &robot, from, &bytes);
+            }
             Message::Instruct { plugin, instruction, reason, reply } => {
                 let core = &mut self.core;
                 let done = self.readers.plugins.instruct(now, plugin, instruction, reason, core);
@@ -217,16 +221,27 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     }
 }
 
+/// How many datagrams of one robot may wait for the core. What comes on top is lost, as where a socket's buffer is full.
+const MAX_WAITING: usize = 128;
+
 /// Receives what arrives for a robot, and notes the time before anything else is done.
 pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc::Sender<Message>) {
     let mut buffer = [0; 2048];
+    let waiting = Arc::new(());
     loop {
         match socket.recv_from(&mut buffer) {
             // The emulated network is IPv4 for robots.
             Ok((_, SocketAddr::V6(_))) => {}
+            Ok(_) if Arc::strong_count(&waiting) > MAX_WAITING => {}
             Ok((length, SocketAddr::V4(from))) => {
                 let bytes = buffer[..length].to_vec();
-                let message = Message::Datagram { robot: robot.clone(), from, at: now(), bytes };
+                let message = Message::Datagram {
+                    robot: robot.clone(),
+                    from,
+                    at: now(),
+                    bytes,
+                    _waiting: Arc::clone(&waiting),
+                };
                 if tell.send(message).is_err() {
                     return;
                 }
@@ -242,5 +257,40 @@ pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc
                 _ => return tracing::error!("{robot} can receive nothing any more: {error}"),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{thread, time::Duration};
+
+    use super::*;
+
+    #[test]
+    fn a_flood_of_datagrams_waits_up_to_a_bound_and_the_rest_is_lost() {
+        let robot: NodeId = "r1".parse().unwrap();
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let (to, sender) = (socket.local_addr().unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+        let flood = || {
+            for _ in 0..MAX_WAITING + 10 {
+                sender.send_to(b"x", to).unwrap();
+            }
+        };
+        let (tell, inbox) = mpsc::channel();
+        let now: Now = Arc::new(|| Timestamp::ZERO);
+        // The thread says `Wake` when nothing more has arrived.
+        let until_wake = || -> Vec<Message> {
+            inbox.iter().take_while(|message| !matches!(message, Message::Wake)).collect()
+        };
+        flood();
+        let receiver = thread::spawn(move || receive(&robot, &socket, &now, &tell));
+        let first = until_wake();
+        assert_eq!(first.len(), MAX_WAITING);
+        drop(first);
+        flood();
+        while until_wake().is_empty() {}
+        drop(inbox);
+        receiver.join().unwrap();
     }
 }

@@ -17,6 +17,8 @@ use crate::api::{Follower, Told};
 
 /// A plug-in may ask for so much in a second; a burst of the same size is allowed.
 const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
+/// Bytes of the reason that an instruction is given with.
+const MAX_REASON: usize = 1024;
 
 /// Why a plug-in is cut off.
 #[derive(Debug, thiserror::Error)]
@@ -187,6 +189,9 @@ impl PluginHost {
                 self.cut_off(now, &plugin, &fault, controlled);
             }
             return Err(refused);
+        }
+        if let Some(bytes) = reason.as_ref().map(String::len).filter(|bytes| *bytes > MAX_REASON) {
+            return Err(Refused(format!("its reason has {bytes} bytes, more than {MAX_REASON}")));
         }
         let moved = match &instruction {
             Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
@@ -404,6 +409,21 @@ mod tests {
         assert_eq!(ask(later, &somebody, &mut testbed), Ok(()));
         assert_eq!((testbed.done, testbed.faults.len()), (2001, 1));
         assert!(host.is_cut_off(&flooding) && !host.is_cut_off(&somebody));
+    }
+
+    #[test]
+    fn a_reason_beyond_the_bound_is_refused_and_nothing_is_done() {
+        let plugin: PluginId = "plugin".parse().unwrap();
+        let mut host = PluginHost::new([plugin.clone()], Duration::from_secs(1));
+        let mut testbed = Obedient::default();
+        let mut ask = |bytes: usize, testbed: &mut Obedient| {
+            let reason = Some("x".repeat(bytes));
+            host.instruct(Timestamp::ZERO, plugin.clone(), move_robot(), reason, testbed)
+        };
+        assert_eq!(ask(MAX_REASON, &mut testbed), Ok(()));
+        let refused = ask(MAX_REASON + 1, &mut testbed).unwrap_err();
+        assert_eq!(refused.0, "its reason has 1025 bytes, more than 1024");
+        assert_eq!((testbed.done, testbed.faults.len()), (1, 0));
     }
 
     #[test]
