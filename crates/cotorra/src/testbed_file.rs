@@ -2,7 +2,6 @@
 
 use std::{
     fmt::Write as _,
-    fs,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -35,10 +34,10 @@ impl FileError {
     pub fn show(self) {
         if let Self::Wrong { name, mistakes } = self {
             let all = count(mistakes.len(), "mistake");
-            mistakes.into_iter().for_each(|mistake| eprintln!("{:?}", miette::Report::new(mistake)));
-            eprintln!("{name} has {all}");
+            mistakes.into_iter().for_each(|mistake| note!("{:?}", miette::Report::new(mistake)));
+            note!("{name} has {all}");
         } else {
-            eprintln!("{:?}", miette::Report::new(self));
+            note!("{:?}", miette::Report::new(self));
         }
     }
 }
@@ -46,7 +45,7 @@ impl FileError {
 /// Reads a testbed file with settings and checks it as a whole.
 pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
     let text =
-        fs::read_to_string(path).map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
+        testbed_file::read(path).map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
     let base = path.parent().unwrap_or(Path::new(""));
     match testbed_file::parse_with(&path.display().to_string(), &text, base, settings) {
         Ok(testbed) => Ok(Loaded { testbed, text: testbed_file::annotated(&text, settings) }),
@@ -56,10 +55,12 @@ pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
 
 /// One mistake, with what it needs to be shown in its place.
 #[derive(Debug, thiserror::Error)]
-#[error("{}", found.message)]
+#[error("{message}")]
 pub struct Mistake {
+    message: String,
     found: cotorra_graph::Diagnostic,
-    source_code: Arc<NamedSource<String>>,
+    /// `None` where lines are too long to show.
+    source_code: Option<Arc<NamedSource<String>>>,
 }
 
 impl miette::Diagnostic for Mistake {
@@ -72,10 +73,11 @@ impl miette::Diagnostic for Mistake {
     }
 
     fn source_code(&self) -> Option<&dyn miette::SourceCode> {
-        Some(&self.source_code)
+        self.source_code.as_ref().map(|source| source as _)
     }
 
     fn labels(&self) -> Option<Box<dyn Iterator<Item = LabeledSpan> + '_>> {
+        self.source_code.as_ref()?;
         let label = if self.found.label.is_empty() { "here" } else { &self.found.label };
         let span = LabeledSpan::new_with_span(Some(label.to_owned()), self.found.span.clone());
         Some(Box::new(std::iter::once(span)))
@@ -84,11 +86,19 @@ impl miette::Diagnostic for Mistake {
 
 impl From<Diagnostics> for FileError {
     fn from(found: Diagnostics) -> Self {
-        let source_code = NamedSource::new(&found.source_name, found.source_text).with_language("YAML");
-        let source_code = Arc::new(source_code);
-        let mistakes =
-            found.list.into_iter().map(|found| Mistake { found, source_code: Arc::clone(&source_code) });
-        Self::Wrong { name: found.source_name, mistakes: mistakes.collect() }
+        let name = found.source_name.clone();
+        let source_code = found
+            .can_be_shown_in_place()
+            .then(|| Arc::new(NamedSource::new(&found.source_name, found.source_text).with_language("YAML")));
+        let mistake = |found: cotorra_graph::Diagnostic| Mistake {
+            message: match source_code {
+                Some(_) => found.message.clone(),
+                None => format!("{name}:{}:{}: {}", found.line, found.column, found.message),
+            },
+            found,
+            source_code: source_code.clone(),
+        };
+        Self::Wrong { mistakes: found.list.into_iter().map(mistake).collect(), name }
     }
 }
 

@@ -34,6 +34,9 @@ pub struct HardwareGraph {
 }
 
 impl HardwareGraph {
+    /// Links of a testbed, at most: each host can have one, and some more.
+    pub const MAX_LINKS: usize = 100_000;
+
     /// The node of that name.
     pub fn node(&self, id: &NodeId) -> Option<&Node> {
         self.nodes.iter().find(|n| n.id == *id)

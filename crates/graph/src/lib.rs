@@ -9,6 +9,7 @@ pub mod context;
 pub mod driver;
 pub mod event;
 pub mod exposure;
+mod file;
 pub mod hardware;
 pub mod id;
 pub mod map;

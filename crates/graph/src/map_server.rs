@@ -5,6 +5,7 @@ use std::path::Path;
 use serde_json::{Value as Json, json};
 
 use crate::{
+    file,
     map::{Cell, OccupancyGrid},
     units::Position,
     yaml::{
@@ -68,11 +69,11 @@ impl Decode for Flag {
 pub fn load(path: impl AsRef<Path>) -> Result<OccupancyGrid, Diagnostics> {
     let path = path.as_ref();
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|error| {
+    let text = file::read_text(path).map_err(|error| {
         Diagnostics::of_file(&name, format!("the map cannot be read: {error}"), "check its path")
     })?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    parse(&name, &text, |image| std::fs::read(folder.join(image)).map_err(|e| e.to_string()))
+    parse(&name, &text, |image| file::read(&folder.join(image), MAX_PICTURE).map_err(|e| e.to_string()))
 }
 
 /// Reads a map from its YAML text and whatever reads the picture that it names.
@@ -185,6 +186,8 @@ enum InvalidPicture {
 
 /// 3.2 km in square, at 0.05 m a cell: 64 Mi cells.
 const MAX_CELLS: usize = 64 << 20;
+/// Bytes of a picture: as text, a cell of 8 bits takes four at most.
+const MAX_PICTURE: usize = 4 * MAX_CELLS + 1024;
 
 impl Picture {
     /// Reads a PGM picture: P2 (text) or P5 (binary, of 8 or 16 bits).

@@ -9,12 +9,13 @@ mod ros;
 mod script;
 mod setting;
 
-use std::path::Path;
+use std::{io, path::Path};
 
 use serde_json::{Value as Json, json};
 
 pub use self::setting::{InvalidSetting, Setting};
 use crate::{
+    file,
     testbed::{Retentions, Testbed},
     yaml::{self, Diagnostics, Sink, decode::Decode},
 };
@@ -34,10 +35,18 @@ pub fn load(path: impl AsRef<Path>) -> Result<Testbed, Diagnostics> {
 pub fn load_with(path: impl AsRef<Path>, settings: &[Setting]) -> Result<Testbed, Diagnostics> {
     let path = path.as_ref();
     let name = path.display().to_string();
-    let text = std::fs::read_to_string(path).map_err(|error| {
+    let text = read(path).map_err(|error| {
         Diagnostics::of_file(&name, format!("the testbed file cannot be read: {error}"), "check its path")
     })?;
     parse_with(&name, &text, path.parent().unwrap_or(Path::new("")), settings)
+}
+
+/// The text of a testbed file, which may also come through a pipe.
+///
+/// # Errors
+/// When it cannot be read, is not UTF-8, or has more than 32 MiB.
+pub fn read(path: &Path) -> io::Result<String> {
+    file::read_text_or_pipe(path)
 }
 
 /// Reads a testbed file's text; `base_dir` is where the paths in it begin.
@@ -292,6 +301,42 @@ mod tests {
         }
         let wrong = parse("x.yaml", &text, Path::new("")).unwrap_err();
         assert_eq!(wrong.list[0].message, "there are 65001 hosts");
+    }
+
+    #[test]
+    fn more_links_than_the_bound_are_rejected_before_they_are_made() {
+        let servers = |side: &str| (0..317).map(|i| format!("{side}{i}")).collect::<Vec<_>>();
+        let (first, second) = (servers("a"), servers("b"));
+        let mut text = String::from("name: x\nnodes:\n");
+        for server in first.iter().chain(&second) {
+            text += &format!("  {server}: {{ kind: server, tier: fog, cpus: 1, memory: 1 GB }}\n");
+        }
+        let ends = format!("[[{}], [{}]]", first.join(", "), second.join(", "));
+        text += &format!("links:\n  - {{ ends: {ends} }}\n");
+        let set = Setting::new("links.*.delay", "1 ms").unwrap();
+        for settings in [vec![], vec![set]] {
+            let wrong = parse_with("x.yaml", &text, Path::new(""), &settings).unwrap_err();
+            assert_eq!(wrong.list[0].message, "with this entry there are more than 100000 links", "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_text_beyond_the_bound_is_rejected_in_its_place_without_being_repeated() {
+        let text = format!("name: {}\n", "x".repeat(1 << 20));
+        let wrong = parse("x.yaml", &text, Path::new("")).unwrap_err();
+        assert_eq!(
+            wrong.to_string(),
+            "x.yaml:1:7: this text has more than 65536 bytes\n  help: keep large data in a file of its own\n"
+        );
+    }
+
+    #[test]
+    fn a_map_or_trace_that_is_a_device_is_rejected_in_its_place() {
+        let text =
+            "name: x\nmap: /dev/zero\nnodes:\n  a: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n";
+        let wrong = parse("x.yaml", text, Path::new("")).unwrap_err();
+        assert_eq!((wrong.list[0].line, wrong.list[0].column), (2, 6));
+        assert!(wrong.list[0].message.contains("it is not a regular file"), "{wrong}");
     }
 
     fn check_places(wrong: &Diagnostics) {

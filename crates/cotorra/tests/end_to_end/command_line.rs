@@ -1,10 +1,10 @@
 //! Commands that bring nothing up.
 
-use std::fs;
+use std::{fs, io, process::Stdio};
 
 use serde_json::Value;
 
-use crate::harness::{corridor, output, project_file, stderr, stdout};
+use crate::harness::{corridor, cotorra, output, project_file, stderr, stdout};
 
 #[test]
 fn a_good_file_is_told_in_one_line() {
@@ -49,6 +49,33 @@ fn a_bad_file_is_told_all_that_is_wrong_at_once_with_lines_and_help() {
         assert!(said.contains(part), "{part} is not in {said}");
     }
     assert!(stdout(&checked).contains("corridor.yaml: "), "the good one is told too");
+}
+
+#[test]
+fn a_reader_of_errors_that_went_away_does_not_change_the_exit_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let bad = folder.path().join("bad.yaml");
+    fs::write(&bad, "name: bad\n").unwrap();
+    let (reader, writer) = io::pipe().unwrap();
+    drop(reader);
+    let checked = cotorra(["check".as_ref(), bad.as_os_str()]).stderr(writer).stdout(Stdio::null()).status();
+    assert_eq!(checked.unwrap().code(), Some(1));
+}
+
+#[test]
+fn endless_and_huge_files_are_rejected_with_their_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let checked = output(["check", "/dev/zero"]);
+    assert_eq!(checked.status.code(), Some(1));
+    assert!(stderr(&checked).contains("more than 33554432 bytes"), "{}", stderr(&checked));
+
+    let named = folder.path().join("named.yaml");
+    fs::write(&named, format!("name: {}\n", "x".repeat(30 << 20))).unwrap();
+    let checked = output(["check".as_ref(), named.as_os_str()]);
+    assert_eq!(checked.status.code(), Some(1));
+    let said = stderr(&checked);
+    assert!(said.contains("named.yaml:1:7: this text has more than 65536 bytes"), "{said}");
+    assert!(said.len() < 1000, "the name is repeated");
 }
 
 #[test]

@@ -21,6 +21,7 @@ use crate::{
     active::Probing,
     conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
     exposure::{GeoOrigin, WaisSettings},
+    file,
     hardware::{
         Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind, PathLoss,
         RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
@@ -410,6 +411,15 @@ impl Builder<'_> {
     }
 
     fn links(&mut self) -> Option<Vec<Link>> {
+        if let Some((_, span)) = check::entries(self.record).nth(HardwareGraph::MAX_LINKS) {
+            self.sink
+                .error(
+                    span,
+                    format!("with this entry there are more than {} links", HardwareGraph::MAX_LINKS),
+                )
+                .help("connect nodes through a switch, which has one link to each");
+            return None;
+        }
         let nested: Option<Vec<Vec<Link>>> = each(&self.record.links, |record| self.links_of(record));
         let links: Vec<Link> = nested?.into_iter().flatten().collect();
         Some(links)
@@ -602,7 +612,7 @@ impl Builder<'_> {
         if let Some(known) = self.traces.get(&path.value) {
             return known.clone();
         }
-        let trace = std::fs::read_to_string(self.base_dir.join(&path.value))
+        let trace = file::read_text(&self.base_dir.join(&path.value))
             .map_err(|error| format!("the trace cannot be read: {error}"))
             .and_then(|text| Trace::parse(&text).map_err(|error| format!("{}: {error}", path.value)));
         let trace = match trace {

@@ -4,6 +4,7 @@
 use std::{fmt, ops::Range, str::FromStr};
 
 use crate::{
+    hardware::HardwareGraph,
     testbed::BUNDLED_PLUGINS,
     yaml::{
         self, Sink,
@@ -279,7 +280,20 @@ fn name(item: &Node) -> Option<String> {
 /// Writes out the entries of `links` that stand for several alike, so that each can be set by itself.
 fn expand_links(links: &mut Node) {
     let Value::Sequence(items) = &mut links.value else { return };
+    if items.iter().map(stands_for).fold(0, usize::saturating_add) > HardwareGraph::MAX_LINKS {
+        // It is rejected for that, in its place.
+        return;
+    }
     *items = std::mem::take(items).into_iter().flat_map(expand_link).collect();
+}
+
+/// How many links an entry stands for.
+fn stands_for(link: &Node) -> usize {
+    let Value::Mapping(entries) = &link.value else { return 1 };
+    let ends = entries.iter().find(|e| e.key == "ends").map(|e| &e.value.value);
+    let Some(Value::Sequence(ends)) = ends else { return 1 };
+    let several = |end: &Node| if let Value::Sequence(several) = &end.value { several.len() } else { 1 };
+    ends.iter().map(several).fold(1, usize::saturating_mul)
 }
 
 fn expand_link(link: Node) -> Vec<Node> {

@@ -21,6 +21,9 @@ pub struct Diagnostic {
     pub column: usize,
 }
 
+/// Bytes of a line that is shown with a mistake in it. Nobody finds the place in a longer one.
+const MAX_LINE: usize = 1000;
+
 /// Everything that is wrong with a file, in the file's order; never empty.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub struct Diagnostics {
@@ -33,6 +36,11 @@ pub struct Diagnostics {
 }
 
 impl Diagnostics {
+    /// Whether the source's lines are short enough to show mistakes in them.
+    pub fn can_be_shown_in_place(&self) -> bool {
+        self.source_text.lines().all(|line| line.len() <= MAX_LINE)
+    }
+
     /// A mistake of a file as a whole, such as that it cannot be read.
     pub(crate) fn of_file(source_name: &str, message: String, help: &str) -> Self {
         let mut sink = Sink::default();
@@ -49,7 +57,8 @@ impl fmt::Display for Diagnostics {
                 writeln!(f)?;
             }
             writeln!(f, "{}:{}:{}: {}", self.source_name, d.line, d.column, d.message)?;
-            if let Some(line) = self.source_text.lines().nth(d.line - 1) {
+            if let Some(line) = self.source_text.lines().nth(d.line - 1).filter(|line| line.len() <= MAX_LINE)
+            {
                 let marked = self.source_text[d.span.clone()].lines().next().unwrap_or("").chars().count();
                 writeln!(f, "  | {line}")?;
                 let mark = format!("{}{}", " ".repeat(d.column - 1), "^".repeat(marked.max(1)));

@@ -9,6 +9,7 @@ use std::{
 use saphyr_parser::{Event, Marker, Parser, ScalarStyle};
 
 use super::Sink;
+use crate::file::MAX_TEXT;
 
 /// A range of bytes in the source.
 pub(crate) type Span = Range<usize>;
@@ -131,8 +132,8 @@ pub(crate) fn shorten(text: &str) -> String {
     }
 }
 
-/// Bytes of a file; a graph of as many hosts as have addresses fits.
-const MAX_BYTES: usize = 32 << 20;
+/// Bytes of one text: a name has 63, and the longest settings of a plug-in have some thousand.
+const MAX_SCALAR: usize = 64 << 10;
 /// Collections in collections.
 const MAX_DEPTH: usize = 64;
 /// Values that all aliases of a file expand to.
@@ -140,8 +141,8 @@ const MAX_ALIASED: usize = 100_000;
 
 /// Reads one YAML document. `None` if it is no YAML, which the sink then knows; duplicate keys it knows as well.
 pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
-    if text.len() > MAX_BYTES {
-        sink.error(&(0..0), format!("the file has {} bytes, more than {MAX_BYTES}", text.len()))
+    if text.len() > MAX_TEXT {
+        sink.error(&(0..0), format!("the file has {} bytes, more than {MAX_TEXT}", text.len()))
             .help("split it, or keep large data in files of its own");
         return None;
     }
@@ -218,6 +219,15 @@ impl Builder<'_> {
         match event {
             Event::Scalar(text, style, anchor, tag) => {
                 self.refuse_tag(tag.is_some(), &span);
+                if text.len() > MAX_SCALAR {
+                    self.sink
+                        .error(
+                            &(span.start..span.start),
+                            format!("this text has more than {MAX_SCALAR} bytes"),
+                        )
+                        .help("keep large data in a file of its own");
+                    return None;
+                }
                 let plain = style == ScalarStyle::Plain;
                 let span = span.start..span.start + self.text[span.clone()].trim_end().len();
                 let node = Node { span, value: Value::Scalar { text: text.into_owned(), plain } };
