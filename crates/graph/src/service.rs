@@ -42,6 +42,9 @@ pub struct Vnf {
     pub pinned_to: Option<NodeId>,
     /// Where it runs at the start; the pinned one if it is pinned.
     pub node: NodeId,
+    /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub env: Vec<String>,
 }
 
 /// What a VNF runs.

@@ -123,6 +123,9 @@ pub struct PluginSpec {
     /// The one domain that it sees and changes; without one it is the operator's, and sees and changes all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub domain: Option<DomainId>,
+    /// Variables of cotorra's own environment that a program gets beside the usual ones, by name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub env: Vec<String>,
     /// Its own settings, as the file has them.
     pub settings: serde_json::Map<String, serde_json::Value>,
 }

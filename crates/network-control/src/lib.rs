@@ -7,6 +7,8 @@
 
 mod access;
 mod control;
+mod environment;
 pub mod vim;
 
 pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric, test_fabric_throughput};
+pub use environment::program_of_others;

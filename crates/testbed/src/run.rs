@@ -21,7 +21,10 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
 use cotorra_netem::Confirmed;
-use cotorra_network_control::vim::{Cgroups, Launcher, Process, ProcessEngine};
+use cotorra_network_control::{
+    program_of_others,
+    vim::{Cgroups, Launcher, Process, ProcessEngine},
+};
 use cotorra_plugin::wire;
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
@@ -518,7 +521,7 @@ impl Launcher for NodeLauncher {
     fn bundled(&self, vnf: &Vnf, _node: &NodeId) -> Command {
         let word = if vnf.program == Program::Localization { "localization" } else { "navigation" };
         // The very file that runs, even if another was put in its place since.
-        let mut command = Command::new("/proc/self/exe");
+        let mut command = program_of_others("/proc/self/exe", &[]);
         command.args(["vnf", word]).env(bundled::TESTBED, &self.testbed_file);
         command.env(bundled::SETTINGS, &self.settings);
         if let Some(robot) = self.robots.get(&vnf.id) {

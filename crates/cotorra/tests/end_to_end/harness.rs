@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
+    cell::RefCell,
     collections::BTreeSet,
     env,
     ffi::OsStr,
@@ -20,9 +21,6 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-
-/// Marks a run and everything that it starts.
-const MARK: &str = "COTORRA_TEST";
 
 /// The program, with a clean environment of its own variables.
 pub fn cotorra<S: AsRef<OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
@@ -71,7 +69,8 @@ fn alone() -> Alone {
 /// A run of the program that goes on, and is killed when this is dropped.
 pub struct Run {
     child: Child,
-    mark: String,
+    /// Processes that it was seen to have.
+    seen: RefCell<BTreeSet<u32>>,
     /// Said on standard error so far and from now on.
     lines: mpsc::Receiver<String>,
     pub api: String,
@@ -104,9 +103,8 @@ impl Run {
         alone: Option<Alone>,
     ) -> Self {
         let out = TempDir::new().unwrap();
-        let mark = format!("{}-{:?}", std::process::id(), thread::current().id());
         let mut command = cotorra(["run", "--headless", "--api", "127.0.0.1:0", "--out"]);
-        command.arg(out.path()).arg(testbed).args(arguments).env(MARK, &mark);
+        command.arg(out.path()).arg(testbed).args(arguments);
         change(&mut command);
         // As a shell starts it, so that Ctrl-C can be sent to all that is in the foreground.
         let mut child =
@@ -123,7 +121,7 @@ impl Run {
             }
             before.push(line);
         };
-        Self { child, mark, lines, api, folder, out, _alone: alone }
+        Self { child, seen: RefCell::default(), lines, api, folder, out, _alone: alone }
     }
 
     /// The API's address without its scheme.
@@ -196,14 +194,24 @@ impl Run {
         self.child.id()
     }
 
-    /// Processes of this run, itself included.
+    /// Processes of this run that live, itself included: those that it, or one of them, is the parent of, and those that
+    /// were when this was last asked.
     pub fn processes(&self) -> BTreeSet<u32> {
-        let mark = format!("{MARK}={}", self.mark);
-        let is_marked = |pid: &u32| {
-            let environment = fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
-            environment.split(|byte| *byte == 0).any(|variable| variable == mark.as_bytes())
+        let lives = |pid: &u32| parent_of(*pid).is_some();
+        let is_below = |pid: &u32| {
+            let mut at = *pid;
+            while at != self.pid() {
+                match parent_of(at) {
+                    Some(parent) if parent > 0 => at = parent,
+                    _ => return false,
+                }
+            }
+            true
         };
-        all_processes().filter(is_marked).collect()
+        let mut seen = self.seen.borrow_mut();
+        seen.extend(all_processes().filter(is_below));
+        seen.retain(lives);
+        seen.clone()
     }
 
     /// The inodes of its nodes' network namespaces.
@@ -249,6 +257,14 @@ fn agent() -> ureq::Agent {
 
 fn all_processes() -> impl Iterator<Item = u32> {
     fs::read_dir("/proc").unwrap().flatten().filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+}
+
+/// The parent of a process that lives.
+fn parent_of(pid: u32) -> Option<u32> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let mut after_name = stat.rsplit(')').next()?.split_whitespace();
+    let state = after_name.next()?;
+    after_name.next()?.parse().ok().filter(|_| !matches!(state, "Z" | "X"))
 }
 
 /// Whether any process is in one of these network namespaces, or holds it open.

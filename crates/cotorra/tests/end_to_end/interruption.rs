@@ -41,6 +41,7 @@ fn ctrl_c_and_its_kin_end_a_run_in_order() {
 fn kill_9_loses_nothing_that_was_kept_and_leaves_nothing_that_runs() {
     let mut run = run_for_a_while();
     let namespaces = run.namespaces();
+    assert!(run.processes().len() >= 2, "the run and its navigation VNF");
     let groups = run.control_groups();
     run.signal("KILL");
     let (status, ..) = run.wait();

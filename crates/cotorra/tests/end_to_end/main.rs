@@ -2,6 +2,7 @@
 
 mod api;
 mod command_line;
+mod confinement;
 mod documents;
 mod experiment;
 mod going_on;

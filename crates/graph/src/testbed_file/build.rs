@@ -117,6 +117,9 @@ fn is_host(record: &NodeRecord) -> bool {
     !matches!(record, NodeRecord::Switch(_) | NodeRecord::Machine(_))
 }
 
+/// Characters of the longest name of a variable.
+const LONGEST_VARIABLE: usize = 255;
+
 /// Applies `f` to all before any that failed ends it, so that each one's mistakes show.
 fn each<T, U, C: FromIterator<U>>(items: &[T], mut f: impl FnMut(&T) -> Option<U>) -> Option<C> {
     let built: Vec<_> = items.iter().map(&mut f).collect();
@@ -633,7 +636,8 @@ impl Builder<'_> {
         let vnfs: Option<Vec<_>> = each(&record.vnfs.0, |(vnf, r)| {
             let (program, pinned_to, node) = self.vnf(&vnf.span, r)?;
             let id = vnf.value.clone();
-            Some(Vnf { id, program, cpus: r.cpus.0, memory_bytes: r.memory.0, pinned_to, node })
+            let env = self.env(&r.env, matches!(program, Program::Command(_)))?;
+            Some(Vnf { id, program, cpus: r.cpus.0, memory_bytes: r.memory.0, pinned_to, node, env })
         });
         let virtual_links: Option<Vec<_>> = each(&record.virtual_links, |link| {
             for end in [&link.from, &link.to] {
@@ -719,6 +723,27 @@ impl Builder<'_> {
         Some(command.value.clone())
     }
 
+    /// The variables that a command is to get.
+    fn env(&mut self, names: &[Spanned<String>], is_command: bool) -> Option<Vec<String>> {
+        each(names, |name| {
+            let starts_well = name.value.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_');
+            let all_well = name.value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+            if !is_command {
+                self.sink
+                    .error(&name.span, "only a `command` gets variables")
+                    .help("leave out `env`: what is bundled gets what it needs");
+                None
+            } else if !starts_well || !all_well || name.value.len() > LONGEST_VARIABLE {
+                self.sink
+                    .error(&name.span, format!("`{}` is not the name of a variable", name.value))
+                    .help("write names alone, such as `env: [DISPLAY, MY_TOKEN]`: their values come from cotorra's environment");
+                None
+            } else {
+                Some(name.value.clone())
+            }
+        })
+    }
+
     fn walk(&mut self, robot: &Spanned<NodeId>, record: &WalkRecord) -> Option<Walk> {
         let robot = self.robot(robot);
         let mut waypoints: Vec<_> = record.waypoints.value.iter().map(|w| w.value).collect();
@@ -758,7 +783,7 @@ impl Builder<'_> {
                 Either::Short(name) => {
                     let program = self.bundled(&Spanned { value: name.clone(), span: entry.span.clone() })?;
                     let id = PluginId::new(name).expect("bundled plug-ins have names");
-                    PluginSpec { id, program, domain: None, settings: serde_json::Map::new() }
+                    PluginSpec { id, program, domain: None, env: Vec::new(), settings: serde_json::Map::new() }
                 }
                 Either::Long(record) => self.plugin(&entry.span, record)?,
             };
@@ -802,7 +827,9 @@ impl Builder<'_> {
             Some(domain) => self.domain(Some(domain)).map(Some),
             None => Some(None),
         };
-        Some(PluginSpec { id: id?, program: program?, domain: domain?, settings: record.settings.clone() })
+        let env = self.env(&record.env, !matches!(program, Some(PluginProgram::Bundled(_))));
+        let settings = record.settings.clone();
+        Some(PluginSpec { id: id?, program: program?, domain: domain?, env: env?, settings })
     }
 
     fn bundled(&mut self, name: &Spanned<String>) -> Option<PluginProgram> {

@@ -567,6 +567,8 @@ record! {
         program: Option<Spanned<ProgramWord>>,
         /// Any program and its arguments, in its node's network namespace.
         command: Option<Spanned<Vec<String>>>,
+        /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
+        env: Vec<Spanned<String>> = [],
         /// The one node that can carry it.
         pinned_to: Option<Spanned<NodeId>>,
         /// Where it runs at the start.
@@ -623,6 +625,8 @@ record! {
         command: Option<Spanned<Vec<String>>>,
         /// The one domain that a bundled plug-in sees and changes. Without one it is the operator's, and sees all.
         domain: Option<Spanned<DomainId>>,
+        /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
+        env: Vec<Spanned<String>> = [],
         /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
         enabled: bool = true,
         /// Its own settings.

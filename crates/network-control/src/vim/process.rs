@@ -15,6 +15,8 @@ use std::{
 
 use cotorra_graph::{NodeId, Program, Vnf};
 
+use crate::environment::program_of_others;
+
 use super::{
     cgroup::Cgroups,
     engine::{Engine, EngineEvent, InstanceId, Outcome},
@@ -58,7 +60,8 @@ pub trait Launcher: Send + Sync + 'static {
         cgroup_procs: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>>;
 
-    /// The program and arguments of a bundled VNF: navigation or localization. It prints [`READY`] once it serves.
+    /// The program and arguments of a bundled VNF, navigation or localization, with the environment that it gets. It
+    /// prints [`READY`] once it serves.
     fn bundled(&self, vnf: &Vnf, node: &NodeId) -> Command;
 
     /// Called from another thread when [`Engine::poll`] has something new.
@@ -98,14 +101,12 @@ impl<L: Launcher> ProcessEngine<L> {
             Program::Navigation | Program::Localization => self.launcher.bundled(vnf, node),
             Program::Command(words) => {
                 let (program, arguments) = words.split_first().ok_or("its command is empty")?;
-                let mut command = Command::new(program);
+                let mut command = program_of_others(program, &vnf.env);
                 command.args(arguments);
                 command
             }
             Program::RobotDriver => return Err("the robot's driver runs in the Robot Middleware".to_owned()),
         };
-        // The history's password is nobody's business.
-        command.env_remove("COTORRA_HISTORY").env_remove("COTORRA_HISTORY_PASSWORD");
         command.env("COTORRA_VNF", vnf.id.as_str()).env("COTORRA_NODE", node.as_str());
         Ok(command)
     }

@@ -27,6 +27,7 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
         memory_bytes: 1 << 30,
         pinned_to: pinned.then(|| node.clone()),
         node,
+        env: Vec::new(),
     }
 }
 

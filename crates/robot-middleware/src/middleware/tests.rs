@@ -24,6 +24,7 @@ fn testbed() -> Testbed {
         memory_bytes: 1 << 20,
         pinned_to: None,
         node: id("robot1"),
+        env: Vec::new(),
     };
     let service = Service {
         id: ServiceId::new("navigation").unwrap(),

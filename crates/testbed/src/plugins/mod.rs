@@ -15,18 +15,22 @@ use std::{
     io,
     net::SocketAddr,
     path::Path,
-    process::{Child, Command, Stdio},
+    process::{Child, Stdio},
     sync::Arc,
     time::Duration,
 };
 
 use cotorra_federation::{Federation, Ledgers};
 use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed, Timestamp};
+use cotorra_network_control::program_of_others;
 use cotorra_okpi::Okpi;
 use cotorra_plugin::Plugin;
 use cotorra_probing::Probing;
 
 use self::host::Fault;
+
+/// What a program shows the API, of all that this process may know: it instructs the testbed.
+const TOKEN: &str = "COTORRA_TOKEN";
 
 /// Where time waits for plug-ins, one that says nothing for longer counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
@@ -158,12 +162,9 @@ impl Process {
         let (program, arguments) = program(spec, words)?;
         let start = || {
             let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
-            Command::new(program)
+            program_of_others(program, &spec.env)
                 .args(arguments)
-                // The history's password is nobody's business.
-                .env_remove("COTORRA_HISTORY")
-                .env_remove("COTORRA_HISTORY_PASSWORD")
-                .env_remove("COTORRA_DOMAIN_TOKENS")
+                .envs(env::var_os(TOKEN).map(|token| (TOKEN, token)))
                 .env("COTORRA_API", format!("http://{api}"))
                 .env("COTORRA_PLUGIN", spec.id.as_str())
                 .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())

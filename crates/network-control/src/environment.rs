@@ -1,0 +1,87 @@
+//! The environment of programs that others wrote: of this process's variables they get what programs need to start and
+//! to find each other, and what the testbed file names. This process's own may hold tokens and passwords.
+
+use std::{
+    env,
+    ffi::{OsStr, OsString},
+    process::Command,
+};
+
+/// What everyone gets: where programs are, how people read and what time it is, and how to find a bug.
+const USUAL: &[&str] = &[
+    "HOME",
+    "LANG",
+    "LANGUAGE",
+    "LD_LIBRARY_PATH",
+    "LOGNAME",
+    "NO_COLOR",
+    "PATH",
+    "RUST_BACKTRACE",
+    "SHELL",
+    "TERM",
+    "TMPDIR",
+    "TZ",
+    "USER",
+    "CMAKE_PREFIX_PATH",
+    "CYCLONEDDS_URI",
+];
+/// What everyone gets of the variables that begin so: the locale, Python, ROS and its middlewares.
+const USUAL_BEGINNINGS: &[&str] = &[
+    "AMENT_",
+    "COLCON_",
+    "FASTDDS_",
+    "FASTRTPS_",
+    "LC_",
+    "PYTHON",
+    "RCL_",
+    "RCUTILS_",
+    "RMW_",
+    "ROS_",
+];
+
+/// A command with an empty environment but for the usual variables and those that are named here. What it needs besides
+/// is set on it.
+pub fn program_of_others(program: impl AsRef<OsStr>, named: &[String]) -> Command {
+    let mut command = Command::new(program);
+    command.env_clear().envs(allowed(env::vars_os(), named));
+    command
+}
+
+fn allowed(
+    all: impl Iterator<Item = (OsString, OsString)>,
+    named: &[String],
+) -> impl Iterator<Item = (OsString, OsString)> {
+    let is_allowed = |name: &str| {
+        USUAL.contains(&name)
+            || USUAL_BEGINNINGS.iter().any(|beginning| name.starts_with(beginning))
+            || named.iter().any(|named| named == name)
+    };
+    all.filter(move |(name, _)| name.to_str().is_some_and(is_allowed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn programs_of_others_get_what_is_usual_or_named_and_no_secret() {
+        let ours = [
+            ("PATH", "/bin"),
+            ("ROS_DOMAIN_ID", "7"),
+            ("LC_TIME", "C"),
+            ("DISPLAY", ":0"),
+            ("COTORRA_TOKEN", "secret"),
+            ("COTORRA_DOMAIN_TOKENS", "a=secret"),
+            ("COTORRA_LEDGER_PASSWORD", "secret"),
+            ("COTORRA_HISTORY_PASSWORD", "secret"),
+            ("AWS_SECRET_ACCESS_KEY", "secret"),
+            ("ZENOH_CONFIG_OVERRIDE", "secret"),
+        ];
+        let ours = || ours.iter().map(|(name, value)| (OsString::from(name), OsString::from(value)));
+        let names = |named: &[String]| {
+            allowed(ours(), named).map(|(name, _)| name.into_string().unwrap()).collect::<Vec<_>>()
+        };
+        assert_eq!(names(&[]), ["PATH", "ROS_DOMAIN_ID", "LC_TIME"]);
+        assert_eq!(names(&["DISPLAY".to_owned()]), ["PATH", "ROS_DOMAIN_ID", "LC_TIME", "DISPLAY"]);
+    }
+}
