@@ -3,14 +3,14 @@
 
 use std::{
     env,
-    ffi::CString,
+    ffi::{CStr, CString},
     fs::{self, File},
     io::{self, PipeWriter},
     os::{
         fd::{AsFd, AsRawFd, OwnedFd},
-        unix::process::ExitStatusExt,
+        unix::{fs::PermissionsExt, process::ExitStatusExt},
     },
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{self, Command, ExitStatus},
 };
 
@@ -176,13 +176,16 @@ impl HostsFile {
         sys::unshare(libc::CLONE_NEWNS)?;
         // What others mount later is still seen; what is mounted here is not seen elsewhere.
         sys::mount(c"none", c"/", None, libc::MS_REC | libc::MS_SLAVE)?;
-        let name = format!("cotorra-hosts-{}-{:?}", process::id(), std::thread::current().id());
-        let file = env::temp_dir().join(name);
-        fs::write(&file, text)?;
-        let mounted = sys::mount(&sys::c_path(&file)?, c"/etc/hosts", None, libc::MS_BIND);
-        // The mount keeps the file alive.
-        fs::remove_file(&file)?;
-        mounted?;
+        // In a folder that nobody else sees: over one that is always there, for a moment.
+        const FOLDER: &CStr = c"/proc";
+        const FILE: &CStr = c"/proc/hosts";
+        sys::mount_tmpfs(Path::new("/proc"), "size=1m,mode=755")?;
+        let file = Path::new("/proc/hosts");
+        fs::write(file, text)?;
+        fs::set_permissions(file, fs::Permissions::from_mode(0o644))?;
+        sys::mount(FILE, c"/etc/hosts", None, libc::MS_BIND)?;
+        // What is mounted keeps the file alive.
+        sys::unmount(FOLDER)?;
         Ok(Self { mounts: File::open("/proc/thread-self/ns/mnt")?.into() })
     }
 

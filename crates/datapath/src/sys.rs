@@ -67,6 +67,21 @@ pub(crate) fn mount(source: &CStr, target: &CStr, kind: Option<&CStr>, flags: c_
     check(unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind, flags, std::ptr::null()) }).map(drop)
 }
 
+/// Mounts an empty file system in memory, with these options.
+pub(crate) fn mount_tmpfs(on: &Path, options: &str) -> io::Result<()> {
+    let (on, options) = (c_path(on)?, CString::new(options)?);
+    let tmpfs = c"tmpfs".as_ptr();
+    let flags = libc::MS_NOSUID | libc::MS_NODEV;
+    // SAFETY: all strings end in a zero and outlive the call.
+    check(unsafe { libc::mount(tmpfs, on.as_ptr(), tmpfs, flags, options.as_ptr().cast()) }).map(drop)
+}
+
+/// Unmounts what is there as soon as nobody uses it; nobody finds it any more at once.
+pub(crate) fn unmount(path: &CStr) -> io::Result<()> {
+    // SAFETY: the path ends in a zero.
+    check(unsafe { libc::umount2(path.as_ptr(), libc::MNT_DETACH) }).map(drop)
+}
+
 /// Names the host of the calling thread's UTS namespace.
 pub(crate) fn set_hostname(name: &str) -> io::Result<()> {
     // SAFETY: the pointer is to so many live bytes.

@@ -37,6 +37,7 @@ const TESTS: &[Test] = &[
     ("a program gets its exit code, its host's name, its limits and its signals", programs_are_at_home),
     ("nothing survives kill -9", nothing_survives_kill_9),
     ("another process enters a node", another_process_enters_a_node),
+    ("names of nodes are in no folder that others share", names_are_in_no_shared_folder),
 ];
 
 fn main() -> ExitCode {
@@ -426,6 +427,26 @@ fn another_process_enters_a_node(kind: PortKind) {
     let told = String::from_utf8(told.stdout).unwrap();
     assert!(told.contains("fd770000000000000000000000000002") && told.contains("eth0"), "{told}");
     assert!(told.contains("10.77.0.1 host0"), "{told}");
+}
+
+fn names_are_in_no_shared_folder(_: PortKind) {
+    // What someone put there who knew the name that a file would have.
+    let victim = std::env::temp_dir().join(format!("cotorra-test-victim-{}", process::id()));
+    fs::write(&victim, "untouched").unwrap();
+    let name = |i: u32| format!("cotorra-hosts-{}-ThreadId({i})", process::id());
+    let links: Vec<_> = (1..5000).map(|i| std::env::temp_dir().join(name(i))).collect();
+    links.iter().for_each(|link| std::os::unix::fs::symlink(&victim, link).unwrap());
+    let hosts = HostsFile::new("10.77.0.9 known");
+    let untouched = links.iter().filter(|link| fs::remove_file(link).is_ok()).count();
+    assert_eq!((fs::read_to_string(&victim).unwrap().as_str(), untouched), ("untouched", links.len()));
+    fs::remove_file(victim).unwrap();
+    let hosts = hosts.unwrap();
+    let options = SpawnOptions { hosts: Some(&hosts), ..SpawnOptions::default() };
+    let mut child =
+        Namespace::new().unwrap().spawn(shell("cat /etc/hosts; ls /proc/self/status"), options).unwrap();
+    let mut told = String::new();
+    child.pipes().1.unwrap().read_to_string(&mut told).unwrap();
+    assert_eq!(told, "10.77.0.9 known/proc/self/status\n");
 }
 
 fn parent_of(process: u32) -> Option<u32> {
