@@ -5,8 +5,12 @@ use std::{
     ffi::{CStr, CString},
     fs::File,
     io, mem,
-    os::fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd},
+    os::{
+        fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd},
+        unix::process::ExitStatusExt,
+    },
     path::Path,
+    process::ExitStatus,
     sync::OnceLock,
     time::Duration,
 };
@@ -125,9 +129,15 @@ pub(crate) fn try_unshare(flags: c_int) -> io::Result<()> {
     let mut status = 0;
     // SAFETY: the pointer is to a live integer.
     check(unsafe { libc::waitpid(child, &mut status, 0) })?;
-    match libc::WEXITSTATUS(status) {
-        0 => Ok(()),
-        error => Err(io::Error::from_raw_os_error(error)),
+    tried(ExitStatus::from_raw(status))
+}
+
+/// What the process found that tried something: it ends with the error's number.
+fn tried(status: ExitStatus) -> io::Result<()> {
+    match status.code() {
+        Some(0) => Ok(()),
+        Some(error) => Err(io::Error::from_raw_os_error(error)),
+        None => Err(io::Error::other("the process that tried it was killed")),
     }
 }
 
@@ -511,11 +521,14 @@ pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result
     let length = check_len(unsafe { libc::recvmsg(fd.as_raw_fd(), &mut message, 0) })?;
     let now = realtime()?;
     // SAFETY: the kernel filled the message in, whose control buffer is live and aligned.
-    let header = unsafe { libc::CMSG_FIRSTHDR(&message).as_ref() };
+    let first = unsafe { libc::CMSG_FIRSTHDR(&message) };
+    // SAFETY: it is null, or points to a header in that buffer.
+    let header = unsafe { first.as_ref() };
     let got = header.filter(|h| h.cmsg_level == libc::SOL_SOCKET && h.cmsg_type == libc::SCM_TIMESTAMPNS);
-    let age = got.map_or(Duration::ZERO, |header| {
-        // SAFETY: the data of such a message is a timespec, which need not be aligned.
-        let at = unsafe { libc::CMSG_DATA(header).cast::<libc::timespec>().read_unaligned() };
+    let age = got.map_or(Duration::ZERO, |_| {
+        // SAFETY: the data of such a message is a timespec, which need not be aligned. The pointer to the header is the
+        // one into the whole buffer: a reference to the header alone does not reach what follows it.
+        let at = unsafe { libc::CMSG_DATA(first).cast::<libc::timespec>().read_unaligned() };
         now.saturating_sub(since_1970(at))
     });
     Ok((length, age))
@@ -532,4 +545,20 @@ fn realtime() -> io::Result<Duration> {
 
 fn since_1970(at: libc::timespec) -> Duration {
     Duration::new(at.tv_sec.max(0) as u64, at.tv_nsec.clamp(0, 999_999_999) as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trial_that_was_killed_did_not_succeed() {
+        const EXITED_WITH_EPERM: c_int = libc::EPERM << 8;
+        assert!(tried(ExitStatus::from_raw(0)).is_ok());
+        assert_eq!(
+            tried(ExitStatus::from_raw(EXITED_WITH_EPERM)).unwrap_err().raw_os_error(),
+            Some(libc::EPERM)
+        );
+        assert!(tried(ExitStatus::from_raw(libc::SIGSYS)).is_err());
+    }
 }

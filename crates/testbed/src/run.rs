@@ -437,7 +437,9 @@ pub fn leftovers() -> Leftovers {
 
 /// Removes what runs left behind whose process was killed; gives what it removed.
 pub fn clean() -> Leftovers {
-    let mut cleaned = Leftovers { control_groups: Cgroups::clean(), ..Leftovers::default() };
+    let (control_groups, kept) = Cgroups::clean();
+    let kept = kept.iter().map(ToString::to_string).collect();
+    let mut cleaned = Leftovers { control_groups, kept, ..Leftovers::default() };
     for (interface, done) in cotorra_netem::put_back() {
         match done {
             Ok(()) => cleaned.interfaces.push(interface.name),

@@ -1,10 +1,13 @@
-//! CPU and memory limits of VNFs through cgroups, version 2 or 1, where this process may make them.
+//! Limits of VNFs on CPU, memory and processes through cgroups, version 2 or 1, where this process may make them.
 //!
 //! A run's groups are `cotorra-<pid>/<instance>`: what a killed run left behind is known by a process that is gone.
 
 use std::{
     fs, io,
+    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
+    thread,
+    time::Duration,
 };
 
 use super::engine::InstanceId;
@@ -18,6 +21,11 @@ const REAL_TIME_US: u64 = 100_000;
 /// What those of one VNF get in a second, µs: too little to stop anyone else, and many times what answering takes - a
 /// group that used it up stands still for the rest of its second.
 const VNF_REAL_TIME_US: u64 = 20_000;
+/// Processes and threads of one VNF at most.
+const PROCESSES: u32 = 512;
+/// How often a group is looked at whose processes are ending, and how long in between.
+const LOOKS: u32 = 300;
+const LOOK: Duration = Duration::from_millis(10);
 
 /// Why limits cannot be set.
 #[derive(Debug, thiserror::Error)]
@@ -36,10 +44,10 @@ fn at(what: &'static str, path: &Path) -> impl FnOnce(io::Error) -> CgroupError 
 /// How this machine mounts the controllers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Hierarchy {
-    /// One tree with both controllers.
+    /// One tree with all controllers.
     V2(PathBuf),
-    /// A tree each.
-    V1 { cpu: PathBuf, memory: PathBuf },
+    /// A tree each. Few machines lack that of processes.
+    V1 { cpu: PathBuf, memory: PathBuf, pids: Option<PathBuf> },
 }
 
 impl Hierarchy {
@@ -50,13 +58,16 @@ impl Hierarchy {
         }
         let (cpu, memory) = (root.join("cpu"), root.join("memory"));
         let both = cpu.join("cpu.cfs_quota_us").exists() || cpu.join("cgroup.procs").exists();
-        (both && memory.join("cgroup.procs").exists()).then_some(Self::V1 { cpu, memory })
+        let pids = Some(root.join("pids")).filter(|pids| pids.join("cgroup.procs").exists());
+        (both && memory.join("cgroup.procs").exists()).then_some(Self::V1 { cpu, memory, pids })
     }
 
     fn trees(&self) -> Vec<&Path> {
         match self {
             Self::V2(root) => vec![root],
-            Self::V1 { cpu, memory } => vec![cpu, memory],
+            Self::V1 { cpu, memory, pids } => {
+                [cpu, memory].into_iter().chain(pids).map(|tree| &**tree).collect()
+            }
         }
     }
 }
@@ -87,6 +98,9 @@ impl Cgroups {
             if matches!(groups.hierarchy, Hierarchy::V2(_)) {
                 let control = path.join("cgroup.subtree_control");
                 fs::write(&control, "+cpu +memory").map_err(at("pass controllers on in", &control))?;
+                if let Err(error) = fs::write(&control, "+pids") {
+                    tracing::info!("VNFs may have any number of processes: {}: {error}", control.display());
+                }
             }
         }
         if let Hierarchy::V1 { cpu, .. } = &groups.hierarchy {
@@ -122,13 +136,22 @@ impl Cgroups {
                 let group = root.join(&self.name).join(instance.0.to_string());
                 set(group.join("cpu.max"), format!("{quota} {CPU_PERIOD_US}"))?;
                 set(group.join("memory.max"), memory_bytes.to_string())?;
+                if group.join("memory.swap.max").exists() {
+                    set(group.join("memory.swap.max"), "0".to_owned())?;
+                }
+                if group.join("pids.max").exists() {
+                    set(group.join("pids.max"), PROCESSES.to_string())?;
+                }
             }
-            Hierarchy::V1 { cpu, memory } => {
+            Hierarchy::V1 { cpu, memory, pids } => {
                 let group = |tree: &Path| tree.join(&self.name).join(instance.0.to_string());
                 set(group(cpu).join("cpu.cfs_period_us"), format!("{CPU_PERIOD_US}"))?;
                 set(group(cpu).join("cpu.cfs_quota_us"), quota.to_string())?;
                 allow_real_time(&group(cpu), VNF_REAL_TIME_US);
                 set(group(memory).join("memory.limit_in_bytes"), memory_bytes.to_string())?;
+                if let Some(pids) = pids {
+                    set(group(pids).join("pids.max"), PROCESSES.to_string())?;
+                }
             }
         }
         Ok(procs)
@@ -141,24 +164,35 @@ impl Cgroups {
         }
     }
 
-    /// Removes what runs left behind whose process is gone; gives the groups that it removed.
-    pub fn clean() -> Vec<PathBuf> {
-        Self::leftovers().into_iter().filter(|group| remove_group(group)).collect()
+    /// Removes what runs left behind whose process is gone; waits for what they started to end, too. Gives the groups
+    /// that it removed, and why others stay.
+    pub fn clean() -> (Vec<PathBuf>, Vec<CgroupError>) {
+        let (mut removed, mut kept) = (Vec::new(), Vec::new());
+        for group in Self::leftovers() {
+            match remove_when_empty(&group) {
+                Ok(()) => removed.push(group),
+                Err(error) => kept.push(error),
+            }
+        }
+        (removed, kept)
     }
 
     /// What [`Self::clean`] would remove.
     pub fn leftovers() -> Vec<PathBuf> {
-        Self::leftovers_under(Path::new(ROOT), |pid| Path::new("/proc").join(pid.to_string()).exists())
+        Self::leftovers_under(Path::new(ROOT), lives)
     }
 
     fn leftovers_under(root: &Path, lives: impl Fn(u32) -> bool) -> Vec<PathBuf> {
         let Some(hierarchy) = Hierarchy::find(root) else { return Vec::new() };
         let groups = hierarchy.trees().into_iter().flat_map(fs::read_dir).flatten().flatten();
+        // Those of other users are theirs to remove.
+        let user = fs::metadata("/proc/self").map(|own| own.uid()).ok();
+        let is_ours = |group: &fs::DirEntry| group.metadata().is_ok_and(|found| Some(found.uid()) == user);
         let is_left = |group: &fs::DirEntry| {
             let name = group.file_name();
             let pid =
                 name.to_str().and_then(|name| name.strip_prefix(PREFIX)).and_then(|pid| pid.parse().ok());
-            pid.is_some_and(|pid| !lives(pid))
+            pid.is_some_and(|pid| !lives(pid)) && is_ours(group)
         };
         groups.filter(is_left).map(|group| group.path()).collect()
     }
@@ -176,19 +210,38 @@ fn allow_real_time(group: &Path, runtime_us: u64) {
     }
 }
 
-fn remove_group(group: &Path) -> bool {
-    for child in fs::read_dir(group).into_iter().flatten().flatten() {
+/// Whether there is a process of that number; one that ended and was not waited for is none.
+fn lives(pid: u32) -> bool {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat"));
+    stat.is_ok_and(|stat| !stat.rsplit(')').next().unwrap_or_default().trim_start().starts_with(['Z', 'X']))
+}
+
+fn remove_group(group: &Path) -> io::Result<()> {
+    for child in fs::read_dir(group)?.flatten() {
         if child.file_type().is_ok_and(|t| t.is_dir()) {
-            let _ = fs::remove_dir(child.path());
+            fs::remove_dir(child.path())?;
         }
     }
-    fs::remove_dir(group).is_ok()
+    fs::remove_dir(group)
+}
+
+/// Removes a group whose processes are ending, because their run has.
+#[allow(clippy::disallowed_methods, reason = "version 1 tells nobody when a group is empty")]
+fn remove_when_empty(group: &Path) -> Result<(), CgroupError> {
+    for _ in 0..LOOKS {
+        match remove_group(group) {
+            Err(error) if error.kind() == io::ErrorKind::ResourceBusy => thread::sleep(LOOK),
+            done => return done.map_err(at("remove the cgroup", group)),
+        }
+    }
+    remove_group(group).map_err(at("remove the cgroup of a killed run, in which processes still end,", group))
 }
 
 impl Drop for Cgroups {
     fn drop(&mut self) {
         for path in self.paths() {
-            remove_group(&path);
+            // What still ends is for the next run to remove.
+            let _ = remove_group(&path);
         }
     }
 }
@@ -200,7 +253,7 @@ mod tests {
     /// A folder that looks like a v1 hierarchy.
     fn v1() -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
-        for tree in ["cpu", "memory"] {
+        for tree in ["cpu", "memory", "pids"] {
             fs::create_dir(root.path().join(tree)).unwrap();
             fs::write(root.path().join(tree).join("cgroup.procs"), "").unwrap();
         }
@@ -212,7 +265,7 @@ mod tests {
         let root = v1();
         let groups = Cgroups::under(root.path()).unwrap();
         let procs = groups.limit(InstanceId(7), 1.5, 1 << 20).unwrap();
-        assert_eq!(procs.len(), 2);
+        assert_eq!(procs.len(), 3);
         let read = |file: &str| {
             let group = format!("{PREFIX}{}/7", std::process::id());
             let (tree, file) = file.split_once('/').unwrap();
@@ -220,6 +273,7 @@ mod tests {
         };
         assert_eq!(read("cpu/cpu.cfs_quota_us"), "150000");
         assert_eq!(read("memory/memory.limit_in_bytes"), "1048576");
+        assert_eq!(read("pids/pids.max"), "512");
     }
 
     #[test]
@@ -231,9 +285,31 @@ mod tests {
         fs::create_dir(root.path().join("cpu/somebody-elses")).unwrap();
         let left = Cgroups::leftovers_under(root.path(), |pid| pid == 12);
         assert_eq!(left, [root.path().join(format!("cpu/{PREFIX}11"))]);
-        assert!(remove_group(&left[0]));
+        remove_when_empty(&left[0]).unwrap();
         assert!(root.path().join(format!("cpu/{PREFIX}12/1")).exists());
         assert!(root.path().join("cpu/somebody-elses").exists());
+    }
+
+    #[test]
+    fn a_group_that_cannot_be_removed_is_reported_with_the_reason() {
+        let root = v1();
+        let group = root.path().join("cpu/cotorra-11");
+        fs::create_dir(&group).unwrap();
+        fs::write(group.join("tasks"), "12").unwrap();
+        let error = remove_when_empty(&group).unwrap_err().to_string();
+        assert!(error.contains("cotorra-11") && error.contains("not empty"), "{error}");
+    }
+
+    #[test]
+    fn a_process_that_was_killed_and_not_waited_for_is_gone() {
+        let mut child = std::process::Command::new("sleep").arg("1000").spawn().unwrap();
+        assert!(lives(child.id()));
+        child.kill().unwrap();
+        while lives(child.id()) {
+            thread::yield_now();
+        }
+        assert!(Path::new("/proc").join(child.id().to_string()).exists());
+        child.wait().unwrap();
     }
 
     #[test]
