@@ -6,23 +6,30 @@
 //! allocation, no lock, no destructor.
 
 use std::{
-    ffi::CString,
+    fs::File,
     io, mem,
-    os::{fd::RawFd, unix::process::CommandExt},
+    os::{
+        fd::{AsRawFd, RawFd},
+        unix::process::CommandExt,
+    },
     process::Command,
+    ptr,
 };
 
-use libc::{c_int, pid_t};
+use libc::{c_int, c_long, c_ulong, pid_t};
 
-use crate::sys::check;
+use crate::{confine::Walls, sys::check};
 
 /// What the init needs, made before the fork.
 pub(crate) struct Init {
-    pub(crate) cgroups: Vec<CString>,
+    /// Open for writing: the program may find itself where their paths lead nowhere.
+    pub(crate) cgroups: Vec<File>,
     /// The end of a pipe that hangs up when the parent is gone.
     pub(crate) lifeline: RawFd,
     /// The limit that the program gets: a program that uses select(2) must not see descriptors above 1024.
     pub(crate) open_files: Option<libc::rlimit>,
+    /// What confines the program, whose root folder the spawning thread is in.
+    pub(crate) walls: Option<Walls>,
 }
 
 impl Init {
@@ -38,13 +45,8 @@ impl Init {
     /// To be called between fork and exec.
     unsafe fn split(&self) -> io::Result<()> {
         for group in &self.cgroups {
-            // SAFETY: the path ends in a zero; open, write and close are async-signal-safe.
-            unsafe {
-                let file = check(libc::open(group.as_ptr(), libc::O_WRONLY | libc::O_CLOEXEC))?;
-                let written = libc::write(file, c"0".as_ptr().cast(), 1);
-                check(written as c_int)?;
-                libc::close(file);
-            }
+            // SAFETY: the pointer is to one live byte; write is async-signal-safe.
+            check(unsafe { libc::write(group.as_raw_fd(), c"0".as_ptr().cast(), 1) } as c_int)?;
         }
         // SAFETY: a sigset_t is integers, for which zero is a value; the calls fill and apply a live one. Blocked,
         // signals wait for signalfd even where the kernel would not deliver them to an init.
@@ -55,20 +57,18 @@ impl Init {
             libc::sigprocmask(libc::SIG_SETMASK, &signals, &mut before);
             (signals, before)
         };
-        // SAFETY: all strings end in a zero. That /proc cannot be mounted where parts of it are hidden (containers)
-        // only means that the program sees the processes outside.
-        unsafe {
-            if libc::unshare(libc::CLONE_NEWNS) == 0 {
-                libc::mount(
-                    c"none".as_ptr(),
-                    c"/".as_ptr(),
-                    std::ptr::null(),
-                    libc::MS_REC | libc::MS_SLAVE,
-                    std::ptr::null(),
-                );
-                let flags = libc::MS_NOSUID | libc::MS_NODEV | libc::MS_NOEXEC;
-                libc::mount(c"proc".as_ptr(), c"/proc".as_ptr(), c"proc".as_ptr(), flags, std::ptr::null());
-            }
+        match &self.walls {
+            // SAFETY: as for this function.
+            Some(walls) => unsafe { close(walls)? },
+            // SAFETY: all strings end in a zero. That /proc cannot be mounted where parts of it are hidden (containers)
+            // only means that the program sees the processes outside.
+            None => unsafe {
+                if libc::unshare(libc::CLONE_NEWNS) == 0 {
+                    let none = c"none".as_ptr();
+                    libc::mount(none, c"/".as_ptr(), ptr::null(), libc::MS_REC | libc::MS_SLAVE, ptr::null());
+                    mount_proc(0);
+                }
+            },
         }
         // SAFETY: this process has one thread; both sides go on with async-signal-safe calls only.
         match check(unsafe { libc::fork() })? {
@@ -80,6 +80,9 @@ impl Init {
                     if let Some(limit) = &self.open_files {
                         libc::setrlimit(libc::RLIMIT_NOFILE, limit);
                     }
+                    if let Some(walls) = &self.walls {
+                        restrict(walls)?;
+                    }
                 }
                 Ok(())
             }
@@ -87,6 +90,98 @@ impl Init {
             program => unsafe { attend(program, self.lifeline, &signals) },
         }
     }
+}
+
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn mount_proc(more_flags: c_ulong) {
+    let flags = libc::MS_NOSUID | libc::MS_NODEV | libc::MS_NOEXEC | more_flags;
+    let proc = c"proc".as_ptr();
+    // SAFETY: all strings end in a zero.
+    unsafe { libc::mount(proc, c"/proc".as_ptr(), proc, flags, ptr::null()) };
+}
+
+/// Leaves nothing of the root folder of before. Where the kernel refuses to mount `/proc`, it is an empty folder. It is
+/// read-only, because root needs no capability to write to `/proc/sys`.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn close(walls: &Walls) -> io::Result<()> {
+    // SAFETY: async-signal-safe, with strings that end in a zero and open descriptors. Users of namespaces of their own
+    // may only mount /proc while they see another one: that of before.
+    unsafe {
+        // The init has a copy of our memory, and stays within the program's sight. For the program, exec undoes this.
+        check(libc::prctl(libc::PR_SET_DUMPABLE, 0 as c_ulong))?;
+        mount_proc(libc::MS_RDONLY);
+        let here = check(libc::open(c".".as_ptr(), libc::O_PATH | libc::O_CLOEXEC))?;
+        check(libc::fchdir(walls.outside.as_raw_fd()))?;
+        check(libc::umount2(c".".as_ptr(), libc::MNT_DETACH))?;
+        check(libc::fchdir(here))?;
+        check(libc::close(here))?;
+    }
+    Ok(())
+}
+
+/// Takes from the calling process, for good, what it is not to have.
+///
+/// # Safety
+/// To be called between fork and exec.
+unsafe fn restrict(walls: &Walls) -> io::Result<()> {
+    /// As `struct __user_cap_header_struct` and two of `struct __user_cap_data_struct`.
+    #[repr(C)]
+    struct Header {
+        version: u32,
+        pid: c_int,
+    }
+    const VERSION_3: u32 = 0x2008_0522;
+    const MOST: u32 = 63;
+    let system_call = |result: c_long| check(result as c_int);
+    let has = |capability: u32| walls.capabilities & 1 << capability != 0;
+    // SAFETY: async-signal-safe system calls, with live arguments of the layout that each takes.
+    unsafe {
+        let limit = |most: u64| libc::rlimit { rlim_cur: most, rlim_max: most };
+        check(libc::setrlimit(libc::RLIMIT_CORE, &limit(0)))?;
+        // Whoever started this process may have left descriptors open to all that it starts.
+        let (first, last) = (3u32, u32::MAX);
+        system_call(libc::syscall(libc::SYS_close_range, first, last, libc::CLOSE_RANGE_CLOEXEC))?;
+        if let Some([processes, bytes]) = walls.limits {
+            check(libc::setrlimit(libc::RLIMIT_NPROC, &limit(processes)))?;
+            check(libc::setrlimit(libc::RLIMIT_DATA, &limit(bytes)))?;
+        }
+        // In a user namespace nobody may, nor is there a need to.
+        libc::syscall(libc::SYS_setgroups, 0usize, ptr::null::<libc::gid_t>());
+        for capability in (0..=MOST).filter(|capability| !has(*capability)) {
+            match check(libc::prctl(libc::PR_CAPBSET_DROP, c_ulong::from(capability))) {
+                // There is none of that number.
+                Err(error) if error.raw_os_error() == Some(libc::EINVAL) => break,
+                done => done?,
+            };
+        }
+        let halves = [walls.capabilities as u32, (walls.capabilities >> 32) as u32];
+        let sets = halves.map(|half| [half; 3]);
+        let header = Header { version: VERSION_3, pid: 0 };
+        system_call(libc::syscall(libc::SYS_capset, &raw const header, sets.as_ptr()))?;
+        for capability in (0..=MOST).filter(|capability| has(*capability)) {
+            let raise = libc::PR_CAP_AMBIENT_RAISE as c_ulong;
+            check(libc::prctl(
+                libc::PR_CAP_AMBIENT,
+                raise,
+                c_ulong::from(capability),
+                0 as c_ulong,
+                0 as c_ulong,
+            ))?;
+        }
+        let (on, none) = (1 as c_ulong, 0 as c_ulong);
+        check(libc::prctl(libc::PR_SET_NO_NEW_PRIVS, on, none, none, none))?;
+        if let Some(access) = &walls.access {
+            system_call(libc::syscall(libc::SYS_landlock_restrict_self, access.as_raw_fd(), 0))?;
+        }
+        let program =
+            libc::sock_fprog { len: walls.filter.len() as u16, filter: walls.filter.as_ptr().cast_mut() };
+        let set = libc::SECCOMP_SET_MODE_FILTER;
+        system_call(libc::syscall(libc::SYS_seccomp, set, 0, &raw const program))?;
+    }
+    Ok(())
 }
 
 /// Waits on a program's behalf.

@@ -38,6 +38,23 @@ pub fn enter_user_namespace_if_needed() -> Result<Privilege, Error> {
     if have_rights() { Ok(Privilege::UserNamespace) } else { Err(Error::RightsWithheld) }
 }
 
+/// Keeps programs of the same user from looking into this process, where `cotorra exec` can still do so: as root. An
+/// ordinary user's own processes may look at each other; those in nodes do not see them.
+///
+/// # Errors
+/// [`Error::Kernel`], which no kernel has given yet.
+pub fn hide_memory() -> Result<(), Error> {
+    const SYS_PTRACE: u64 = 1 << 19;
+    let is_seen = effective_capabilities().is_some_and(|have| have & SYS_PTRACE != 0);
+    if is_seen && is_root() { sys::set_not_dumpable().action("hide its memory") } else { Ok(()) }
+}
+
+/// Whether root here is root of the whole machine, or of the container that it is in.
+fn is_root() -> bool {
+    sys::effective_ids().0 == 0
+        && fs::read_to_string("/proc/self/uid_map").is_ok_and(|map| map.contains("4294967295"))
+}
+
 /// Whether the process has `CAP_NET_ADMIN` and `CAP_SYS_ADMIN` where it is.
 pub(crate) fn have_rights() -> bool {
     const NET_ADMIN: u64 = 1 << 12;

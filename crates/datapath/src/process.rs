@@ -3,7 +3,7 @@
 
 use std::{
     env,
-    ffi::{CStr, CString},
+    ffi::CStr,
     fs::{self, File},
     io::{self, PipeWriter},
     os::{
@@ -17,6 +17,7 @@ use std::{
 use cotorra_graph::HardwareGraph;
 
 use crate::{
+    confine::Confinement,
     datapath::names,
     error::{Action, Error},
     init::{self, Init},
@@ -33,6 +34,8 @@ pub struct SpawnOptions<'a> {
     pub hostname: Option<&'a str>,
     /// `cgroup.procs` (v2) or `tasks`/`cgroup.procs` (v1) files of the control groups that it joins before it runs.
     pub cgroups: Vec<PathBuf>,
+    /// What keeps it from this machine. Without it, it may do what this process may.
+    pub confinement: Option<&'a Confinement>,
 }
 
 /// A program in a node. Dropping it kills the program and all that it started.
@@ -122,14 +125,20 @@ impl Namespace {
 
     fn try_spawn(&self, command: &mut Command, options: &SpawnOptions<'_>) -> io::Result<Child> {
         let (hold, lifeline) = io::pipe()?;
-        let cgroups =
-            options.cgroups.iter().map(|path| sys::c_path(path)).collect::<io::Result<Vec<CString>>>()?;
-        if command.get_current_dir().is_none() {
-            // Entering a mount namespace goes to its root.
-            command.current_dir(env::current_dir()?);
+        let join = |path: &PathBuf| File::options().write(true).open(path);
+        let cgroups = options.cgroups.iter().map(join).collect::<io::Result<Vec<_>>>()?;
+        if let Some(confinement) = options.confinement {
+            command.env("HOME", &confinement.home).env("TMPDIR", &confinement.home);
         }
+        // Entering a mount namespace goes to its root.
+        let start = match (command.get_current_dir(), options.confinement) {
+            (Some(folder), _) => folder.to_owned(),
+            (None, Some(confinement)) => confinement.home.clone(),
+            (None, None) => env::current_dir()?,
+        };
+        command.current_dir(&start);
         let open_files = sys::raise_open_files();
-        Init { cgroups, lifeline: hold.as_fd().as_raw_fd(), open_files }.before_exec_of(command);
+        let lifeline_end = hold.as_fd().as_raw_fd();
         // What a thread unshares it cannot get back, so that one is used up; nothing is tied to its life.
         let init = on_a_thread(|| {
             self.enter()?;
@@ -142,6 +151,17 @@ impl Namespace {
                 sys::unshare(libc::CLONE_FS)?;
                 sys::setns(hosts.mounts.as_fd(), libc::CLONE_NEWNS)?;
             }
+            let walls = match options.confinement {
+                Some(confinement) => {
+                    sys::unshare(libc::CLONE_NEWNS | libc::CLONE_NEWIPC)?;
+                    sys::mount(c"none", c"/", None, libc::MS_REC | libc::MS_SLAVE)?;
+                    let program = Path::new(command.get_program());
+                    let program = (program.components().count() > 1).then(|| start.join(program));
+                    Some(confinement.build(program.as_deref(), !cgroups.is_empty())?)
+                }
+                None => None,
+            };
+            Init { cgroups, lifeline: lifeline_end, open_files, walls }.before_exec_of(command);
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })

@@ -7,7 +7,7 @@ use std::{
     io, mem,
     os::{
         fd::{AsFd, AsRawFd, BorrowedFd, FromRawFd, OwnedFd, RawFd},
-        unix::process::ExitStatusExt,
+        unix::{fs::OpenOptionsExt, process::ExitStatusExt},
     },
     path::Path,
     process::ExitStatus,
@@ -84,6 +84,170 @@ pub(crate) fn mount_tmpfs(on: &Path, options: &str) -> io::Result<()> {
 pub(crate) fn unmount(path: &CStr) -> io::Result<()> {
     // SAFETY: the path ends in a zero.
     check(unsafe { libc::umount2(path.as_ptr(), libc::MNT_DETACH) }).map(drop)
+}
+
+/// A copy of what is mounted at a path, and of what is mounted below, that is not mounted itself yet (`open_tree`).
+pub(crate) fn open_tree(path: &Path) -> io::Result<OwnedFd> {
+    let path = c_path(path)?;
+    let flags = libc::OPEN_TREE_CLONE
+        | libc::OPEN_TREE_CLOEXEC
+        | libc::AT_RECURSIVE as c_uint
+        | libc::AT_SYMLINK_NOFOLLOW as c_uint;
+    // SAFETY: the path ends in a zero; the call makes a descriptor.
+    unsafe { own(libc::syscall(libc::SYS_open_tree, libc::AT_FDCWD, path.as_ptr(), flags) as c_int) }
+}
+
+/// Mounts such a copy.
+pub(crate) fn move_mount(tree: BorrowedFd<'_>, to: &Path) -> io::Result<()> {
+    const FROM_DESCRIPTOR: c_uint = 0x4;
+    let to = c_path(to)?;
+    // SAFETY: the strings end in a zero, and the descriptor is open.
+    let moved = unsafe {
+        let nothing = c"".as_ptr();
+        let here = libc::AT_FDCWD;
+        libc::syscall(libc::SYS_move_mount, tree.as_raw_fd(), nothing, here, to.as_ptr(), FROM_DESCRIPTOR)
+    };
+    check(moved as c_int).map(drop)
+}
+
+/// What a mount forbids (`MOUNT_ATTR_…`).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Attributes(u64);
+
+impl Attributes {
+    pub(crate) const READ_ONLY: Self = Self(0x1);
+    pub(crate) const NO_SUID: Self = Self(0x2);
+    pub(crate) const NO_DEV: Self = Self(0x4);
+    pub(crate) const NO_EXEC: Self = Self(0x8);
+}
+
+impl std::ops::BitOr for Attributes {
+    type Output = Self;
+
+    fn bitor(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
+/// Makes a mount, and all below, forbid more: one that is not mounted yet, or the one at the path.
+pub(crate) fn set_mount_attributes(
+    tree: Option<BorrowedFd<'_>>,
+    path: &Path,
+    attributes: Attributes,
+) -> io::Result<()> {
+    let path = c_path(path)?;
+    let change = libc::mount_attr { attr_set: attributes.0, attr_clr: 0, propagation: 0, userns_fd: 0 };
+    let (at, below) = match tree {
+        Some(tree) => (tree.as_raw_fd(), libc::AT_EMPTY_PATH | libc::AT_RECURSIVE),
+        None => (libc::AT_FDCWD, 0),
+    };
+    let size = mem::size_of_val(&change);
+    // SAFETY: the path ends in a zero, and the pointer is to a live mount_attr of the size given.
+    check(
+        unsafe { libc::syscall(libc::SYS_mount_setattr, at, path.as_ptr(), below, &raw const change, size) }
+            as c_int,
+    )
+    .map(drop)
+}
+
+/// Makes the mount that is the working directory the root, and leaves the root of before mounted over it.
+pub(crate) fn pivot_root_here() -> io::Result<()> {
+    // SAFETY: the strings end in a zero.
+    check(unsafe { libc::syscall(libc::SYS_pivot_root, c".".as_ptr(), c".".as_ptr()) } as c_int).map(drop)
+}
+
+/// What a thread may open once it is restricted to this (Landlock, Linux 5.13).
+pub(crate) struct Access {
+    rules: OwnedFd,
+    version: c_int,
+}
+
+impl Access {
+    const EXECUTE: u64 = 1;
+    const WRITE_FILE: u64 = 1 << 1;
+    const READ_FILE: u64 = 1 << 2;
+    const READ_FOLDER: u64 = 1 << 3;
+    const MAKE_CHARACTER_DEVICE: u64 = 1 << 6;
+    const MAKE_BLOCK_DEVICE: u64 = 1 << 11;
+    const IOCTL: u64 = 1 << 15;
+    /// Signals to processes outside.
+    const SCOPE_SIGNAL: u64 = 1 << 1;
+
+    /// One that allows nothing yet; `None` where the kernel has no Landlock.
+    pub(crate) fn new() -> io::Result<Option<Self>> {
+        const VERSION: c_uint = 1;
+        let none = std::ptr::null::<c_void>();
+        // SAFETY: with this flag the call takes no attributes.
+        let version =
+            unsafe { libc::syscall(libc::SYS_landlock_create_ruleset, none, 0usize, VERSION) } as c_int;
+        if version < 1 {
+            return Ok(None);
+        }
+        let scoped = if version >= 6 { Self::SCOPE_SIGNAL } else { 0 };
+        // Files, network, scopes; older kernels know the first, or the first two.
+        let attributes = [Self::files(version), 0, scoped];
+        let size = mem::size_of::<u64>() * if version >= 6 { 3 } else { 1 };
+        // SAFETY: the pointer is to that many live bytes at least; the call makes a descriptor.
+        let rules = unsafe {
+            own(libc::syscall(libc::SYS_landlock_create_ruleset, attributes.as_ptr(), size, 0) as c_int)?
+        };
+        Ok(Some(Self { rules, version }))
+    }
+
+    /// All that a version knows to do with files.
+    fn files(version: c_int) -> u64 {
+        let count = match version {
+            1 => 13,
+            2 => 14,
+            3 | 4 => 15,
+            _ => 16,
+        };
+        (1 << count) - 1
+    }
+
+    fn allow(&self, path: &Path, access: u64) -> io::Result<()> {
+        #[repr(C, packed)]
+        struct PathBeneath {
+            access: u64,
+            parent: RawFd,
+        }
+        const PATH_BENEATH: c_uint = 1;
+        let parent = File::options().read(true).custom_flags(libc::O_PATH).open(path)?;
+        let rule = PathBeneath { access: access & Self::files(self.version), parent: parent.as_raw_fd() };
+        // SAFETY: the pointer is to a live attribute of that kind, whose descriptor is open.
+        check(unsafe {
+            let (rules, rule) = (self.rules.as_raw_fd(), &raw const rule);
+            libc::syscall(libc::SYS_landlock_add_rule, rules, PATH_BENEATH, rule, 0)
+        } as c_int)
+        .map(drop)
+    }
+
+    /// What is beneath a folder may be read and run.
+    pub(crate) fn allow_reading(&self, folder: &Path) -> io::Result<()> {
+        self.allow(folder, Self::EXECUTE | Self::READ_FILE | Self::READ_FOLDER)
+    }
+
+    /// All but devices may be made beneath a folder.
+    pub(crate) fn allow_writing(&self, folder: &Path) -> io::Result<()> {
+        self.allow(folder, !(Self::MAKE_CHARACTER_DEVICE | Self::MAKE_BLOCK_DEVICE | Self::IOCTL))
+    }
+
+    /// A file may be read and written.
+    pub(crate) fn allow_using(&self, file: &Path) -> io::Result<()> {
+        self.allow(file, Self::READ_FILE | Self::WRITE_FILE)
+    }
+}
+
+impl From<Access> for OwnedFd {
+    fn from(access: Access) -> Self {
+        access.rules
+    }
+}
+
+/// Keeps other processes of the same user from looking into this one, and the kernel from writing its memory to disk.
+pub(crate) fn set_not_dumpable() -> io::Result<()> {
+    // SAFETY: takes no pointer.
+    check(unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0 as c_ulong) }).map(drop)
 }
 
 /// Names the host of the calling thread's UTS namespace.

@@ -48,7 +48,7 @@ pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
-pub use service::{Kpis, Program, Service, VirtualLink, Vnf};
+pub use service::{Kpis, LinuxCapability, Program, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };

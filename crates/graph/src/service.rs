@@ -1,6 +1,6 @@
 //! Services: the VNFs that make one up, the virtual links between them, and the KPIs that it must keep.
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +45,59 @@ pub struct Vnf {
     /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
+    /// What a command may do on the machine that runs the testbed.
+    #[serde(default, skip_serializing_if = "Rights::are_usual")]
+    pub rights: Rights,
+}
+
+/// What a VNF's command may do on the machine that runs the testbed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Rights {
+    /// It is kept from the machine, and has this besides.
+    Confined {
+        /// Capabilities over its node's network and its own threads.
+        #[serde(default)]
+        capabilities: Vec<LinuxCapability>,
+        /// Files and folders that it may read beside programs, libraries and the testbed file's folder; from that folder.
+        #[serde(default)]
+        #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+        readable: Vec<PathBuf>,
+    },
+    /// It may do what cotorra may.
+    Trusted,
+}
+
+impl Rights {
+    fn are_usual(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Default for Rights {
+    fn default() -> Self {
+        Self::Confined { capabilities: Vec::new(), readable: Vec::new() }
+    }
+}
+
+/// A capability of Linux (capabilities(7)) that reaches no further than a node.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum LinuxCapability {
+    /// Ports below 1024.
+    NetBindService,
+    /// Broadcasts, and multicast groups.
+    NetBroadcast,
+    /// Interfaces, addresses, routes, filters.
+    NetAdmin,
+    /// Raw and packet sockets.
+    NetRaw,
+    /// Memory that is never swapped out.
+    IpcLock,
+    /// Real-time priority.
+    SysNice,
 }
 
 /// What a VNF runs.

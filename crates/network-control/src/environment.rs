@@ -26,18 +26,8 @@ const USUAL: &[&str] = &[
     "CYCLONEDDS_URI",
 ];
 /// What everyone gets of the variables that begin so: the locale, Python, ROS and its middlewares.
-const USUAL_BEGINNINGS: &[&str] = &[
-    "AMENT_",
-    "COLCON_",
-    "FASTDDS_",
-    "FASTRTPS_",
-    "LC_",
-    "PYTHON",
-    "RCL_",
-    "RCUTILS_",
-    "RMW_",
-    "ROS_",
-];
+const USUAL_BEGINNINGS: &[&str] =
+    &["AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "LC_", "PYTHON", "RCL_", "RCUTILS_", "RMW_", "ROS_"];
 
 /// A command with an empty environment but for the usual variables and those that are named here. What it needs besides
 /// is set on it.

@@ -6,6 +6,7 @@
 mod api;
 mod bundled;
 mod carried;
+mod confined;
 mod core;
 mod core_loop;
 mod domain;

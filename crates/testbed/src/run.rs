@@ -34,6 +34,7 @@ use tokio::sync::broadcast;
 use crate::{
     api::{self, ApiError, Listener, Server, Tokens},
     bundled,
+    confined::Confined,
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     earlier::Earlier,
@@ -226,6 +227,10 @@ impl Run {
         let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), moved, &options.tokens)?;
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let info = run_info(&testbed, seed, text);
+        let testbed_file = absolute(file)?;
+        let history_file = options.history.as_ref();
+        let confined = Confined::new(&testbed, &testbed_file, &options.folder, &folder, history_file)
+            .map_err(system("show VNFs the testbed file's folder"))?;
         let recording =
             Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;
         let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
@@ -260,7 +265,8 @@ impl Run {
         let launcher = NodeLauncher {
             testbed: Arc::clone(&testbed),
             datapath: Arc::clone(&datapath),
-            testbed_file: absolute(file)?,
+            testbed_file,
+            confined,
             settings: options.settings.iter().map(|setting| format!("{setting}\n")).collect(),
             robots: robots_by_vnf(&testbed),
             tell: tell.clone(),
@@ -501,6 +507,7 @@ struct NodeLauncher {
     testbed: Arc<Testbed>,
     datapath: Arc<Datapath>,
     testbed_file: PathBuf,
+    confined: Confined,
     /// One a line.
     settings: String,
     robots: BTreeMap<VnfId, NodeId>,
@@ -510,12 +517,17 @@ struct NodeLauncher {
 impl Launcher for NodeLauncher {
     fn launch(
         &self,
+        vnf: &Vnf,
         node: &NodeId,
         mut command: Command,
         cgroups: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
         command.envs(ros1_environment(&self.testbed.graph, node));
-        let options = SpawnOptions { cgroups, ..SpawnOptions::default() };
+        if matches!(vnf.program, Program::Command(_)) {
+            command.current_dir(self.confined.folder());
+        }
+        let confinement = self.confined.of(vnf)?;
+        let options = SpawnOptions { cgroups, confinement: confinement.as_ref(), ..SpawnOptions::default() };
         let child = self.datapath.spawn(node, command, options).map_err(io::Error::other)?;
         Ok(Box::new(NodeProcess(child)))
     }

@@ -163,6 +163,7 @@ impl Stage {
         if real {
             // Before the first thread: only a process with a single one may enter a user namespace.
             cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
+            cotorra_datapath::hide_memory().map_err(Error::Datapath)?;
         }
         let target = if headless { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
         let terminal = MultiProgress::with_draw_target(target);

@@ -1,18 +1,26 @@
 //! Other people's programs in a run: VNFs with a `command` and plug-ins that are programs.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    os::unix::fs::{MetadataExt, PermissionsExt},
+    path::{Path, PathBuf},
+};
 
 use tempfile::TempDir;
 
 use crate::{
-    harness::{Run, wait_until},
+    harness::{Run, cotorra, stderr, wait_until},
     one_robot::testbed,
 };
 
 const ROBOT: &str = "{ kind: robot }";
 
-/// One robot, with a VNF `other` on the server that has these keys.
-fn with_vnf(keys: &str, rest: &str, folder: &Path) -> std::path::PathBuf {
+/// One robot, with these VNFs on the server beside its own.
+fn with_vnfs(vnfs: &[(&str, &str)], rest: &str, folder: &Path) -> PathBuf {
+    let vnfs: String = vnfs
+        .iter()
+        .map(|(name, keys)| format!("      {name}: {{ node: cloud, cpus: 0.5, {keys} }}\n"))
+        .collect();
     let services = format!(
         "
 services:
@@ -22,8 +30,7 @@ services:
     vnfs:
       robot-driver: {{ program: robot_driver, pinned_to: tb }}
       navigation: {{ program: navigation, node: cloud }}
-      other: {{ node: cloud, {keys} }}
-walks:
+{vnfs}walks:
   tb: {{ waypoints: [[2, 3], [500, 3]], speed_limit: 0.5 m/s }}
 {rest}"
     );
@@ -34,7 +41,8 @@ walks:
 fn programs_of_others_get_no_secret_of_the_run() {
     let place = TempDir::new().unwrap();
     let print = "command: [sh, -c, 'env; echo done; sleep 1000'], env: [NAMED]";
-    let file = with_vnf(print, &format!("plugins:\n  - {{ id: mine, {print} }}\n"), place.path());
+    let file =
+        with_vnfs(&[("other", print)], &format!("plugins:\n  - {{ id: mine, {print} }}\n"), place.path());
     let secrets = [
         ("COTORRA_DOMAIN_TOKENS", "local=tokens-of-sixteen-characters"),
         ("COTORRA_LEDGER_PASSWORD", "secret"),
@@ -58,4 +66,76 @@ fn programs_of_others_get_no_secret_of_the_run() {
             assert!(told.contains(usual), "{name} lacks {usual}:\n{told}");
         }
     }
+}
+
+/// Says what it could do; waits for the file that tells it where the API is.
+const SPY: &str = r#"
+tried() { if "$@" >/dev/null 2>&1; then echo "$what: ESCAPED"; else echo "$what: held"; fi; }
+run=$(dirname "$(dirname "$HOME")")
+what='read the history' tried cat "$run/history.sqlite"
+what='write the history' tried sh -c "test -s '$run/history.sqlite' && echo forged >>'$run/history.sqlite'"
+what='read the log of another' tried cat "$run/logs/cotorra.log"
+what='write into the testbed file'"'"'s folder' tried touch forged
+touch "$HOME/../forged" "$run/forged"
+what='enter the network of the host' tried nsenter --net=/proc/1/ns/net true
+what='kill all that it sees' tried sh -c 'kill -0 1'
+echo kept >"$HOME/kept" && cat "$HOME/kept"
+while [ ! -e api ]; do sleep 0.05; done
+what='use the API with its token' tried python3 -c 'import sys, urllib.request as u
+u.build_opener(u.ProxyHandler({})).open(u.Request(sys.argv[1], headers={"Authorization": "Bearer " + sys.argv[2]}))' $(cat api)
+what='take 1 GB of memory' tried python3 -c 'bytearray(b"x" * (1 << 30))'
+what='start 3000 processes' tried sh -c 'for i in $(seq 3000); do sleep 1000 & done'
+echo done
+exec sleep 1000
+"#;
+
+#[test]
+fn vnfs_of_others_are_kept_from_the_host_unless_they_are_trusted() {
+    const TOKEN: &str = "operator-of-sixteen-characters";
+    let place = TempDir::new().unwrap();
+    fs::write(place.path().join("spy.sh"), SPY).unwrap();
+    let spy = "command: [sh, spy.sh], memory: 512 MB";
+    let trusted = "command: [sh, -c, 'touch trusted; grep ^CapBnd /proc/self/status; echo done; sleep 1000'], trusted: true";
+    let ping = "command: [sh, -c, 'ping -c 1 -W 60 cloud; echo done; sleep 1000']";
+    let may = format!("{ping}, capabilities: [net_raw]");
+    let vnfs = [("spy", spy), ("trusted", trusted), ("pings", &may)];
+    let file = with_vnfs(&vnfs, "", place.path());
+    let run = Run::start_with(&file, &["--until", "5min"], |command| {
+        command.env("COTORRA_TOKEN", TOKEN);
+    });
+    let address = format!("{}/api/v1/robots {TOKEN}", run.api);
+    fs::write(place.path().join("part"), address).unwrap();
+    fs::rename(place.path().join("part"), place.path().join("api")).unwrap();
+    assert_eq!(run.ask("/api/v1/robots", Some(TOKEN)).0, 200);
+
+    let log =
+        |name: &str| fs::read_to_string(run.folder.join(format!("logs/{name}.log"))).unwrap_or_default();
+    let done = |name: &str| log(name).lines().any(|line| line == "done");
+    wait_until(|| vnfs.iter().all(|(name, _)| done(name)));
+    let told = log("spy");
+    assert_eq!(told.matches(": held").count(), 9, "{told}");
+    assert!(!told.contains("ESCAPED") && told.contains("kept"), "{told}");
+    let forged = ["forged", "vnfs/forged"].map(|name| run.folder.join(name));
+    let forged: Vec<_> =
+        forged.iter().chain([&place.path().join("forged")]).filter(|path| path.exists()).cloned().collect();
+    assert_eq!(forged, Vec::<PathBuf>::new());
+    assert_eq!(fs::read_to_string(run.folder.join("vnfs/spy/kept")).unwrap(), "kept\n");
+    assert_eq!(fs::metadata(run.folder.join("vnfs")).unwrap().mode() & 0o777, 0o700);
+
+    assert!(place.path().join("trusted").exists(), "{}", log("trusted"));
+    assert!(!log("trusted").contains("CapBnd:\t0000000000000000"), "{}", log("trusted"));
+    assert!(log("pings").contains(" 0% packet loss"), "{}", log("pings"));
+}
+
+#[test]
+fn a_folder_that_others_share_is_not_shown_to_vnfs() {
+    let place = TempDir::new().unwrap();
+    let shared = place.path().join("shared");
+    fs::create_dir(&shared).unwrap();
+    fs::set_permissions(&shared, fs::Permissions::from_mode(0o777)).unwrap();
+    let file = with_vnfs(&[("other", "command: [sleep, '1000']")], "", &shared);
+    let mut command = cotorra(["run", "--headless", "--until", "1s", "--api", "127.0.0.1:0", "--out"]);
+    let refused = command.arg(place.path().join("runs")).arg(&file).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("folder of its own"), "{}", stderr(&refused));
 }

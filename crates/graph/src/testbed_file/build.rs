@@ -3,7 +3,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
-    path::Path,
+    path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
 };
@@ -29,7 +29,7 @@ use crate::{
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId},
     map::OccupancyGrid,
     map_server,
-    service::{Kpis, Program, Service, VirtualLink, Vnf},
+    service::{Kpis, Program, Rights, Service, VirtualLink, Vnf},
     testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk},
     units::{BitRate, Position, Probability},
     yaml::{
@@ -636,8 +636,10 @@ impl Builder<'_> {
         let vnfs: Option<Vec<_>> = each(&record.vnfs.0, |(vnf, r)| {
             let (program, pinned_to, node) = self.vnf(&vnf.span, r)?;
             let id = vnf.value.clone();
-            let env = self.env(&r.env, matches!(program, Program::Command(_)))?;
-            Some(Vnf { id, program, cpus: r.cpus.0, memory_bytes: r.memory.0, pinned_to, node, env })
+            let is_command = matches!(program, Program::Command(_));
+            let (env, rights) = (self.env(&r.env, is_command), self.rights(r, is_command));
+            let (env, rights) = (env?, rights?);
+            Some(Vnf { id, program, cpus: r.cpus.0, memory_bytes: r.memory.0, pinned_to, node, env, rights })
         });
         let virtual_links: Option<Vec<_>> = each(&record.virtual_links, |link| {
             for end in [&link.from, &link.to] {
@@ -723,6 +725,39 @@ impl Builder<'_> {
         Some(command.value.clone())
     }
 
+    /// What a command may do on this machine.
+    fn rights(&mut self, record: &VnfRecord, is_command: bool) -> Option<Rights> {
+        let VnfRecord { capabilities, readable, trusted, .. } = record;
+        let given = [
+            ("capabilities", &capabilities.span, !capabilities.value.is_empty()),
+            ("readable", &readable.span, !readable.value.is_empty()),
+        ];
+        let mut well = true;
+        for (key, span, is_given) in given {
+            if is_given && trusted.value {
+                self.sink
+                    .error(span, format!("`{key}` of a VNF that is trusted"))
+                    .help("keep one of the two: what is trusted may do all that cotorra may");
+                well = false;
+            }
+            if is_given && !is_command {
+                self.sink
+                    .error(span, format!("only a `command` has `{key}`"))
+                    .help(format!("leave out `{key}`: what is bundled has what it needs"));
+                well = false;
+            }
+        }
+        if trusted.value && !is_command {
+            self.sink
+                .error(&trusted.span, "only a `command` can be trusted or not")
+                .help("leave out `trusted`: what is bundled is cotorra itself");
+            well = false;
+        }
+        let readable = readable.value.iter().map(PathBuf::from).collect();
+        let confined = Rights::Confined { capabilities: capabilities.value.clone(), readable };
+        well.then_some(if trusted.value { Rights::Trusted } else { confined })
+    }
+
     /// The variables that a command is to get.
     fn env(&mut self, names: &[Spanned<String>], is_command: bool) -> Option<Vec<String>> {
         each(names, |name| {
@@ -783,7 +818,13 @@ impl Builder<'_> {
                 Either::Short(name) => {
                     let program = self.bundled(&Spanned { value: name.clone(), span: entry.span.clone() })?;
                     let id = PluginId::new(name).expect("bundled plug-ins have names");
-                    PluginSpec { id, program, domain: None, env: Vec::new(), settings: serde_json::Map::new() }
+                    PluginSpec {
+                        id,
+                        program,
+                        domain: None,
+                        env: Vec::new(),
+                        settings: serde_json::Map::new(),
+                    }
                 }
                 Either::Long(record) => self.plugin(&entry.span, record)?,
             };

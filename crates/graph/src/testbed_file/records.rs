@@ -8,6 +8,7 @@ use crate::{
     exposure::IpNetwork,
     hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    service::LinuxCapability,
     testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
     yaml::{
@@ -569,6 +570,12 @@ record! {
         command: Option<Spanned<Vec<String>>>,
         /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
         env: Vec<Spanned<String>> = [],
+        /// Capabilities of Linux that a command has over its node's network and its own threads.
+        capabilities: Spanned<Vec<LinuxCapability>> = [],
+        /// Files and folders that a command may read beside programs, libraries and this file's folder; from this folder.
+        readable: Spanned<Vec<String>> = [],
+        /// Whether a command may do on this machine what cotorra may.
+        trusted: Spanned<bool> = false,
         /// The one node that can carry it.
         pinned_to: Option<Spanned<NodeId>>,
         /// Where it runs at the start.
@@ -711,6 +718,14 @@ choice!(JitterDistribution, "distribution", {
     "uniform" => Self::Uniform, "every value within the deviation is as likely";
     "normal" => Self::Normal, "Gaussian";
     "pareto" => Self::Pareto, "a long upper tail";
+});
+choice!(LinuxCapability, "capability", {
+    "net_bind_service" => Self::NetBindService, "ports below 1024";
+    "net_broadcast" => Self::NetBroadcast, "broadcasts, and multicast groups";
+    "net_admin" => Self::NetAdmin, "interfaces, addresses, routes and filters of its node";
+    "net_raw" => Self::NetRaw, "raw and packet sockets: ping, tcpdump";
+    "ipc_lock" => Self::IpcLock, "memory that is never swapped out";
+    "sys_nice" => Self::SysNice, "real-time priority";
 });
 choice!(ProgramWord, "bundled program", {
     "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";

@@ -5,7 +5,7 @@
 use std::{
     collections::BTreeMap,
     fs::{File, OpenOptions},
-    io::{self, BufRead, BufReader, Write},
+    io::{self, BufRead, BufReader, PipeReader, Write},
     path::PathBuf,
     process::{ChildStdout, Command, ExitStatus, Stdio},
     sync::{Arc, mpsc},
@@ -49,12 +49,13 @@ pub trait Process: Send {
 
 /// Starts a process inside a node: in its namespace, in these cgroups, gone with this process.
 pub trait Launcher: Send + Sync + 'static {
-    /// Starts it.
+    /// Starts it, with the rights that the VNF has.
     ///
     /// # Errors
     /// When it cannot be started.
     fn launch(
         &self,
+        vnf: &Vnf,
         node: &NodeId,
         command: Command,
         cgroup_procs: Vec<PathBuf>,
@@ -119,16 +120,26 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
         let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
         writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
-        let says_ready = matches!(vnf.program, Program::Navigation | Program::Localization);
-        let both = log.try_clone().and_then(|stderr| Ok((stderr, log.try_clone()?))).map_err(in_log)?;
-        command.stdin(Stdio::null()).stderr(both.0);
-        command.stdout(if says_ready { Stdio::piped() } else { both.1.into() });
+        let output = match vnf.program {
+            Program::Command(_) => {
+                // Not the log itself: what is written there stays.
+                let (output, stdout) = io::pipe().map_err(in_log)?;
+                command.stderr(stdout.try_clone().map_err(in_log)?).stdout(stdout);
+                Some(output)
+            }
+            _ => {
+                command.stderr(log.try_clone().map_err(in_log)?).stdout(Stdio::piped());
+                None
+            }
+        };
+        command.stdin(Stdio::null());
         let procs = match &self.cgroups {
             Some(groups) => groups.limit(instance, vnf.cpus, vnf.memory_bytes).map_err(|e| e.to_string())?,
             None => Vec::new(),
         };
         let (stop, stopped) = mpsc::channel();
-        let (launcher, tell, node) = (Arc::clone(&self.launcher), self.tell.clone(), node.clone());
+        let (launcher, tell) = (Arc::clone(&self.launcher), self.tell.clone());
+        let (node, vnf) = (node.clone(), vnf.clone());
         let cgroups = self.cgroups.clone();
         let thread = thread::Builder::new()
             .name(format!("vnf-{}", vnf.id))
@@ -138,8 +149,8 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
                     let _ = tell.send(EngineEvent { instance, outcome });
                     launcher.wake();
                 };
-                match launcher.launch(&node, command, procs) {
-                    Ok(mut child) => watch(&mut *child, log, says_ready, &stopped, &say),
+                match launcher.launch(&vnf, &node, command, procs) {
+                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &say),
                     Err(error) => say(Outcome::Failed(format!("cannot start: {error}"))),
                 }
                 if let Some(groups) = cgroups {
@@ -185,16 +196,20 @@ impl<L> Drop for ProcessEngine<L> {
 /// Stays with a process until it ends, or is to be stopped.
 fn watch(
     child: &mut dyn Process,
-    log: File,
-    says_ready: bool,
+    mut log: File,
+    output: Option<PipeReader>,
     stopped: &mpsc::Receiver<()>,
     say: &(impl Fn(Outcome) + Sync),
 ) {
     thread::scope(|scope| {
-        if let Some(stdout) = child.stdout() {
-            scope.spawn(|| copy_output(stdout, log, says_ready, say));
-        } else {
+        if let Some(mut output) = output {
             say(Outcome::Ready);
+            scope.spawn(move || {
+                // Where the log takes no more, the VNF must not wait for it.
+                let _ = io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
+            });
+        } else if let Some(stdout) = child.stdout() {
+            scope.spawn(|| copy_output(stdout, log, say));
         }
         loop {
             match stopped.recv_timeout(LOOK) {
@@ -211,8 +226,8 @@ fn watch(
 }
 
 /// Copies what a bundled VNF prints into its log; its first line says that it serves.
-fn copy_output(stdout: impl io::Read, mut log: File, says_ready: bool, say: &impl Fn(Outcome)) {
-    let mut waiting = says_ready;
+fn copy_output(stdout: impl io::Read, mut log: File, say: &impl Fn(Outcome)) {
+    let mut waiting = true;
     for line in BufReader::new(stdout).lines().map_while(Result::ok) {
         if waiting && line == READY {
             waiting = false;

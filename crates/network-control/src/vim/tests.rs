@@ -28,6 +28,7 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
         pinned_to: pinned.then(|| node.clone()),
         node,
         env: Vec::new(),
+        rights: Default::default(),
     }
 }
 

@@ -25,6 +25,7 @@ fn testbed() -> Testbed {
         pinned_to: None,
         node: id("robot1"),
         env: Vec::new(),
+        rights: Default::default(),
     };
     let service = Service {
         id: ServiceId::new("navigation").unwrap(),

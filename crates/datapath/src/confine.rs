@@ -1,0 +1,227 @@
+//! What keeps a program in a node from this machine: a root folder of its own, in which it finds programs, libraries and
+//! what it is shown, all read-only, and one folder that it may write to; no capability that it was not given; no system
+//! call that reaches beyond.
+//!
+//! A thread that nobody needs afterwards puts it together with ordinary code ([`Confinement::build`]); what is left to do
+//! between fork and exec is in [`crate::init`].
+
+use std::{
+    env,
+    fs::{self, File},
+    io,
+    os::{
+        fd::{AsFd, OwnedFd},
+        unix::fs::{MetadataExt, symlink},
+    },
+    path::{Path, PathBuf},
+};
+
+use cotorra_graph::LinuxCapability;
+
+use crate::{
+    seccomp,
+    sys::{self, Access, Attributes},
+};
+
+/// Folders that everyone is shown: programs, libraries, and how the machine is set up.
+const SYSTEM: &[&str] =
+    &["/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/opt", "/nix", "/etc"];
+const DEVICES: &str = "/dev";
+const DEVICE_NAMES: &[&str] = &["null", "zero", "full", "random", "urandom"];
+/// Folders of `/etc` that everyone may look into, with keys in them that only root may read.
+const KEYS: &[&str] = &["/etc/ssh", "/etc/ssl/private", "/etc/pki/tls/private"];
+/// Folders that are the program's own, and go with it.
+const IN_MEMORY: &[&str] = &["/tmp", "/dev/shm"];
+
+/// How a program is confined. Paths are absolute.
+#[derive(Debug, Clone)]
+pub struct Confinement {
+    /// The folder that is its own, which is there: it may write there and nowhere else that outlives it.
+    pub home: PathBuf,
+    /// Files and folders that it may read beside the system's programs and libraries.
+    pub readable: Vec<PathBuf>,
+    /// Files and folders that it finds empty, though they are within what it may read.
+    pub hidden: Vec<PathBuf>,
+    /// The capabilities that it has over its network namespace and its own threads.
+    pub capabilities: Vec<LinuxCapability>,
+    /// How many processes and threads it may have where no control group limits them.
+    pub processes: u64,
+    /// The most memory that each of its processes, and its files in memory, may take.
+    pub memory_bytes: u64,
+}
+
+/// What is left to do between fork and exec.
+#[derive(Debug)]
+pub(crate) struct Walls {
+    /// The root folder of before, to be unmounted once `/proc` is mounted.
+    pub(crate) outside: OwnedFd,
+    /// What it may open; `None` on kernels without Landlock, where mounts alone keep it.
+    pub(crate) access: Option<OwnedFd>,
+    pub(crate) filter: Vec<libc::sock_filter>,
+    /// A bit each.
+    pub(crate) capabilities: u64,
+    /// Of processes and of memory, where no control group limits them.
+    pub(crate) limits: Option<[u64; 2]>,
+}
+
+impl Confinement {
+    /// Moves the calling thread, which has a mount namespace of its own, into the root folder that the program will have.
+    pub(crate) fn build(&self, program: Option<&Path>, is_limited: bool) -> io::Result<Walls> {
+        // Sources first: what is mounted below is not to be among them.
+        let home = Tree::open(&self.home, Attributes::NO_SUID | Attributes::NO_DEV)?;
+        let system = Path::new("/").read_dir()?.flatten().map(|entry| entry.path());
+        let system = system.filter(|path| SYSTEM.iter().any(|name| path == Path::new(name)));
+        let (links, folders): (Vec<_>, Vec<_>) = system.partition(|path| path.is_symlink());
+        let only_read = Attributes::READ_ONLY | Attributes::NO_SUID | Attributes::NO_DEV;
+        let show = |path: &PathBuf| Tree::open(&path.canonicalize().map_err(about(path))?, only_read);
+        let folders = folders.iter().map(show).collect::<io::Result<Vec<_>>>()?;
+        let more = self.readable.iter().map(|path| path.to_owned()).chain(program.map(Path::to_owned));
+        let more = more.map(|path| show(&path)).collect::<io::Result<Vec<_>>>()?;
+        let use_device =
+            |name| Tree::open(&Path::new(DEVICES).join(name), Attributes::NO_SUID | Attributes::NO_EXEC);
+        let devices = DEVICE_NAMES.iter().map(use_device).collect::<io::Result<Vec<_>>>()?;
+        let covered = own_of_root()?;
+
+        sys::mount_tmpfs(&self.home, "size=1m,mode=755").map_err(about(&self.home))?;
+        // From here on, relative paths are those in the new root.
+        env::set_current_dir(&self.home)?;
+        for folder in ["proc", "run", "tmp", "var", "dev", "dev/shm"] {
+            fs::create_dir(folder)?;
+        }
+        symlink("../tmp", "var/tmp")?;
+        symlink("../run", "var/run")?;
+        for (name, target) in [("fd", ""), ("stdin", "/0"), ("stdout", "/1"), ("stderr", "/2")] {
+            symlink(format!("/proc/self/fd{target}"), Path::new("dev").join(name))?;
+        }
+        for memory in IN_MEMORY {
+            sys::mount_tmpfs(inside(Path::new(memory)), &format!("size={},mode=1777", self.memory_bytes))?;
+        }
+        for link in &links {
+            // Relative, so that it leads nowhere else while this is put together.
+            let target = fs::read_link(link)?;
+            symlink(inside(&target), inside(link))?;
+        }
+        for tree in folders.iter().chain(&devices).chain(&more) {
+            tree.attach_if_new()?;
+        }
+        let mut covers = Vec::new();
+        for path in covered.iter().chain(&self.hidden) {
+            covers.extend(cover(inside(path))?);
+        }
+        home.attach()?;
+        for read_only in covers.iter().map(PathBuf::as_path).chain([Path::new(".")]) {
+            sys::set_mount_attributes(None, read_only, Attributes::READ_ONLY)?;
+        }
+        let outside = File::open("/")?.into();
+        sys::pivot_root_here()?;
+        Ok(Walls {
+            outside,
+            access: self.access()?,
+            filter: seccomp::filter(),
+            capabilities: self.capabilities.iter().fold(0, |all, one| all | 1 << number(*one)),
+            limits: (!is_limited).then_some([self.processes, self.memory_bytes]),
+        })
+    }
+
+    /// The same by Landlock, which holds even where a mount could be got around.
+    fn access(&self) -> io::Result<Option<OwnedFd>> {
+        let Some(access) = Access::new()? else { return Ok(None) };
+        access.allow_reading(Path::new("/"))?;
+        for folder in IN_MEMORY.iter().map(Path::new).chain([&*self.home]) {
+            access.allow_writing(folder)?;
+        }
+        for device in DEVICE_NAMES {
+            access.allow_using(&Path::new(DEVICES).join(device))?;
+        }
+        Ok(Some(access.into()))
+    }
+}
+
+/// A file or folder as it is outside, with all that is mounted below, to be attached in the new root.
+struct Tree {
+    mount: OwnedFd,
+    path: PathBuf,
+    is_folder: bool,
+}
+
+impl Tree {
+    /// Opens what is at a path without symbolic links.
+    fn open(path: &Path, attributes: Attributes) -> io::Result<Self> {
+        let open = || {
+            let is_folder = fs::symlink_metadata(path)?.is_dir();
+            let mount = sys::open_tree(path)?;
+            sys::set_mount_attributes(Some(mount.as_fd()), Path::new(""), attributes)?;
+            Ok(Self { mount, path: path.to_owned(), is_folder })
+        };
+        open().map_err(about(path))
+    }
+
+    /// Attaches it where it was, unless it is there by something else that is.
+    fn attach_if_new(&self) -> io::Result<()> {
+        if fs::symlink_metadata(inside(&self.path)).is_ok() { Ok(()) } else { self.attach() }
+    }
+
+    fn attach(&self) -> io::Result<()> {
+        let to = inside(&self.path);
+        let attach = || {
+            if self.is_folder {
+                fs::create_dir_all(to)?;
+            } else {
+                to.parent().map_or(Ok(()), fs::create_dir_all)?;
+                if !to.exists() {
+                    File::create(to)?;
+                }
+            }
+            sys::move_mount(self.mount.as_fd(), to)
+        };
+        attach().map_err(about(&self.path))
+    }
+}
+
+/// The path in the new root, which the working directory is.
+fn inside(path: &Path) -> &Path {
+    path.strip_prefix("/").unwrap_or(path)
+}
+
+fn about(path: &Path) -> impl FnOnce(io::Error) -> io::Error {
+    let path = path.to_owned();
+    move |error| io::Error::new(error.kind(), format!("cannot show it {}: {error}", path.display()))
+}
+
+/// Puts nothing in the place of a file or folder, if there is one; says where something was mounted to become read-only.
+fn cover(path: &Path) -> io::Result<Option<PathBuf>> {
+    match fs::symlink_metadata(path) {
+        Ok(found) if found.is_dir() => {
+            sys::mount_tmpfs(path, "size=1m,mode=755")?;
+            Ok(Some(path.to_owned()))
+        }
+        Ok(found) if found.is_file() => {
+            let nothing = Tree::open(Path::new("/dev/null"), Attributes::READ_ONLY | Attributes::NO_DEV)?;
+            sys::move_mount(nothing.mount.as_fd(), path)?;
+            Ok(None)
+        }
+        _ => Ok(None),
+    }
+}
+
+/// What in `/etc` not everyone may read: a program without capabilities that runs as root could.
+fn own_of_root() -> io::Result<Vec<PathBuf>> {
+    const EVERYONE: u32 = 0o4;
+    let is_own = |path: &PathBuf| {
+        fs::symlink_metadata(path).is_ok_and(|found| !found.is_symlink() && found.mode() & EVERYONE == 0)
+    };
+    let entries = Path::new("/etc").read_dir()?.flatten().map(|entry| entry.path()).filter(is_own);
+    Ok(entries.chain(KEYS.iter().map(PathBuf::from)).collect())
+}
+
+/// capabilities(7) by number.
+fn number(capability: LinuxCapability) -> u32 {
+    match capability {
+        LinuxCapability::NetBindService => 10,
+        LinuxCapability::NetBroadcast => 11,
+        LinuxCapability::NetAdmin => 12,
+        LinuxCapability::NetRaw => 13,
+        LinuxCapability::IpcLock => 14,
+        LinuxCapability::SysNice => 23,
+    }
+}

@@ -1,0 +1,171 @@
+//! The system calls that a confined program is refused: those that change the machine, reach other processes, make
+//! namespaces, or are large and new. What is not named here is allowed, within the program's capabilities.
+//!
+//! A filter is a program of the kernel's classic packet filter (seccomp(2)), made before the fork.
+
+use libc::{c_long, sock_filter};
+
+#[cfg(target_arch = "x86_64")]
+const ARCHITECTURE: u32 = 0xc000_003e;
+#[cfg(target_arch = "aarch64")]
+const ARCHITECTURE: u32 = 0xc000_00b7;
+#[cfg(target_arch = "riscv64")]
+const ARCHITECTURE: u32 = 0xc000_00f3;
+
+const ALLOW: u32 = libc::SECCOMP_RET_ALLOW;
+const REFUSE: u32 = libc::SECCOMP_RET_ERRNO | libc::EPERM as u32;
+/// As on a kernel without the call, so that libraries fall back to an older one.
+const MISSING: u32 = libc::SECCOMP_RET_ERRNO | libc::ENOSYS as u32;
+const NO_FAMILY: u32 = libc::SECCOMP_RET_ERRNO | libc::EAFNOSUPPORT as u32;
+
+/// Where `struct seccomp_data` has what is looked at; of arguments the lower half.
+const NUMBER: u32 = 0;
+const ARCHITECTURE_AT: u32 = 4;
+const fn argument(index: u32) -> u32 {
+    16 + 8 * index
+}
+
+const REFUSED: &[c_long] = &[
+    // Mounts and roots.
+    libc::SYS_mount,
+    libc::SYS_umount2,
+    libc::SYS_pivot_root,
+    libc::SYS_chroot,
+    libc::SYS_open_tree,
+    libc::SYS_move_mount,
+    libc::SYS_fsopen,
+    libc::SYS_fsconfig,
+    libc::SYS_fsmount,
+    libc::SYS_fspick,
+    libc::SYS_mount_setattr,
+    libc::SYS_open_by_handle_at,
+    libc::SYS_name_to_handle_at,
+    // Namespaces.
+    libc::SYS_unshare,
+    libc::SYS_setns,
+    // Other processes.
+    libc::SYS_ptrace,
+    libc::SYS_process_vm_readv,
+    libc::SYS_process_vm_writev,
+    libc::SYS_kcmp,
+    libc::SYS_pidfd_getfd,
+    libc::SYS_process_madvise,
+    // The machine.
+    libc::SYS_reboot,
+    libc::SYS_kexec_load,
+    libc::SYS_init_module,
+    libc::SYS_finit_module,
+    libc::SYS_delete_module,
+    libc::SYS_swapon,
+    libc::SYS_swapoff,
+    libc::SYS_settimeofday,
+    libc::SYS_clock_settime,
+    libc::SYS_clock_adjtime,
+    libc::SYS_adjtimex,
+    libc::SYS_acct,
+    libc::SYS_quotactl,
+    libc::SYS_syslog,
+    libc::SYS_vhangup,
+    libc::SYS_fanotify_init,
+    // Keys of the user who started the run.
+    libc::SYS_add_key,
+    libc::SYS_request_key,
+    libc::SYS_keyctl,
+    // Large parts of the kernel that few need.
+    libc::SYS_bpf,
+    libc::SYS_perf_event_open,
+    libc::SYS_userfaultfd,
+    libc::SYS_io_uring_setup,
+    libc::SYS_io_uring_enter,
+    libc::SYS_io_uring_register,
+    #[cfg(target_arch = "x86_64")]
+    libc::SYS_kexec_file_load,
+    #[cfg(target_arch = "x86_64")]
+    libc::SYS_iopl,
+    #[cfg(target_arch = "x86_64")]
+    libc::SYS_ioperm,
+    #[cfg(target_arch = "x86_64")]
+    libc::SYS_modify_ldt,
+];
+
+/// Types things into a terminal as if someone had.
+const TIOCSTI: u32 = 0x5412;
+const TIOCLINUX: u32 = 0x541c;
+
+const NAMESPACES: u32 = (libc::CLONE_NEWNS
+    | libc::CLONE_NEWCGROUP
+    | libc::CLONE_NEWUTS
+    | libc::CLONE_NEWIPC
+    | libc::CLONE_NEWUSER
+    | libc::CLONE_NEWPID
+    | libc::CLONE_NEWNET) as u32;
+
+/// Those that end at the network namespace. Others reach beyond: AF_VSOCK this machine's own host.
+const FAMILIES: &[i32] =
+    &[libc::AF_UNIX, libc::AF_INET, libc::AF_INET6, libc::AF_NETLINK, libc::AF_PACKET, libc::AF_CAN];
+
+fn statement(code: u32, k: u32) -> sock_filter {
+    sock_filter { code: code as u16, jt: 0, jf: 0, k }
+}
+
+fn load(offset: u32) -> sock_filter {
+    statement(libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, offset)
+}
+
+fn answer(verdict: u32) -> sock_filter {
+    statement(libc::BPF_RET | libc::BPF_K, verdict)
+}
+
+/// Goes on with the next instruction if the test holds, else skips so many.
+fn unless_skip(test: u32, k: u32, skip: usize) -> sock_filter {
+    let code = (libc::BPF_JMP | test | libc::BPF_K) as u16;
+    sock_filter { code, jt: 0, jf: u8::try_from(skip).expect("blocks are short"), k }
+}
+
+/// Those instructions where the call has this number.
+fn at_call(number: c_long, block: Vec<sock_filter>) -> impl Iterator<Item = sock_filter> {
+    std::iter::once(unless_skip(libc::BPF_JEQ, number as u32, block.len())).chain(block)
+}
+
+/// Answers so if the value that was loaded is this.
+fn if_equal(value: u32, verdict: u32) -> [sock_filter; 2] {
+    [unless_skip(libc::BPF_JEQ, value, 1), answer(verdict)]
+}
+
+/// The filter of every confined program.
+pub(crate) fn filter() -> Vec<sock_filter> {
+    let mut filter = vec![load(ARCHITECTURE_AT)];
+    // Programs for another architecture number their calls in another way.
+    filter.extend(at_other(ARCHITECTURE));
+    filter.push(load(NUMBER));
+    #[cfg(target_arch = "x86_64")]
+    {
+        // The calls of x32, which the filter would not recognise.
+        const X32: u32 = 0x4000_0000;
+        filter.extend([unless_skip(libc::BPF_JGE, X32, 1), answer(MISSING)]);
+    }
+    for call in REFUSED {
+        filter.extend(if_equal(*call as u32, REFUSE));
+    }
+    // Its flags are in memory, where a filter cannot look.
+    filter.extend(if_equal(libc::SYS_clone3 as u32, MISSING));
+    let clone =
+        vec![load(argument(0)), unless_skip(libc::BPF_JSET, NAMESPACES, 1), answer(REFUSE), answer(ALLOW)];
+    filter.extend(at_call(libc::SYS_clone, clone));
+    let mut ioctl = vec![load(argument(1))];
+    ioctl.extend([TIOCSTI, TIOCLINUX].into_iter().flat_map(|request| if_equal(request, REFUSE)));
+    ioctl.push(answer(ALLOW));
+    filter.extend(at_call(libc::SYS_ioctl, ioctl));
+    let mut socket = vec![load(argument(0))];
+    socket.extend(FAMILIES.iter().flat_map(|family| if_equal(*family as u32, ALLOW)));
+    socket.push(answer(NO_FAMILY));
+    filter.extend(at_call(libc::SYS_socket, socket));
+    filter.push(answer(ALLOW));
+    filter
+}
+
+/// Ends here unless the value that was loaded is this.
+fn at_other(value: u32) -> [sock_filter; 2] {
+    let code = (libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K) as u16;
+    [sock_filter { code, jt: 1, jf: 0, k: value }, answer(MISSING)]
+}

@@ -1,0 +1,250 @@
+//! Ways out of a node that a confined program tries, as root and as an ordinary user: none may lead anywhere. The harness
+//! is its own, because a user namespace can only be entered before there are threads.
+#![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
+
+mod ways;
+
+use std::{
+    env, fs,
+    io::Read,
+    os::{
+        linux::net::SocketAddrExt,
+        unix::net::{SocketAddr, UnixListener},
+    },
+    path::{Path, PathBuf},
+    process::{self, Child, Command, ExitCode, Stdio},
+};
+
+use cotorra_datapath::{Confinement, Namespace, SpawnOptions};
+use cotorra_graph::LinuxCapability;
+use ways::{Facts, WAYS};
+
+const SECRET: &str = "a-secret-of-the-core";
+
+type Test = (&'static str, fn());
+const TESTS: &[Test] = &[
+    ("a confined program gets out by none of many ways", no_way_leads_out),
+    ("the ways lead out where nothing confines a program", ways_lead_out_of_no_confinement),
+    ("a confined program works in its own folder with what it is shown", confined_programs_are_at_home),
+    ("a confined program has the capabilities that it was given", given_capabilities_are_there),
+];
+
+fn main() -> ExitCode {
+    if let Ok(which) = env::var(ways::HELPER) {
+        return ways::attempt_all(which == "all");
+    }
+    let privilege =
+        cotorra_datapath::enter_user_namespace_if_needed().expect("tests need user namespaces or root");
+    // The protocol of nextest: `--list --format terse`, and `NAME --exact` for each test.
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
+    if has("--list") {
+        if !has("--ignored") {
+            TESTS.iter().for_each(|(name, _)| println!("{name}: test"));
+        }
+        return ExitCode::SUCCESS;
+    }
+    let filter = arguments.iter().find(|argument| !argument.starts_with('-')).map_or("", String::as_str);
+    let mut failed = false;
+    for (name, test) in TESTS.iter().filter(|(name, _)| name.contains(filter)) {
+        let passed = std::panic::catch_unwind(test).is_ok();
+        println!("{privilege:?}: {name}: {}", if passed { "ok" } else { "FAILED" });
+        failed |= !passed;
+    }
+    if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+}
+
+/// A run's folder, with a history, a folder of a VNF, and the testbed file's folder beside.
+struct Place {
+    root: PathBuf,
+}
+
+impl Place {
+    fn new() -> Self {
+        let root = env::temp_dir().join(format!("cotorra-escapes-{}", process::id()));
+        let _ = fs::remove_dir_all(&root);
+        fs::create_dir_all(root.join("testbed/runs/1/vnfs/one")).unwrap();
+        let place = Self { root: root.canonicalize().unwrap() };
+        fs::write(place.history(), "history").unwrap();
+        fs::write(place.testbed().join("data"), "data").unwrap();
+        place
+    }
+
+    fn testbed(&self) -> PathBuf {
+        self.root.join("testbed")
+    }
+
+    fn history(&self) -> PathBuf {
+        self.root.join("testbed/runs/1/history.sqlite")
+    }
+
+    fn home(&self) -> PathBuf {
+        self.root.join("testbed/runs/1/vnfs/one")
+    }
+
+    fn confinement(&self, capabilities: &[LinuxCapability]) -> Confinement {
+        Confinement {
+            home: self.home(),
+            readable: vec![self.testbed()],
+            hidden: vec![self.root.join("testbed/runs")],
+            capabilities: capabilities.to_vec(),
+            processes: 500,
+            memory_bytes: 512 << 20,
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.root);
+    }
+}
+
+/// What a program must not reach: processes, sockets and memory of this one.
+struct Outside {
+    bystander: Child,
+    _sockets: [UnixListener; 2],
+    _node: Namespace,
+    facts: Facts,
+}
+
+impl Outside {
+    fn new(place: &Place) -> Self {
+        let mut bystander = Command::new("sleep");
+        let bystander = bystander.arg("1000").env("SECRET", SECRET).stdin(Stdio::null()).spawn().unwrap();
+        let name = format!("cotorra-escapes-{}", process::id());
+        let abstract_socket =
+            UnixListener::bind_addr(&SocketAddr::from_abstract_name(&name).unwrap()).unwrap();
+        let path = place.root.join("socket");
+        let socket = UnixListener::bind(&path).unwrap();
+        let facts = Facts {
+            core: process::id(),
+            bystander: bystander.id(),
+            history: place.history(),
+            testbed: place.testbed(),
+            home: place.home(),
+            socket: path,
+            abstract_socket: name,
+            shared_memory: ways::make_shared_memory(),
+            network: fs::read_link("/proc/thread-self/ns/net").unwrap(),
+        };
+        Self { bystander, _sockets: [abstract_socket, socket], _node: Namespace::new().unwrap(), facts }
+    }
+}
+
+impl Drop for Outside {
+    fn drop(&mut self) {
+        ways::remove_shared_memory(self.facts.shared_memory);
+        let _ = self.bystander.kill();
+        let _ = self.bystander.wait();
+    }
+}
+
+fn told_by(namespace: &Namespace, mut command: Command, confinement: Option<&Confinement>) -> String {
+    command.stdin(Stdio::null()).stdout(Stdio::piped());
+    let options = SpawnOptions { confinement, hostname: Some("node"), ..SpawnOptions::default() };
+    let mut child = namespace.spawn(command, options).unwrap();
+    let mut told = String::new();
+    child.pipes().1.unwrap().read_to_string(&mut told).unwrap();
+    told
+}
+
+/// The names of the ways that led out.
+fn attempt(confinement: Option<&Confinement>, place: &Place, all: bool) -> Vec<String> {
+    let outside = Outside::new(place);
+    let mut command = Command::new(env::current_exe().unwrap());
+    command.env_clear().env(ways::HELPER, if all { "all" } else { "harmless" });
+    command.envs(outside.facts.to_environment()).env("PATH", "/usr/bin:/bin");
+    let told = told_by(&Namespace::new().unwrap(), command, confinement);
+    print!("{told}");
+    assert!(told.ends_with("all were tried\n"), "{told}");
+    told.lines().filter_map(|line| line.strip_suffix(": ESCAPED")).map(str::to_owned).collect()
+}
+
+fn no_way_leads_out() {
+    assert!(WAYS.len() >= 20);
+    let place = Place::new();
+    let escaped = attempt(Some(&place.confinement(&[])), &place, true);
+    assert!(escaped.is_empty(), "by {escaped:?}");
+    assert_eq!(fs::read_to_string(place.history()).unwrap(), "history");
+    assert_eq!(fs::read_dir(place.testbed()).unwrap().count(), 2, "the data and the runs");
+}
+
+fn ways_lead_out_of_no_confinement() {
+    let place = Place::new();
+    let escaped = attempt(None, &place, false);
+    println!("{} of {} ways", escaped.len(), WAYS.len());
+    for way in [
+        "open the history",
+        "write the history",
+        "write into the testbed file's folder",
+        "connect to a socket of the host",
+        "have a capability",
+    ] {
+        assert!(escaped.iter().any(|escaped| escaped == way), "{way}: {escaped:?}");
+    }
+}
+
+fn shell(script: &str) -> Command {
+    let mut command = Command::new("sh");
+    command.args(["-c", script]);
+    command
+}
+
+fn confined_programs_are_at_home() {
+    let place = Place::new();
+    let namespace = Namespace::new().unwrap();
+    let confinement = place.confinement(&[]);
+    let told = |script: &str| {
+        let mut command = shell(script);
+        command.current_dir(place.testbed());
+        told_by(&namespace, command, Some(&confinement))
+    };
+    let home = place.home();
+    assert_eq!(
+        told("cat data; echo; pwd; echo $HOME; echo $TMPDIR").lines().collect::<Vec<_>>(),
+        ["data", place.testbed().to_str().unwrap(), home.to_str().unwrap(), home.to_str().unwrap(),]
+    );
+    assert_eq!(told("mkdir ~/a && echo kept >~/a/file && mv ~/a ~/b && cat ~/b/file"), "kept\n");
+    assert_eq!(fs::read_to_string(home.join("b/file")).unwrap(), "kept\n");
+    assert_eq!(told("echo gone >/tmp/a && ln /tmp/a /dev/shm/b 2>/dev/null; cat /tmp/a"), "gone\n");
+    assert!(!Path::new("/tmp/a").exists());
+    assert_eq!(told("head -c 3 /dev/urandom | wc -c; echo x >/dev/null; cat /dev/null; ls runs"), "3\n1\n");
+    // What it started sees itself, and nobody else.
+    assert_eq!(
+        told("ls /proc | grep -c '^[0-9]' || true").trim().parse::<u32>().unwrap().min(1),
+        proc_is_there()
+    );
+    assert_eq!(told("exit 3; echo"), "");
+    let missing = SpawnOptions { confinement: Some(&confinement), ..SpawnOptions::default() };
+    let missing = namespace.spawn(Command::new("/no/such/program"), missing).unwrap_err().to_string();
+    assert!(missing.contains("/no/such/program"), "{missing}");
+}
+
+/// Whether a confined program has a `/proc` here: not where parts of it are hidden, as in many containers.
+fn proc_is_there() -> u32 {
+    let mounts = fs::read_to_string("/proc/mounts").unwrap();
+    let is_over = |line: &&str| line.split(' ').nth(1).is_some_and(|at| at.starts_with("/proc/"));
+    let hidden = mounts.lines().filter(is_over).count() > 0;
+    let is_ordinary = fs::read_to_string("/proc/self/uid_map").is_ok_and(|map| !map.contains("4294967295"));
+    u32::from(!(hidden && is_ordinary))
+}
+
+fn given_capabilities_are_there() {
+    let place = Place::new();
+    let namespace = Namespace::new().unwrap();
+    let capabilities = |confinement: &Confinement| {
+        let script = "grep -E '^Cap(Eff|Prm|Bnd|Amb)' /proc/self/status | cut -f2 | sort -u";
+        told_by(&namespace, shell(script), Some(confinement))
+    };
+    if proc_is_there() == 0 {
+        return println!("skipped: no /proc in here");
+    }
+    assert_eq!(capabilities(&place.confinement(&[])), "0000000000000000\n");
+    let given = [LinuxCapability::NetRaw, LinuxCapability::NetAdmin];
+    assert_eq!(capabilities(&place.confinement(&given)), "0000000000003000\n");
+    let ping = shell("ip link set lo up && ping -c 1 -W 60 127.0.0.1 >/dev/null && echo pong");
+    if Path::new("/usr/bin/ping").exists() && Path::new("/sbin/ip").exists() {
+        assert_eq!(told_by(&namespace, ping, Some(&place.confinement(&given))), "pong\n");
+    }
+}

@@ -1,0 +1,182 @@
+//! What VNFs of others are shown of this machine, and what is kept from them: histories, and files that plug-ins' settings
+//! name, which may hold keys.
+
+use std::{
+    env, fs, io,
+    os::unix::fs::{DirBuilderExt, MetadataExt},
+    path::{Path, PathBuf},
+};
+
+use cotorra_datapath::Confinement;
+use cotorra_graph::{Program, Rights, Testbed, Vnf};
+use cotorra_measurements::Location;
+
+use crate::report::{Place, RunFolder};
+
+/// Processes and threads of all confined programs together, where no control group limits them.
+const PROCESSES: u64 = 1024;
+
+/// What a run's confined VNFs have in common.
+#[derive(Debug)]
+pub(crate) struct Confined {
+    /// The testbed file's folder, which all may read.
+    folder: PathBuf,
+    /// Each has a folder in here.
+    homes: PathBuf,
+    hidden: Vec<PathBuf>,
+}
+
+impl Confined {
+    /// # Errors
+    /// When the testbed file's folder holds more than a testbed's files, and somebody would be shown it.
+    pub(crate) fn new(
+        testbed: &Testbed,
+        file: &Path,
+        place: &Place,
+        run: &RunFolder,
+        history: Option<&Location>,
+    ) -> io::Result<Self> {
+        let folder = file.parent().unwrap_or(Path::new("/")).to_owned();
+        let is_confined =
+            |vnf: &Vnf| matches!(vnf.program, Program::Command(_)) && vnf.rights != Rights::Trusted;
+        if testbed.services.iter().flat_map(|service| &service.vnfs).any(is_confined) {
+            check(&folder)?;
+        }
+        let mut hidden = vec![run.path().to_owned()];
+        hidden.extend(earlier_runs(place, &folder));
+        if let Some(Location::File(path)) = history {
+            let path = std::path::absolute(path)?;
+            let beside = ["", "-wal", "-shm", "-journal"].map(|end| {
+                let mut name = path.clone().into_os_string();
+                name.push(end);
+                PathBuf::from(name)
+            });
+            hidden.extend(beside);
+        }
+        for plugin in &testbed.plugins {
+            plugin.settings.values().for_each(|value| named_files(value, &mut hidden));
+        }
+        let hidden = hidden.iter().filter_map(|path| real(path)).collect();
+        Ok(Self { folder, homes: run.path().join("vnfs"), hidden })
+    }
+
+    /// Where commands start.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// What confines a VNF, if anything does.
+    pub(crate) fn of(&self, vnf: &Vnf) -> io::Result<Option<Confinement>> {
+        let (Program::Command(_), Rights::Confined { capabilities, readable }) = (&vnf.program, &vnf.rights)
+        else {
+            return Ok(None);
+        };
+        let home = self.homes.join(vnf.id.as_str());
+        // Nobody else may look in: what a VNF of root's makes there is root's, whatever its mode.
+        fs::DirBuilder::new().recursive(true).mode(0o700).create(&home)?;
+        let shown = std::iter::once(self.folder.clone());
+        Ok(Some(Confinement {
+            home,
+            readable: shown.chain(readable.iter().map(|path| self.folder.join(path))).collect(),
+            hidden: self.hidden.clone(),
+            capabilities: capabilities.clone(),
+            processes: PROCESSES,
+            memory_bytes: vnf.memory_bytes,
+        }))
+    }
+}
+
+/// The path without symbolic links on the way; its last part may come to be later, as a journal of SQLite's does.
+fn real(path: &Path) -> Option<PathBuf> {
+    let beside = || Some(path.parent()?.canonicalize().ok()?.join(path.file_name()?));
+    path.canonicalize().ok().or_else(beside)
+}
+
+/// Whether a folder can be shown to programs of others: not one that all users share, or in which a user keeps all.
+fn check(folder: &Path) -> io::Result<()> {
+    const OTHERS_WRITE: u32 = 0o2;
+    let is_home = env::var_os("HOME")
+        .is_some_and(|home| Path::new(&home).canonicalize().is_ok_and(|home| home == folder));
+    if is_home || folder == Path::new("/") || fs::metadata(folder)?.mode() & OTHERS_WRITE != 0 {
+        return Err(io::Error::other(format!(
+            "{} holds more than this testbed's: put the testbed file into a folder of its own, or set `trusted: true` on \
+             its VNFs",
+            folder.display()
+        )));
+    }
+    Ok(())
+}
+
+/// The folders of runs beside this one: the one that they are all in, unless the testbed file is in there, too.
+fn earlier_runs(place: &Place, testbed: &Path) -> Vec<PathBuf> {
+    let Place::In(parent) = place else { return Vec::new() };
+    let Ok(parent) = parent.canonicalize() else { return Vec::new() };
+    if !testbed.starts_with(&parent) {
+        return vec![parent];
+    }
+    let has_history =
+        |folder: &PathBuf| ["history.sqlite", "history.json"].iter().any(|name| folder.join(name).exists());
+    let folders = fs::read_dir(parent).into_iter().flatten().flatten().map(|entry| entry.path());
+    folders.filter(has_history).collect()
+}
+
+/// The files that settings name.
+fn named_files(settings: &serde_json::Value, found: &mut Vec<PathBuf>) {
+    match settings {
+        serde_json::Value::String(text) if Path::new(text).is_file() => found.push(text.into()),
+        serde_json::Value::Array(all) => all.iter().for_each(|value| named_files(value, found)),
+        serde_json::Value::Object(all) => all.values().for_each(|value| named_files(value, found)),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn earlier_runs_are_hidden_one_by_one_where_the_testbed_file_is_among_them() {
+        let place = tempfile::tempdir().unwrap();
+        let parent = place.path().canonicalize().unwrap();
+        let [run, testbed] = ["run", "testbed"].map(|name| parent.join(name));
+        fs::create_dir(&run).unwrap();
+        fs::create_dir(&testbed).unwrap();
+        fs::write(run.join("history.sqlite"), "").unwrap();
+        let runs = Place::In(parent.clone());
+        assert_eq!(earlier_runs(&runs, &testbed), [run]);
+        assert_eq!(earlier_runs(&runs, Path::new("/elsewhere")), [parent]);
+    }
+
+    #[test]
+    fn files_that_settings_name_are_hidden_wherever_they_are_named() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("password");
+        fs::write(&file, "").unwrap();
+        let settings =
+            serde_json::json!({ "ledgers": [{ "password_file": file, "url": "ws://127.0.0.1:1" }] });
+        let mut found = Vec::new();
+        named_files(&settings, &mut found);
+        assert_eq!(found, [file]);
+    }
+
+    #[test]
+    fn a_journal_that_comes_to_be_later_is_hidden_where_it_will_be() {
+        let place = tempfile::tempdir().unwrap();
+        let link = place.path().join("link");
+        std::os::unix::fs::symlink(place.path(), &link).unwrap();
+        let journal = place.path().canonicalize().unwrap().join("history.sqlite-wal");
+        assert_eq!(real(&link.join("history.sqlite-wal")), Some(journal));
+    }
+
+    #[test]
+    fn folders_that_hold_more_than_a_testbed_are_not_shown() {
+        let place = tempfile::tempdir().unwrap();
+        check(place.path()).unwrap();
+        fs::set_permissions(place.path(), fs::Permissions::from_mode(0o777)).unwrap();
+        let refused = check(place.path()).unwrap_err().to_string();
+        assert!(refused.contains("a folder of its own"), "{refused}");
+        assert!(check(Path::new("/")).is_err());
+    }
+}
