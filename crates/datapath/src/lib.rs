@@ -45,5 +45,5 @@ pub use error::Error;
 pub use kernel_network::{KernelNetwork, NoKernelNetwork, Observed};
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
-pub use process::{Child, HostsFile, SpawnOptions};
+pub use process::{Child, HostsFile, SpawnOptions, raise_open_files};
 pub use punctual::{BusyPoll, be_punctual, be_timely};

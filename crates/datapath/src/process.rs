@@ -25,6 +25,16 @@ use crate::{
     sys,
 };
 
+/// Lets this process open as many files as its hard limit allows, and returns how many those are. Programs in nodes keep
+/// the limit that it had at first.
+///
+/// # Errors
+/// [`Error::Kernel`] if the kernel does not say.
+pub fn raise_open_files() -> Result<u64, Error> {
+    sys::raise_open_files();
+    sys::open_files_limit().action("read the limit of open files")
+}
+
 /// What a program gets beside its namespaces.
 #[derive(Debug, Default)]
 pub struct SpawnOptions<'a> {

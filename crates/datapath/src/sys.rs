@@ -280,6 +280,15 @@ pub(crate) fn raise_open_files() -> Option<libc::rlimit> {
     })
 }
 
+/// How many files the process may have open.
+pub(crate) fn open_files_limit() -> io::Result<u64> {
+    // SAFETY: an rlimit is two integers, for which zero is a value.
+    let mut limit: libc::rlimit = unsafe { mem::zeroed() };
+    // SAFETY: the pointer is to a live rlimit.
+    check(unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &mut limit) })?;
+    Ok(limit.rlim_cur)
+}
+
 /// Tries an `unshare` in a process of its own, which this one is not changed by.
 pub(crate) fn try_unshare(flags: c_int) -> io::Result<()> {
     // SAFETY: the new process makes two async-signal-safe calls and ends.

@@ -4,17 +4,17 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use axum::{
-    extract::{Request, State},
+    extract::{Extension, Request, State},
     http::{
         HeaderMap,
         header::{AUTHORIZATION, HOST, ORIGIN},
     },
     middleware::Next,
-    response::{IntoResponse, Response},
+    response::Response,
 };
 use cotorra_graph::DomainId;
 
-use super::types::Failure;
+use super::{serve::Place, types::Failure};
 use crate::domain::{DomainView, Domains};
 
 /// The secret that a caller shows.
@@ -118,6 +118,11 @@ impl Caller {
         }
     }
 
+    /// The domain that it speaks for.
+    fn domain(&self) -> Option<&DomainId> {
+        self.0.as_deref().map(DomainView::domain)
+    }
+
     /// Keeps what the caller sees.
     pub(super) fn keeps(&self, is_seen: impl FnOnce(&DomainView) -> bool) -> bool {
         self.0.as_deref().is_none_or(is_seen)
@@ -161,29 +166,41 @@ impl Gate {
     }
 }
 
-pub(super) async fn check(State(gate): State<Gate>, mut request: Request, next: Next) -> Response {
-    match gate.caller(request.headers()) {
-        Err(refusal) => refusal.into_response(),
-        Ok(caller) => {
-            request.extensions_mut().insert(caller);
-            next.run(request).await
-        }
-    }
+pub(super) async fn check(
+    State(gate): State<Gate>,
+    Extension(place): Extension<Arc<Place>>,
+    mut request: Request,
+    next: Next,
+) -> Result<Response, Failure> {
+    let caller = gate.caller(request.headers())?;
+    request = place.let_in(caller.domain(), request).await?;
+    request.extensions_mut().insert(caller);
+    Ok(next.run(request).await)
 }
 
 /// The same for the WLAN Access Information Service, which tells problems as its standard does, and has a service for each
 /// domain.
-pub(super) async fn check_wais(State(gate): State<Gate>, request: Request, next: Next) -> Response {
-    let let_in = gate.caller(request.headers()).and_then(|caller| {
-        let of = request.uri().path().strip_prefix("/domains/").and_then(|rest| rest.split('/').next());
+pub(super) async fn check_wais(
+    State(gate): State<Gate>,
+    Extension(place): Extension<Arc<Place>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let of = request.uri().path().strip_prefix("/domains/").and_then(|rest| rest.split('/').next());
+    let caller = gate.caller(request.headers()).and_then(|caller| {
         match of {
-            Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain),
-            None => caller.operator(),
+            Some(domain) => caller.sees(&domain, |view| view.domain().as_str() == domain)?,
+            None => caller.operator()?,
         }
+        Ok(caller)
     });
+    let let_in = match caller {
+        Ok(caller) => place.let_in(caller.domain(), request).await,
+        Err(refusal) => Err(refusal),
+    };
     match let_in {
         Err(refusal) => refusal.into_problem(),
-        Ok(()) => next.run(request).await,
+        Ok(request) => next.run(request).await,
     }
 }
 

@@ -11,11 +11,12 @@ use cotorra_measurements::{
     Sample,
 };
 use serde::Deserialize;
+use tokio::sync::Semaphore;
 
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
-    Answer, Context,
+    Answer, BLOCKING_THREADS, Context,
     auth::Caller,
     stream::parse_kinds,
     types::{Failure, GapBody, Path, Query, RunBody},
@@ -65,6 +66,9 @@ fn span(from_s: f64, to_s: Option<f64>, present: Timestamp) -> Span {
     (Bound::Included(Timestamp::from_secs_f64(from_s)), end)
 }
 
+/// Questions to the history that are answered at the same time. Others wait, and go away with whoever asked them.
+static QUESTIONS: Semaphore = Semaphore::const_new(BLOCKING_THREADS);
+
 /// Asks the history where that may take its time: about this run or another, with the time up to which it is known.
 async fn ask<T: Send + 'static>(
     context: Context,
@@ -79,6 +83,12 @@ async fn ask<T: Send + 'static>(
         let is_played = context.replay && run == context.run;
         let present = if is_played { context.live.read(|now| now.at) } else { Timestamp::MAX };
         question(&context.history, run, present)
+    };
+    let permit = QUESTIONS.acquire().await.expect("it is never closed");
+    let ask = move || {
+        let answer = ask();
+        drop(permit);
+        answer
     };
     match tokio::task::spawn_blocking(ask).await {
         Ok(Ok(answer)) => Ok(Json(answer)),

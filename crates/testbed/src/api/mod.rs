@@ -2,10 +2,12 @@
 //! a script can do here. Described at `/openapi.json`.
 
 mod auth;
+mod connections;
 #[cfg(feature = "openapi")]
 mod document;
 mod measurements;
 mod routes;
+mod serve;
 mod stream;
 mod types;
 mod wais;
@@ -20,13 +22,12 @@ use std::{
 use axum::{
     Json, Router, middleware,
     routing::{MethodRouter, get, post},
-    serve::ListenerExt as _,
 };
 use cotorra_graph::{NodeId, PluginId, Stamped, Testbed};
 use cotorra_measurements::{History, PacedRecorder, RunId};
 use tokio::sync::{broadcast, oneshot};
 
-use self::auth::Gate;
+use self::{auth::Gate, connections::Limits, serve::Patience};
 use crate::{core_loop::Message, domain::Domains, live::Live};
 
 pub use auth::{Token, Tokens, TokensError};
@@ -79,6 +80,9 @@ pub enum ApiError {
     /// A token for nobody.
     #[error("there is no domain `{0}` that a token could be for")]
     NoSuchDomain(cotorra_graph::DomainId),
+    /// The system does not say how many files may be open.
+    #[error("cannot tell how many connections the API may have: {0}")]
+    OpenFiles(cotorra_datapath::Error),
     /// The system refuses a thread or a runtime.
     #[error("cannot start the API's server: {0}")]
     Start(std::io::Error),
@@ -132,6 +136,11 @@ pub(crate) struct Server {
     _delivery: cotorra_wais::http::Delivery,
 }
 
+/// Connections that wait to be accepted; one that finds no room tries again a second later.
+const BACKLOG: i32 = 4096;
+/// Threads for questions to the history.
+const BLOCKING_THREADS: usize = 16;
+
 /// An address that is reserved; nothing is served there yet.
 pub(crate) struct Listener(std::net::TcpListener);
 
@@ -156,6 +165,18 @@ impl Listener {
 impl Server {
     /// Serves the API on a thread of its own.
     pub(crate) fn start(listener: Listener, context: Context, tokens: Tokens) -> Result<Self, ApiError> {
+        let open_files = cotorra_datapath::raise_open_files().map_err(ApiError::OpenFiles)?;
+        Self::start_within(listener, context, tokens, Limits::of(open_files), Patience::default())
+    }
+
+    /// The same, with other limits.
+    fn start_within(
+        listener: Listener,
+        context: Context,
+        tokens: Tokens,
+        limits: Limits,
+        patience: Patience,
+    ) -> Result<Self, ApiError> {
         let domains = Arc::new(Domains::new(&context.testbed));
         if let Some(domain) = tokens.domains().find(|domain| domains.view(domain).is_none()) {
             return Err(ApiError::NoSuchDomain(domain.clone()));
@@ -163,8 +184,12 @@ impl Server {
         let gate = Gate::new(tokens, domains);
         let address = listener.address();
         listener.0.set_nonblocking(true).map_err(ApiError::Start)?;
-        let runtime =
-            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(ApiError::Start)?;
+        socket2::SockRef::from(&listener.0).listen(BACKLOG).map_err(ApiError::Start)?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(BLOCKING_THREADS)
+            .build()
+            .map_err(ApiError::Start)?;
         let (stop, stopped) = oneshot::channel();
         let document = openapi();
         let (wais, delivery) = wais::serve(&context, gate.clone()).map_err(ApiError::Start)?;
@@ -178,23 +203,19 @@ impl Server {
             )
             .fallback(|| async { types::Failure::not_found("no such path; see /openapi.json") })
             .with_state(context)
-            .merge(wais);
+            .merge(wais)
+            .layer(middleware::from_fn(serve::attend));
         let thread = std::thread::Builder::new()
             .name("api".to_owned())
             .spawn(move || {
                 runtime.block_on(async move {
                     let listener = match tokio::net::TcpListener::from_std(listener.0) {
-                        // What happens is told at once, not when the reader acknowledges what it heard before.
-                        Ok(listener) => listener.tap_io(|stream| drop(stream.set_nodelay(true))),
+                        Ok(listener) => listener,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
                     };
                     // An open event stream must not keep a finished run alive: stop at once, not gracefully.
                     tokio::select! {
-                        served = axum::serve(listener, app).into_future() => {
-                            if let Err(error) = served {
-                                tracing::error!("the API is not served any more: {error}");
-                            }
-                        }
+                        () = serve::serve(listener, app, limits, patience) => {}
                         _ = stopped => {}
                     }
                 });

@@ -37,6 +37,10 @@ fn sample(second: u64) -> Stamped {
 }
 
 fn serve(replay: bool) -> Served {
+    serve_within(replay, Limits { strangers: 64, callers: 64 }, Patience::default())
+}
+
+fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
     let text = "name: served\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n";
     let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
     let history = Arc::new(History::in_memory().unwrap());
@@ -69,7 +73,7 @@ fn serve(replay: bool) -> Served {
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
     Served {
-        server: Server::start(listener, context, Tokens::default()).unwrap(),
+        server: Server::start_within(listener, context, Tokens::default(), limits, patience).unwrap(),
         history,
         events,
         runs,
@@ -387,6 +391,116 @@ fn the_stream_of_a_domain_has_no_events_of_others() {
     };
     assert_eq!((first(&mut one), first(&mut one)), (json!("service_time"), json!("lateness")));
     assert_eq!(first(&mut two), "lateness");
+}
+
+const FEW: Limits = Limits { strangers: 16, callers: 8 };
+
+/// A connection that says something and no more.
+fn say(server: &Server, text: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(server.address()).unwrap();
+    stream.write_all(text.as_bytes()).unwrap();
+    stream
+}
+
+/// What is still said until a connection is closed, however it is.
+fn until_closed(mut stream: TcpStream) -> String {
+    let mut said = Vec::new();
+    let _ = stream.read_to_end(&mut said);
+    String::from_utf8(said).unwrap()
+}
+
+#[test]
+fn who_never_ends_a_request_keeps_nobody_from_being_answered() {
+    let served = serve_within(false, FEW, Patience::default());
+    let mut open = Vec::new();
+    for part in
+        ["", "GET /api/v1/robots HTTP/1.1\r\n", "GET /api/v1/robots HTTP/1.1\r\nHost: localhost\r\nX: "]
+    {
+        open.extend((0..150).map(|_| say(&served.server, part)));
+        assert_eq!(served.answer("robots"), json!([]));
+    }
+    // It holds no more than what is for one address.
+    open.truncate(450 - FEW.strangers / 2);
+    for stream in open {
+        assert_eq!(until_closed(stream), "");
+    }
+}
+
+#[test]
+fn who_shows_no_token_keeps_nobody_from_being_answered() {
+    let served = Domains::serve();
+    let request = "GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    let refused: Vec<_> = (0..300).map(|_| say(&served.server, request)).collect();
+    assert_eq!(served.get(OPERATOR, "/api/v1/robots").0, 200);
+    for stream in refused {
+        let said = until_closed(stream);
+        assert!(said.is_empty() || said.starts_with("HTTP/1.1 401 "), "{said}");
+    }
+}
+
+#[test]
+fn a_request_that_does_not_go_on_is_given_up() {
+    let at_once = std::time::Duration::from_millis(1);
+    let patience = Patience { head: at_once, ..Patience::default() };
+    let served = serve_within(false, FEW, patience);
+    assert_eq!(until_closed(say(&served.server, "GET / HTTP/1.1\r\nHost: ")), "");
+    assert_eq!(until_closed(say(&served.server, "")), "");
+
+    let patience = Patience { body: at_once, ..Patience::default() };
+    let served = serve_within(false, FEW, patience);
+    let post = "POST /api/v1/instructions HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{";
+    let (status, _) = answer(say(&served.server, post));
+    assert_eq!(status, 408);
+}
+
+#[test]
+fn requests_are_no_longer_than_the_api_keeps() {
+    let served = serve(false);
+    let long = "x".repeat(64 << 10);
+    let head = format!("GET / HTTP/1.1\r\nHost: localhost\r\nX: {long}\r\n\r\n");
+    let said = until_closed(say(&served.server, &head));
+    assert!(said.is_empty() || said.starts_with("HTTP/1.1 431 "), "{said}");
+    let post = "POST /api/v1/instructions HTTP/1.1\r\nHost: localhost\r\nContent-Length: 300000\r\n\r\n{";
+    let (status, _) = answer(say(&served.server, post));
+    assert_eq!(status, 413);
+    let post = "POST /api/v1/instructions HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n";
+    let mut stream = say(&served.server, post);
+    for _ in 0..4 {
+        write!(stream, "{:x}\r\n{long}\r\n", long.len()).unwrap();
+    }
+    // One byte more than is taken.
+    stream.write_all(b"1\r\nx\r\n").unwrap();
+    assert_eq!(answer(stream).0, 413);
+}
+
+#[test]
+fn a_reader_that_takes_nothing_is_cut_off() {
+    let at_once = std::time::Duration::from_millis(1);
+    let served = serve_within(false, FEW, Patience { answer: at_once, ..Patience::default() });
+    let (status, stalled) = served.open("events");
+    assert_eq!(status, 200);
+    // What the kernel keeps for it is full at some time; then it has a millisecond.
+    for at in 0.. {
+        if served.events.send(Arc::new(notice(at))).is_err() {
+            break;
+        }
+    }
+    drop(stalled);
+}
+
+#[test]
+fn streams_leave_places_for_requests() {
+    let served = serve_within(false, FEW, Patience::default());
+    let streams: Vec<_> = (0..10).map(|_| served.open("events")).collect();
+    let of = |status| streams.iter().filter(|(this, _)| *this == status).count();
+    assert_eq!((of(200), of(429)), (4, 6));
+    // Requests take each other's places.
+    let idle: Vec<_> = (0..20)
+        .map(|_| answer(say(&served.server, "GET /api/v1/robots HTTP/1.1\r\nHost: localhost\r\n\r\n")))
+        .collect();
+    assert!(idle.iter().all(|(status, _)| *status == 200));
+    assert_eq!(served.answer("robots"), json!([]));
+    assert_eq!(served.events.receiver_count(), 4, "no stream was closed for them");
 }
 
 #[test]

@@ -166,7 +166,7 @@ pub(super) struct FailureBody {
 }
 
 impl Failure {
-    fn new(status: StatusCode, reason: impl Into<String>) -> Self {
+    pub(super) fn new(status: StatusCode, reason: impl Into<String>) -> Self {
         Self { status, key: "error", reason: reason.into() }
     }
 

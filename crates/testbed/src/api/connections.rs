@@ -1,0 +1,311 @@
+//! Which connections the API keeps open, decided without a socket or a clock.
+//!
+//! A connection is a stranger's until a request on it was let in. Strangers have few places, and a new one takes that of
+//! the oldest: whoever opens many connections and says nothing pushes out its own, and cannot keep others from being
+//! heard. Whom the API let in has places apart, of which only those are taken back where nothing is being answered.
+
+use std::{
+    collections::BTreeMap,
+    net::{IpAddr, Ipv6Addr},
+};
+
+use cotorra_graph::DomainId;
+
+/// How many connections there may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Limits {
+    /// Of strangers. Half of them at most are of one address.
+    pub(super) strangers: usize,
+    /// Of the operator, and as many of all domains together. Half of them at most are streams.
+    pub(super) callers: usize,
+}
+
+impl Limits {
+    /// Leaves most of the files that the process may have open to the core: an eighth is for strangers, an eighth for the
+    /// operator and an eighth for domains, and never more than is of use.
+    pub(super) fn of(open_files: u64) -> Self {
+        let share = usize::try_from(open_files / 8).unwrap_or(usize::MAX);
+        Self { strangers: share.clamp(16, 256), callers: share.clamp(16, 1024) }
+    }
+
+    fn of_address(self) -> usize {
+        self.strangers / 2
+    }
+
+    fn of_domain(self) -> usize {
+        self.callers / 4
+    }
+}
+
+/// The places of a caller are taken, all by what is still being answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{limit} {what} are open, which is the most that this API serves you: close one and ask again")]
+pub(super) struct Full {
+    limit: usize,
+    what: &'static str,
+}
+
+/// All connections, each with what closes it when it is dropped.
+#[derive(Debug)]
+pub(super) struct Connections<H> {
+    limits: Limits,
+    last: u64,
+    /// By number, so the oldest first.
+    strangers: BTreeMap<u64, Stranger<H>>,
+    callers: BTreeMap<u64, Caller<H>>,
+}
+
+#[derive(Debug)]
+struct Stranger<H> {
+    from: IpAddr,
+    handle: H,
+}
+
+#[derive(Debug)]
+struct Caller<H> {
+    /// The operator's without one.
+    domain: Option<DomainId>,
+    doing: Doing,
+    _handle: H,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Doing {
+    Nothing {
+        /// Grows with time.
+        since: u64,
+    },
+    Answer,
+    Stream,
+}
+
+impl<H> Connections<H> {
+    pub(super) fn new(limits: Limits) -> Self {
+        Self { limits, last: 0, strangers: BTreeMap::new(), callers: BTreeMap::new() }
+    }
+
+    fn next(&mut self) -> u64 {
+        self.last += 1;
+        self.last
+    }
+
+    /// A new connection, which gets a number.
+    pub(super) fn arrive(&mut self, from: IpAddr, handle: H) -> u64 {
+        let from = network(from);
+        let neighbours = self.strangers.iter().filter(|(_, stranger)| stranger.from == from);
+        let mut neighbours = neighbours.map(|(number, _)| *number);
+        let oldest_neighbour = neighbours.next();
+        if 1 + neighbours.count() >= self.limits.of_address() && oldest_neighbour.is_some() {
+            oldest_neighbour.and_then(|number| self.strangers.remove(&number));
+        } else if self.strangers.len() >= self.limits.strangers {
+            self.strangers.pop_first();
+        }
+        let number = self.next();
+        self.strangers.insert(number, Stranger { from, handle });
+        number
+    }
+
+    /// A request on a connection is let in: of the operator, or of a domain.
+    pub(super) fn let_in(&mut self, number: u64, domain: Option<&DomainId>) -> Result<(), Full> {
+        let Limits { callers, .. } = self.limits;
+        let what = "connections";
+        if domain.is_some() {
+            let limit = self.limits.of_domain();
+            self.make_room(number, limit, |other| other.domain.as_ref() == domain)
+                .map_err(|()| Full { limit, what })?;
+        }
+        self.make_room(number, callers, |other| other.domain.is_some() == domain.is_some())
+            .map_err(|()| Full { limit: callers, what })?;
+        if let Some(Stranger { handle, .. }) = self.strangers.remove(&number) {
+            let caller = Caller { domain: domain.cloned(), doing: Doing::Answer, _handle: handle };
+            self.callers.insert(number, caller);
+        } else if let Some(caller) = self.callers.get_mut(&number) {
+            (caller.domain, caller.doing) = (domain.cloned(), Doing::Answer);
+        }
+        Ok(())
+    }
+
+    /// Closes the connection that was idle for longest, if as many others as the limit are of those.
+    fn make_room(&mut self, number: u64, limit: usize, of: impl Fn(&Caller<H>) -> bool) -> Result<(), ()> {
+        let others = || self.callers.iter().filter(|(other, caller)| **other != number && of(caller));
+        if others().count() < limit {
+            return Ok(());
+        }
+        let idle = others().filter_map(|(other, caller)| match caller.doing {
+            Doing::Nothing { since } => Some((since, *other)),
+            _ => None,
+        });
+        let (_, longest) = idle.min().ok_or(())?;
+        self.callers.remove(&longest);
+        Ok(())
+    }
+
+    /// What a connection is answered does not end by itself.
+    pub(super) fn stream(&mut self, number: u64) -> Result<(), Full> {
+        let Some(domain) = self.callers.get(&number).map(|caller| caller.domain.clone()) else {
+            return Ok(());
+        };
+        let limit = if domain.is_some() { self.limits.of_domain() } else { self.limits.callers } / 2;
+        let streams = |caller: &&Caller<H>| caller.domain == domain && caller.doing == Doing::Stream;
+        if self.callers.values().filter(streams).count() >= limit {
+            return Err(Full { limit, what: "streams" });
+        }
+        self.callers.entry(number).and_modify(|caller| caller.doing = Doing::Stream);
+        Ok(())
+    }
+
+    /// A connection's request was answered.
+    pub(super) fn rest(&mut self, number: u64) {
+        let since = self.next();
+        self.callers.entry(number).and_modify(|caller| caller.doing = Doing::Nothing { since });
+    }
+
+    /// A connection is closed.
+    pub(super) fn leave(&mut self, number: u64) {
+        self.strangers.remove(&number);
+        self.callers.remove(&number);
+    }
+
+    /// Whether a request on it was let in.
+    pub(super) fn is_let_in(&self, number: u64) -> bool {
+        self.callers.contains_key(&number)
+    }
+
+    /// The process has no file left: gives up what a stranger has.
+    pub(super) fn shed(&mut self) {
+        self.strangers.pop_first();
+    }
+}
+
+/// What counts as one address: of IPv6 the network, in which a machine may choose addresses as it likes.
+fn network(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(v6) if !v6.is_loopback() => {
+            IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() & !u128::from(u64::MAX)))
+        }
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::rc::{Rc, Weak};
+
+    use super::*;
+
+    const LIMITS: Limits = Limits { strangers: 8, callers: 8 };
+
+    /// Connections, each of which knows whether it was closed.
+    struct Rig {
+        connections: Connections<Rc<()>>,
+    }
+
+    impl Rig {
+        fn new() -> Self {
+            Self { connections: Connections::new(LIMITS) }
+        }
+
+        fn arrive(&mut self, from: &str) -> (u64, Weak<()>) {
+            let handle = Rc::new(());
+            let is_open = Rc::downgrade(&handle);
+            (self.connections.arrive(from.parse().unwrap(), handle), is_open)
+        }
+
+        /// A connection that is answered.
+        fn caller(&mut self, domain: Option<&str>) -> Result<(u64, Weak<()>), Full> {
+            let (number, is_open) = self.arrive("127.0.0.1");
+            let domain = domain.map(|name| DomainId::new(name).unwrap());
+            self.connections.let_in(number, domain.as_ref())?;
+            Ok((number, is_open))
+        }
+    }
+
+    fn open(connections: &[(u64, Weak<()>)]) -> Vec<bool> {
+        connections.iter().map(|(_, is_open)| is_open.strong_count() > 0).collect()
+    }
+
+    #[test]
+    fn a_stranger_takes_the_place_of_the_oldest_of_its_address() {
+        let mut rig = Rig::new();
+        let neighbour = rig.arrive("10.0.0.9");
+        let flood: Vec<_> = (0..1000).map(|_| rig.arrive("10.0.0.1")).collect();
+        assert_eq!(open(&[neighbour]), [true], "a flood pushes out its own");
+        assert_eq!(open(&flood[996..]), [true; 4]);
+        assert!(open(&flood[..996]).iter().all(|open| !open));
+        let flood: Vec<_> = (0..1000).map(|i| rig.arrive(&format!("10.1.{}.{}", i / 256, i % 256))).collect();
+        assert_eq!(open(&flood).iter().filter(|open| **open).count(), LIMITS.strangers);
+    }
+
+    #[test]
+    fn addresses_of_one_ipv6_network_count_as_one() {
+        let mut rig = Rig::new();
+        let flood: Vec<_> = (0..100).map(|i| rig.arrive(&format!("2001:db8::{i:x}"))).collect();
+        assert_eq!(open(&flood).iter().filter(|open| **open).count(), LIMITS.strangers / 2);
+        assert_eq!(network("::ffff:10.0.0.1".parse().unwrap()), IpAddr::from([10, 0, 0, 1]));
+    }
+
+    #[test]
+    fn strangers_push_out_nobody_who_was_let_in() {
+        let mut rig = Rig::new();
+        let answered = rig.caller(None).unwrap();
+        let idle = rig.caller(None).unwrap();
+        rig.connections.rest(idle.0);
+        (0..1000).for_each(|_| drop(rig.arrive("127.0.0.1")));
+        assert_eq!(open(&[answered, idle]), [true, true]);
+    }
+
+    #[test]
+    fn who_is_let_in_takes_the_place_of_who_is_idle_for_longest_and_never_of_who_is_answered() {
+        let mut rig = Rig::new();
+        let callers: Vec<_> = (0..8).map(|_| rig.caller(None).unwrap()).collect();
+        let full = rig.caller(None).unwrap_err();
+        assert_eq!(full, Full { limit: 8, what: "connections" });
+        for at in [5, 3] {
+            rig.connections.rest(callers[at].0);
+        }
+        let next = rig.caller(None).unwrap();
+        let expected = [true, true, true, true, true, false, true, true];
+        assert_eq!(open(&callers), expected, "5 was idle before 3");
+        assert_eq!(open(&[next]), [true]);
+        // Another request on a connection that is there needs no other place.
+        rig.connections.let_in(callers[3].0, None).unwrap();
+        assert_eq!(open(&callers), expected);
+    }
+
+    #[test]
+    fn no_domain_takes_the_places_of_another_or_of_the_operator() {
+        let mut rig = Rig::new();
+        for domain in ["one", "two"] {
+            for _ in 0..2 {
+                rig.caller(Some(domain)).unwrap();
+            }
+            assert_eq!(rig.caller(Some(domain)).unwrap_err().limit, 2);
+        }
+        for _ in 0..8 {
+            rig.caller(None).unwrap();
+        }
+    }
+
+    #[test]
+    fn streams_leave_room_for_requests() {
+        let mut rig = Rig::new();
+        for _ in 0..4 {
+            let (number, _) = rig.caller(None).unwrap();
+            rig.connections.stream(number).unwrap();
+        }
+        let (number, _) = rig.caller(None).unwrap();
+        assert_eq!(rig.connections.stream(number).unwrap_err(), Full { limit: 4, what: "streams" });
+        rig.connections.rest(number);
+        for _ in 0..4 {
+            rig.caller(None).unwrap();
+        }
+    }
+
+    #[test]
+    fn most_files_are_left_to_the_core() {
+        for files in [256, 1024, 20_000, u64::MAX] {
+            let Limits { strangers, callers } = Limits::of(files);
+            assert!((strangers + 2 * callers) as u64 <= files / 2, "{files}: {strangers}, {callers}");
+        }
+    }
+}

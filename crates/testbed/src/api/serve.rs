@@ -1,0 +1,306 @@
+//! Serves connections: accepts them, gives up those that are too many or too slow, and bounds what each keeps in memory.
+
+use std::{
+    convert::Infallible,
+    io,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll, ready},
+    time::Duration,
+};
+
+use axum::{
+    Router,
+    body::{Body, Bytes, HttpBody},
+    extract::{Extension, Request},
+    http::{
+        HeaderValue, StatusCode,
+        header::{CONNECTION, CONTENT_TYPE},
+    },
+    middleware::Next,
+    response::{IntoResponse, Response},
+};
+use cotorra_graph::DomainId;
+use hyper::{
+    body::{Frame, SizeHint},
+    server::conn::http1,
+    service::{Service, service_fn},
+};
+use hyper_util::{
+    rt::{TokioIo, TokioTimer},
+    service::TowerToHyperService,
+};
+use parking_lot::Mutex;
+use tokio::{
+    io::{AsyncRead, AsyncWrite, ReadBuf},
+    net::{TcpListener, TcpStream},
+    sync::oneshot,
+    time::{Sleep, sleep, timeout},
+};
+use tokio_stream::StreamExt as _;
+
+use super::{
+    connections::{Connections, Full, Limits},
+    types::Failure,
+};
+
+/// Bytes that a connection keeps in each direction; a request's head is no longer.
+const BUFFER: usize = 16 << 10;
+/// The longest body of a request.
+const LONGEST_BODY: usize = 256 << 10;
+/// How long nothing is accepted when the system has no descriptor left.
+const BREATH: Duration = Duration::from_millis(10);
+
+/// How long the API waits for whoever it serves.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Patience {
+    /// For a request's head, after the one before, too.
+    pub(super) head: Duration,
+    /// For its body.
+    pub(super) body: Duration,
+    /// For some of an answer to be taken.
+    pub(super) answer: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            // Longer than clients keep a connection for their next request.
+            head: Duration::from_secs(30),
+            body: Duration::from_secs(10),
+            // Longer than virtual time waits for a plug-in, which may read nothing meanwhile.
+            answer: Duration::from_secs(120),
+        }
+    }
+}
+
+/// Serves until it is dropped.
+pub(super) async fn serve(listener: TcpListener, app: Router, limits: Limits, patience: Patience) {
+    let connections = Arc::new(Mutex::new(Connections::new(limits)));
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
+    let app = TowerToHyperService::new(app);
+    loop {
+        let (stream, from) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) if is_of_connection(&error) => continue,
+            Err(error) => {
+                tracing::debug!("the API accepts no connection: {error}");
+                connections.lock().shed();
+                sleep(BREATH).await;
+                continue;
+            }
+        };
+        // What happens is told at once, not when the reader acknowledges what it heard before.
+        let _ = stream.set_nodelay(true);
+        let (close, closed) = oneshot::channel();
+        let number = connections.lock().arrive(from.ip(), close);
+        let place = Arc::new(Place { connections: Arc::clone(&connections), number, patience });
+        let app = app.clone();
+        let stream = Impatient { stream, wait: None, place: Arc::clone(&place) };
+        let service = service_fn(move |mut request: Request<hyper::body::Incoming>| {
+            request.extensions_mut().insert(Arc::clone(&place));
+            app.call(request)
+        });
+        let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
+        tokio::spawn(async move {
+            tokio::select! {
+                // A client that breaks off harms only itself.
+                _ = connection => {}
+                _ = closed => {}
+            }
+        });
+        // A request that is there already is looked at before the next connection can push it out.
+        tokio::task::yield_now().await;
+    }
+}
+
+/// Whether accepting failed because that one connection is gone.
+fn is_of_connection(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
+}
+
+type Close = oneshot::Sender<Infallible>;
+
+/// A connection's place among all; given back when the connection is closed.
+pub(super) struct Place {
+    connections: Arc<Mutex<Connections<Close>>>,
+    number: u64,
+    patience: Patience,
+}
+
+impl Place {
+    /// Lets a request in, and reads its body.
+    pub(super) async fn let_in(
+        &self,
+        domain: Option<&DomainId>,
+        request: Request,
+    ) -> Result<Request, Failure> {
+        self.connections.lock().let_in(self.number, domain)?;
+        let (head, body) = request.into_parts();
+        let body = timeout(self.patience.body, read(body)).await.map_err(|_| {
+            let patience = self.patience.body.as_secs_f64();
+            Failure::new(
+                StatusCode::REQUEST_TIMEOUT,
+                format!("the rest of the request did not come within {patience} s"),
+            )
+        })??;
+        Ok(Request::from_parts(head, body.into()))
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.connections.lock().leave(self.number);
+    }
+}
+
+impl From<Full> for Failure {
+    fn from(full: Full) -> Self {
+        Self::new(StatusCode::TOO_MANY_REQUESTS, full.to_string())
+    }
+}
+
+/// Reads a body that is not too long.
+async fn read(body: Body) -> Result<Bytes, Failure> {
+    let too_long = || {
+        Failure::new(
+            StatusCode::PAYLOAD_TOO_LARGE,
+            format!("the request is longer than {} KiB, and no instruction is", LONGEST_BODY >> 10),
+        )
+    };
+    if body.size_hint().lower() > LONGEST_BODY as u64 {
+        return Err(too_long());
+    }
+    let (mut parts, mut all) = (body.into_data_stream(), Vec::new());
+    while let Some(part) = parts.next().await {
+        let part = part.map_err(|error| Failure::bad_request(format!("the request broke off: {error}")))?;
+        if all.len() + part.len() > LONGEST_BODY {
+            return Err(too_long());
+        }
+        all.extend_from_slice(&part);
+    }
+    Ok(all.into())
+}
+
+/// Keeps count of what each connection is answered.
+pub(super) async fn attend(
+    Extension(place): Extension<Arc<Place>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let mut response = next.run(request).await;
+    if !place.connections.lock().is_let_in(place.number) {
+        // The place is for somebody else.
+        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+        return response;
+    }
+    let is_upgraded = response.status() == StatusCode::SWITCHING_PROTOCOLS;
+    let kind = response.headers().get(CONTENT_TYPE);
+    let is_stream = is_upgraded || kind.is_some_and(|kind| kind == "text/event-stream");
+    if is_stream {
+        let streams = place.connections.lock().stream(place.number);
+        if let Err(full) = streams {
+            response = Failure::from(full).into_response();
+        } else if is_upgraded {
+            return response;
+        }
+    }
+    response.map(|body| Body::new(Answer { body, place }))
+}
+
+/// An answer's body, which says when the answer is over.
+struct Answer {
+    body: Body,
+    place: Arc<Place>,
+}
+
+impl HttpBody for Answer {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+impl Drop for Answer {
+    fn drop(&mut self) {
+        self.place.connections.lock().rest(self.place.number);
+    }
+}
+
+/// A connection that fails when nothing of what is to be sent is taken for too long.
+struct Impatient {
+    stream: TcpStream,
+    wait: Option<Pin<Box<Sleep>>>,
+    /// Held as long as the connection is open, also after it became a WebSocket.
+    place: Arc<Place>,
+}
+
+impl Impatient {
+    fn wrote<T>(&mut self, context: &mut Context<'_>, wrote: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if wrote.is_ready() {
+            self.wait = None;
+            return wrote;
+        }
+        let patience = self.place.patience.answer;
+        let wait = self.wait.get_or_insert_with(|| Box::pin(sleep(patience)));
+        ready!(wait.as_mut().poll(context));
+        Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
+    }
+}
+
+impl AsyncRead for Impatient {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for Impatient {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let wrote = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.wrote(context, wrote)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        parts: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        let wrote = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
+        self.wrote(context, wrote)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
