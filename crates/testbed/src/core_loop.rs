@@ -67,6 +67,8 @@ pub(crate) enum Message {
     Follow(Follower),
     /// It has taken in all that it was told up to a mark.
     Done {
+        /// Who.
+        plugin: PluginId,
         /// The mark's number.
         mark: u64,
         /// When it wants to be woken.

@@ -291,6 +291,7 @@ impl Run {
             events: stream.clone(),
             core: tell.clone(),
             namespaces: Arc::new(namespaces.collect()),
+            hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
             wais: api::WaisOptions {
@@ -300,7 +301,7 @@ impl Run {
             },
         };
         let server = Server::start(listener, context, options.tokens)?;
-        let plugins = plugins.start(&testbed, &now, server.address(), &folder.logs(), &tell)?;
+        let plugins = plugins.start(&testbed, &now, &server, &folder.logs(), &tell)?;
 
         for (robot, socket) in &sockets {
             let socket = socket.try_clone().map_err(system("share a robot's socket"))?;

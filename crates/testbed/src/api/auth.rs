@@ -1,7 +1,12 @@
 //! Who may use the API: everyone on loopback, elsewhere whoever has a token. A browser's page from elsewhere may not. The
 //! operator's token opens all, a domain's what is of its own nodes.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs::File,
+    io::{self, Read},
+    sync::Arc,
+};
 
 use axum::{
     extract::{Extension, Request, State},
@@ -12,9 +17,9 @@ use axum::{
     middleware::Next,
     response::Response,
 };
-use cotorra_graph::DomainId;
+use cotorra_graph::{DomainId, PluginId};
 
-use super::{serve::Place, types::Failure};
+use super::{connections::Whose, serve::Place, types::Failure};
 use crate::domain::{DomainView, Domains};
 
 /// The secret that a caller shows.
@@ -26,6 +31,18 @@ impl Token {
     pub fn new(secret: impl Into<String>) -> Option<Self> {
         let secret = secret.into();
         (secret.len() >= 16).then_some(Self(secret))
+    }
+
+    /// A new one, which nobody can guess.
+    pub(super) fn random() -> io::Result<Self> {
+        let mut bytes = [0; 32];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
+    }
+
+    /// What is to be shown.
+    pub(crate) fn secret(&self) -> &str {
+        &self.0
     }
 
     /// Compares in a time that does not tell how much of it is right.
@@ -90,14 +107,45 @@ impl Tokens {
     }
 }
 
-/// Whom a caller speaks for: the operator, or one domain.
-#[derive(Clone)]
-pub(super) struct Caller(pub(super) Option<Arc<DomainView>>);
+/// The secrets of the plug-ins that a run starts as programs. Each finds its own in its environment, and its name follows from
+/// that: nobody else can take it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct PluginTokens(BTreeMap<PluginId, Token>);
+
+impl PluginTokens {
+    /// One for each of these.
+    pub(super) fn new<'a>(plugins: impl IntoIterator<Item = &'a PluginId>) -> io::Result<Self> {
+        plugins
+            .into_iter()
+            .map(|plugin| Ok((plugin.clone(), Token::random()?)))
+            .collect::<io::Result<_>>()
+            .map(Self)
+    }
+
+    /// That of a plug-in.
+    pub(crate) fn of(&self, plugin: &PluginId) -> Option<&Token> {
+        self.0.get(plugin)
+    }
+}
+
+/// The secret that was shown, among several. All are compared, so that the time does not tell whose it is.
+fn find<'a, K>(tokens: &'a BTreeMap<K, Token>, shown: &str) -> Option<&'a K> {
+    tokens.iter().fold(None, |found, (whose, token)| if token.is(shown) { Some(whose) } else { found })
+}
+
+/// Who asks, and whom that speaks for: the operator, or one domain.
+#[derive(Clone, Default)]
+pub(super) struct Caller {
+    /// What it sees and changes, if that is one domain's.
+    pub(super) view: Option<Arc<DomainView>>,
+    /// The plug-in that it is, by its secret.
+    plugin: Option<PluginId>,
+}
 
 impl Caller {
     /// Refuses what only the operator may see.
     pub(super) fn operator(&self) -> Result<(), Failure> {
-        match &self.0 {
+        match &self.view {
             None => Ok(()),
             Some(view) => Err(Failure::not_own(format!(
                 "the token of the domain `{}` opens what is of its own nodes; this needs the operator's",
@@ -112,20 +160,53 @@ impl Caller {
         what: &impl std::fmt::Display,
         is_seen: impl FnOnce(&DomainView) -> bool,
     ) -> Result<(), Failure> {
-        match self.0.as_deref().filter(|view| !is_seen(view)) {
+        match self.view.as_deref().filter(|view| !is_seen(view)) {
             None => Ok(()),
             Some(view) => Err(Failure::not_own(format!("`{what}` is not of the domain `{}`", view.domain()))),
         }
     }
 
-    /// The domain that it speaks for.
-    fn domain(&self) -> Option<&DomainId> {
-        self.0.as_deref().map(DomainView::domain)
+    /// Whose connections it uses.
+    fn whose(&self) -> Whose {
+        match (&self.plugin, &self.view) {
+            (Some(plugin), _) => Whose::Plugin(plugin.clone()),
+            (None, Some(view)) => Whose::Domain(view.domain().clone()),
+            (None, None) => Whose::Operator,
+        }
+    }
+
+    /// The name under which it asks, which it may choose (`named`) if it is nobody else's. `hosted` are the plug-ins of this
+    /// run. Whoever shows a domain's token can be one of its plug-ins elsewhere, or go by the domain's name.
+    pub(super) fn name(
+        &self,
+        named: Option<PluginId>,
+        hosted: &BTreeSet<PluginId>,
+    ) -> Result<Option<PluginId>, Failure> {
+        if let Some(own) = &self.plugin {
+            return match named.filter(|named| named != own) {
+                None => Ok(Some(own.clone())),
+                Some(named) => Err(Failure::not_own(format!("the secret is of `{own}`, not of `{named}`"))),
+            };
+        }
+        let name = match (&self.view, named) {
+            (Some(_), Some(named)) => {
+                self.sees(&named, |view| view.has_plugin(&named))?;
+                Some(named)
+            }
+            (Some(view), None) => PluginId::new(view.domain().as_str()).ok(),
+            (None, named) => named,
+        };
+        match name.as_ref().filter(|name| hosted.contains(*name)) {
+            Some(taken) => Err(Failure::not_own(format!(
+                "`{taken}` is a plug-in of this run, which has a secret of its own: choose another name"
+            ))),
+            None => Ok(name),
+        }
     }
 
     /// Keeps what the caller sees.
     pub(super) fn keeps(&self, is_seen: impl FnOnce(&DomainView) -> bool) -> bool {
-        self.0.as_deref().is_none_or(is_seen)
+        self.view.as_deref().is_none_or(is_seen)
     }
 }
 
@@ -133,36 +214,39 @@ impl Caller {
 #[derive(Clone)]
 pub(super) struct Gate {
     tokens: Arc<Tokens>,
+    plugins: PluginTokens,
     domains: Arc<Domains>,
 }
 
 impl Gate {
-    pub(super) fn new(tokens: Tokens, domains: Arc<Domains>) -> Self {
-        Self { tokens: Arc::new(tokens), domains }
+    pub(super) fn new(tokens: Tokens, plugins: PluginTokens, domains: Arc<Domains>) -> Self {
+        Self { tokens: Arc::new(tokens), plugins, domains }
     }
 
     /// Who sends these headers, if whoever does is let in.
     fn caller(&self, headers: &HeaderMap) -> Result<Caller, Failure> {
         let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+        let shown = text(AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+        if let Some(plugin) = shown.and_then(|shown| find(&self.plugins.0, shown)) {
+            return Ok(Caller {
+                view: self.domains.of_plugin(plugin).cloned(),
+                plugin: Some(plugin.clone()),
+            });
+        }
         let Some(operator) = &self.tokens.operator else {
             // Without a token a page that a browser loaded from elsewhere could reach a loopback address, by its own
             // name (Origin) or by one that it lets point there (Host).
             let foreign = text(ORIGIN).is_some() || text(HOST).is_some_and(|host| !is_loopback(host));
-            return if foreign { Err(Failure::forbidden()) } else { Ok(Caller(None)) };
+            return if foreign { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
         };
-        let shown = text(AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
         let shown = shown.ok_or_else(Failure::unauthorized)?;
-        // All are compared, so that the time does not tell whose it is.
-        let of_domain = self
-            .tokens
-            .domains
-            .iter()
-            .fold(None, |found, (domain, token)| if token.is(shown) { Some(domain) } else { found });
+        let of_domain = find(&self.tokens.domains, shown);
         if operator.is(shown) {
-            return Ok(Caller(None));
+            return Ok(Caller::default());
         }
         let view = of_domain.and_then(|domain| self.domains.view(domain));
-        view.map(|view| Caller(Some(Arc::clone(view)))).ok_or_else(Failure::unauthorized)
+        view.map(|view| Caller { view: Some(Arc::clone(view)), plugin: None })
+            .ok_or_else(Failure::unauthorized)
     }
 }
 
@@ -173,7 +257,7 @@ pub(super) async fn check(
     next: Next,
 ) -> Result<Response, Failure> {
     let caller = gate.caller(request.headers())?;
-    request = place.let_in(caller.domain(), request).await?;
+    request = place.let_in(caller.whose(), request).await?;
     request.extensions_mut().insert(caller);
     Ok(next.run(request).await)
 }
@@ -195,7 +279,7 @@ pub(super) async fn check_wais(
         Ok(caller)
     });
     let let_in = match caller {
-        Ok(caller) => place.let_in(caller.domain(), request).await,
+        Ok(caller) => place.let_in(caller.whose(), request).await,
         Err(refusal) => Err(refusal),
     };
     match let_in {

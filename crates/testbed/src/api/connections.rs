@@ -9,20 +9,20 @@ use std::{
     net::{IpAddr, Ipv6Addr},
 };
 
-use cotorra_graph::DomainId;
+use cotorra_graph::{DomainId, PluginId};
 
 /// How many connections there may be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Limits {
     /// Of strangers. Half of them at most are of one address.
     pub(super) strangers: usize,
-    /// Of the operator, and as many of all domains together. Half of them at most are streams.
+    /// Of the operator, and as many of all domains and plug-ins together. Half of them at most are streams.
     pub(super) callers: usize,
 }
 
 impl Limits {
     /// Leaves most of the files that the process may have open to the core: an eighth is for strangers, an eighth for the
-    /// operator and an eighth for domains, and never more than is of use.
+    /// operator and an eighth for domains and plug-ins, and never more than is of use.
     pub(super) fn of(open_files: u64) -> Self {
         let share = usize::try_from(open_files / 8).unwrap_or(usize::MAX);
         Self { strangers: share.clamp(16, 256), callers: share.clamp(16, 1024) }
@@ -32,9 +32,18 @@ impl Limits {
         self.strangers / 2
     }
 
-    fn of_domain(self) -> usize {
+    fn of_another(self) -> usize {
         self.callers / 4
     }
+}
+
+/// Whose a connection is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Whose {
+    Operator,
+    Domain(DomainId),
+    /// One that the run started.
+    Plugin(PluginId),
 }
 
 /// The places of a caller are taken, all by what is still being answered.
@@ -63,8 +72,7 @@ struct Stranger<H> {
 
 #[derive(Debug)]
 struct Caller<H> {
-    /// The operator's without one.
-    domain: Option<DomainId>,
+    whose: Whose,
     doing: Doing,
     _handle: H,
 }
@@ -105,22 +113,22 @@ impl<H> Connections<H> {
         number
     }
 
-    /// A request on a connection is let in: of the operator, or of a domain.
-    pub(super) fn let_in(&mut self, number: u64, domain: Option<&DomainId>) -> Result<(), Full> {
+    /// A request on a connection is let in.
+    pub(super) fn let_in(&mut self, number: u64, whose: Whose) -> Result<(), Full> {
         let Limits { callers, .. } = self.limits;
         let what = "connections";
-        if domain.is_some() {
-            let limit = self.limits.of_domain();
-            self.make_room(number, limit, |other| other.domain.as_ref() == domain)
-                .map_err(|()| Full { limit, what })?;
+        let is_operator = whose == Whose::Operator;
+        if !is_operator {
+            let limit = self.limits.of_another();
+            self.make_room(number, limit, |other| other.whose == whose).map_err(|()| Full { limit, what })?;
         }
-        self.make_room(number, callers, |other| other.domain.is_some() == domain.is_some())
+        self.make_room(number, callers, |other| (other.whose == Whose::Operator) == is_operator)
             .map_err(|()| Full { limit: callers, what })?;
         if let Some(Stranger { handle, .. }) = self.strangers.remove(&number) {
-            let caller = Caller { domain: domain.cloned(), doing: Doing::Answer, _handle: handle };
+            let caller = Caller { whose, doing: Doing::Answer, _handle: handle };
             self.callers.insert(number, caller);
         } else if let Some(caller) = self.callers.get_mut(&number) {
-            (caller.domain, caller.doing) = (domain.cloned(), Doing::Answer);
+            (caller.whose, caller.doing) = (whose, Doing::Answer);
         }
         Ok(())
     }
@@ -142,11 +150,11 @@ impl<H> Connections<H> {
 
     /// What a connection is answered does not end by itself.
     pub(super) fn stream(&mut self, number: u64) -> Result<(), Full> {
-        let Some(domain) = self.callers.get(&number).map(|caller| caller.domain.clone()) else {
+        let Some(whose) = self.callers.get(&number).map(|caller| caller.whose.clone()) else {
             return Ok(());
         };
-        let limit = if domain.is_some() { self.limits.of_domain() } else { self.limits.callers } / 2;
-        let streams = |caller: &&Caller<H>| caller.domain == domain && caller.doing == Doing::Stream;
+        let limit = if whose == Whose::Operator { self.limits.callers } else { self.limits.of_another() } / 2;
+        let streams = |caller: &&Caller<H>| caller.whose == whose && caller.doing == Doing::Stream;
         if self.callers.values().filter(streams).count() >= limit {
             return Err(Full { limit, what: "streams" });
         }
@@ -214,8 +222,8 @@ mod tests {
         /// A connection that is answered.
         fn caller(&mut self, domain: Option<&str>) -> Result<(u64, Weak<()>), Full> {
             let (number, is_open) = self.arrive("127.0.0.1");
-            let domain = domain.map(|name| DomainId::new(name).unwrap());
-            self.connections.let_in(number, domain.as_ref())?;
+            let whose = domain.map_or(Whose::Operator, |name| Whose::Domain(DomainId::new(name).unwrap()));
+            self.connections.let_in(number, whose)?;
             Ok((number, is_open))
         }
     }
@@ -268,7 +276,7 @@ mod tests {
         assert_eq!(open(&callers), expected, "5 was idle before 3");
         assert_eq!(open(&[next]), [true]);
         // Another request on a connection that is there needs no other place.
-        rig.connections.let_in(callers[3].0, None).unwrap();
+        rig.connections.let_in(callers[3].0, Whose::Operator).unwrap();
         assert_eq!(open(&callers), expected);
     }
 

@@ -122,7 +122,7 @@ pub(super) async fn robot_history(
     }
     ask(context, part.run, move |history, run, present| {
         let mut page = history.robot_series(run, &id, part.until(present), part.page())?;
-        if let Some(view) = &caller.0 {
+        if let Some(view) = &caller.view {
             let seen =
                 |sample: Sample<RobotContext>| Some(Sample { value: view.robot(&sample.value)?, ..sample });
             page.items = page.items.into_iter().filter_map(seen).collect();
@@ -230,7 +230,7 @@ pub(super) async fn events(
     let kinds = part.kinds.as_deref().map(parse_kinds).transpose()?.unwrap_or_default();
     ask(context, part.run, move |history, run, present| {
         let mut page = history.events(run, &kinds, part.until(present), part.page())?;
-        if let Some(view) = &caller.0 {
+        if let Some(view) = &caller.view {
             page.items =
                 page.items.iter().filter_map(|event| view.event(event).map(Cow::into_owned)).collect();
         }

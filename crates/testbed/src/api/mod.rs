@@ -30,6 +30,7 @@ use tokio::sync::{broadcast, oneshot};
 use self::{auth::Gate, connections::Limits, serve::Patience};
 use crate::{core_loop::Message, domain::Domains, live::Live};
 
+pub(crate) use auth::PluginTokens;
 pub use auth::{Token, Tokens, TokensError};
 #[cfg(feature = "openapi")]
 pub use document::openapi;
@@ -49,6 +50,8 @@ pub(crate) struct Context {
     pub(crate) events: broadcast::Sender<Arc<Stamped>>,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
+    /// The plug-ins of this run, in process or started by it: nobody else goes by their names.
+    pub(crate) hosted: Arc<BTreeSet<PluginId>>,
     /// In virtual time only.
     pub(crate) lockstep: Option<Lockstep>,
     /// What is told was recorded before: the history knows more than the present of the run.
@@ -131,6 +134,7 @@ pub fn openapi() -> String {
 /// A served API; ends when it is dropped.
 pub(crate) struct Server {
     address: SocketAddr,
+    plugins: PluginTokens,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
     _delivery: cotorra_wais::http::Delivery,
@@ -181,7 +185,9 @@ impl Server {
         if let Some(domain) = tokens.domains().find(|domain| domains.view(domain).is_none()) {
             return Err(ApiError::NoSuchDomain(domain.clone()));
         }
-        let gate = Gate::new(tokens, domains);
+        let programs = crate::plugins::programs(&context.testbed).filter(|id| context.hosted.contains(*id));
+        let plugins = PluginTokens::new(programs).map_err(ApiError::Start)?;
+        let gate = Gate::new(tokens, plugins.clone(), domains);
         let address = listener.address();
         listener.0.set_nonblocking(true).map_err(ApiError::Start)?;
         socket2::SockRef::from(&listener.0).listen(BACKLOG).map_err(ApiError::Start)?;
@@ -221,11 +227,16 @@ impl Server {
                 });
             })
             .map_err(ApiError::Start)?;
-        Ok(Self { address, stop: Some(stop), thread: Some(thread), _delivery: delivery })
+        Ok(Self { address, plugins, stop: Some(stop), thread: Some(thread), _delivery: delivery })
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// What the run's own programs show.
+    pub(crate) fn plugins(&self) -> &PluginTokens {
+        &self.plugins
     }
 }
 

@@ -23,7 +23,7 @@ pub(super) async fn testbed(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
 ) -> Json<TestbedBody> {
-    Json(TestbedBody::from(caller.0.as_ref().map_or(&*context.testbed, |view| view.testbed())))
+    Json(TestbedBody::from(caller.view.as_ref().map_or(&*context.testbed, |view| view.testbed())))
 }
 
 /// A node, its addresses and its namespace.
@@ -49,7 +49,7 @@ pub(super) async fn robots(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
 ) -> Json<Vec<RobotContext>> {
-    let seen = |robot: &RobotContext| match &caller.0 {
+    let seen = |robot: &RobotContext| match &caller.view {
         Some(view) => view.robot(robot),
         None => Some(robot.clone()),
     };
@@ -67,7 +67,7 @@ pub(super) async fn robot(
 ) -> Answer<RobotContext> {
     caller.sees(&id, |view| view.owns(&id))?;
     let robot = context.live.read(|now| now.robots.get(&id).cloned());
-    let robot = match &caller.0 {
+    let robot = match &caller.view {
         Some(view) => robot.and_then(|robot| view.robot(&robot)),
         None => robot,
     };
@@ -137,23 +137,21 @@ pub(super) async fn placements(
     Json(context.live.read(|now| now.placements.values().filter(seen).cloned().collect()))
 }
 
-/// Who asks, as the header says. Whoever shows a domain's token can only be one of its plug-ins, or go by the domain's name.
-pub(super) fn plugin(caller: &Caller, headers: &HeaderMap) -> Result<Option<PluginId>, Failure> {
+/// Who asks: as the caller's secret says, or the header.
+pub(super) fn plugin(
+    context: &Context,
+    caller: &Caller,
+    headers: &HeaderMap,
+) -> Result<Option<PluginId>, Failure> {
     let name = headers.get("x-cotorra-plugin").map(|name| name.to_str().unwrap_or_default());
     let named = name.map(PluginId::new).transpose().map_err(|e| Failure::bad_request(e.to_string()))?;
-    match (&caller.0, named) {
-        (None, named) => Ok(named),
-        (Some(_), Some(named)) => {
-            caller.sees(&named, |view| view.has_plugin(&named))?;
-            Ok(Some(named))
-        }
-        (Some(view), None) => Ok(PluginId::new(view.domain().as_str()).ok()),
-    }
+    caller.name(named, &context.hosted)
 }
 
 /// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change or test a link.
 ///
-/// The header `X-Cotorra-Plugin` names who asks; the decision is recorded under that name.
+/// The decision is recorded under the name of who asks. A plug-in that the run started is known by its secret; anybody else
+/// chooses a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
     request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
@@ -174,10 +172,10 @@ async fn give(
     headers: &HeaderMap,
     body: InstructionBody,
 ) -> Answer<Done> {
-    if let Some(view) = &caller.0 {
+    if let Some(view) = &caller.view {
         view.check(&body.instruction).map_err(|reason| Failure::not_own(reason.to_string()))?;
     }
-    let plugin = plugin(caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
+    let plugin = plugin(context, caller, headers)?.unwrap_or_else(|| "api".parse().expect("`api` is a name"));
     let (reply, answer) = tokio::sync::oneshot::channel();
     let message = Message::Instruct {
         plugin,

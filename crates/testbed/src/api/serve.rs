@@ -20,7 +20,6 @@ use axum::{
     middleware::Next,
     response::{IntoResponse, Response},
 };
-use cotorra_graph::DomainId;
 use hyper::{
     body::{Frame, SizeHint},
     server::conn::http1,
@@ -40,7 +39,7 @@ use tokio::{
 use tokio_stream::StreamExt as _;
 
 use super::{
-    connections::{Connections, Full, Limits},
+    connections::{Connections, Full, Limits, Whose},
     types::Failure,
 };
 
@@ -80,9 +79,11 @@ pub(super) async fn serve(listener: TcpListener, app: Router, limits: Limits, pa
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
     let app = TowerToHyperService::new(app);
+    // Far fewer than have a place; more than one, because each look costs a call to the system.
+    let (batch, mut accepted) = ((limits.strangers / 8).max(1), 0_usize);
     loop {
         let (stream, from) = match listener.accept().await {
-            Ok(accepted) => accepted,
+            Ok(connection) => connection,
             Err(error) if is_of_connection(&error) => continue,
             Err(error) => {
                 tracing::debug!("the API accepts no connection: {error}");
@@ -110,8 +111,11 @@ pub(super) async fn serve(listener: TcpListener, app: Router, limits: Limits, pa
                 _ = closed => {}
             }
         });
-        // A request that is there already is looked at before the next connection can push it out.
-        tokio::task::yield_now().await;
+        // Requests that are there already are looked at before other connections can push them out.
+        accepted += 1;
+        if accepted % batch == 0 {
+            tokio::task::yield_now().await;
+        }
     }
 }
 
@@ -132,12 +136,8 @@ pub(super) struct Place {
 
 impl Place {
     /// Lets a request in, and reads its body.
-    pub(super) async fn let_in(
-        &self,
-        domain: Option<&DomainId>,
-        request: Request,
-    ) -> Result<Request, Failure> {
-        self.connections.lock().let_in(self.number, domain)?;
+    pub(super) async fn let_in(&self, whose: Whose, request: Request) -> Result<Request, Failure> {
+        self.connections.lock().let_in(self.number, whose)?;
         let (head, body) = request.into_parts();
         let body = timeout(self.patience.body, read(body)).await.map_err(|_| {
             let patience = self.patience.body.as_secs_f64();

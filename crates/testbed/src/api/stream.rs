@@ -50,6 +50,13 @@ pub(crate) enum Told {
 }
 
 impl Follower {
+    /// One that is told everything, and where it is.
+    #[cfg(test)]
+    pub(crate) fn of(plugin: PluginId) -> (Self, tokio::sync::mpsc::UnboundedReceiver<Told>) {
+        let (tell, told) = unbounded_channel();
+        (Self { plugin, kinds: None, caller: Caller::default(), tell }, told)
+    }
+
     /// What it is told of an event, if it asked for its kind.
     pub(crate) fn sees(&self, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
         seen(&self.caller, self.kinds.as_deref(), event)
@@ -79,7 +86,7 @@ pub(super) struct Which {
 /// Events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody: an event named
 /// `missed` tells it how many it lost there, of all kinds, as its data.
 ///
-/// In virtual time a plug-in that the testbed started (`X-Cotorra-Plugin` names it) loses none: at once, and then after
+/// In virtual time a plug-in that the testbed started, which its secret says, loses none: at once, and then after
 /// the events of each moment, its stream has an event named `mark`, with a number as its `id` and the time, in
 /// nanoseconds, as its data. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/events", tag = "events",
@@ -97,23 +104,23 @@ pub(super) async fn events(
         let plugins = context.lockstep.as_ref().map(|lockstep| &lockstep.plugins);
         plugins.is_some_and(|these| these.as_ref().is_none_or(|these| these.contains(plugin)))
     };
-    let stream: Pin<Box<dyn Stream<Item = _> + Send>> = match plugin(&caller, &headers)?.filter(is_waited_for)
-    {
-        Some(plugin) => {
-            let (tell, told) = unbounded_channel();
-            let follower = Follower { plugin, kinds, caller, tell };
-            context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
-            Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
-        }
-        None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
-            match received {
-                Ok(event) => seen(&caller, kinds.as_deref(), &event).map(|event| Ok(encode(&event))),
-                Err(BroadcastStreamRecvError::Lagged(missed)) => {
-                    Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
-                }
+    let stream: Pin<Box<dyn Stream<Item = _> + Send>> =
+        match plugin(&context, &caller, &headers)?.filter(is_waited_for) {
+            Some(plugin) => {
+                let (tell, told) = unbounded_channel();
+                let follower = Follower { plugin, kinds, caller, tell };
+                context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
+                Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
             }
-        })),
-    };
+            None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
+                match received {
+                    Ok(event) => seen(&caller, kinds.as_deref(), &event).map(|event| Ok(encode(&event))),
+                    Err(BroadcastStreamRecvError::Lagged(missed)) => {
+                        Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
+                    }
+                }
+            })),
+        };
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
@@ -130,23 +137,26 @@ pub(super) struct Wake {
 /// Say that all events before a mark were taken in, and all instructions that they call for were given: virtual time
 /// goes on. In real time, which waits for nobody, it does nothing.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
-    params(("number" = u64, Path), Wake),
+    params(("number" = u64, Path), ("X-Cotorra-Plugin" = Option<String>, Header), Wake),
     responses((status = 200, body = Done), (status = 400, body = FailureBody))))]
 pub(super) async fn done(
     State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
     Path(mark): Path<u64>,
+    headers: HeaderMap,
     Query(wake): Query<Wake>,
 ) -> Answer<Done> {
-    if context.lockstep.is_some() {
+    // Nobody is done with what another one was told.
+    if let Some(plugin) = plugin(&context, &caller, &headers)?.filter(|_| context.lockstep.is_some()) {
         let wake_at = wake.wake_at_ns.map(Timestamp::from_nanos);
-        context.core.send(Message::Done { mark, wake_at }).map_err(|_| Failure::ended())?;
+        context.core.send(Message::Done { plugin, mark, wake_at }).map_err(|_| Failure::ended())?;
     }
     Ok(Json(Done { done: true }))
 }
 
 /// What a caller is told of an event, if it asked for its kind.
 fn seen(caller: &Caller, kinds: Option<&[Kind]>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
-    let seen = domain::seen(caller.0.as_deref(), event)?;
+    let seen = domain::seen(caller.view.as_deref(), event)?;
     kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&seen.event))).then_some(seen)
 }
 

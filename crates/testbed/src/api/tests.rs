@@ -67,6 +67,7 @@ fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
         events: events.clone(),
         core: mpsc::channel().0,
         namespaces: Arc::default(),
+        hosted: Arc::default(),
         lockstep: None,
         replay,
         wais: WaisOptions::default(),
@@ -250,6 +251,9 @@ links:
   - { ends: [A, left] }
   - { ends: [A, B] }
   - { ends: [B, right] }
+plugins:
+  - { bundled: probing, domain: one }
+  - { id: watcher, command: [\"true\"] }
 ";
         let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new(""))
             .unwrap_or_else(|e| panic!("{e:?}"));
@@ -262,14 +266,16 @@ links:
         recorder.flush().unwrap();
         let (events, _) = broadcast::channel(16);
         let (core, inbox) = mpsc::channel();
+        let testbed = Arc::new(testbed);
         let context = Context {
-            testbed: Arc::new(testbed),
+            testbed: Arc::clone(&testbed),
             live: Live::default(),
             history,
             run,
             events: events.clone(),
             core,
             namespaces: Arc::default(),
+            hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
             wais: WaisOptions::default(),
@@ -369,6 +375,44 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
     });
     assert_eq!(served.ask(ONE, "POST /api/v1/instructions", &scan).0, 200);
     assert_eq!(answers.join().unwrap().as_str(), "one");
+}
+
+#[test]
+fn nobody_at_the_api_is_taken_for_a_plugin_of_the_run() {
+    let mut served = Domains::serve();
+    let scan = json!({ "instruction": { "instruction": "scan", "robot": "robot" } }).to_string();
+    let instruct = |served: &Domains, token: &str, name: &str| {
+        let head = format!("POST /api/v1/instructions HTTP/1.1\r\nX-Cotorra-Plugin: {name}\r\nX-Rest:");
+        served.ask(token, &head, &scan).0
+    };
+    let watcher: PluginId = "watcher".parse().unwrap();
+    let secret = served.server.plugins().of(&watcher).unwrap().secret().to_owned();
+    assert!(served.server.plugins().of(&"probing".parse().unwrap()).is_none(), "it is in process");
+    for (token, name) in [
+        (OPERATOR, "probing"),
+        (OPERATOR, "watcher"),
+        (ONE, "probing"),
+        (&secret, "probing"),
+        (&secret, "operator"),
+    ] {
+        assert_eq!(instruct(&served, token, name), 403, "{name}");
+    }
+    assert_eq!(served.get("X-no-secret-of-a-plugin", "/api/v1/robots").0, 401);
+    assert!(served.core.try_recv().is_err(), "the core heard of none");
+
+    let core = std::mem::replace(&mut served.core, mpsc::channel().1);
+    let names = std::thread::spawn(move || {
+        let answer = |message| {
+            let Message::Instruct { plugin, reply, .. } = message else { panic!("no instruction") };
+            (reply.expect("the API waits for an answer"))(Ok(()));
+            plugin.to_string()
+        };
+        core.iter().take(3).map(answer).collect::<Vec<_>>()
+    });
+    assert_eq!(served.ask(&secret, "POST /api/v1/instructions", &scan).0, 200);
+    assert_eq!(instruct(&served, &secret, "watcher"), 200);
+    assert_eq!(instruct(&served, OPERATOR, "mine"), 200);
+    assert_eq!(names.join().unwrap(), ["watcher", "watcher", "mine"]);
 }
 
 #[test]

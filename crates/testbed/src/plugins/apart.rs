@@ -89,7 +89,7 @@ impl Programs {
     ) -> Result<(), PluginError> {
         for spec in &testbed.plugins {
             if let PluginProgram::Command(words) = &spec.program {
-                let process = Process::start(spec, words, self.server.address(), logs)?;
+                let process = Process::start(spec, words, &self.server, logs)?;
                 self.processes.insert(spec.id.clone(), process);
                 host.expect(spec.id.clone());
             }
@@ -171,7 +171,9 @@ impl Programs {
                 stage.host().follow(now, follower);
                 Some(id)
             }
-            Message::Done { mark, wake_at } => stage.host().done(mark, wake_at),
+            Message::Done { plugin, mark, wake_at } => {
+                stage.host().done(&plugin, mark, wake_at).then_some(plugin)
+            }
             Message::Instruct { plugin, instruction, reason, reply } => {
                 let done = stage.instruct(self, plugin.clone(), instruction, reason);
                 self.end_cut_off(stage);

@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_graph::{DomainId, Instruction, NodeId, PluginId, Stamped, Timestamp};
 use cotorra_network_control::Refused;
 use cotorra_plugin::Actions;
 
@@ -32,7 +32,7 @@ pub(crate) enum Fault {
         .patience.as_secs_f64()
     )]
     Undone { mark: u64, patience: Duration },
-    #[error("followed no `/api/v1/events` within {} s, as its own `X-Cotorra-Plugin`", .0.as_secs_f64())]
+    #[error("followed no `/api/v1/events` within {} s, with the secret in its `COTORRA_TOKEN`", .0.as_secs_f64())]
     Absent(Duration),
     #[error("it asked for more than {INSTRUCTIONS_PER_SECOND} things in a second")]
     Flooded,
@@ -132,6 +132,10 @@ pub(crate) struct PluginHost {
     members: BTreeSet<PluginId>,
     cut: BTreeSet<PluginId>,
     budgets: BTreeMap<PluginId, Budget>,
+    /// Whose instructions are paid from a budget of their own, beside members: callers of the API in the name of a domain.
+    domains: BTreeSet<PluginId>,
+    /// What all others at the API share: another name is not another budget.
+    others: Option<Budget>,
     movers: BTreeMap<NodeId, PluginId>,
     /// In the order in which they are told.
     programs: Vec<Program>,
@@ -147,11 +151,19 @@ impl PluginHost {
             members: members.into_iter().collect(),
             cut: BTreeSet::new(),
             budgets: BTreeMap::new(),
+            domains: BTreeSet::new(),
+            others: None,
             movers: BTreeMap::new(),
             programs: Vec::new(),
             marks: 0,
             patience,
         }
+    }
+
+    /// The same, where callers of the API may speak for these domains.
+    pub(crate) fn with_domains(mut self, domains: &[DomainId]) -> Self {
+        self.domains = domains.iter().filter_map(|domain| PluginId::new(domain.as_str()).ok()).collect();
+        self
     }
 
     /// Hosts another one.
@@ -248,7 +260,12 @@ impl PluginHost {
             return Err(Refusal::CutOff);
         }
         let full = || Budget { left: INSTRUCTIONS_PER_SECOND, at: now };
-        if self.budgets.entry(plugin.clone()).or_insert_with(full).take(now) {
+        let budget = if self.members.contains(plugin) || self.domains.contains(plugin) {
+            self.budgets.entry(plugin.clone()).or_insert_with(full)
+        } else {
+            self.others.get_or_insert_with(full)
+        };
+        if budget.take(now) {
             return Ok(());
         }
         // Somebody at the API is no plug-in, and welcome again later.
@@ -282,13 +299,11 @@ impl PluginHost {
         program.tell(now, &mut self.marks);
     }
 
-    /// A program is done with a mark; gives which one it is.
-    pub(crate) fn done(&mut self, mark: u64, wake_at: Option<Timestamp>) -> Option<PluginId> {
-        self.programs.iter_mut().find_map(|program| {
-            let stream = program.streams.iter_mut().find(|stream| stream.owes == Some(mark))?;
-            (stream.owes, stream.wake_at) = (None, wake_at);
-            Some(program.id.clone())
-        })
+    /// A program is done with a mark; gives whether it was told that one.
+    pub(crate) fn done(&mut self, plugin: &PluginId, mark: u64, wake_at: Option<Timestamp>) -> bool {
+        let own = self.programs.iter_mut().filter(|program| program.id == *plugin);
+        let told = own.flat_map(|program| &mut program.streams).find(|stream| stream.owes == Some(mark));
+        told.map(|stream| (stream.owes, stream.wake_at) = (None, wake_at)).is_some()
     }
 
     /// Something happened: programs are told with their next mark.
@@ -424,6 +439,33 @@ mod tests {
         let refused = ask(MAX_REASON + 1, &mut testbed).unwrap_err();
         assert_eq!(refused.0, "its reason has 1025 bytes, more than 1024");
         assert_eq!((testbed.done, testbed.faults.len()), (1, 0));
+    }
+
+    #[test]
+    fn nobody_is_done_with_what_another_was_told() {
+        let (own, other): (PluginId, PluginId) = ("own".parse().unwrap(), "other".parse().unwrap());
+        let mut host = PluginHost::new([], Duration::from_secs(1));
+        host.expect(own.clone());
+        let (follower, mut told) = Follower::of(own.clone());
+        host.follow(Timestamp::ZERO, follower);
+        let Ok(Told::Mark { number, .. }) = told.try_recv() else { panic!("no mark") };
+        assert!(!host.done(&other, number, None) && host.is_busy(&own));
+        assert!(host.done(&own, number, None) && !host.is_busy(&own));
+    }
+
+    #[test]
+    fn another_name_is_not_another_budget() {
+        let name = |text: String| PluginId::new(&text).unwrap();
+        let domain: DomainId = "lab".parse().unwrap();
+        let mut host =
+            PluginHost::new([name("member".into())], Duration::from_secs(1)).with_domains(&[domain]);
+        let mut testbed = Obedient::default();
+        let now = Timestamp::from_secs_f64(1.0);
+        let mut ask = |who: String| host.instruct(now, name(who), move_robot(), None, &mut testbed).is_ok();
+        let done = (0..3000).filter(|i| ask(format!("invented-{i}"))).count();
+        assert_eq!(done, 1000);
+        assert!(ask("member".into()) && ask("lab".into()), "these have their own");
+        assert!(host.budgets.len() == 2, "nothing is kept of who invents names");
     }
 
     #[test]

@@ -13,7 +13,6 @@ use std::{
     env,
     fs::File,
     io,
-    net::SocketAddr,
     path::Path,
     process::{Child, Stdio},
     sync::Arc,
@@ -28,9 +27,7 @@ use cotorra_plugin::Plugin;
 use cotorra_probing::Probing;
 
 use self::host::Fault;
-
-/// What a program shows the API, of all that this process may know: it instructs the testbed.
-const TOKEN: &str = "COTORRA_TOKEN";
+use crate::api::{Server, Token};
 
 /// Where time waits for plug-ins, one that says nothing for longer counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
@@ -158,15 +155,16 @@ struct Process(Child);
 
 impl Process {
     /// Starts it.
-    fn start(spec: &PluginSpec, words: &[String], api: SocketAddr, logs: &Path) -> Result<Self, PluginError> {
+    fn start(spec: &PluginSpec, words: &[String], api: &Server, logs: &Path) -> Result<Self, PluginError> {
         let (program, arguments) = program(spec, words)?;
         let start = || {
             let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
             program_of_others(program, &spec.env)
                 .args(arguments)
-                .envs(env::var_os(TOKEN).map(|token| (TOKEN, token)))
-                .env("COTORRA_API", format!("http://{api}"))
+                .env("COTORRA_API", format!("http://{}", api.address()))
                 .env("COTORRA_PLUGIN", spec.id.as_str())
+                // In place of the operator's.
+                .env("COTORRA_TOKEN", api.plugins().of(&spec.id).map_or("", Token::secret))
                 .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())
                 .stdin(Stdio::null())
                 .stdout(log.try_clone()?)

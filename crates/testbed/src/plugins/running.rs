@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeMap,
-    net::SocketAddr,
     path::Path,
     sync::{
         Arc,
@@ -24,6 +23,7 @@ use super::{
     lockstep::{Call, Occasion},
 };
 use crate::{
+    api::Server,
     core_loop::Message,
     domain::{self, DomainView, Domains},
     earlier::Earlier,
@@ -66,13 +66,16 @@ impl Prepared {
         mut self,
         testbed: &Arc<Testbed>,
         now: &Now,
-        api: SocketAddr,
+        api: &Server,
         logs: &Path,
         tell: &mpsc::Sender<Message>,
     ) -> Result<RunningPlugins, PluginError> {
         let domains = Domains::new(testbed);
         let members = testbed.plugins.iter().map(|spec| spec.id.clone());
-        let mut plugins = RunningPlugins::new(PluginHost::new(members, LONGEST_CALL), self.ledgers);
+        let mut plugins = RunningPlugins::new(
+            PluginHost::new(members, LONGEST_CALL).with_domains(&testbed.graph.domains),
+            self.ledgers,
+        );
         for spec in &testbed.plugins {
             match &spec.program {
                 PluginProgram::Command(words) => {

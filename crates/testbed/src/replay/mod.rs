@@ -236,7 +236,14 @@ impl Replay {
         if options.from > Timestamp::ZERO {
             know(&live, tap.as_ref(), history.state_at(run, before)?);
         }
+        // Others take part as they like: in a replay, plug-ins that are programs are started by whoever watches.
+        let hosted = if options.to_plugins {
+            testbed.plugins.iter().map(|spec| spec.id.clone()).collect()
+        } else {
+            Default::default()
+        };
         let context = |events, core| api::Context {
+            hosted: Arc::new(hosted),
             testbed,
             live: live.clone(),
             history: Arc::clone(&history),

@@ -139,7 +139,8 @@ impl Simulation {
             core,
             network,
             serving,
-            host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE),
+            host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
+                .with_domains(&testbed.graph.domains),
             locals,
             _ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),

@@ -95,6 +95,7 @@ pub(super) fn simulate_with(
             events,
             core,
             namespaces: Arc::new(BTreeMap::new()),
+            hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
             replay: false,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
