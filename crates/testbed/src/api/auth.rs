@@ -288,10 +288,15 @@ pub(super) async fn check_wais(
     }
 }
 
+/// Whether a `Host` names this machine: a name or an address, and nothing but a port after it.
 fn is_loopback(host: &str) -> bool {
-    let name = host.strip_prefix('[').and_then(|h| h.split_once(']')).map(|(ip, _)| ip);
-    let name = name.unwrap_or_else(|| host.rsplit_once(':').map_or(host, |(name, _)| name));
-    name == "localhost" || name.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
+    let (name, port) = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some(parts) => parts,
+        None => host.split_at(host.find(':').unwrap_or(host.len())),
+    };
+    let is_port = |port: &str| port.strip_prefix(':').is_some_and(|digits| digits.parse::<u16>().is_ok());
+    (port.is_empty() || is_port(port))
+        && (name == "localhost" || name.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback()))
 }
 
 #[cfg(test)]
@@ -324,7 +329,19 @@ mod tests {
         for host in ["localhost", "localhost:7700", "127.0.0.1:7700", "127.0.0.1", "[::1]:7700"] {
             assert!(is_loopback(host), "{host}");
         }
-        for host in ["example.org", "example.org:7700", "10.0.0.1", "127.0.0.1.example.org"] {
+        for host in [
+            "example.org",
+            "example.org:7700",
+            "10.0.0.1",
+            "127.0.0.1.example.org",
+            "[::1].example.org",
+            "[::1].example.org:7700",
+            "[::1]:7700.example.org",
+            "localhost:7700.example.org",
+            "localhost:",
+            "[::1",
+            "",
+        ] {
             assert!(!is_loopback(host), "{host}");
         }
     }
