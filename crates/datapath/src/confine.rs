@@ -14,12 +14,13 @@ use std::{
         unix::fs::{MetadataExt, symlink},
     },
     path::{Path, PathBuf},
+    sync::OnceLock,
 };
 
 use cotorra_graph::LinuxCapability;
 
 use crate::{
-    seccomp,
+    privilege, seccomp,
     sys::{self, Access, Attributes},
 };
 
@@ -28,8 +29,6 @@ const SYSTEM: &[&str] =
     &["/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/opt", "/nix", "/etc"];
 const DEVICES: &str = "/dev";
 const DEVICE_NAMES: &[&str] = &["null", "zero", "full", "random", "urandom"];
-/// Folders of `/etc` that everyone may look into, with keys in them that only root may read.
-const KEYS: &[&str] = &["/etc/ssh", "/etc/ssl/private", "/etc/pki/tls/private"];
 /// Folders that are the program's own, and go with it.
 const IN_MEMORY: &[&str] = &["/tmp", "/dev/shm"];
 
@@ -80,7 +79,7 @@ impl Confinement {
         let use_device =
             |name| Tree::open(&Path::new(DEVICES).join(name), Attributes::NO_SUID | Attributes::NO_EXEC);
         let devices = DEVICE_NAMES.iter().map(use_device).collect::<io::Result<Vec<_>>>()?;
-        let covered = own_of_root()?;
+        let covered = own_of_root();
 
         sys::mount_tmpfs(&self.home, "size=1m,mode=755").map_err(about(&self.home))?;
         // From here on, relative paths are those in the new root.
@@ -204,14 +203,29 @@ fn cover(path: &Path) -> io::Result<Option<PathBuf>> {
     }
 }
 
-/// What in `/etc` not everyone may read: a program without capabilities that runs as root could.
-fn own_of_root() -> io::Result<Vec<PathBuf>> {
+/// What in `/etc` not everyone may read, as it was when the first program was confined: one that runs as root could, without
+/// any capability.
+fn own_of_root() -> &'static [PathBuf] {
+    static FOUND: OnceLock<Vec<PathBuf>> = OnceLock::new();
+    FOUND.get_or_init(|| {
+        let mut found = Vec::new();
+        if privilege::is_root() {
+            collect_own_of_root(Path::new("/etc"), &mut found);
+        }
+        found
+    })
+}
+
+fn collect_own_of_root(folder: &Path, found: &mut Vec<PathBuf>) {
     const EVERYONE: u32 = 0o4;
-    let is_own = |path: &PathBuf| {
-        fs::symlink_metadata(path).is_ok_and(|found| !found.is_symlink() && found.mode() & EVERYONE == 0)
-    };
-    let entries = Path::new("/etc").read_dir()?.flatten().map(|entry| entry.path()).filter(is_own);
-    Ok(entries.chain(KEYS.iter().map(PathBuf::from)).collect())
+    for path in folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()) {
+        match fs::symlink_metadata(&path) {
+            Ok(its) if its.is_symlink() => {}
+            Ok(its) if its.mode() & EVERYONE == 0 => found.push(path),
+            Ok(its) if its.is_dir() => collect_own_of_root(&path, found),
+            _ => {}
+        }
+    }
 }
 
 /// capabilities(7) by number.

@@ -50,7 +50,7 @@ pub fn hide_memory() -> Result<(), Error> {
 }
 
 /// Whether root here is root of the whole machine, or of the container that it is in.
-fn is_root() -> bool {
+pub(crate) fn is_root() -> bool {
     sys::effective_ids().0 == 0
         && fs::read_to_string("/proc/self/uid_map").is_ok_and(|map| map.contains("4294967295"))
 }

@@ -146,9 +146,7 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
         OpenOptions::new().append(true).open(program).is_ok()
     }),
     ("read what only root may", Harm::None, |_| {
-        ["/etc/shadow", "/etc/gshadow", "/etc/sudoers", "/root/.ssh", "/etc/ssh/ssh_host_ed25519_key"]
-            .iter()
-            .any(|path| fs::read(path).is_ok_and(|bytes| !bytes.is_empty()))
+        reads_what_only_root_may(Path::new("/etc")) || fs::read_dir("/root").is_ok()
     }),
     ("find another's files in /tmp, /home or /root", Harm::None, |_| {
         ["/tmp", "/var/tmp", "/home", "/root", "/mnt", "/srv", "/run"].iter().any(|folder| {
@@ -445,6 +443,16 @@ pub fn make_shared_memory() -> c_int {
 pub fn remove_shared_memory(id: c_int) {
     // SAFETY: this command takes no pointer.
     unsafe { libc::shmctl(id, libc::IPC_RMID, ptr::null_mut()) };
+}
+
+/// Whether there is a file beneath that others may not read, and this process may.
+fn reads_what_only_root_may(folder: &Path) -> bool {
+    fs::read_dir(folder).into_iter().flatten().flatten().any(|entry| {
+        let Ok(its) = entry.metadata() else { return false };
+        let is_own = its.permissions().mode() & 0o4 == 0;
+        (its.is_file() && is_own && its.len() > 0 && File::open(entry.path()).is_ok())
+            || (its.is_dir() && reads_what_only_root_may(&entry.path()))
+    })
 }
 
 fn path(path: &Path) -> CString {
