@@ -81,7 +81,8 @@ fn serve() -> SocketAddr {
     });
     let campus = Arc::new(Campus { began: Instant::now(), radio: radio.collect() });
     let site = Site::new(&testbed.graph, &testbed.wais, &Scope::Testbed);
-    let service = Service::new(campus, site, Epoch::default(), Allowed::new([]), "/wai/v2".to_owned());
+    let service =
+        Service::new(campus, site, Epoch::default(), Allowed::new([]).and_loopback(), "/wai/v2".to_owned());
     let cpu = || async { std::fs::read_to_string("/proc/thread-self/schedstat").unwrap() };
     let app = Router::new().nest("/wai/v2", service.router()).route("/cpu", get(cpu));
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();

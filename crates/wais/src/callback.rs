@@ -16,8 +16,8 @@ pub enum CallbackError {
     Unknown(String),
     /// The operator does not allow it.
     #[error(
-        "callbacks to {0} are not allowed: the operator allows loopback and what the testbed file (wais.callbacks) or \
-         --wais-callbacks names"
+        "callbacks to {0} are not allowed: the operator allows what the testbed file (wais.callbacks) or --wais-callbacks \
+         names, and loopback to itself only"
     )]
     Forbidden(IpAddr),
 }
@@ -71,9 +71,17 @@ impl Callback {
 pub struct Allowed(Vec<IpNetwork>);
 
 impl Allowed {
-    /// Loopback, and these.
+    /// These, and no other.
     pub fn new(networks: impl IntoIterator<Item = IpNetwork>) -> Self {
-        Self(IpNetwork::LOOPBACK.into_iter().chain(networks).collect())
+        Self(networks.into_iter().collect())
+    }
+
+    /// And loopback, where services listen that trust whoever reaches them: for those who may do anything on this machine's
+    /// testbed.
+    #[must_use]
+    pub fn and_loopback(mut self) -> Self {
+        self.0.extend(IpNetwork::LOOPBACK);
+        self
     }
 
     /// The first of a host's addresses that may be connected to.
@@ -132,7 +140,7 @@ mod tests {
     #[test]
     fn only_allowed_addresses_are_chosen() {
         let at = |ip: &str| SocketAddr::new(ip.parse().unwrap(), 80);
-        let loopback = Allowed::new([]);
+        let loopback = Allowed::new([]).and_loopback();
         assert_eq!(loopback.choose("h", [at("10.0.0.1"), at("127.0.0.1")]), Ok(at("127.0.0.1")));
         for forbidden in ["10.0.0.1", "0.0.0.0", "169.254.169.254", "::ffff:10.0.0.1", "::", "fe80::1"] {
             let refused = loopback.choose("h", [at(forbidden)]);
@@ -141,5 +149,9 @@ mod tests {
         assert_eq!(loopback.choose("h", []), Err(CallbackError::Unknown("h".to_owned())));
         let lab = Allowed::new(["10.0.0.0/8".parse().unwrap()]);
         assert_eq!(lab.choose("h", [at("10.0.0.1")]), Ok(at("10.0.0.1")));
+        for local in ["127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1"] {
+            let refused = lab.choose("h", [at(local)]);
+            assert!(matches!(refused, Err(CallbackError::Forbidden(_))), "{local}");
+        }
     }
 }

@@ -83,7 +83,7 @@ pub struct RunArgs {
     pub api: Option<SocketAddr>,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16
     ///
-    /// Beside this machine's loopback addresses and what the testbed file names. Can be given several times.
+    /// Beside what the testbed file names, and loopback for the operator's own service. Can be given several times.
     #[arg(long, value_name = "NETWORK")]
     pub wais_callbacks: Vec<IpNetwork>,
     /// Run in virtual time: as fast as this machine can, and the same to the byte each time

@@ -378,6 +378,29 @@ fn a_domain_gives_instructions_to_its_own_nodes_and_under_its_own_name() {
 }
 
 #[test]
+fn a_domain_has_notifications_posted_to_no_loopback_address() {
+    let served = Domains::serve();
+    let subscription = json!({
+        "subscriptionType": "AssocStaSubscription",
+        "apId": { "bssid": "02:77:00:00:00:00" },
+        "notificationPeriod": 1,
+        "callbackReference": "http://127.0.0.1:9/",
+    });
+    let subscribe = |token: &str, service: &str| {
+        let (_, mut rest) =
+            served.ask(token, &format!("POST {service}/subscriptions"), &subscription.to_string());
+        let mut body = String::new();
+        rest.read_to_string(&mut body).unwrap();
+        body
+    };
+    let refused = "callbacks to 127.0.0.1 are not allowed";
+    let said = subscribe(ONE, "/domains/one/wai/v2");
+    assert!(said.contains(refused), "{said}");
+    let said = subscribe(OPERATOR, "/wai/v2");
+    assert!(!said.contains(refused), "{said}");
+}
+
+#[test]
 fn nobody_at_the_api_is_taken_for_a_plugin_of_the_run() {
     let mut served = Domains::serve();
     let scan = json!({ "instruction": { "instruction": "scan", "robot": "robot" } }).to_string();

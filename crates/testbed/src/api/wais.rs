@@ -38,9 +38,15 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
     let WaisOptions { epoch, callbacks, .. } = &context.wais;
     let allowed = Allowed::new(settings.callbacks.iter().chain(callbacks).copied());
     let testbed: Arc<dyn Testbed> = Arc::new(Known(context.clone()));
+    // A domain may not have this machine post to the services of others here.
+    let of_scope = |scope: &Scope| match scope {
+        Scope::Testbed => allowed.clone().and_loopback(),
+        Scope::Domain(_) => allowed.clone(),
+    };
     let service = |scope: Scope, prefix: String| {
+        let allowed = of_scope(&scope);
         let site = Site::new(graph, settings, &scope);
-        Service::new(Arc::clone(&testbed), site, *epoch, allowed.clone(), prefix)
+        Service::new(Arc::clone(&testbed), site, *epoch, allowed, prefix)
     };
     let of_domain = |domain: &cotorra_graph::DomainId| {
         service(Scope::Domain(domain.clone()), format!("/domains/{domain}/wai/v2"))

@@ -54,7 +54,8 @@ fn serve() -> Served {
     let known = testing::testbed();
     let site = Site::new(&known.graph, &known.wais, &Scope::Testbed);
     let as_dyn: Arc<dyn Testbed> = testbed.clone();
-    let service = Service::new(as_dyn, site, Epoch::default(), Allowed::new([]), "/wai/v2".to_owned());
+    let service =
+        Service::new(as_dyn, site, Epoch::default(), Allowed::new([]).and_loopback(), "/wai/v2".to_owned());
     let app = Router::new().nest("/wai/v2", service.router());
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     listener.set_nonblocking(true).unwrap();
