@@ -339,13 +339,13 @@ fn a_server_that_hangs_is_one_that_is_gone() {
     let run = history.begin_run(&run_info("hangs")).unwrap();
     record(&history, run, 0..100);
     let recorder = history.recorder(run).unwrap();
-    server.signal("-STOP");
+    server.hang();
     for n in 100..200 {
         recorder.record(numbered(n));
     }
     recorder.flush().unwrap();
     assert!(store.spools());
-    server.signal("-CONT");
+    server.go_on();
     store.wait_until_caught_up();
     assert_eq!(everything(&history, run), all(200));
 }

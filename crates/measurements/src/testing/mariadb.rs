@@ -162,8 +162,29 @@ impl MariaDb {
         self.end("-KILL");
     }
 
-    /// It stays, and does nothing any more, until `-CONT`.
-    pub fn signal(&self, signal: &str) {
+    /// It stays, and does nothing any more, until [`Self::go_on`]. Returns when each of its threads has stopped.
+    pub fn hang(&self) {
+        self.signal("-STOP");
+        let child = self.child.lock();
+        let threads = format!("/proc/{}/task", child.as_ref().expect("it was started").id());
+        // The state is behind the name, which is in parentheses.
+        let has_stopped = |stat: String| stat.rsplit(')').next().is_some_and(|rest| rest.starts_with(" T"));
+        let one_runs = || {
+            let threads = fs::read_dir(&threads).unwrap().flatten();
+            threads
+                .map(|thread| fs::read_to_string(thread.path().join("stat")).unwrap_or_default())
+                .any(|s| !has_stopped(s))
+        };
+        while one_runs() {
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    pub fn go_on(&self) {
+        self.signal("-CONT");
+    }
+
+    fn signal(&self, signal: &str) {
         if let Some(child) = &*self.child.lock() {
             let done = Command::new("kill").args([signal, &child.id().to_string()]).status();
             assert!(done.unwrap().success());
