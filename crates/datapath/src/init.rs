@@ -71,7 +71,7 @@ impl Init {
             },
         }
         // SAFETY: this process has one thread; both sides go on with async-signal-safe calls only.
-        match check(unsafe { libc::fork() })? {
+        match unsafe { fork()? } {
             0 => {
                 // SAFETY: async-signal-safe, with live arguments.
                 unsafe {
@@ -90,6 +90,17 @@ impl Init {
             program => unsafe { attend(program, self.lifeline, &signals) },
         }
     }
+}
+
+/// Forks by the system call alone. The C library's fork takes its locks, and another thread may have held one when this
+/// process was made.
+///
+/// # Safety
+/// Both sides may only make async-signal-safe calls.
+unsafe fn fork() -> io::Result<pid_t> {
+    // SAFETY: without CLONE_VM the child has a stack of its own, so that none is given.
+    check(unsafe { libc::syscall(libc::SYS_clone, libc::SIGCHLD as c_ulong, 0usize, 0usize, 0usize, 0usize) }
+        as pid_t)
 }
 
 /// # Safety
