@@ -41,3 +41,15 @@ pub use page::{Cursor, InvalidCursor, Page, PageRequest};
 pub use recorder::{Recorder, RecorderStats};
 pub use retention::{Pruned, Retained};
 pub use store::{Gap, Run, RunId, RunInfo};
+
+/// Reads bytes as chunks of a history and as entries of a spool, for fuzzing.
+#[doc(hidden)]
+pub fn read_anything(bytes: &[u8]) {
+    for part in
+        [chunk::Part::Column(2), chunk::Part::LateColumn { early: 4, place: 5 }, chunk::Part::Children(1)]
+    {
+        let _ = chunk::read(bytes, part, |_, _| {});
+    }
+    let mut entries = codec::binary::Bytes(bytes);
+    while entries.entry().is_ok() {}
+}

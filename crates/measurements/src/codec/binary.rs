@@ -75,7 +75,6 @@ type Answer<T> = std::result::Result<T, ReadError>;
 
 impl Bytes<'_> {
     /// The next entry.
-    #[cfg_attr(not(any(test, feature = "mariadb")), expect(dead_code, reason = "of spools alone"))]
     pub fn entry(&mut self) -> Answer<Entry> {
         let run = RunId(self.plain_integer()?);
         let at = Timestamp::from_nanos(self.plain_integer()?.cast_unsigned());
