@@ -120,45 +120,77 @@ fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
 /// Farther off than that, a robot is lost, metres.
 pub const LOST: f64 = 1.0;
 
-/// How far estimates were off a reference.
+/// So many errors are kept at most.
+const KEPT: usize = 1 << 16;
+
+/// How far estimates were off a reference. The memory is bounded: from 65,536 estimates on, quantiles are those of every
+/// second, every fourth and so on. Everything else counts each estimate.
 #[derive(Debug, Clone, Default)]
 pub struct Errors {
-    position: Vec<f64>,
-    heading: Vec<f64>,
-    nees: Vec<f64>,
+    /// Of the position: of the first estimate and of each 2^`thinned`-th from there.
+    kept: Vec<f64>,
+    thinned: u32,
+    count: usize,
+    farthest: f64,
+    lost: usize,
+    position_squares: f64,
+    heading_squares: f64,
+    nees: f64,
+    nees_count: usize,
 }
 
 impl Errors {
     /// Counts what was believed.
     pub fn push(&mut self, believed: &Belief, reference: Pose2) {
-        self.position.push(believed.pose.distance(reference));
-        self.heading.push(wrapped(believed.pose.heading - reference.heading).abs());
-        self.nees.extend(believed.nees(reference));
+        let position = believed.pose.distance(reference);
+        let heading = wrapped(believed.pose.heading - reference.heading);
+        if self.count.is_multiple_of(1 << self.thinned) {
+            if self.kept.len() == KEPT {
+                let mut place = 0..;
+                self.kept.retain(|_| place.next().is_some_and(|place| place % 2 == 0));
+                self.thinned += 1;
+            }
+            self.kept.push(position);
+        }
+        self.count += 1;
+        self.farthest = self.farthest.max(position);
+        self.lost += usize::from(position > LOST);
+        self.position_squares += position * position;
+        self.heading_squares += heading * heading;
+        if let Some(nees) = believed.nees(reference) {
+            self.nees += nees;
+            self.nees_count += 1;
+        }
     }
 
     /// How many were counted.
     pub fn len(&self) -> usize {
-        self.position.len()
+        self.count
     }
 
     /// Whether none was.
     pub fn is_empty(&self) -> bool {
-        self.position.is_empty()
+        self.count == 0
     }
 
-    /// The errors of the position, metres, in the order in which they were counted.
+    /// The errors of the position that are kept, metres, in the order in which they were counted.
     pub fn positions(&self) -> &[f64] {
-        &self.position
+        &self.kept
+    }
+
+    /// The largest error of the position, metres.
+    pub fn farthest(&self) -> f64 {
+        self.farthest
     }
 
     /// Root mean square error of the position, metres.
     pub fn position_rmse(&self) -> f64 {
-        root_mean_square(&self.position)
+        (self.position_squares / self.count as f64).sqrt()
     }
 
-    /// The error of the position that this share stays below, metres.
+    /// The error of the position that this share of those kept stays below, metres.
     pub fn position_quantile(&self, share: f64) -> f64 {
-        let mut sorted = self.position.clone();
+        let mut sorted = self.kept.clone();
         sorted.sort_by(f64::total_cmp);
         sorted
             .get((share * (sorted.len().saturating_sub(1)) as f64).round() as usize)
@@ -168,17 +200,17 @@ impl Errors {
 
     /// Root mean square error of the heading, radians.
     pub fn heading_rmse(&self) -> f64 {
-        root_mean_square(&self.heading)
+        (self.heading_squares / self.count as f64).sqrt()
     }
 
     /// Share of estimates more than [`LOST`] off.
     pub fn lost(&self) -> f64 {
-        self.position.iter().filter(|&&error| error > LOST).count() as f64 / self.len() as f64
+        self.lost as f64 / self.count as f64
     }
 
     /// Mean of [`Belief::nees`]: 3 if the covariance is as large as the errors, more if it is too small.
     pub fn mean_nees(&self) -> f64 {
-        self.nees.iter().sum::<f64>() / self.nees.len() as f64
+        self.nees / self.nees_count as f64
     }
 }
 
@@ -186,7 +218,7 @@ impl Errors {
 impl fmt::Display for Errors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let heading = self.heading_rmse().to_degrees();
-        let (median, max) = (self.position_quantile(0.5), self.position_quantile(1.0));
+        let (median, max) = (self.position_quantile(0.5), self.farthest);
         let (lost, nees) = (100.0 * self.lost(), self.mean_nees());
         write!(f, "position RMSE {:.3} m, median {median:.3} m, max {max:.3} m; ", self.position_rmse())?;
         write!(
@@ -196,16 +228,23 @@ impl fmt::Display for Errors {
     }
 }
 
-fn root_mean_square(values: &[f64]) -> f64 {
-    (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn read(text: &str) -> Trajectory {
         Trajectory::read(text.as_bytes()).unwrap()
+    }
+
+    #[test]
+    fn errors_of_many_estimates_take_bounded_memory() {
+        let mut errors = Errors::default();
+        let count = 5 * KEPT + 1;
+        let belief = |x: usize| Belief { pose: Pose2::new(x as f64, 0.0, 0.0), covariance: [0.0; 9] };
+        (0..count).for_each(|x| errors.push(&belief(x), Pose2::new(0.0, 0.0, 0.0)));
+        assert_eq!((errors.len(), errors.farthest()), (count, (count - 1) as f64));
+        assert!(errors.positions().iter().copied().eq((0..count).step_by(8).map(|x| x as f64)));
+        assert_eq!(errors.lost(), (count - 2) as f64 / count as f64);
     }
 
     #[test]

@@ -76,7 +76,7 @@ fn whole(testbed: &Testbed, until: Option<Duration>, file: Option<RecordingPlace
     let options = Options { until, folder, recording, ..Options::default() };
     let mut end = Timestamp::ZERO;
     let finished = simulate(testbed.clone(), "", &options, |_| true).unwrap();
-    for sample in finished.report.samples() {
+    for sample in finished.report.samples().iter() {
         end = end.max(sample.emitted);
     }
     end

@@ -321,7 +321,7 @@ impl Run {
             core.tap_scans();
         }
         core.start(now());
-        let report = Report::new(&testbed, seed);
+        let report = Report::new(&testbed, seed).on_disk(folder.path())?;
         let report = if probes_tell { report.by_the_kernel() } else { report };
         let mut readers =
             Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };

@@ -184,10 +184,8 @@ impl Comparison {
             .samples()
             .iter()
             .map(|sample| {
-                (
-                    sample,
-                    decided.at(sample.emitted.as_secs_f64()).and_then(|state| theory.get(state).copied()),
-                )
+                let state = decided.at(sample.emitted.as_secs_f64());
+                (sample, state.and_then(|state| theory.get(state).copied()))
             })
             .collect();
         let [soa_legs, okpi_legs] = [soa, okpi].map(Legs::of);
@@ -195,7 +193,7 @@ impl Comparison {
         let parts = PUBLISHED.iter().map(|published| {
             let measured = |report: &Report, legs: &Legs| {
                 let inside = report.samples().iter().filter(|sample| legs.is_in(sample, published));
-                median(inside.filter_map(took_ms).collect())
+                median(inside.filter_map(|sample| took_ms(&sample)).collect())
             };
             let inside = at_samples.iter().filter(|(sample, _)| okpi_legs.is_in(sample, published));
             Part {
@@ -289,7 +287,7 @@ impl Comparison {
         let decided = Decided::by(testbed, okpi);
         let theory = decided.theory(testbed);
         let at = |seconds: f64| decided.at(seconds).and_then(|state| theory.get(state).copied());
-        let end = okpi.samples().iter().map(|s| s.emitted.as_secs_f64()).fold(0.0, f64::max);
+        let end = okpi.samples().end().as_secs_f64();
         let points = (0..).map(|i| f64::from(i) * POINT_EVERY_S).take_while(|seconds| *seconds <= end);
         let points = points.filter_map(|seconds| Some((seconds, at(seconds)?))).collect();
         let panels = [
@@ -310,9 +308,7 @@ impl Comparison {
         write(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_s,service_time_ms,theory_ms,attachment,server\n");
         for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {
-            let mut all: Vec<_> = report.samples().iter().collect();
-            all.sort_by_key(|sample| sample.emitted);
-            for sample in all {
+            for sample in report.samples().iter() {
                 let emitted = sample.emitted.as_secs_f64();
                 let number = |value: Option<f64>| value.map(|ms| format!("{ms:.6}")).unwrap_or_default();
                 let theory = if contender.plugin == "okpi" { number(at(emitted)) } else { String::new() };
@@ -322,7 +318,7 @@ impl Comparison {
                     format_args!(
                         "{},{emitted:.9},{},{theory},{attachment},{}",
                         contender.name,
-                        number(took_ms(sample)),
+                        number(took_ms(&sample)),
                         sample.server
                     ),
                 );
@@ -367,7 +363,7 @@ struct Legs {
 impl Legs {
     fn of(report: &Report) -> Self {
         let in_c =
-            |sample: &&ServiceTime| sample.attachment.as_ref().and_then(Segment::of) == Some(Segment::C);
+            |sample: &ServiceTime| sample.attachment.as_ref().and_then(Segment::of) == Some(Segment::C);
         let times = report.samples().iter().filter(in_c).map(|sample| sample.emitted.as_secs_f64());
         Self { turned_s: times.fold(f64::INFINITY, f64::min) }
     }

@@ -11,7 +11,10 @@ use kuva::{
     render::{figure::Figure, layout::Layout, plots::Plot},
 };
 
-use super::summary::{RegionSummary, Report, took_ms};
+use super::{
+    samples::Samples,
+    summary::{RegionSummary, Report, took_ms},
+};
 
 /// The published figure ends here, milliseconds; spikes above are cut.
 const TOP_MS: f64 = 40.0;
@@ -26,7 +29,7 @@ pub struct Panel<'a> {
     /// Written above it.
     pub title: String,
     /// Its samples.
-    pub samples: &'a [ServiceTime],
+    pub samples: &'a Samples,
     /// Its shading.
     pub regions: Vec<RegionSummary>,
     /// The dashed line.
@@ -47,7 +50,7 @@ impl<'a> Panel<'a> {
 
 /// Draws the panels, one below the other, as SVG.
 pub fn draw(panels: &[Panel<'_>]) -> String {
-    let end = panels.iter().flat_map(|p| p.samples).map(|s| s.emitted.as_secs_f64()).fold(1.0, f64::max);
+    let end = panels.iter().map(|panel| panel.samples.end().as_secs_f64()).fold(1.0, f64::max);
     // A radio unit has one colour in all panels.
     let mut names: Vec<&str> = Vec::new();
     for region in panels.iter().flat_map(|panel| &panel.regions) {
@@ -80,10 +83,9 @@ fn name(region: &RegionSummary) -> &str {
 }
 
 fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
-    let mut samples: Vec<_> = panel.samples.iter().collect();
-    samples.sort_by_key(|s| s.emitted);
     // A sample without an answer is drawn where it would be at best: at the top.
-    let points = samples.iter().map(|s| (s.emitted.as_secs_f64(), took_ms(s).unwrap_or(TOP_MS).min(TOP_MS)));
+    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), took_ms(&s).unwrap_or(TOP_MS).min(TOP_MS));
+    let points = panel.samples.iter().map(point);
     let line = LinePlot::new().with_data(thin(points, end)).with_color("#1f3b5c").with_stroke_width(1.2);
     let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
     let mut plots = vec![Plot::Line(line)];

@@ -1,8 +1,8 @@
 //! A run's folder: `runs/<name>-<time>/`, and the files in it.
 
 use std::{
-    fmt::Write as _,
-    fs, io,
+    fs::{self, File},
+    io::{self, BufWriter, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -126,18 +126,19 @@ impl RunFolder {
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary holds only what JSON can");
         write(&self.path, "summary.json", &(json + "\n"))?;
-        write(&self.path, "service_time.csv", &csv(report))?;
+        let path = self.path.join("service_time.csv");
+        let written = File::create(&path).and_then(|file| write_csv(report, file));
+        written.map_err(|source| FolderError { path, source })?;
         let title = format!("{}: service time and attachment", summary.name);
         write(&self.path, "service_time.svg", &draw(&[Panel::of(title, report)]))
     }
 }
 
-fn csv(report: &Report) -> String {
-    let mut text = String::from("emitted_s,robot,service,sequence,service_time_ms,attachment,server\n");
-    let mut samples: Vec<_> = report.samples().iter().collect();
-    samples.sort_by_key(|s| s.emitted);
-    for s in samples {
-        let took = took_ms(s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
+fn write_csv(report: &Report, to: File) -> io::Result<()> {
+    let mut text = BufWriter::new(to);
+    writeln!(text, "emitted_s,robot,service,sequence,service_time_ms,attachment,server")?;
+    for s in report.samples().iter() {
+        let took = took_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
         let attachment = s.attachment.as_ref().map_or("", |a| a.as_str());
         let emitted = s.emitted.as_secs_f64();
         // Names hold no character that CSV would need to quote.
@@ -145,8 +146,7 @@ fn csv(report: &Report) -> String {
             text,
             "{emitted:.9},{},{},{},{took},{attachment},{}",
             s.robot, s.service, s.sequence, s.server
-        )
-        .expect("writing into a string cannot fail");
+        )?;
     }
-    text
+    text.flush()
 }

@@ -3,6 +3,7 @@
 
 mod figure;
 mod folder;
+mod samples;
 mod summary;
 
 pub(crate) use figure::number_clips;

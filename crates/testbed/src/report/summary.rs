@@ -1,6 +1,6 @@
 //! Turns the events of a run into its summary.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, path::Path};
 
 use cotorra_graph::{
     Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed, Timestamp,
@@ -8,6 +8,8 @@ use cotorra_graph::{
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
+
+use super::{folder::FolderError, samples::Samples};
 
 /// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
 const VALID_P99_US: f64 = 1000.0;
@@ -266,7 +268,7 @@ pub struct Report {
     seed: u64,
     known: Known,
     target_ms: Option<f64>,
-    samples: Vec<ServiceTime>,
+    samples: Samples,
     handovers: Vec<HandoverRecord>,
     placements: Vec<PlacementRecord>,
     decisions: Vec<DecisionRecord>,
@@ -291,7 +293,7 @@ impl Report {
                 None => Known::All,
             },
             target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
-            samples: Vec::new(),
+            samples: Samples::default(),
             handovers: Vec::new(),
             placements: Vec::new(),
             decisions: Vec::new(),
@@ -308,6 +310,15 @@ impl Report {
         }
     }
 
+    /// The same, which keeps older samples on disk, in a file in this folder.
+    ///
+    /// # Errors
+    /// [`FolderError`] if the file cannot be made.
+    pub(crate) fn on_disk(self, folder: &Path) -> Result<Self, FolderError> {
+        let samples = Samples::in_folder(folder).map_err(|source| FolderError::new(folder, source))?;
+        Ok(Self { samples, ..self })
+    }
+
     /// The same, of a run in which the kernel carried the frames, and lateness is that of probes.
     pub(crate) fn by_the_kernel(self) -> Self {
         Self { known: Known::Probes, ..self }
@@ -317,7 +328,7 @@ impl Report {
     pub fn absorb(&mut self, Stamped { at, event }: &Stamped) {
         let at_s = at.as_secs_f64();
         match event {
-            Event::ServiceTime(sample) => self.samples.push(sample.clone()),
+            Event::ServiceTime(sample) => self.samples.push(sample),
             Event::Robot(context) => {
                 let position = context.sensors.pose.position();
                 self.pose_source = Some(context.sensors.pose.source);
@@ -358,7 +369,7 @@ impl Report {
     /// Takes in how far off localization was; no event tells it, because nobody who decides may know.
     pub(crate) fn localized<'a>(&mut self, errors: impl Iterator<Item = (&'a NodeId, &'a Errors)>) {
         let summary = |(robot, errors): (&NodeId, &Errors)| {
-            let error_m = Quantiles::of(errors.positions().to_vec())?;
+            let error_m = Quantiles { max: errors.farthest(), ..Quantiles::of(errors.positions().to_vec())? };
             let (robot, samples, nees) = (robot.clone(), errors.len(), errors.mean_nees());
             Some(LocalizationSummary { robot, samples, error_m, nees })
         };
@@ -379,8 +390,8 @@ impl Report {
         &self.decisions
     }
 
-    /// The service times so far, in the order of their answers.
-    pub fn samples(&self) -> &[ServiceTime] {
+    /// The service times so far.
+    pub fn samples(&self) -> &Samples {
         &self.samples
     }
 
@@ -391,7 +402,7 @@ impl Report {
 
     /// The summary, for a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
-        let answered: Vec<f64> = self.samples.iter().filter_map(took_ms).collect();
+        let answered: Vec<f64> = self.samples.iter().filter_map(|sample| took_ms(&sample)).collect();
         let above = |target: f64| {
             let above = self.samples.iter().filter(|s| took_ms(s).is_none_or(|ms| ms > target)).count();
             (!self.samples.is_empty()).then(|| above as f64 / self.samples.len() as f64)
@@ -420,24 +431,30 @@ impl Report {
 
     /// Stretches with one attachment and one server, robot by robot.
     pub fn regions(&self) -> Vec<RegionSummary> {
-        let mut samples: Vec<_> = self.samples.iter().collect();
-        samples.sort_by(|a, b| (&a.robot, a.emitted).cmp(&(&b.robot, b.emitted)));
-        let same = |a: &&ServiceTime, b: &&ServiceTime| {
-            (&a.robot, &a.attachment, &a.server) == (&b.robot, &b.attachment, &b.server)
+        let mut robots: BTreeMap<NodeId, Vec<(RegionSummary, Vec<f64>)>> = BTreeMap::new();
+        for sample in self.samples.iter() {
+            let took = took_ms(&sample);
+            let ServiceTime { robot, emitted, attachment, server, .. } = sample;
+            let at_s = emitted.as_secs_f64();
+            let its = robots.entry(robot.clone()).or_default();
+            match its.last_mut() {
+                Some((region, all)) if (&region.attachment, &region.server) == (&attachment, &server) => {
+                    region.to_s = at_s;
+                    region.samples += 1;
+                    all.extend(took);
+                }
+                _ => {
+                    let (from_s, to_s, samples, p50_ms) = (at_s, at_s, 1, None);
+                    let region = RegionSummary { robot, attachment, server, from_s, to_s, samples, p50_ms };
+                    its.push((region, took.into_iter().collect()));
+                }
+            }
+        }
+        let with_median = |(region, all): (RegionSummary, Vec<f64>)| RegionSummary {
+            p50_ms: Quantiles::of(all).map(|quantiles| quantiles.p50),
+            ..region
         };
-        let region = |run: &[&ServiceTime]| {
-            let (first, last) = (run.first()?, run.last()?);
-            Some(RegionSummary {
-                robot: first.robot.clone(),
-                attachment: first.attachment.clone(),
-                server: first.server.clone(),
-                from_s: first.emitted.as_secs_f64(),
-                to_s: last.emitted.as_secs_f64(),
-                samples: run.len(),
-                p50_ms: Quantiles::of(run.iter().filter_map(|s| took_ms(s)).collect()).map(|q| q.p50),
-            })
-        };
-        samples.chunk_by(same).filter_map(region).collect()
+        robots.into_values().flatten().map(with_median).collect()
     }
 }
 

@@ -80,7 +80,8 @@ pub(super) fn simulate_with(
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
-    let books = Books { report: Report::new(&testbed, seed), recorder: recorder.clone(), unwritten: 0, tap };
+    let report = Report::new(&testbed, seed).on_disk(folder.path())?;
+    let books = Books { report, recorder: recorder.clone(), unwritten: 0, tap };
     let mut underway = Underway { simulation, books, go_on, stopped: false };
     let mut apart = None;
     if programs(&testbed).next().is_some() {
