@@ -4,6 +4,7 @@
 //! instructs directly. Both block, as a plug-in has nothing else to do.
 
 mod events;
+mod local;
 mod run;
 
 use std::{path::PathBuf, time::Duration};
@@ -15,7 +16,10 @@ use cotorra_graph::{
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::Plugin;
+use crate::{
+    Plugin,
+    runs::{RunEntry, Runs, RunsError},
+};
 pub use events::Events;
 
 /// Everything but a stream is answered within this time, or not at all.
@@ -61,9 +65,9 @@ pub struct Client {
 /// Why the API gives no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The environment does not say where the API is.
-    #[error("COTORRA_API is not set: let it name the testbed's API, as in http://127.0.0.1:7700")]
-    NotSet,
+    /// The environment does not say where the API is, nor does one run alone on this machine.
+    #[error("COTORRA_API is not set, and {0}: let it name the testbed's API, as in http://127.0.0.1:7700")]
+    NotSet(#[from] RunsError),
     /// That is no address of an API.
     #[error("`{0}` is not the address of an API: write it like http://127.0.0.1:7700")]
     Address(String),
@@ -202,19 +206,24 @@ struct Failure {
 
 impl Client {
     /// The client of the API that `COTORRA_API` names, with the token in `COTORRA_TOKEN` if one is set, under the
-    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts.
+    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without `COTORRA_API`, the client of this
+    /// user's only run on this machine, as [`Client::of`] gives it.
     ///
     /// # Errors
     /// [`ClientError`] if one of them is missing or cannot be used. Whether somebody answers shows later.
     pub fn from_env() -> Result<Self, ClientError> {
         let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
-        let mut client = Self::new(&variable("COTORRA_API").ok_or(ClientError::NotSet)?)?;
+        let mut client = match variable("COTORRA_API") {
+            Some(api) => Self::new(&api)?,
+            None => Self::of(&Runs::of_user().find(None)?)?,
+        };
         client.token = variable("COTORRA_TOKEN");
         client.plugin = variable("COTORRA_PLUGIN").as_deref().map(PluginId::new).transpose()?;
         Ok(client)
     }
 
-    /// The client of the API at that address, as in `http://127.0.0.1:7700`.
+    /// The client of the API at that address, as in `http://127.0.0.1:7700`. Whoever listens there is told what is asked, with
+    /// the token: for a run of this user on this machine, [`Client::of`] leaves no doubt who that is.
     ///
     /// # Errors
     /// [`ClientError::Address`] if it is none.
@@ -223,11 +232,17 @@ impl Client {
         if api.strip_prefix("http://").is_none_or(|host| host.is_empty() || host.contains(['/', ' ', '?'])) {
             return Err(ClientError::Address(api.to_owned()));
         }
-        // A proxy that the environment names is for the world outside, not for the testbed.
-        let config = ureq::Agent::config_builder().http_status_as_error(false).proxy(None).max_redirects(0);
-        let agent =
-            config.timeout_connect(Some(PATIENCE)).timeout_recv_response(Some(PATIENCE)).build().into();
-        Ok(Self { agent, api: api.to_owned(), token: None, plugin: None })
+        Ok(Self { agent: config().into(), api: api.to_owned(), token: None, plugin: None })
+    }
+
+    /// The client of a run of this user on this machine, over its Unix socket: nobody else can listen there, so nobody else is
+    /// told anything, and what is answered is the run's.
+    ///
+    /// # Errors
+    /// [`ClientError::Address`] if the run's address can be none.
+    pub fn of(run: &RunEntry) -> Result<Self, ClientError> {
+        let agent = local::agent(config(), &run.socket);
+        Ok(Self { agent, ..Self::new(&format!("http://{}", run.api))? })
     }
 
     /// The same with a token.
@@ -434,6 +449,12 @@ impl Client {
             }
         }
     }
+}
+
+fn config() -> ureq::config::Config {
+    // A proxy that the environment names is for the world outside, not for the testbed.
+    let config = ureq::Agent::config_builder().http_status_as_error(false).proxy(None).max_redirects(0);
+    config.timeout_connect(Some(PATIENCE)).timeout_recv_response(Some(PATIENCE)).build()
 }
 
 type Response = ureq::http::Response<ureq::Body>;

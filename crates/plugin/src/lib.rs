@@ -36,6 +36,7 @@
 
 pub mod client;
 pub mod messages;
+pub mod runs;
 pub mod vnf;
 pub mod wire;
 

@@ -1,0 +1,217 @@
+use std::os::unix::{fs::symlink, net::UnixStream};
+
+use tempfile::TempDir;
+
+use super::*;
+
+fn api(port: u16) -> SocketAddr {
+    ([127, 0, 0, 1], port).into()
+}
+
+/// A folder that only its user may enter, as that for a user's runtime files.
+struct Rig {
+    base: TempDir,
+    runs: Runs,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let base = TempDir::new().unwrap();
+        let runs = Runs::in_folder(base.path().join("cotorra"));
+        Self { base, runs }
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.base.path().join("cotorra")
+    }
+
+    fn announce(&self, port: u16) -> Announced {
+        self.runs.announce(api(port), Path::new(&format!("/runs/{port}"))).unwrap()
+    }
+
+    /// What is left of a process that was killed.
+    fn dead(&self, port: u16) {
+        let mut killed = self.announce(port);
+        (killed._lock, killed.listener) = (None, None);
+        killed.files.clear();
+    }
+
+    fn files(&self) -> usize {
+        fs::read_dir(self.folder()).unwrap().count()
+    }
+
+    fn refusal(&self) -> NotPrivate {
+        match self.runs.find(None).unwrap_err() {
+            RunsError::NotPrivate { why, .. } => why,
+            other => panic!("{other}"),
+        }
+    }
+}
+
+fn mode(path: &Path) -> u32 {
+    fs::symlink_metadata(path).unwrap().mode() & 0o7777
+}
+
+#[test]
+fn a_run_is_found_on_its_socket_as_long_as_it_is_announced() {
+    let rig = Rig::new();
+    assert!(matches!(rig.runs.find(None), Err(RunsError::None { .. })));
+    let mut announced = rig.announce(7700);
+    let listener = announced.listener().unwrap();
+    let run = rig.runs.find(None).unwrap();
+    assert_eq!(rig.runs.find(Some(api(7700))).unwrap(), run);
+    assert_eq!((run.api, &*run.run, run.process), (api(7700), Path::new("/runs/7700"), process::id()));
+    UnixStream::connect(&run.socket).unwrap();
+    listener.accept().unwrap();
+    drop(announced);
+    assert!(matches!(rig.runs.find(None), Err(RunsError::None { .. })));
+    assert_eq!(rig.files(), 0);
+}
+
+#[test]
+fn nobody_but_its_user_may_read_an_entry_or_connect() {
+    let rig = Rig::new();
+    let _announced = rig.announce(7700);
+    let socket = rig.runs.find(None).unwrap().socket;
+    let modes = [rig.folder(), socket.with_extension(ENTRY), socket].map(|path| mode(&path));
+    assert_eq!(modes, [0o700, 0o600, 0o600]);
+}
+
+#[test]
+fn two_runs_are_told_apart_by_address() {
+    let rig = Rig::new();
+    let both = [rig.announce(7701), rig.announce(7700)];
+    let several = rig.runs.find(None).unwrap_err();
+    let listed = "several testbeds run: 127.0.0.1:7700 (/runs/7700), 127.0.0.1:7701 (/runs/7701)";
+    assert_eq!(several.to_string(), listed);
+    let found = [7700, 7701].map(|port| rig.runs.find(Some(api(port))).unwrap());
+    assert_eq!(found.each_ref().map(|run| run.run.to_str().unwrap()), ["/runs/7700", "/runs/7701"]);
+    assert_ne!(found[0].socket, found[1].socket);
+    let nobody = rig.runs.find(Some(api(7702))).unwrap_err().to_string();
+    assert!(nobody.contains("127.0.0.1:7702; there are 127.0.0.1:7700 (/runs/7700), "), "{nobody}");
+    drop(both);
+}
+
+#[test]
+fn a_run_on_all_addresses_is_found_by_that_of_loopback() {
+    let rig = Rig::new();
+    let all = SocketAddr::from(([0, 0, 0, 0], 7700));
+    let _announced = rig.runs.announce(all, Path::new("/runs/all")).unwrap();
+    assert_eq!(rig.runs.find(Some(api(7700))).unwrap().api, all);
+    for other in [api(7701), ([192, 0, 2, 1], 7700).into()] {
+        assert!(matches!(rig.runs.find(Some(other)), Err(RunsError::NotThere { .. })), "{other}");
+    }
+}
+
+#[test]
+fn the_entry_of_a_dead_process_is_no_run_and_the_next_run_removes_it() {
+    let rig = Rig::new();
+    rig.dead(7700);
+    assert_eq!(rig.files(), 2);
+    assert!(matches!(rig.runs.find(Some(api(7700))), Err(RunsError::NotThere { .. })));
+    let (left, refused) = rig.runs.leftovers();
+    assert_eq!((left.len(), refused.len(), rig.files()), (2, 0, 2));
+    let _next = rig.announce(7701);
+    assert_eq!((rig.runs.find(None).unwrap().api, rig.files()), (api(7701), 2));
+}
+
+#[test]
+fn cleaning_removes_what_dead_processes_left_and_nothing_else() {
+    let rig = Rig::new();
+    let _living = rig.announce(7701);
+    rig.dead(7700);
+    // Killed before its entry was written.
+    fs::write(rig.folder().join("1-7702.sock"), "").unwrap();
+    let (cleaned, refused) = rig.runs.clean();
+    assert_eq!((cleaned.len(), refused.len(), rig.files()), (3, 0, 2));
+    assert_eq!(rig.runs.find(None).unwrap().api, api(7701));
+}
+
+#[test]
+fn an_entry_that_others_could_have_written_is_refused() {
+    let rig = Rig::new();
+    let _announced = rig.announce(7700);
+    let socket = rig.runs.find(None).unwrap().socket;
+    let entry = socket.with_extension(ENTRY);
+    for (path, wrong, right) in
+        [(&entry, 0o644, 0o600), (&socket, 0o666, 0o600), (&rig.folder(), 0o750, 0o700)]
+    {
+        fs::set_permissions(path, Permissions::from_mode(wrong)).unwrap();
+        assert_eq!(rig.refusal(), NotPrivate::Mode { mode: wrong }, "{}", path.display());
+        fs::set_permissions(path, Permissions::from_mode(right)).unwrap();
+    }
+    let elsewhere = rig.base.path().join("entry");
+    fs::rename(&entry, &elsewhere).unwrap();
+    symlink(&elsewhere, &entry).unwrap();
+    assert_eq!(rig.refusal(), NotPrivate::Kind { wanted: "regular file" });
+}
+
+#[test]
+fn a_folder_that_is_a_link_or_can_be_replaced_is_refused() {
+    let rig = Rig::new();
+    let announced = rig.announce(7700);
+    let base = rig.base.path();
+    fs::set_permissions(base, Permissions::from_mode(0o777)).unwrap();
+    assert_eq!(rig.refusal(), NotPrivate::Parent);
+    // As that for temporary files: only who owns a file there may replace it.
+    fs::set_permissions(base, Permissions::from_mode(0o1777)).unwrap();
+    rig.runs.find(None).unwrap();
+    fs::rename(rig.folder(), base.join("elsewhere")).unwrap();
+    symlink(base.join("elsewhere"), rig.folder()).unwrap();
+    assert_eq!(rig.refusal(), NotPrivate::Kind { wanted: "folder" });
+    let refused = rig.runs.announce(api(7701), Path::new("/runs/b")).unwrap_err();
+    assert!(matches!(refused, RunsError::NotPrivate { .. }), "{refused}");
+    drop(announced);
+}
+
+#[test]
+fn what_belongs_to_another_user_is_refused() {
+    let own = Found { is_of_kind: true, uid: 1000, mode: 0o600 };
+    assert_eq!(private(own, "file", Some(1000)), Ok(()));
+    let of = |uid| private(Found { uid, ..own }, "file", Some(1000));
+    assert_eq!([of(0), of(1001)], [Err(NotPrivate::Owner { uid: 0 }), Err(NotPrivate::Owner { uid: 1001 })]);
+    assert!(private(own, "file", None).is_err(), "nobody knows who this is");
+    let parent = Found { mode: 0o755, ..own };
+    assert_eq!(keeps(parent, Some(1000)), Ok(()));
+    assert_eq!(keeps(parent, Some(1001)), Err(NotPrivate::Parent));
+}
+
+#[test]
+fn a_folder_of_somebody_else_does_not_hide_a_run() {
+    let (rig, other) = (Rig::new(), Rig::new());
+    fs::create_dir(other.folder()).unwrap();
+    fs::set_permissions(other.folder(), Permissions::from_mode(0o777)).unwrap();
+    let runs = Runs { folders: vec![rig.folder(), other.folder()] };
+    assert!(matches!(runs.find(None), Err(RunsError::NotPrivate { .. })));
+    let _announced = rig.announce(7700);
+    assert_eq!(runs.find(None).unwrap().api, api(7700));
+}
+
+#[test]
+fn only_open_files_of_the_runs_own_process_are_its_own() {
+    let run = RunEntry { api: api(7700), run: "/r".into(), process: 4242, socket: "/s".into() };
+    assert!(run.holds(Path::new("/proc/4242/fd/17")));
+    for other in [
+        "/proc/4243/fd/17",
+        "/proc/42420/fd/17",
+        "/proc/4242/fd/",
+        "/proc/4242/fd/1/../2",
+        "/proc/4242/ns/net",
+        "/proc/4242/fd/17/",
+        "proc/4242/fd/17",
+        "/run/netns/4242",
+    ] {
+        assert!(!run.holds(Path::new(other)), "{other}");
+    }
+}
+
+#[test]
+fn an_entry_of_another_version_says_what_to_do() {
+    let rig = Rig::new();
+    let announced = rig.announce(7700);
+    let entry = rig.runs.find(None).unwrap().socket.with_extension(ENTRY);
+    fs::write(&entry, "{}").unwrap();
+    let told = rig.runs.find(None).unwrap_err().to_string();
+    assert!(told.contains("use the cotorra that runs, or remove it"), "{told}");
+    drop(announced);
+}
