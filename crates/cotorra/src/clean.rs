@@ -1,6 +1,7 @@
 //! `cotorra clean`: removes what killed runs left behind.
 
 use clap::Args;
+use cotorra_plugin::runs::Runs;
 use miette::miette;
 
 use crate::{output, testbed_file::count};
@@ -8,7 +9,8 @@ use crate::{output, testbed_file::count};
 /// Remove what killed runs left behind
 ///
 /// Namespaces, their interfaces and processes go with their run, however it ends. When a run is killed with SIGKILL, control
-/// groups do not, nor do conditions of this machine's own interfaces; the next run removes them, or this.
+/// groups do not, nor do conditions of this machine's own interfaces, nor the entries by which tools find runs; the next run
+/// removes them, or this.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
     /// Only say what would be removed
@@ -18,12 +20,13 @@ pub struct CleanArgs {
 
 /// Removes it, or only says what there is.
 pub fn clean(args: &CleanArgs) -> miette::Result<()> {
-    let (found, done) = if args.dry_run {
-        (cotorra_testbed::leftovers(), "would be removed")
+    let runs = Runs::of_user();
+    let (found, (entries, refused), done) = if args.dry_run {
+        (cotorra_testbed::leftovers(), runs.leftovers(), "would be removed")
     } else {
-        (cotorra_testbed::clean(), "removed")
+        (cotorra_testbed::clean(), runs.clean(), "removed")
     };
-    let nothing = found == cotorra_testbed::Leftovers::default();
+    let nothing = found == cotorra_testbed::Leftovers::default() && entries.is_empty();
     let mut text: String = found.control_groups.iter().map(|path| format!("{}\n", path.display())).collect();
     text += &match found.control_groups.len() {
         0 if nothing => "nothing is left of killed runs\n".to_owned(),
@@ -33,9 +36,10 @@ pub fn clean(args: &CleanArgs) -> miette::Result<()> {
     for interface in &found.interfaces {
         text += &format!("{interface}: the conditions of a killed run {done}\n");
     }
-    output::print(&text)?;
-    match &found.kept[..] {
-        [] => Ok(()),
-        kept => Err(miette!("{}", kept.join("\n"))),
+    for entry in &entries {
+        text += &format!("{}: the entry of a killed run {done}\n", entry.display());
     }
+    output::print(&text)?;
+    let kept: Vec<_> = found.kept.iter().cloned().chain(refused.iter().map(ToString::to_string)).collect();
+    if kept.is_empty() { Ok(()) } else { Err(miette!("{}", kept.join("\n"))) }
 }

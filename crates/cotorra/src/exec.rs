@@ -1,24 +1,28 @@
 //! `cotorra exec`: runs a program inside a node of the running testbed, in the terminal at hand.
 
-use std::{convert::Infallible, io, net::SocketAddr, os::unix::process::CommandExt, process::Command};
+use std::{convert::Infallible, io, os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use clap::Args;
 use cotorra_datapath::HostsFile;
-use cotorra_graph::{NodeId, ros1_environment};
-use cotorra_plugin::client::{Client, ClientError};
+use cotorra_graph::{HardwareGraph, NodeId, ros1_environment};
+use cotorra_plugin::runs::Runs;
 
-use crate::run::{DEFAULT_API, token_text};
+use crate::{
+    run::token_text,
+    running::{self, WhichRun, explained},
+};
 
 /// Run a program inside a node of the running testbed
 ///
 /// The program sees the node's network and nothing else changes: same files, same user, same terminal. Nodes have
-/// their names.
+/// their names. The run is one of yours on this machine; it is asked where nobody else can listen.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra exec robot -- ping -c 3 cloud
   cotorra exec edge -- iperf3 -s
   cotorra exec robot -- bash
+  cotorra exec robot --api 127.0.0.1:7701 -- bash      one of several runs
 
 Exit status: the program's.")]
 pub struct ExecArgs {
@@ -27,21 +31,21 @@ pub struct ExecArgs {
     /// The program and its arguments.
     #[arg(required = true, last = true, value_name = "COMMAND")]
     pub command: Vec<String>,
-    /// Address of the run's API, as its terminal shows it
-    #[arg(long, value_name = "ADDR:PORT", default_value = DEFAULT_API)]
-    pub api: SocketAddr,
+    #[command(flatten)]
+    pub run: WhichRun,
 }
 
 /// Why the program does not run.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
-    #[error("no testbed answers at {api}: {reason}")]
-    #[diagnostic(help("start one with `cotorra run`; if it says another address, name that with --api"))]
-    NoRun { api: SocketAddr, reason: String },
     #[error(transparent)]
-    Api(ClientError),
+    #[diagnostic(transparent)]
+    Run(#[from] running::Error),
     #[error("`{0}` is a switch or a real machine: it has no network namespace to run a program in")]
     Switch(NodeId),
+    #[error("the run says that `{node}` is {}, which is not held by its process {process}", namespace.display())]
+    #[diagnostic(help("nothing was entered; please report this as a bug, with the run's folder"))]
+    Foreign { node: NodeId, namespace: PathBuf, process: u32 },
     #[error("cannot enter `{node}`: {reason}")]
     #[diagnostic(help("run it as the user who runs the testbed"))]
     Enter { node: NodeId, reason: cotorra_datapath::Error },
@@ -51,17 +55,7 @@ pub enum Error {
 
 /// Becomes the program; returns only if that fails.
 pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
-    let failed = |error| match error {
-        ClientError::Unreachable { source, .. } => Error::NoRun { api: args.api, reason: source.to_string() },
-        other => Error::Api(other),
-    };
-    let mut client = Client::new(&format!("http://{}", args.api)).map_err(failed)?;
-    if let Some(token) = token_text() {
-        client = client.with_token(token);
-    }
-    let node = client.node(&args.node).map_err(failed)?;
-    let namespace = node.namespace.ok_or_else(|| Error::Switch(args.node.clone()))?;
-    let graph = client.testbed().map_err(failed)?.graph;
+    let Place { namespace, graph } = find(args, &Runs::of_user(), token_text())?;
     cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
     if let Err(error) = HostsFile::of(&graph).and_then(|hosts| hosts.enter()) {
         note!("node names are not known to `{}`: {error}", args.command[0]);
@@ -72,4 +66,59 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     command.args(arguments).env("COTORRA_NODE", args.node.as_str());
     let reason = command.envs(ros1_environment(&graph, &args.node)).exec();
     Err(Error::Program { program: program.clone(), reason })
+}
+
+/// Where a program is to run.
+#[derive(Debug)]
+struct Place {
+    namespace: PathBuf,
+    graph: HardwareGraph,
+}
+
+/// Asks the run where its node is. A path to anything but what its own process holds is not believed: as root, any process
+/// could be entered.
+fn find(args: &ExecArgs, runs: &Runs, token: Option<String>) -> Result<Place, Error> {
+    let (run, client) = args.run.find(runs, token)?;
+    let failed = |error| Error::Run(explained(run.api, error));
+    let node = args.node.clone();
+    let namespace = client.node(&node).map_err(failed)?.namespace;
+    let namespace = namespace.ok_or_else(|| Error::Switch(node.clone()))?;
+    if !run.holds(&namespace) {
+        return Err(Error::Foreign { node, namespace, process: run.process });
+    }
+    Ok(Place { namespace, graph: client.testbed().map_err(failed)?.graph })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{net::SocketAddr, process};
+
+    use super::*;
+    use crate::running::tests::{Served, Squatter};
+
+    fn in_robot(api: SocketAddr) -> ExecArgs {
+        let (node, command) = (NodeId::new("robot").unwrap(), vec!["true".to_owned()]);
+        ExecArgs { node, command, run: WhichRun { api: Some(api) } }
+    }
+
+    #[test]
+    fn exec_enters_only_what_the_run_itself_holds() {
+        let squatter = Squatter::new();
+        let own = format!("/proc/{}/fd/7", process::id());
+        for foreign in ["/proc/1/ns/net", "/proc/1/fd/7", "/run/netns/x", &format!("{own}/../../../1/ns/net")]
+        {
+            let answer = format!(r#"{{"address": null, "namespace": "{foreign}"}}"#);
+            let served = Served::on(squatter.address(), vec![answer]);
+            let refused = find(&in_robot(squatter.address()), &served.runs, None).unwrap_err();
+            assert!(matches!(refused, Error::Foreign { .. }), "{foreign}: {refused}");
+            served.asked();
+        }
+        let node = format!(r#"{{"address": null, "namespace": "{own}"}}"#);
+        let testbed = r#"{"name": "t", "graph": {"domains": [], "nodes": [], "links": [], "wireless": {}}, "services": [], "walks": []}"#;
+        let served = Served::on(squatter.address(), vec![node, testbed.to_owned()]);
+        let place = find(&in_robot(squatter.address()), &served.runs, None).unwrap();
+        assert_eq!(place.namespace, PathBuf::from(own));
+        served.asked();
+        squatter.heard_nothing();
+    }
 }

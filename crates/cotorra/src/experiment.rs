@@ -10,6 +10,7 @@ use std::{fs, path::Path, process::ExitCode};
 
 use cotorra_graph::testbed_file::Setting;
 use cotorra_measurements::Location;
+use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
     Finished, FolderError, Options, Place,
     experiment::okpi::{CONTENDERS, Comparison, FILES},
@@ -47,6 +48,8 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         output::print(&plan(args, how, &variants[0].2))?;
         return Ok(ExitCode::SUCCESS);
     }
+    // Before the stage is set: in a user namespace it is another user.
+    let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;
     let mut walks = Vec::new();
@@ -55,6 +58,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
             seed: args.seed,
             until: args.until,
             folder: Place::At(folder.join(contender.plugin)),
+            runs: Some(known.clone()),
             tokens: run::tokens()?,
             save_power: args.walks.save_power,
             settings: settings.clone(),

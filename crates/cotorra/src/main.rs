@@ -23,6 +23,7 @@ mod netem;
 mod quantity;
 mod replay;
 mod run;
+mod running;
 mod signals;
 mod stamp;
 mod sweep;

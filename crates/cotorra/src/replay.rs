@@ -13,6 +13,7 @@ use cotorra_graph::{
     PluginId, Testbed, Timestamp,
     testbed_file::{self, Setting},
 };
+use cotorra_plugin::runs::Runs;
 use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOptions, Speed};
 use indicatif::ProgressBar;
 
@@ -40,7 +41,7 @@ Examples:
   cotorra replay latest --foxglove
   cotorra replay latest --speed max --bundled okpi > decisions.jsonl
   cotorra replay latest --speed max > decisions.jsonl &
-  COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
+  COTORRA_API=http://127.0.0.1:7700 COTORRA_PLUGIN=mine python3 examples/strongest_signal.py")]
 pub struct ReplayArgs {
     /// The folder of a run, `latest`, or the number of a run in the history that --history names
     pub run: String,
@@ -106,6 +107,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
+        known: Some((Runs::of_user(), PathBuf::from(format!("replay of {}", args.run)))),
         tokens: run::tokens()?,
         speed: match args.speed {
             Pace::Times(times) => Speed::Times(times),

@@ -25,7 +25,7 @@ use cotorra_network_control::{
     program_of_others,
     vim::{Cgroups, Launcher, Process, ProcessEngine},
 };
-use cotorra_plugin::wire;
+use cotorra_plugin::{runs::Runs, wire};
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
 use cotorra_wais::types::Epoch;
@@ -68,6 +68,8 @@ pub struct Options {
     pub folder: Place,
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
+    /// Where tools of this user find the run; `None` where they need not.
+    pub runs: Option<Runs>,
     /// What callers of the API must show: the operator, and orchestrators of domains.
     pub tokens: Tokens,
     /// Lets cores sleep that have nothing to do; packets then wait for them to wake, and come later.
@@ -300,6 +302,7 @@ impl Run {
                 callbacks: options.wais_callbacks.clone(),
             },
         };
+        let listener = listener.announced(options.runs.as_ref(), folder.path());
         let server = Server::start(listener, context, options.tokens)?;
         let plugins = plugins.start(&testbed, &now, &server, &folder.logs(), &tell)?;
 

@@ -8,6 +8,7 @@ use std::{
 
 use cotorra_graph::{DomainId, testbed_file::Setting};
 use cotorra_measurements::{History, RunId};
+use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
     FolderError, Options, Place, Recorded, RecordedError,
     experiment::federation::{
@@ -77,6 +78,8 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     }
     let (on, periods) = ledger(args)?;
     let planned = plan(args, &on, &periods)?;
+    // Before the stage is set: in a user namespace it is another user.
+    let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-federation").map_err(Error::from)?;
     // A run that goes wrong, or is stopped, takes nothing from those that did not.
@@ -87,6 +90,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
             seed: Some(plan.seed),
             until: Some(args.until.unwrap_or_else(|| longest(&plan.loaded.testbed))),
             folder: Place::At(folder.join(&name)),
+            runs: Some(known.clone()),
             tokens: run::tokens()?,
             save_power: args.walks.save_power,
             settings: plan.settings.clone(),

@@ -1,6 +1,6 @@
 //! What can be typed behind `cotorra link`.
 
-use std::{net::SocketAddr, time::Duration};
+use std::time::Duration;
 
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use cotorra_graph::{
@@ -11,7 +11,7 @@ use cotorra_graph::{
 use crate::{
     duration::parse_duration,
     quantity::{parse_rate, parse_share, parse_time},
-    run::DEFAULT_API,
+    running::WhichRun,
 };
 
 /// What to do.
@@ -27,7 +27,9 @@ pub enum Link {
 #[command(after_long_help = "\
 Examples:
   cotorra link show
-  cotorra link show lan-cloud --json")]
+  cotorra link show lan-cloud --json
+  cotorra link show --api 127.0.0.1:7701                    one of several runs
+  cotorra link show --api 10.0.0.5:7700 --unverified        one of another machine")]
 pub struct ShowArgs {
     /// The link; without it, all
     pub link: Option<LinkId>,
@@ -106,12 +108,16 @@ pub struct TestArgs {
     pub api: ApiArgs,
 }
 
-/// Which run.
+/// Which run, also one of another machine.
 #[derive(Debug, Args)]
 pub struct ApiArgs {
-    /// Address of the run's API, as its terminal shows it
-    #[arg(long, value_name = "ADDR:PORT", default_value = DEFAULT_API)]
-    pub api: SocketAddr,
+    #[command(flatten)]
+    pub run: WhichRun,
+    /// Believe whoever answers on --api, as of another machine, and show them the token in COTORRA_TOKEN
+    ///
+    /// Nothing proves who that is, and what is said can be read on the way.
+    #[arg(long, requires = "api")]
+    pub unverified: bool,
 }
 
 /// A direction of a link.

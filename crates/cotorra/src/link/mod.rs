@@ -2,18 +2,23 @@
 
 mod args;
 
-use std::{thread, time::Duration};
+use std::{net::SocketAddr, thread, time::Duration};
 
 use cotorra_graph::{
     Conditions, Instruction, LinkContext, LinkId, Loss, PluginId, Probed, QueueLimit, Rate, Tested,
 };
-use cotorra_plugin::client::{Client, ClientError};
+use cotorra_plugin::{client::Client, runs::Runs};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, miette};
 
 pub use self::args::Link;
 use self::args::{ApiArgs, SetArgs, ShowArgs, TestArgs};
-use crate::{output, run::token_text, table::Table};
+use crate::{
+    output,
+    run::token_text,
+    running::{Error, explained, with_token},
+    table::Table,
+};
 
 /// Results are told once a second, a second after the last packet.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -28,40 +33,49 @@ pub fn link(what: &Link) -> miette::Result<()> {
     }
 }
 
-fn client(args: &ApiArgs) -> miette::Result<Client> {
-    let client = Client::new(&format!("http://{}", args.api)).map_err(|error| explained(args, error))?;
-    let client = client.named(PluginId::new("command-line").expect("it is a name"));
-    Ok(match token_text() {
-        Some(token) => client.with_token(token),
-        None => client,
-    })
+/// Who asks a run, and where that serves its API.
+struct Asked {
+    api: SocketAddr,
+    client: Client,
 }
 
-fn explained(args: &ApiArgs, error: ClientError) -> miette::Report {
-    match error {
-        ClientError::Unreachable { source, .. } => miette!(
-            help = "start one with `cotorra run`; if it says another address, name that with --api",
-            "no testbed answers at {}: {source}",
-            args.api
-        ),
-        other => miette!("{other}"),
+impl Asked {
+    fn of(args: &ApiArgs) -> Result<Self, Error> {
+        let (api, client) = match args.run.api.filter(|_| args.unverified) {
+            Some(api) => {
+                let client = Client::new(&format!("http://{api}")).map_err(Error::Failed)?;
+                (api, with_token(client, token_text()))
+            }
+            None => {
+                let (run, client) = args.run.find(&Runs::of_user(), token_text())?;
+                (run.api, client)
+            }
+        };
+        let client = client.named(PluginId::new("command-line").expect("it is a name"));
+        Ok(Self { api, client })
     }
-}
 
-/// The contexts of one link or all; links of the air are there once they are in use.
-fn links(client: &Client, args: &ApiArgs, wanted: Option<&LinkId>) -> miette::Result<Vec<LinkContext>> {
-    let mut links = client.links().map_err(|error| explained(args, error))?;
-    let Some(wanted) = wanted else { return Ok(links) };
-    let all: Vec<_> = links.iter().step_by(2).map(|context| context.link.to_string()).collect();
-    links.retain(|context| context.link == *wanted);
-    match links.is_empty() {
-        true => Err(miette!(help = format!("there are {}", all.join(", ")), "there is no link `{wanted}`")),
-        false => Ok(links),
+    fn instruct(&self, instruction: &Instruction) -> Result<(), Error> {
+        self.client.instruct(instruction, None).map_err(|error| explained(self.api, error))
+    }
+
+    /// The contexts of one link or all; links of the air are there once they are in use.
+    fn links(&self, wanted: Option<&LinkId>) -> miette::Result<Vec<LinkContext>> {
+        let mut links = self.client.links().map_err(|error| explained(self.api, error))?;
+        let Some(wanted) = wanted else { return Ok(links) };
+        let all: Vec<_> = links.iter().step_by(2).map(|context| context.link.to_string()).collect();
+        links.retain(|context| context.link == *wanted);
+        match links.is_empty() {
+            true => {
+                Err(miette!(help = format!("there are {}", all.join(", ")), "there is no link `{wanted}`"))
+            }
+            false => Ok(links),
+        }
     }
 }
 
 fn show(args: &ShowArgs) -> miette::Result<()> {
-    let links = links(&client(&args.api)?, &args.api, args.link.as_ref())?;
+    let links = Asked::of(&args.api)?.links(args.link.as_ref())?;
     output::print(&if args.json {
         serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
     } else {
@@ -70,26 +84,26 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
 }
 
 fn set(args: &SetArgs) -> miette::Result<()> {
-    let client = client(&args.api)?;
-    links(&client, &args.api, Some(&args.link))?;
+    let asked = Asked::of(&args.api)?;
+    asked.links(Some(&args.link))?;
     let direction = args.direction.map(Into::into);
     let instruction = Instruction::Condition { link: args.link.clone(), direction, change: args.change() };
-    client.instruct(&instruction, None).map_err(|error| explained(&args.api, error))?;
-    output::print(&table(&links(&client, &args.api, Some(&args.link))?))
+    asked.instruct(&instruction)?;
+    output::print(&table(&asked.links(Some(&args.link))?))
 }
 
 #[allow(clippy::disallowed_methods, reason = "whoever asks for a test waits for what it tells")]
 fn test(args: &TestArgs) -> miette::Result<()> {
-    let client = client(&args.api)?;
+    let asked = Asked::of(&args.api)?;
     let direction = args.direction.into();
     let told = || -> miette::Result<Option<Tested>> {
-        let both = links(&client, &args.api, Some(&args.link))?;
+        let both = asked.links(Some(&args.link))?;
         Ok(both.into_iter().find(|context| context.direction == direction).and_then(|its| its.tested))
     };
     told()?;
     let test = args.test();
     let instruction = Instruction::TestThroughput { link: args.link.clone(), direction, test };
-    client.instruct(&instruction, None).map_err(|error| explained(&args.api, error))?;
+    asked.instruct(&instruction)?;
     let looks = (test.duration + PATIENCE).div_duration_f64(LOOK).ceil() as u64;
     let style = ProgressStyle::with_template("{bar:40} testing {msg}").expect("a template that is right");
     let progress = ProgressBar::new(looks).with_style(style).with_message(args.link.to_string());

@@ -78,7 +78,7 @@ pub struct RunArgs {
     /// Address of the HTTP API
     ///
     /// Without it, 127.0.0.1:7700, or another port if that is taken. An address that others can reach needs a token
-    /// of 16 characters or more in COTORRA_TOKEN.
+    /// of 16 characters or more in COTORRA_TOKEN. Tools of the same user, as `cotorra exec`, find the run by themselves.
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
     /// Let the WLAN Access Information Service send notifications to a network, as in 10.1.0.0/16

@@ -16,6 +16,7 @@ use std::{
 
 use cotorra_graph::DomainId;
 use cotorra_netem::{Confirmed, HoldError};
+use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
     CannotGoOn, Earlier, Finished, Options, Place, RealLinkError, Run, RunError, Summary, Token, Tokens,
@@ -29,7 +30,7 @@ use crate::{
     output, replay, signals,
     testbed_file::{self, Loaded},
 };
-pub use args::{DEFAULT_API, FOXGLOVE, RunArgs};
+pub use args::{FOXGLOVE, RunArgs};
 pub use view::clock;
 use view::{Places, View};
 
@@ -103,6 +104,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         until: args.until,
         folder: Place::In(args.out.clone()),
         api: args.api,
+        runs: Some(Runs::of_user()),
         tokens: tokens()?,
         save_power: args.save_power,
         settings: args.settings.clone(),

@@ -168,7 +168,8 @@ fn clean_says_that_nothing_is_left_or_what() {
 fn exec_without_a_run_says_how_to_start_one() {
     let told = output(["exec", "robot", "--api", "127.0.0.1:9", "--", "true"]);
     assert_eq!(told.status.code(), Some(1));
-    assert!(stderr(&told).contains("no testbed answers at 127.0.0.1:9"), "{}", stderr(&told));
+    let said = stderr(&told);
+    assert!(said.contains("serves its API on 127.0.0.1:9") && said.contains("with sudo"), "{said}");
 }
 
 #[test]

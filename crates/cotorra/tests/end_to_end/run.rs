@@ -1,8 +1,8 @@
 //! A run from its beginning to its end, and what it leaves.
 
-use std::{fs, process::Command};
+use std::{fs, io::ErrorKind, net::TcpListener, process::Command};
 
-use crate::harness::{Run, corridor, cotorra, project_file, valid_report, wait_until};
+use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, valid_report, wait_until};
 
 /// R1 and the cloud: twice 1 ms over the air and 4.5 ms over the wire (corridor.yaml).
 const THEORY_MS: f64 = 11.0;
@@ -204,4 +204,49 @@ fn a_second_run_gets_a_folder_and_a_port_of_its_own() {
     assert!(String::from_utf8_lossy(&taken.stderr).contains(run.address()), "{taken:?}");
     let free = second(&[]);
     assert!(matches!(free.status.code(), Some(0 | 3)), "{free:?}");
+}
+
+#[test]
+fn tools_talk_to_the_run_and_to_nobody_who_listens_on_a_port() {
+    const TOKEN: &str = "a-secret-of-some-length";
+    let squatter = TcpListener::bind("127.0.0.1:0").unwrap();
+    squatter.set_nonblocking(true).unwrap();
+    let taken = squatter.local_addr().unwrap().to_string();
+    let runtime = tempfile::tempdir().unwrap();
+    let as_user = |command: &mut Command| {
+        command.env("COTORRA_TOKEN", TOKEN).env("XDG_RUNTIME_DIR", runtime.path());
+    };
+    let told = |words: &[&str]| {
+        let mut command = cotorra(words);
+        as_user(&mut command);
+        command.output().unwrap()
+    };
+    let run = Run::start_with(&project_file("testbeds/two-hosts.yaml"), &["--until", "600s"], as_user);
+    for words in [&["exec", "left", "--api", &taken, "--", "true"][..], &["link", "show", "--api", &taken]] {
+        let refused = told(words);
+        assert_eq!(refused.status.code(), Some(1), "{words:?}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(run.address()), "{}", stderr(&refused));
+    }
+    for words in [
+        &["exec", "left", "--", "true"][..],
+        &["exec", "left", "--api", run.address(), "--", "true"],
+        &["link", "show"],
+    ] {
+        let done = told(words);
+        assert!(done.status.success(), "{words:?}: {}", stderr(&done));
+    }
+    let mut python = Command::new("python3");
+    python.args(["-c", "from cotorra import Client; print(Client().testbed()['name'])"]);
+    python.env("PYTHONPATH", project_file("clients/python")).env("PYTHONDONTWRITEBYTECODE", "1");
+    as_user(&mut python);
+    let asked = python.env_remove("COTORRA_API").output().unwrap();
+    assert_eq!(stdout(&asked), "two-hosts\n", "{}", stderr(&asked));
+
+    run.signal("KILL");
+    wait_until(|| stderr(&told(&["exec", "left", "--", "true"])).contains("no testbed of this user runs"));
+    let cleaned = told(&["clean"]);
+    assert!(stdout(&cleaned).contains("the entry of a killed run removed"), "{cleaned:?}");
+    assert_eq!(fs::read_dir(runtime.path().join("cotorra")).unwrap().count(), 0);
+    let nobody = squatter.accept().map_err(|error| error.kind());
+    assert!(matches!(nobody, Err(ErrorKind::WouldBlock)), "{nobody:?}");
 }

@@ -28,6 +28,11 @@ impl Limits {
         Self { strangers: share.clamp(16, 256), callers: share.clamp(16, 1024) }
     }
 
+    /// Those of the run's socket for its own user, which have places apart: whatever strangers do to the others is not felt there.
+    pub(super) fn of_user(self) -> Self {
+        Self { strangers: self.strangers / 4, callers: self.callers / 4 }
+    }
+
     fn of_address(self) -> usize {
         self.strangers / 2
     }

@@ -15,7 +15,7 @@ mod wais;
 use std::{
     collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{Arc, mpsc},
 };
 
@@ -25,6 +25,7 @@ use axum::{
 };
 use cotorra_graph::{NodeId, PluginId, Stamped, Testbed};
 use cotorra_measurements::{History, PacedRecorder, RunId};
+use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::{broadcast, oneshot};
 
 use self::{auth::Gate, connections::Limits, serve::Patience};
@@ -137,6 +138,7 @@ pub(crate) struct Server {
     plugins: PluginTokens,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
+    announced: Option<Announced>,
     _delivery: cotorra_wais::http::Delivery,
 }
 
@@ -146,7 +148,10 @@ const BACKLOG: i32 = 4096;
 const BLOCKING_THREADS: usize = 16;
 
 /// An address that is reserved; nothing is served there yet.
-pub(crate) struct Listener(std::net::TcpListener);
+pub(crate) struct Listener {
+    tcp: std::net::TcpListener,
+    announced: Option<Announced>,
+}
 
 impl Listener {
     /// Reserves an address; the next free port where it may be `moved`.
@@ -155,14 +160,30 @@ impl Listener {
             return Err(ApiError::TokenMissing(address));
         }
         let any_port = SocketAddr::new(address.ip(), 0);
-        std::net::TcpListener::bind(address)
+        let tcp = std::net::TcpListener::bind(address)
             .or_else(|e| if moved { std::net::TcpListener::bind(any_port) } else { Err(e) })
-            .map(Self)
-            .map_err(|source| ApiError::Bind { address, source })
+            .map_err(|source| ApiError::Bind { address, source })?;
+        let listener = Self { tcp, announced: None };
+        let is_moved = address.port() != 0 && listener.address() != address;
+        if is_moved {
+            tracing::warn!("{address} is taken: the API is on {}", listener.address());
+        }
+        Ok(listener)
+    }
+
+    /// Has tools of this user find it, too, as that of a run (`what`), if there is where.
+    pub(crate) fn announced(self, runs: Option<&Runs>, what: &Path) -> Self {
+        let announced = runs.and_then(|runs| {
+            let told = |error: &RunsError| {
+                tracing::warn!("`cotorra exec` and `cotorra link` do not find this run: {error}")
+            };
+            runs.announce(self.address(), what).inspect_err(told).ok()
+        });
+        Self { announced, ..self }
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
-        self.0.local_addr().expect("a bound socket has an address")
+        self.tcp.local_addr().expect("a bound socket has an address")
     }
 }
 
@@ -189,8 +210,13 @@ impl Server {
         let plugins = PluginTokens::new(programs).map_err(ApiError::Start)?;
         let gate = Gate::new(tokens, plugins.clone(), domains);
         let address = listener.address();
-        listener.0.set_nonblocking(true).map_err(ApiError::Start)?;
-        socket2::SockRef::from(&listener.0).listen(BACKLOG).map_err(ApiError::Start)?;
+        listener.tcp.set_nonblocking(true).map_err(ApiError::Start)?;
+        socket2::SockRef::from(&listener.tcp).listen(BACKLOG).map_err(ApiError::Start)?;
+        let mut announced = listener.announced;
+        let local = announced.as_mut().and_then(Announced::listener);
+        if let Some(local) = &local {
+            local.set_nonblocking(true).map_err(ApiError::Start)?;
+        }
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(BLOCKING_THREADS)
@@ -215,19 +241,29 @@ impl Server {
             .name("api".to_owned())
             .spawn(move || {
                 runtime.block_on(async move {
-                    let listener = match tokio::net::TcpListener::from_std(listener.0) {
-                        Ok(listener) => listener,
+                    let listeners = tokio::net::TcpListener::from_std(listener.tcp).and_then(|tcp| {
+                        Ok((tcp, local.map(tokio::net::UnixListener::from_std).transpose()?))
+                    });
+                    let (tcp, local) = match listeners {
+                        Ok(listeners) => listeners,
                         Err(error) => return tracing::error!("the API is not served: {error}"),
+                    };
+                    let to_user = async {
+                        match local {
+                            Some(local) => serve::serve(local, app.clone(), limits.of_user(), patience).await,
+                            None => std::future::pending().await,
+                        }
                     };
                     // An open event stream must not keep a finished run alive: stop at once, not gracefully.
                     tokio::select! {
-                        () = serve::serve(listener, app, limits, patience) => {}
+                        () = serve::serve(tcp, app.clone(), limits, patience) => {}
+                        () = to_user => {}
                         _ = stopped => {}
                     }
                 });
             })
             .map_err(ApiError::Start)?;
-        Ok(Self { address, plugins, stop: Some(stop), thread: Some(thread), _delivery: delivery })
+        Ok(Self { address, plugins, stop: Some(stop), thread: Some(thread), announced, _delivery: delivery })
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
@@ -242,6 +278,8 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
+        // First, so that nobody finds a run that answers nobody.
+        self.announced = None;
         if let Some(stop) = self.stop.take() {
             let _ = stop.send(());
         }

@@ -3,6 +3,7 @@
 use std::{
     convert::Infallible,
     io,
+    net::{IpAddr, Ipv4Addr},
     pin::Pin,
     sync::Arc,
     task::{Context, Poll, ready},
@@ -32,7 +33,7 @@ use hyper_util::{
 use parking_lot::Mutex;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
-    net::{TcpListener, TcpStream},
+    net::{TcpListener, TcpStream, UnixListener, UnixStream},
     sync::oneshot,
     time::{Sleep, sleep, timeout},
 };
@@ -73,8 +74,37 @@ impl Default for Patience {
     }
 }
 
+/// Where connections come from.
+pub(super) trait Accept {
+    /// A connection.
+    type Stream: AsyncRead + AsyncWrite + Unpin + Send + 'static;
+
+    /// The next one, and whose neighbours share its places.
+    async fn accept(&self) -> io::Result<(Self::Stream, IpAddr)>;
+}
+
+impl Accept for TcpListener {
+    type Stream = TcpStream;
+
+    async fn accept(&self) -> io::Result<(TcpStream, IpAddr)> {
+        let (stream, from) = self.accept().await?;
+        // What happens is told at once, not when the reader acknowledges what it heard before.
+        let _ = stream.set_nodelay(true);
+        Ok((stream, from.ip()))
+    }
+}
+
+impl Accept for UnixListener {
+    type Stream = UnixStream;
+
+    async fn accept(&self) -> io::Result<(UnixStream, IpAddr)> {
+        let (stream, _) = self.accept().await?;
+        Ok((stream, Ipv4Addr::LOCALHOST.into()))
+    }
+}
+
 /// Serves until it is dropped.
-pub(super) async fn serve(listener: TcpListener, app: Router, limits: Limits, patience: Patience) {
+pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, patience: Patience) {
     let connections = Arc::new(Mutex::new(Connections::new(limits)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
@@ -92,10 +122,8 @@ pub(super) async fn serve(listener: TcpListener, app: Router, limits: Limits, pa
                 continue;
             }
         };
-        // What happens is told at once, not when the reader acknowledges what it heard before.
-        let _ = stream.set_nodelay(true);
         let (close, closed) = oneshot::channel();
-        let number = connections.lock().arrive(from.ip(), close);
+        let number = connections.lock().arrive(from, close);
         let place = Arc::new(Place { connections: Arc::clone(&connections), number, patience });
         let app = app.clone();
         let stream = Impatient { stream, wait: None, place: Arc::clone(&place) };
@@ -243,14 +271,14 @@ impl Drop for Answer {
 }
 
 /// A connection that fails when nothing of what is to be sent is taken for too long.
-struct Impatient {
-    stream: TcpStream,
+struct Impatient<S> {
+    stream: S,
     wait: Option<Pin<Box<Sleep>>>,
     /// Held as long as the connection is open, also after it became a WebSocket.
     place: Arc<Place>,
 }
 
-impl Impatient {
+impl<S> Impatient<S> {
     fn wrote<T>(&mut self, context: &mut Context<'_>, wrote: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         if wrote.is_ready() {
             self.wait = None;
@@ -263,7 +291,7 @@ impl Impatient {
     }
 }
 
-impl AsyncRead for Impatient {
+impl<S: AsyncRead + Unpin> AsyncRead for Impatient<S> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -273,7 +301,7 @@ impl AsyncRead for Impatient {
     }
 }
 
-impl AsyncWrite for Impatient {
+impl<S: AsyncWrite + Unpin> AsyncWrite for Impatient<S> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,

@@ -41,6 +41,10 @@ fn serve(replay: bool) -> Served {
 }
 
 fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
+    serve_found_in(None, replay, limits, patience)
+}
+
+fn serve_found_in(found_in: Option<&Runs>, replay: bool, limits: Limits, patience: Patience) -> Served {
     let text = "name: served\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n";
     let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
     let history = Arc::new(History::in_memory().unwrap());
@@ -73,6 +77,7 @@ fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
         wais: WaisOptions::default(),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
+    let listener = listener.announced(found_in, Path::new("/runs/served"));
     Served {
         server: Server::start_within(listener, context, Tokens::default(), limits, patience).unwrap(),
         history,
@@ -237,6 +242,10 @@ const TWO: &str = "two-two-two-two-two";
 
 impl Domains {
     fn serve() -> Self {
+        Self::serve_found_in(None)
+    }
+
+    fn serve_found_in(found_in: Option<&Runs>) -> Self {
         let text = "
 name: served
 domains: [one, two]
@@ -285,6 +294,7 @@ plugins:
         let tokens =
             Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
+        let listener = listener.announced(found_in, Path::new("/runs/served"));
         Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox }
     }
 
@@ -575,4 +585,55 @@ fn the_document_has_every_path() {
     let document: Value = serde_json::from_str(&openapi()).unwrap();
     let documented: BTreeSet<_> = document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
     assert_eq!(documented, paths().iter().map(|(path, _)| *path).collect());
+}
+
+#[test]
+fn tools_of_its_user_find_a_run_and_ask_it_where_nobody_else_can_listen() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = Runs::in_folder(folder.path().join("cotorra"));
+    let served =
+        serve_found_in(Some(&runs), false, Limits { strangers: 64, callers: 64 }, Patience::default());
+    let run = runs.find(Some(served.server.address())).unwrap();
+    assert_eq!((run.api, &*run.run), (served.server.address(), Path::new("/runs/served")));
+    let client = cotorra_plugin::client::Client::of(&run).unwrap();
+    assert_eq!(client.testbed().unwrap().name, "served");
+    assert_eq!(client.service_times(&Default::default()).unwrap().items.len(), 20);
+    let refused = client.node(&"nobody".parse().unwrap()).unwrap_err();
+    assert!(refused.to_string().contains("there is no node `nobody`"), "{refused}");
+    drop(served);
+    assert!(runs.find(None).is_err());
+}
+
+#[test]
+fn the_socket_of_its_user_asks_for_the_token_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = Runs::in_folder(folder.path().join("cotorra"));
+    let served = Domains::serve_found_in(Some(&runs));
+    let client = || cotorra_plugin::client::Client::of(&runs.find(None).unwrap()).unwrap();
+    let nodes = |token: &str| client().with_token(token).testbed().map(|testbed| testbed.graph.nodes.len());
+    assert_eq!((nodes(OPERATOR).unwrap(), nodes(ONE).unwrap()), (5, 3));
+    assert!(client().testbed().is_err() && nodes("wrong-wrong-wrong").is_err());
+    drop(served);
+}
+
+#[test]
+fn strangers_that_flood_the_port_take_no_place_from_tools_of_the_user() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = Runs::in_folder(folder.path().join("cotorra"));
+    let limits = Limits { strangers: 16, callers: 16 };
+    let served = serve_found_in(Some(&runs), false, limits, Patience::default());
+    let socket = runs.find(None).unwrap().socket;
+    // Both were there first, and say nothing yet.
+    let mut early = TcpStream::connect(served.server.address()).unwrap();
+    let mut tool = std::os::unix::net::UnixStream::connect(socket).unwrap();
+    let flood: Vec<_> = (0..64).map(|_| TcpStream::connect(served.server.address()).unwrap()).collect();
+    // Closed: the flood was accepted before anything else is said.
+    let mut end = Vec::new();
+    let _ = early.read_to_end(&mut end);
+    assert!(end.is_empty());
+    tool.write_all(b"GET /api/v1/testbed HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    tool.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200 OK\r\n"), "{answer}");
+    drop(flood);
 }

@@ -226,6 +226,7 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
     recorder.flush().unwrap();
     let options = ReplayOptions {
         api: Some(([127, 0, 0, 1], 0).into()),
+        known: None,
         tokens: Default::default(),
         speed: Speed::Max { followers },
         from: Timestamp::ZERO,

@@ -5,7 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     net::{Ipv4Addr, SocketAddr},
     ops::Bound,
-    path::Path,
+    path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
 };
@@ -16,6 +16,7 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
 use cotorra_network_control::Refused;
+use cotorra_plugin::runs::Runs;
 use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 
 use crate::{
@@ -55,6 +56,8 @@ pub enum Speed {
 pub struct ReplayOptions {
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
+    /// Where tools of this user find the replay, and as what; `None` where they need not.
+    pub known: Option<(Runs, PathBuf)>,
     /// What callers of the API must show.
     pub tokens: Tokens,
     /// How fast.
@@ -254,6 +257,10 @@ impl Replay {
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
+        };
+        let listener = match &options.known {
+            Some((runs, what)) => listener.announced(Some(runs), what),
+            None => listener,
         };
         let programs = Programs::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
         Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })

@@ -1,0 +1,180 @@
+//! The run that a command is about: found by the entry that it put into a folder of this user's, and spoken to over its Unix
+//! socket there. Who took a port of its is told nothing.
+
+use std::net::SocketAddr;
+
+use clap::Args;
+use cotorra_plugin::{
+    client::{Client, ClientError},
+    runs::{RunEntry, Runs, RunsError},
+};
+
+/// Which run.
+#[derive(Debug, Args)]
+pub struct WhichRun {
+    /// Address of the run's API, as its terminal shows it; without it, your only run on this machine
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub api: Option<SocketAddr>,
+}
+
+/// Why a run cannot be asked.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum Error {
+    #[error(transparent)]
+    #[diagnostic(help("{}", help_for(.0)))]
+    NotFound(RunsError),
+    #[error("the testbed on {api} does not answer: {reason}")]
+    #[diagnostic(help("it may have ended just now; start one with `cotorra run`"))]
+    Silent { api: SocketAddr, reason: String },
+    #[error("{0}")]
+    Failed(ClientError),
+}
+
+/// What to do about a run that is not found.
+fn help_for(error: &RunsError) -> &'static str {
+    match error {
+        RunsError::None { .. } => {
+            "start one with `cotorra run`; a run of another user is asked as that user, as with sudo"
+        }
+        RunsError::Several(_) => "say which with --api, as in `--api 127.0.0.1:7700`",
+        RunsError::NotThere { .. } => {
+            "a run of another user is asked as that user, as with sudo; one of another machine on that machine, or, by \
+             `cotorra link`, with --unverified"
+        }
+        RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
+            "runs are found in the folder `cotorra` in XDG_RUNTIME_DIR, or `cotorra-UID` in that for temporary files"
+        }
+    }
+}
+
+impl WhichRun {
+    /// The run, and who asks it; `token` is shown to it alone.
+    pub fn find(&self, runs: &Runs, token: Option<String>) -> Result<(RunEntry, Client), Error> {
+        let run = runs.find(self.api).map_err(Error::NotFound)?;
+        let client = with_token(Client::of(&run).map_err(Error::Failed)?, token);
+        Ok((run, client))
+    }
+}
+
+/// A client that shows a token, if there is one.
+pub fn with_token(client: Client, token: Option<String>) -> Client {
+    match token {
+        Some(token) => client.with_token(token),
+        None => client,
+    }
+}
+
+/// What an error of a client of the run on `api` says.
+pub fn explained(api: SocketAddr, error: ClientError) -> Error {
+    match error {
+        ClientError::Unreachable { source, .. } => Error::Silent { api, reason: source.to_string() },
+        other => Error::Failed(other),
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use std::{
+        io::{BufRead, BufReader, ErrorKind, Write},
+        net::TcpListener,
+        path::Path,
+        thread::{self, JoinHandle},
+    };
+
+    use cotorra_plugin::runs::Announced;
+    use tempfile::TempDir;
+
+    use super::*;
+
+    /// A program that listens where a run would, and is not to hear anything.
+    pub struct Squatter(TcpListener);
+
+    impl Squatter {
+        pub fn new() -> Self {
+            let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+            listener.set_nonblocking(true).unwrap();
+            Self(listener)
+        }
+
+        pub fn address(&self) -> SocketAddr {
+            self.0.local_addr().unwrap()
+        }
+
+        /// Nobody connected.
+        pub fn heard_nothing(&self) {
+            let heard = self.0.accept().map(|(_, from)| from).map_err(|error| error.kind());
+            assert_eq!(heard, Err(ErrorKind::WouldBlock));
+        }
+    }
+
+    /// A run's entry, whose API gives these answers, one a connection.
+    pub struct Served {
+        pub runs: Runs,
+        _folder: TempDir,
+        _entry: Announced,
+        answering: JoinHandle<Vec<String>>,
+    }
+
+    impl Served {
+        pub fn on(api: SocketAddr, answers: Vec<String>) -> Self {
+            let folder = TempDir::new().unwrap();
+            let runs = Runs::in_folder(folder.path().join("cotorra"));
+            let mut entry = runs.announce(api, Path::new("/runs/walk")).unwrap();
+            let listener = entry.listener().unwrap();
+            let answering = thread::spawn(move || {
+                let answer = |body: String| {
+                    let mut stream = BufReader::new(listener.accept().unwrap().0);
+                    let mut head = String::new();
+                    while !head.ends_with("\r\n\r\n") {
+                        assert_ne!(stream.read_line(&mut head).unwrap(), 0, "{head}");
+                    }
+                    let length = body.len();
+                    write!(stream.get_mut(), "HTTP/1.1 200 OK\r\nContent-Length: {length}\r\n\r\n{body}")
+                        .unwrap();
+                    head
+                };
+                answers.into_iter().map(answer).collect()
+            });
+            Self { runs, _folder: folder, _entry: entry, answering }
+        }
+
+        /// What was asked, when all was answered.
+        pub fn asked(self) -> Vec<String> {
+            self.answering.join().unwrap()
+        }
+    }
+
+    fn token() -> Option<String> {
+        Some("operator-operator".to_owned())
+    }
+
+    #[test]
+    fn who_took_the_port_gets_no_token() {
+        let squatter = Squatter::new();
+        let folder = TempDir::new().unwrap();
+        let runs = Runs::in_folder(folder.path().join("cotorra"));
+        let which = WhichRun { api: Some(squatter.address()) };
+        let refused = which.find(&runs, token()).unwrap_err();
+        assert!(matches!(refused, Error::NotFound(RunsError::NotThere { .. })), "{refused}");
+        squatter.heard_nothing();
+
+        // Nor where a run says that it is there.
+        let served = Served::on(squatter.address(), vec!["[]".to_owned()]);
+        let (_, client) = which.find(&served.runs, token()).unwrap();
+        assert!(client.links().unwrap().is_empty());
+        squatter.heard_nothing();
+        let asked = served.asked();
+        assert!(asked[0].starts_with("GET /api/v1/network/links HTTP/1.1\r\n"), "{asked:?}");
+        assert!(asked[0].contains("Bearer operator-operator\r\n"), "{asked:?}");
+    }
+
+    #[test]
+    fn a_run_that_moved_is_found_without_its_address() {
+        let (squatter, moved) = (Squatter::new(), Squatter::new());
+        let served = Served::on(moved.address(), vec!["[]".to_owned()]);
+        let (run, client) = WhichRun { api: None }.find(&served.runs, token()).unwrap();
+        assert_eq!((run.api, client.links().unwrap()), (moved.address(), vec![]));
+        assert_eq!(served.asked().len(), 1);
+        squatter.heard_nothing();
+    }
+}
