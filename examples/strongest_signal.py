@@ -9,7 +9,7 @@ import sys
 from http.client import HTTPException
 from urllib import error, request
 
-API = os.environ.get("COTORRA_API", "http://127.0.0.1:7700").rstrip("/") + "/api/v1"
+API = os.environ["COTORRA_API"].rstrip("/") + "/api/v1"
 SCAN_EVERY_S = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
 HYSTERESIS_DB = 4.0  # A robot changes only for a radio unit that is so much stronger, lest it goes back and forth.
 

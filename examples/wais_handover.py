@@ -15,7 +15,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 
-API = os.environ.get("COTORRA_API", "http://127.0.0.1:7700")
+API = os.environ["COTORRA_API"]
 NAME = os.environ.get("COTORRA_PLUGIN", "wais-handover")
 CLEARLY = 8  # RCPI has half decibels: 4 dB
 SCAN_EVERY_S = 10

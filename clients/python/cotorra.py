@@ -4,7 +4,7 @@ One file, nothing but the standard library (Python 3.9 or newer): copy it, or pu
 
     from cotorra import Client
 
-    testbed = Client()                      # COTORRA_API, or else http://127.0.0.1:7700
+    testbed = Client()                      # COTORRA_API, or else your only run on this machine
     for event in testbed.stream("robot"):   # What happens, as it happens, until the run ends.
         if event["at"] / 1e9 > 10:
             testbed.instruct("a look around", instruction="scan", robot=event["robot"])
@@ -19,9 +19,14 @@ Times are seconds since the run began in arguments, and nanoseconds in answers, 
 """
 from __future__ import annotations
 
+import fcntl
 import json
 import os
-from http.client import HTTPException
+import socket
+import stat
+import tempfile
+from http.client import HTTPConnection, HTTPException
+from pathlib import Path
 from typing import Any, Iterator, Optional, Sequence
 from urllib import error, parse, request
 
@@ -45,20 +50,26 @@ class Ended(CotorraError):
 
 class Client:
     """A testbed's API. What is not said is taken from the environment, as a testbed sets it for its plug-ins:
-    COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN."""
+    COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN.
+
+    Whoever listens on an address that is given is told the token. Without one it is your only run on this machine, over a
+    socket on which nobody else can listen."""
 
     def __init__(
         self, api: Optional[str] = None, plugin: Optional[str] = None, token: Optional[str] = None
     ) -> None:
-        api = api or os.environ.get("COTORRA_API") or "http://127.0.0.1:7700"
+        handlers = [request.ProxyHandler({})]  # Past any proxy in the environment: a testbed is near.
+        api = api or os.environ.get("COTORRA_API")
+        if not api:
+            api, path = _only_run()
+            handlers.append(_Local(path))
         self._api = (api if "://" in api else f"http://{api}").rstrip("/") + "/api/v1"
         self._headers = {"Content-Type": "application/json"}
         if plugin := plugin or os.environ.get("COTORRA_PLUGIN"):
             self._headers["X-Cotorra-Plugin"] = plugin
         if token := token or os.environ.get("COTORRA_TOKEN"):
             self._headers["Authorization"] = f"Bearer {token}"
-        # Past any proxy in the environment: a testbed is near.
-        self._http = request.build_opener(request.ProxyHandler({}))
+        self._http = request.build_opener(*handlers)
         self.missed = 0
         """How many events streams lost because they were read too slowly."""
 
@@ -214,3 +225,65 @@ class Client:
             raise kind(f"{path}: {failure.code}: {said.get('error', text)}") from None
         except error.URLError as failure:
             raise Ended(f"no API at {self._api}: {failure.reason}") from None
+
+
+def _only_run() -> tuple[str, Path]:
+    """The address of this user's only run on this machine, and its socket. The run holds a lock on its entry while it lives, in
+    a folder that nobody else may write to."""
+    user = os.geteuid()
+    folders = [Path(tempfile.gettempdir(), f"cotorra-{user}"), Path("/run/user", str(user), "cotorra")]
+    if named := os.environ.get("XDG_RUNTIME_DIR"):
+        folders.insert(0, Path(named, "cotorra"))
+    running: dict[Path, str] = {}
+    trusted = [folder for folder in folders if _is_own(folder) and _keeps(folder.parent)]
+    for entry in (entry for folder in trusted for entry in sorted(folder.glob("*.json"))):
+        if _is_own(entry):
+            with entry.open() as file:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    running[entry.with_suffix(".sock")] = json.load(file)["api"]
+    if not running:
+        raise Ended("no testbed of yours runs on this machine: start one, or let COTORRA_API name its address")
+    if len(running) > 1:
+        raise CotorraError(f"several testbeds run: let COTORRA_API name one of {', '.join(running.values())}")
+    path, api = running.popitem()
+    return api, path
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file or folder is this user's, for nobody else, and no link."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return found.st_uid == os.geteuid() and not found.st_mode & 0o077 and not stat.S_ISLNK(found.st_mode)
+
+
+def _keeps(folder: Path) -> bool:
+    """Whether others cannot put something else in the place of what this user has in a folder."""
+    found = folder.stat()
+    is_own = found.st_uid == os.geteuid() and not found.st_mode & 0o022
+    return is_own or bool(found.st_mode & stat.S_ISVTX)
+
+
+class _LocalConnection(HTTPConnection):
+    def __init__(self, path: Path, host: str, **options: Any) -> None:
+        super().__init__(host, **options)
+        self._path = str(path)
+
+    def connect(self) -> None:
+        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.sock.settimeout(self.timeout)
+        self.sock.connect(self._path)
+
+
+class _Local(request.HTTPHandler):
+    """HTTP over a Unix socket, whatever an address says."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+
+    def http_open(self, wanted: request.Request) -> Any:
+        return self.do_open(lambda host, **options: _LocalConnection(self._path, host, **options), wanted)
