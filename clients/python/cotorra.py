@@ -23,11 +23,9 @@ import fcntl
 import json
 import os
 import socket
-import stat
-import tempfile
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Any, Iterator, Optional, Sequence
+from typing import Any, Iterator, NamedTuple, Optional, Sequence
 from urllib import error, parse, request
 
 __all__ = ["Client", "CotorraError", "Ended", "Refused"]
@@ -52,8 +50,8 @@ class Client:
     """A testbed's API. What is not said is taken from the environment, as a testbed sets it for its plug-ins:
     COTORRA_API, COTORRA_PLUGIN (the name under which decisions are recorded) and COTORRA_TOKEN.
 
-    Whoever listens on an address that is given is told the token. Without one it is your only run on this machine, over a
-    socket on which nobody else can listen."""
+    Whoever listens on a given address gets the token. Without an address, this finds your only run on this machine, and
+    talks to it over a socket on which nobody else can listen."""
 
     def __init__(
         self, api: Optional[str] = None, plugin: Optional[str] = None, token: Optional[str] = None
@@ -61,8 +59,9 @@ class Client:
         handlers = [request.ProxyHandler({})]  # Past any proxy in the environment: a testbed is near.
         api = api or os.environ.get("COTORRA_API")
         if not api:
-            api, path = _only_run()
-            handlers.append(_Local(path))
+            run = _only_run()
+            api = run.api
+            handlers.append(_Local(run))
         self._api = (api if "://" in api else f"http://{api}").rstrip("/") + "/api/v1"
         self._headers = {"Content-Type": "application/json"}
         if plugin := plugin or os.environ.get("COTORRA_PLUGIN"):
@@ -227,63 +226,84 @@ class Client:
             raise Ended(f"no API at {self._api}: {failure.reason}") from None
 
 
-def _only_run() -> tuple[str, Path]:
-    """The address of this user's only run on this machine, and its socket. The run holds a lock on its entry while it lives, in
-    a folder that nobody else may write to."""
+class _Folder:
+    """A folder of this user's runs, held open: nobody can put another in its place after it was checked."""
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        self.inside = Path(f"/proc/self/fd/{self._descriptor}")
+        self.is_own = _is_own(os.fstat(self._descriptor))
+
+    def __del__(self) -> None:
+        if hasattr(self, "_descriptor"):
+            os.close(self._descriptor)
+
+
+class _Run(NamedTuple):
+    api: str
+    folder: _Folder
+    socket: Path
+
+
+def _only_run() -> _Run:
+    """This user's only run on this machine. A run holds a lock on its entry while it lives."""
     user = os.geteuid()
-    folders = [Path(tempfile.gettempdir(), f"cotorra-{user}"), Path("/run/user", str(user), "cotorra")]
-    if named := os.environ.get("XDG_RUNTIME_DIR"):
-        folders.insert(0, Path(named, "cotorra"))
-    running: dict[Path, str] = {}
-    trusted = [folder for folder in folders if _is_own(folder) and _keeps(folder.parent)]
-    for entry in (entry for folder in trusted for entry in sorted(folder.glob("*.json"))):
-        if _is_own(entry):
-            with entry.open() as file:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    running[entry.with_suffix(".sock")] = json.load(file)["api"]
+    bases = [Path(named)] if (named := os.environ.get("XDG_RUNTIME_DIR")) else []
+    folders = {base / "cotorra" for base in [*bases, Path(f"/run/user/{user}")]}
+    folders.add(Path(os.environ.get("TMPDIR") or "/tmp", f"cotorra-{user}"))
+    running: list[_Run] = []
+    for path in sorted(folders):
+        try:
+            folder = _Folder(path)
+        except OSError:
+            continue
+        for entry in sorted(folder.inside.glob("*.json")) if folder.is_own else []:
+            if api := _api(entry):
+                running.append(_Run(api, folder, entry.with_suffix(".sock")))
     if not running:
         raise Ended("no testbed of yours runs on this machine: start one, or let COTORRA_API name its address")
     if len(running) > 1:
-        raise CotorraError(f"several testbeds run: let COTORRA_API name one of {', '.join(running.values())}")
-    path, api = running.popitem()
-    return api, path
+        raise CotorraError(f"several testbeds run: let COTORRA_API name one of {', '.join(run.api for run in running)}")
+    return running[0]
 
 
-def _is_own(path: Path) -> bool:
-    """Whether a file or folder is this user's, for nobody else, and no link."""
+def _api(entry: Path) -> Optional[str]:
+    """The address in an entry, if it is this user's and its run lives."""
     try:
-        found = path.lstat()
-    except OSError:
-        return False
-    return found.st_uid == os.geteuid() and not found.st_mode & 0o077 and not stat.S_ISLNK(found.st_mode)
+        with open(os.open(entry, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            if not _is_own(os.fstat(file.fileno())):
+                return None
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return str(json.loads(file.read(64 << 10))["api"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # It ended just now, or another version wrote it.
+    return None
 
 
-def _keeps(folder: Path) -> bool:
-    """Whether others cannot put something else in the place of what this user has in a folder."""
-    found = folder.stat()
-    is_own = found.st_uid == os.geteuid() and not found.st_mode & 0o022
-    return is_own or bool(found.st_mode & stat.S_ISVTX)
+def _is_own(found: os.stat_result) -> bool:
+    """Whether a file or folder is this user's, and for nobody else."""
+    return found.st_uid == os.geteuid() and not found.st_mode & 0o077
 
 
 class _LocalConnection(HTTPConnection):
-    def __init__(self, path: Path, host: str, **options: Any) -> None:
+    def __init__(self, run: _Run, host: str, **options: Any) -> None:
         super().__init__(host, **options)
-        self._path = str(path)
+        self._run = run
 
     def connect(self) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self.sock.settimeout(self.timeout)
-        self.sock.connect(self._path)
+        self.sock.connect(str(self._run.socket))
 
 
 class _Local(request.HTTPHandler):
     """HTTP over a Unix socket, whatever an address says."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, run: _Run) -> None:
         super().__init__()
-        self._path = path
+        self._run = run
 
     def http_open(self, wanted: request.Request) -> Any:
-        return self.do_open(lambda host, **options: _LocalConnection(self._path, host, **options), wanted)
+        return self.do_open(lambda host, **options: _LocalConnection(self._run, host, **options), wanted)

@@ -9,8 +9,8 @@ use crate::{output, testbed_file::count};
 /// Remove what killed runs left behind
 ///
 /// Namespaces, their interfaces and processes go with their run, however it ends. When a run is killed with SIGKILL, control
-/// groups do not, nor do conditions of this machine's own interfaces, nor the entries by which tools find runs; the next run
-/// removes them, or this.
+/// groups do not, nor do conditions of this machine's own interfaces, nor the entry by which tools find the run; the next
+/// run removes them, or this.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
     /// Only say what would be removed

@@ -5,7 +5,7 @@ use std::{convert::Infallible, io, os::unix::process::CommandExt, path::PathBuf,
 use clap::Args;
 use cotorra_datapath::HostsFile;
 use cotorra_graph::{HardwareGraph, NodeId, ros1_environment};
-use cotorra_plugin::runs::Runs;
+use cotorra_plugin::runs::{RunEntry, Runs};
 
 use crate::{
     run::token_text,
@@ -15,7 +15,7 @@ use crate::{
 /// Run a program inside a node of the running testbed
 ///
 /// The program sees the node's network and nothing else changes: same files, same user, same terminal. Nodes have
-/// their names. The run is one of yours on this machine; it is asked where nobody else can listen.
+/// their names. The run is one of yours on this machine.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -43,9 +43,12 @@ pub enum Error {
     Run(#[from] running::Error),
     #[error("`{0}` is a switch or a real machine: it has no network namespace to run a program in")]
     Switch(NodeId),
-    #[error("the run says that `{node}` is {}, which is not held by its process {process}", namespace.display())]
+    #[error("the run says that `{node}` is {}, which its process {process} does not hold", namespace.display())]
     #[diagnostic(help("nothing was entered; please report this as a bug, with the run's folder"))]
     Foreign { node: NodeId, namespace: PathBuf, process: u32 },
+    #[error("process {0} is not the run's: the run ended just now, or is in another PID namespace")]
+    #[diagnostic(help("enter the container of the run, if it is in one"))]
+    OtherProcess(u32),
     #[error("cannot enter `{node}`: {reason}")]
     #[diagnostic(help("run it as the user who runs the testbed"))]
     Enter { node: NodeId, reason: cotorra_datapath::Error },
@@ -55,8 +58,12 @@ pub enum Error {
 
 /// Becomes the program; returns only if that fails.
 pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
-    let Place { namespace, graph } = find(args, &Runs::of_user(), token_text())?;
+    let Place { run, namespace, graph } = find(args, &Runs::of_user(), token_text())?;
     cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
+    // Now, because the kernel may give the number to another process as long as the namespace is not entered.
+    if !run.is_its_process() {
+        return Err(Error::OtherProcess(run.process));
+    }
     if let Err(error) = HostsFile::of(&graph).and_then(|hosts| hosts.enter()) {
         note!("node names are not known to `{}`: {error}", args.command[0]);
     }
@@ -71,12 +78,12 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
 /// Where a program is to run.
 #[derive(Debug)]
 struct Place {
+    run: RunEntry,
     namespace: PathBuf,
     graph: HardwareGraph,
 }
 
-/// Asks the run where its node is. A path to anything but what its own process holds is not believed: as root, any process
-/// could be entered.
+/// Asks the run where its node is. Refuses a path to anything but what its own process holds: root could enter any process.
 fn find(args: &ExecArgs, runs: &Runs, token: Option<String>) -> Result<Place, Error> {
     let (run, client) = args.run.find(runs, token)?;
     let failed = |error| Error::Run(explained(run.api, error));
@@ -86,7 +93,8 @@ fn find(args: &ExecArgs, runs: &Runs, token: Option<String>) -> Result<Place, Er
     if !run.holds(&namespace) {
         return Err(Error::Foreign { node, namespace, process: run.process });
     }
-    Ok(Place { namespace, graph: client.testbed().map_err(failed)?.graph })
+    let graph = client.testbed().map_err(failed)?.graph;
+    Ok(Place { run, namespace, graph })
 }
 
 #[cfg(test)]
@@ -114,7 +122,8 @@ mod tests {
             served.asked();
         }
         let node = format!(r#"{{"address": null, "namespace": "{own}"}}"#);
-        let testbed = r#"{"name": "t", "graph": {"domains": [], "nodes": [], "links": [], "wireless": {}}, "services": [], "walks": []}"#;
+        let testbed = r#"{"name": "t", "graph": {"domains": [], "nodes": [], "links": [], "wireless": {}},
+            "services": [], "walks": []}"#;
         let served = Served::on(squatter.address(), vec![node, testbed.to_owned()]);
         let place = find(&in_robot(squatter.address()), &served.runs, None).unwrap();
         assert_eq!(place.namespace, PathBuf::from(own));

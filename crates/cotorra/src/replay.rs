@@ -107,7 +107,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let after_start = |after: Duration| Timestamp::ZERO + after;
     let options = ReplayOptions {
         api: args.api,
-        known: Some((Runs::of_user(), PathBuf::from(format!("replay of {}", args.run)))),
+        known: Some((Runs::of_user(), format!("replay of {}", args.run))),
         tokens: run::tokens()?,
         speed: match args.speed {
             Pace::Times(times) => Speed::Times(times),

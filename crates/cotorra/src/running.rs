@@ -1,5 +1,5 @@
-//! The run that a command is about: found by the entry that it put into a folder of this user's, and spoken to over its Unix
-//! socket there. Who took a port of its is told nothing.
+//! Finds the run that a command is about by its entry, and talks to it over its Unix socket. A program that took the port
+//! of a run hears nothing.
 
 use std::net::SocketAddr;
 
@@ -30,7 +30,7 @@ pub enum Error {
     Failed(ClientError),
 }
 
-/// What to do about a run that is not found.
+/// Says what to do about a run that is not found.
 fn help_for(error: &RunsError) -> &'static str {
     match error {
         RunsError::None { .. } => {
@@ -42,13 +42,14 @@ fn help_for(error: &RunsError) -> &'static str {
              `cotorra link`, with --unverified"
         }
         RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
-            "runs are found in the folder `cotorra` in XDG_RUNTIME_DIR, or `cotorra-UID` in that for temporary files"
+            "runs are found in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in the folder \
+             for temporary files"
         }
     }
 }
 
 impl WhichRun {
-    /// The run, and who asks it; `token` is shown to it alone.
+    /// Returns the run, and a client that shows `token` to it alone.
     pub fn find(&self, runs: &Runs, token: Option<String>) -> Result<(RunEntry, Client), Error> {
         let run = runs.find(self.api).map_err(Error::NotFound)?;
         let client = with_token(Client::of(&run).map_err(Error::Failed)?, token);
@@ -56,7 +57,7 @@ impl WhichRun {
     }
 }
 
-/// A client that shows a token, if there is one.
+/// Adds a token to a client, if there is one.
 pub fn with_token(client: Client, token: Option<String>) -> Client {
     match token {
         Some(token) => client.with_token(token),
@@ -64,7 +65,7 @@ pub fn with_token(client: Client, token: Option<String>) -> Client {
     }
 }
 
-/// What an error of a client of the run on `api` says.
+/// Explains an error of a client of the run on `api`.
 pub fn explained(api: SocketAddr, error: ClientError) -> Error {
     match error {
         ClientError::Unreachable { source, .. } => Error::Silent { api, reason: source.to_string() },
@@ -77,7 +78,6 @@ pub mod tests {
     use std::{
         io::{BufRead, BufReader, ErrorKind, Write},
         net::TcpListener,
-        path::Path,
         thread::{self, JoinHandle},
     };
 
@@ -86,7 +86,7 @@ pub mod tests {
 
     use super::*;
 
-    /// A program that listens where a run would, and is not to hear anything.
+    /// A program that listens where a run would, and must hear nothing.
     pub struct Squatter(TcpListener);
 
     impl Squatter {
@@ -119,7 +119,7 @@ pub mod tests {
         pub fn on(api: SocketAddr, answers: Vec<String>) -> Self {
             let folder = TempDir::new().unwrap();
             let runs = Runs::in_folder(folder.path().join("cotorra"));
-            let mut entry = runs.announce(api, Path::new("/runs/walk")).unwrap();
+            let mut entry = runs.announce(api, "/runs/walk").unwrap();
             let listener = entry.listener().unwrap();
             let answering = thread::spawn(move || {
                 let answer = |body: String| {

@@ -206,8 +206,8 @@ struct Failure {
 
 impl Client {
     /// The client of the API that `COTORRA_API` names, with the token in `COTORRA_TOKEN` if one is set, under the
-    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without `COTORRA_API`, the client of this
-    /// user's only run on this machine, as [`Client::of`] gives it.
+    /// name in `COTORRA_PLUGIN`: what a testbed sets for the plug-ins that it starts. Without `COTORRA_API`, the client of
+    /// this user's only run on this machine, as [`Client::of`] gives it.
     ///
     /// # Errors
     /// [`ClientError`] if one of them is missing or cannot be used. Whether somebody answers shows later.
@@ -222,8 +222,8 @@ impl Client {
         Ok(client)
     }
 
-    /// The client of the API at that address, as in `http://127.0.0.1:7700`. Whoever listens there is told what is asked, with
-    /// the token: for a run of this user on this machine, [`Client::of`] leaves no doubt who that is.
+    /// The client of the API at that address, as in `http://127.0.0.1:7700`. Whoever listens there gets the token: prefer
+    /// [`Client::of`] for a run of this user on this machine.
     ///
     /// # Errors
     /// [`ClientError::Address`] if it is none.
@@ -235,13 +235,12 @@ impl Client {
         Ok(Self { agent: config().into(), api: api.to_owned(), token: None, plugin: None })
     }
 
-    /// The client of a run of this user on this machine, over its Unix socket: nobody else can listen there, so nobody else is
-    /// told anything, and what is answered is the run's.
+    /// The client of a run of this user on this machine, over its Unix socket, where nobody else can listen.
     ///
     /// # Errors
     /// [`ClientError::Address`] if the run's address can be none.
     pub fn of(run: &RunEntry) -> Result<Self, ClientError> {
-        let agent = local::agent(config(), &run.socket);
+        let agent = local::agent(config(), run);
         Ok(Self { agent, ..Self::new(&format!("http://{}", run.api))? })
     }
 

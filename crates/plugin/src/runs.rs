@@ -1,31 +1,39 @@
 //! The runs of this user on this machine, and the socket on which each serves its API beside its TCP address.
 //!
-//! Anyone on a machine can listen on a TCP port, and a run whose port is taken moves to another. So a run also listens on a
-//! Unix socket in a folder that only its user may enter, with an entry beside it that says whose it is. Nobody else can put a
-//! socket there: whoever finds a run here ([`Runs::find`]) and talks to it over that socket
-//! ([`Client::of`](crate::client::Client::of)) talks to that run, and to nobody who took its port.
+//! Any user can listen on a TCP port, and a run whose port is taken moves to another. So a run also listens on a Unix
+//! socket in a folder that only its user may enter, and writes its address into an entry beside it. Nobody else can put a
+//! socket there: a tool that finds a run ([`Runs::find`]) and connects to its socket
+//! ([`Client::of`](crate::client::Client::of)) talks to that run. No nonce is needed: the kernel decides who listens there.
 //!
-//! A run holds a lock on its entry, which the kernel takes away when the process ends, however it ends: the entry of a dead
-//! process is known by that, and the next run removes it.
+//! A run holds a lock on its entry. The kernel releases it when the process ends, also by SIGKILL: an entry without a lock
+//! is that of a dead process, and the next run removes it.
+//!
+//! A folder is opened once, checked, and then used through `/proc/self/fd`. So nobody can exchange it after the check, and
+//! a socket's path is never too long.
 
 use std::{
+    collections::BTreeSet,
     env, fmt,
     fs::{self, DirBuilder, File, Metadata, OpenOptions, Permissions, TryLockError},
     io::{self, Read, Write},
     net::SocketAddr,
-    os::unix::{
-        fs::{DirBuilderExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt},
-        net::UnixListener,
+    os::{
+        fd::AsRawFd,
+        unix::{
+            fs::{DirBuilderExt, FileTypeExt, MetadataExt, OpenOptionsExt, PermissionsExt},
+            net::{UnixListener, UnixStream},
+        },
     },
     path::{Path, PathBuf},
     process,
+    sync::Arc,
 };
 
 use serde::{Deserialize, Serialize};
 
-/// An entry is no longer than this, bytes: a path and a few numbers.
-const LONGEST_ENTRY: u64 = 16 << 10;
-/// How an entry's name ends, and that of its socket.
+/// Longest entry that is read, in bytes.
+const LONGEST_ENTRY: u64 = 64 << 10;
+/// Endings of an entry's name and of its socket's.
 const ENTRY: &str = "json";
 const SOCKET: &str = "sock";
 
@@ -37,16 +45,17 @@ pub struct Runs {
 }
 
 /// A run that goes on.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct RunEntry {
     /// Where it serves its API over TCP.
     pub api: SocketAddr,
-    /// Its folder, or what else it is.
-    pub run: PathBuf,
+    /// What it is, for people: a run's folder.
+    pub what: String,
     /// Its process.
     pub process: u32,
-    /// Where it serves its API to this user alone.
-    pub socket: PathBuf,
+    folder: Folder,
+    stem: String,
+    entry: Arc<File>,
 }
 
 /// What an entry's file holds.
@@ -54,7 +63,7 @@ pub struct RunEntry {
 #[serde(deny_unknown_fields)]
 struct Written {
     api: SocketAddr,
-    run: PathBuf,
+    what: String,
     process: u32,
 }
 
@@ -69,7 +78,7 @@ pub enum RunsError {
         /// What the system says.
         source: io::Error,
     },
-    /// Somebody else may have written it.
+    /// Another user may have written it.
     #[error("{} is not trusted: {why}; see where it comes from, and remove it", path.display())]
     NotPrivate {
         /// The file or folder.
@@ -78,7 +87,7 @@ pub enum RunsError {
         why: NotPrivate,
     },
     /// Another version may have written it.
-    #[error("{} does not say which run it is of: {reason}; use the cotorra that runs, or remove it", path.display())]
+    #[error("{} is not an entry of a run: {reason}; use the version of cotorra that runs, or remove it", path.display())]
     Malformed {
         /// The entry.
         path: PathBuf,
@@ -86,12 +95,15 @@ pub enum RunsError {
         reason: serde_json::Error,
     },
     /// Nothing runs.
-    #[error("no testbed of this user runs on this machine (none is in {})", list(folders.iter().map(|folder| folder.display())))]
+    #[error(
+        "no testbed of this user runs on this machine (none is in {})",
+        list(folders.iter().map(|path| path.display()))
+    )]
     None {
         /// Where one would be.
         folders: Vec<PathBuf>,
     },
-    /// It was not said which.
+    /// Several go on, and no address says which is meant.
     #[error("several testbeds run: {}", list(.0))]
     Several(Vec<RunEntry>),
     /// No run of this user serves its API there.
@@ -112,7 +124,7 @@ pub enum NotPrivate {
         /// What it should be.
         wanted: &'static str,
     },
-    /// Another user's.
+    /// It belongs to another user.
     Owner {
         /// That user.
         uid: u32,
@@ -122,8 +134,6 @@ pub enum NotPrivate {
         /// Its permissions.
         mode: u32,
     },
-    /// Others may put something else in its place.
-    Parent,
 }
 
 impl fmt::Display for NotPrivate {
@@ -132,14 +142,13 @@ impl fmt::Display for NotPrivate {
             Self::Kind { wanted } => write!(f, "it is no {wanted}"),
             Self::Owner { uid } => write!(f, "it belongs to another user ({uid})"),
             Self::Mode { mode } => write!(f, "others may use it (mode {mode:04o})"),
-            Self::Parent => f.write_str("others may write to the folder that it is in"),
         }
     }
 }
 
 impl fmt::Display for RunEntry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} ({})", self.api, self.run.display())
+        write!(f, "{} ({})", self.api, self.what)
     }
 }
 
@@ -151,41 +160,61 @@ fn others(running: &[RunEntry]) -> String {
     if running.is_empty() { ", and none runs".to_owned() } else { format!("; there are {}", list(running)) }
 }
 
-fn system(path: &Path) -> impl FnOnce(io::Error) -> RunsError {
+fn system(path: &Path) -> impl Fn(io::Error) -> RunsError + use<> {
     let path = path.to_owned();
-    move |source| RunsError::System { path, source }
+    move |source| RunsError::System { path: path.clone(), source }
 }
 
 impl RunEntry {
+    /// Connects to its socket.
+    ///
+    /// # Errors
+    /// What the system says, as when the run ended.
+    pub fn connect(&self) -> io::Result<UnixStream> {
+        UnixStream::connect(self.folder.file(&self.stem, SOCKET))
+    }
+
     /// Whether an address leads to its API: its own, or one of loopback where it listens on all.
     fn serves(&self, api: SocketAddr) -> bool {
         let Self { api: own, .. } = self;
         *own == api || own.ip().is_unspecified() && api.ip().is_loopback() && own.port() == api.port()
     }
 
-    /// Whether a path leads to a file that its process holds open, as `/proc/4242/fd/17` does of process 4242.
+    /// Whether a path is that of a file that its process holds open, such as `/proc/4242/fd/17` for process 4242.
     pub fn holds(&self, path: &Path) -> bool {
         let open = format!("/proc/{}/fd/", self.process);
         let number = path.to_str().and_then(|path| path.strip_prefix(&open));
         number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
     }
+
+    /// Whether the process of that number holds its entry open. It does not if the run ended and another process got the
+    /// number, or if the run has another PID namespace.
+    pub fn is_its_process(&self) -> bool {
+        let Ok(entry) = self.entry.metadata() else { return false };
+        let is_entry = |found: Metadata| (found.dev(), found.ino()) == (entry.dev(), entry.ino());
+        let open = fs::read_dir(format!("/proc/{}/fd", self.process)).into_iter().flatten().flatten();
+        open.map(|file| file.path()).any(|path| fs::metadata(path).is_ok_and(is_entry))
+    }
 }
 
 impl Runs {
-    /// Those of this process's user. New ones are put into `cotorra` in `XDG_RUNTIME_DIR`; where that is not set, or another
-    /// user's, into `cotorra-UID` in the folder for temporary files. One that was started from elsewhere, as by `sudo`, may have
-    /// done the other: both are searched, and `/run/user/UID`.
+    /// Those of this process's user. New ones are put into the first of these folders: `cotorra` in `XDG_RUNTIME_DIR`, or
+    /// in `/run/user/UID`, where that is there and the user's; or else `cotorra-UID` in the folder for temporary files. All
+    /// are searched, because a run and a tool may be started in different environments, as by `sudo`.
+    ///
+    /// Call it before the process enters a user namespace, in which its user has another number.
     pub fn of_user() -> Self {
-        let own = user();
+        let uid = user();
         let is_own = |path: &PathBuf| {
-            path.is_absolute() && fs::metadata(path).is_ok_and(|found| Some(found.uid()) == own)
+            path.is_absolute() && fs::metadata(path).is_ok_and(|found| Some(found.uid()) == uid)
         };
-        let named = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from).filter(is_own);
-        let uid = own.map_or("unknown".to_owned(), |uid| uid.to_string());
-        let of_session = Some(PathBuf::from(format!("/run/user/{uid}"))).filter(is_own);
-        let mut folders: Vec<_> = named.iter().map(|folder| folder.join("cotorra")).collect();
+        let uid = uid.map_or("unknown".to_owned(), |uid| uid.to_string());
+        let named = env::var_os("XDG_RUNTIME_DIR").map(PathBuf::from);
+        let of_session = PathBuf::from(format!("/run/user/{uid}"));
+        let own = named.into_iter().chain([of_session]).filter(is_own);
+        let mut folders: Vec<_> = own.map(|folder| folder.join("cotorra")).collect();
+        folders.dedup();
         folders.push(env::temp_dir().join(format!("cotorra-{uid}")));
-        folders.extend(of_session.filter(|folder| Some(folder) != named.as_ref()).map(|f| f.join("cotorra")));
         Self { folders }
     }
 
@@ -194,10 +223,15 @@ impl Runs {
         Self { folders: vec![path.into()] }
     }
 
-    /// The run that serves its API on an address; without one, the only run.
+    /// Folders in which they are, now or later.
+    pub fn folders(&self) -> &[PathBuf] {
+        &self.folders
+    }
+
+    /// Returns the run that serves its API on an address; without one, the only run.
     ///
     /// # Errors
-    /// [`RunsError::None`], [`RunsError::Several`] or [`RunsError::NotThere`]; others where a file cannot be read or trusted.
+    /// [`RunsError::None`], [`RunsError::Several`] or [`RunsError::NotThere`]; others where a file is not read or trusted.
     pub fn find(&self, api: Option<SocketAddr>) -> Result<RunEntry, RunsError> {
         let (mut running, refused) = self.running();
         if let Some(api) = api {
@@ -214,19 +248,17 @@ impl Runs {
         }
     }
 
-    /// All that go on, by address; and why the first that was refused was. Others can make a folder for temporary files theirs,
-    /// but not hide with that what is in another.
+    /// Returns all that go on, by address, and the first error. An error in one folder does not hide the runs in another:
+    /// any user can make a folder in that for temporary files.
     fn running(&self) -> (Vec<RunEntry>, Option<RunsError>) {
         let (mut running, mut refused) = (Vec::new(), None);
-        for folder in &self.folders {
-            let entries = is_there(folder)
-                .and_then(|there| if there { with_ending(folder, &[ENTRY]) } else { Ok(Vec::new()) });
-            let entries = entries.unwrap_or_else(|error| {
-                refused.get_or_insert(error);
-                Vec::new()
+        for path in &self.folders {
+            let entries = Folder::open(path).and_then(|folder| match folder {
+                Some(folder) => Ok(folder.stems()?.iter().map(|stem| folder.read(stem)).collect()),
+                None => Ok(Vec::new()),
             });
-            for path in entries {
-                match read(&path) {
+            for entry in entries.unwrap_or_else(|error| vec![Err(error)]) {
+                match entry {
                     Ok(entry) => running.extend(entry),
                     Err(error) => _ = refused.get_or_insert(error),
                 }
@@ -236,63 +268,54 @@ impl Runs {
         (running, refused)
     }
 
-    /// Puts a run of this process there, until what it gives is dropped. What dead processes left there is removed.
+    /// Puts a run of this process there, until the result is dropped; `what` tells people which it is. Removes what dead
+    /// processes left there.
     ///
     /// # Errors
     /// [`RunsError`] where nothing can be put, or others might read or replace it.
-    pub fn announce(&self, api: SocketAddr, run: &Path) -> Result<Announced, RunsError> {
-        let folder = self.folders.first().expect("there is one");
-        if !is_there(folder)? {
-            let parents = folder.parent().map_or(Ok(()), fs::create_dir_all);
-            let made = parents.and_then(|()| match DirBuilder::new().mode(0o700).create(folder) {
-                // Another run was faster; whether it is one of ours is looked at next.
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
-                made => made,
-            });
-            made.map_err(system(folder))?;
-            is_there(folder)?;
-        }
-        // Nobody takes an entry for a dead one's before it has its lock.
-        let _alone = locked(folder)?;
-        remove_dead(folder)?;
+    pub fn announce(&self, api: SocketAddr, what: &str) -> Result<Announced, RunsError> {
+        let folder = Folder::make(self.folders.first().expect("there is one"))?;
+        // So nobody takes the entry for that of a dead process before it is locked.
+        let _alone = folder.lock()?;
+        folder.remove_dead()?;
         let process = process::id();
-        let entry = folder.join(format!("{process}-{}.{ENTRY}", api.port()));
-        let socket = entry.with_extension(SOCKET);
-        let listener = UnixListener::bind(&socket).map_err(system(&socket))?;
-        let mut announced = Announced { listener: Some(listener), files: vec![socket.clone()], _lock: None };
-        fs::set_permissions(&socket, Permissions::from_mode(0o600)).map_err(system(&socket))?;
-        let written = Written { api, run: run.to_owned(), process };
-        let text = serde_json::to_string(&written)
-            .map_err(|reason| RunsError::Malformed { path: entry.clone(), reason })?;
+        let stem = format!("{process}-{}", api.port());
+        let [entry, socket] = [ENTRY, SOCKET].map(|ending| folder.file(&stem, ending));
+        let [failed, socket_failed] =
+            [ENTRY, SOCKET].map(|ending| system(&folder.path.join(format!("{stem}.{ending}"))));
+        let listener = UnixListener::bind(&socket).map_err(&socket_failed)?;
+        let mut announced = Announced { listener: Some(listener), _entry: None, folder, stem };
+        fs::set_permissions(&socket, Permissions::from_mode(0o600)).map_err(socket_failed)?;
+        let written = Written { api, what: what.to_owned(), process };
+        let text = serde_json::to_vec(&written).expect("text and numbers become JSON");
         let mut file = OpenOptions::new();
-        let mut file = file.write(true).create_new(true).mode(0o600).open(&entry).map_err(system(&entry))?;
-        announced.files.insert(0, entry.clone());
-        file.write_all(text.as_bytes()).and_then(|()| file.lock()).map_err(system(&entry))?;
-        announced._lock = Some(file);
+        let mut file = file.write(true).create_new(true).mode(0o600).open(entry).map_err(&failed)?;
+        file.write_all(&text).and_then(|()| file.lock()).map_err(failed)?;
+        announced._entry = Some(file);
         Ok(announced)
     }
 
-    /// What dead processes left, and why others cannot be told.
+    /// Returns the entries that dead processes left, and the errors of folders that cannot be searched.
     pub fn leftovers(&self) -> (Vec<PathBuf>, Vec<RunsError>) {
-        self.each_folder(dead)
+        self.each_folder(Folder::dead)
     }
 
-    /// Removes what dead processes left: gives what it removed, and why others stay.
+    /// Removes the entries that dead processes left, and returns the same.
     pub fn clean(&self) -> (Vec<PathBuf>, Vec<RunsError>) {
         self.each_folder(|folder| {
-            let _alone = locked(folder)?;
-            remove_dead(folder)
+            let _alone = folder.lock()?;
+            folder.remove_dead()
         })
     }
 
     fn each_folder(
         &self,
-        of: impl Fn(&Path) -> Result<Vec<PathBuf>, RunsError>,
+        entries: impl Fn(&Folder) -> Result<Vec<String>, RunsError>,
     ) -> (Vec<PathBuf>, Vec<RunsError>) {
         let (mut all, mut refused) = (Vec::new(), Vec::new());
-        for folder in &self.folders {
-            match is_there(folder).and_then(|there| if there { of(folder) } else { Ok(Vec::new()) }) {
-                Ok(paths) => all.extend(paths),
+        for path in &self.folders {
+            match Folder::open(path).and_then(|folder| folder.as_ref().map_or(Ok(Vec::new()), &entries)) {
+                Ok(stems) => all.extend(stems.iter().map(|stem| path.join(format!("{stem}.{ENTRY}")))),
                 Err(error) => refused.push(error),
             }
         }
@@ -304,9 +327,10 @@ impl Runs {
 #[derive(Debug)]
 pub struct Announced {
     listener: Option<UnixListener>,
-    files: Vec<PathBuf>,
-    /// Says that this process lives.
-    _lock: Option<File>,
+    /// Locked while this process lives.
+    _entry: Option<File>,
+    folder: Folder,
+    stem: String,
 }
 
 impl Announced {
@@ -318,14 +342,12 @@ impl Announced {
 
 impl Drop for Announced {
     fn drop(&mut self) {
-        for file in &self.files {
-            // What stays is removed by the next run.
-            let _ = fs::remove_file(file);
-        }
+        // The next run removes what stays.
+        let _ = self.folder.remove(&self.stem);
     }
 }
 
-/// The user as whom this process acts, as seen from its user namespace.
+/// Returns the user as whom this process acts, by its number in the process's user namespace.
 fn user() -> Option<u32> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let ids = status.lines().find_map(|line| line.strip_prefix("Uid:"))?;
@@ -333,20 +355,8 @@ fn user() -> Option<u32> {
     ids.split_whitespace().nth(1)?.parse().ok()
 }
 
-/// What matters of a file for who may use it.
-#[derive(Debug, Clone, Copy)]
-struct Found {
-    is_of_kind: bool,
-    uid: u32,
-    mode: u32,
-}
-
-/// Refuses what may be used by others than the user `own`.
-fn private(found: Found, wanted: &'static str, own: Option<u32>) -> Result<(), NotPrivate> {
-    let Found { is_of_kind, uid, mode } = found;
-    if !is_of_kind {
-        return Err(NotPrivate::Kind { wanted });
-    }
+/// Refuses what others than the user `own` may use.
+fn private(uid: u32, mode: u32, own: Option<u32>) -> Result<(), NotPrivate> {
     if Some(uid) != own {
         return Err(NotPrivate::Owner { uid });
     }
@@ -356,112 +366,143 @@ fn private(found: Found, wanted: &'static str, own: Option<u32>) -> Result<(), N
     Ok(())
 }
 
-/// Refuses a folder in which others than the user `own` may put something in the place of what is there.
-fn keeps(parent: Found, own: Option<u32>) -> Result<(), NotPrivate> {
-    let is_sticky = parent.mode & 0o1000 != 0;
-    let is_own = Some(parent.uid) == own && parent.mode & 0o022 == 0;
-    if is_sticky || is_own { Ok(()) } else { Err(NotPrivate::Parent) }
-}
-
-/// Looks at a file, not at what a link leads to; `None` if there is none.
-fn look(path: &Path, is_of_kind: impl Fn(&Metadata) -> bool) -> Result<Option<Found>, RunsError> {
-    match fs::symlink_metadata(path) {
-        Ok(found) => {
-            let is_of_kind = is_of_kind(&found);
-            Ok(Some(Found { is_of_kind, uid: found.uid(), mode: found.mode() }))
+/// Opens a file or folder that must be this user's alone; `None` if there is none. Errors name it as `shown`.
+fn open(
+    path: &Path,
+    shown: &Path,
+    wanted: &'static str,
+    is_wanted: fn(&Metadata) -> bool,
+) -> Result<Option<File>, RunsError> {
+    let not_private = |why| RunsError::NotPrivate { path: shown.to_owned(), why };
+    // First, because opening follows links and waits for pipes.
+    let opened = fs::symlink_metadata(path).and_then(|seen| match is_wanted(&seen) {
+        true => File::open(path).and_then(|file| Ok(Some((file.metadata()?, file)))),
+        false => Ok(None),
+    });
+    match opened {
+        Ok(Some((found, file))) if is_wanted(&found) => {
+            private(found.uid(), found.mode(), user()).map_err(not_private)?;
+            Ok(Some(file))
         }
+        Ok(_) => Err(not_private(NotPrivate::Kind { wanted })),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(system(path)(error)),
+        Err(error) => Err(system(shown)(error)),
     }
 }
 
-/// Whether a folder for runs is there; refuses one that is not this user's alone.
-fn is_there(folder: &Path) -> Result<bool, RunsError> {
-    let not_private = |why| RunsError::NotPrivate { path: folder.to_owned(), why };
-    let own = user();
-    let Some(found) = look(folder, Metadata::is_dir)? else { return Ok(false) };
-    private(found, "folder", own).map_err(not_private)?;
-    // The user wrote this folder's name: what its parent's name leads to is meant.
-    let parent = folder.parent().map_or(Path::new("/"), |parent| parent);
-    let parent = parent.canonicalize().map_err(system(parent))?;
-    match look(&parent, Metadata::is_dir)? {
-        Some(parent) => keeps(parent, own).map_err(not_private)?,
-        None => return Ok(false),
-    }
-    Ok(true)
+/// A folder that is this user's alone, held open. Each run has two files there: the entry and the socket, of one stem.
+#[derive(Debug, Clone)]
+struct Folder {
+    /// For messages; it may lead elsewhere by now.
+    path: PathBuf,
+    opened: Arc<File>,
 }
 
-/// Files of a folder by how their names end.
-fn with_ending(folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, RunsError> {
-    let mut all = Vec::new();
-    for file in fs::read_dir(folder).map_err(system(folder))? {
-        let path = file.map_err(system(folder))?.path();
-        if path.extension().is_some_and(|ending| endings.iter().any(|wanted| ending == *wanted)) {
-            all.push(path);
+impl Folder {
+    /// Opens a folder; `None` if there is none.
+    fn open(path: &Path) -> Result<Option<Self>, RunsError> {
+        let opened = open(path, path, "folder", Metadata::is_dir)?;
+        Ok(opened.map(|opened| Self { path: path.to_owned(), opened: Arc::new(opened) }))
+    }
+
+    /// Opens a folder, which it makes if there is none.
+    fn make(path: &Path) -> Result<Self, RunsError> {
+        match DirBuilder::new().mode(0o700).create(path) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(system(path)(error)),
+            _ => {}
+        }
+        Self::open(path)?.ok_or_else(|| system(path)(io::ErrorKind::NotFound.into()))
+    }
+
+    /// Has its files for this process alone until the result is dropped.
+    fn lock(&self) -> Result<File, RunsError> {
+        let file = File::open(self.inside()).map_err(system(&self.path))?;
+        file.lock().map_err(system(&self.path))?;
+        Ok(file)
+    }
+
+    /// The way into it, whatever its name leads to by now.
+    fn inside(&self) -> PathBuf {
+        PathBuf::from(format!("/proc/self/fd/{}/", self.opened.as_raw_fd()))
+    }
+
+    fn file(&self, stem: &str, ending: &str) -> PathBuf {
+        self.inside().join(format!("{stem}.{ending}"))
+    }
+
+    /// Stems of all runs that are or were there; nothing else in the folder is touched.
+    fn stems(&self) -> Result<BTreeSet<String>, RunsError> {
+        let mut stems = BTreeSet::new();
+        for file in fs::read_dir(self.inside()).map_err(system(&self.path))? {
+            let name = file.map_err(system(&self.path))?.file_name();
+            let parts = name.to_str().and_then(|name| name.rsplit_once('.'));
+            if let Some((stem, ENTRY | SOCKET)) = parts
+                && stem.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-')
+            {
+                stems.insert(stem.to_owned());
+            }
+        }
+        Ok(stems)
+    }
+
+    /// Opens the entry of a process that lives; `None` if it is gone.
+    fn living(&self, stem: &str) -> Result<Option<File>, RunsError> {
+        let shown = self.path.join(format!("{stem}.{ENTRY}"));
+        let file = open(&self.file(stem, ENTRY), &shown, "regular file", Metadata::is_file)?;
+        let Some(file) = file else { return Ok(None) };
+        match file.try_lock_shared() {
+            Ok(()) => Ok(None),
+            Err(TryLockError::WouldBlock) => Ok(Some(file)),
+            Err(TryLockError::Error(error)) => Err(system(&shown)(error)),
         }
     }
-    Ok(all)
-}
 
-/// Has a folder's files for itself until what it gives is dropped.
-fn locked(folder: &Path) -> Result<File, RunsError> {
-    let file = File::open(folder).map_err(system(folder))?;
-    file.lock().map_err(system(folder))?;
-    Ok(file)
-}
-
-/// Opens an entry whose process lives; `None` if it is gone.
-fn open(path: &Path) -> Result<Option<File>, RunsError> {
-    let not_private = |path: &Path| {
-        let path = path.to_owned();
-        |why| RunsError::NotPrivate { path, why }
-    };
-    let Some(found) = look(path, Metadata::is_file)? else { return Ok(None) };
-    private(found, "regular file", user()).map_err(not_private(path))?;
-    let file = match File::open(path) {
-        Ok(file) => file,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(system(path)(error)),
-    };
-    match file.try_lock_shared() {
-        Ok(()) => Ok(None),
-        Err(TryLockError::WouldBlock) => Ok(Some(file)),
-        Err(TryLockError::Error(error)) => Err(system(path)(error)),
-    }
-}
-
-/// Reads an entry; `None` if its process is gone.
-fn read(path: &Path) -> Result<Option<RunEntry>, RunsError> {
-    let Some(file) = open(path)? else { return Ok(None) };
-    let mut text = Vec::new();
-    file.take(LONGEST_ENTRY).read_to_end(&mut text).map_err(system(path))?;
-    let Written { api, run, process } = serde_json::from_slice(&text)
-        .map_err(|reason| RunsError::Malformed { path: path.to_owned(), reason })?;
-    let socket = path.with_extension(SOCKET);
-    let is_socket = |found: &Metadata| found.file_type().is_socket();
-    let Some(found) = look(&socket, is_socket)? else { return Ok(None) };
-    private(found, "socket", user()).map_err(|why| RunsError::NotPrivate { path: socket.clone(), why })?;
-    Ok(Some(RunEntry { api, run, process, socket }))
-}
-
-/// What dead processes left in a folder.
-fn dead(folder: &Path) -> Result<Vec<PathBuf>, RunsError> {
-    let mut dead = Vec::new();
-    for path in with_ending(folder, &[ENTRY, SOCKET])? {
-        // An entry that is not trusted is told to whoever looks for runs, and kept.
-        if matches!(open(&path.with_extension(ENTRY)), Ok(None)) {
-            dead.push(path);
+    /// Reads an entry; `None` if its process is gone.
+    fn read(&self, stem: &str) -> Result<Option<RunEntry>, RunsError> {
+        let Some(file) = self.living(stem)? else { return Ok(None) };
+        let shown = |ending| self.path.join(format!("{stem}.{ending}"));
+        let mut text = Vec::new();
+        (&file).take(LONGEST_ENTRY).read_to_end(&mut text).map_err(system(&shown(ENTRY)))?;
+        let Written { api, what, process } = serde_json::from_slice(&text)
+            .map_err(|reason| RunsError::Malformed { path: shown(ENTRY), reason })?;
+        let socket = match fs::symlink_metadata(self.file(stem, SOCKET)) {
+            Ok(socket) => socket,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(system(&shown(SOCKET))(error)),
+        };
+        match socket.file_type().is_socket() {
+            true => private(socket.uid(), socket.mode(), user()),
+            false => Err(NotPrivate::Kind { wanted: "socket" }),
         }
+        .map_err(|why| RunsError::NotPrivate { path: shown(SOCKET), why })?;
+        let (folder, stem) = (self.clone(), stem.to_owned());
+        Ok(Some(RunEntry { api, what, process, folder, stem, entry: Arc::new(file) }))
     }
-    Ok(dead)
-}
 
-fn remove_dead(folder: &Path) -> Result<Vec<PathBuf>, RunsError> {
-    let dead = dead(folder)?;
-    for path in &dead {
-        fs::remove_file(path).map_err(system(path))?;
+    /// Stems of runs whose process is gone.
+    fn dead(&self) -> Result<Vec<String>, RunsError> {
+        // An entry that is refused stays; `Runs::find` tells why.
+        Ok(self.stems()?.into_iter().filter(|stem| matches!(self.living(stem), Ok(None))).collect())
     }
-    Ok(dead)
+
+    fn remove_dead(&self) -> Result<Vec<String>, RunsError> {
+        let dead = self.dead()?;
+        dead.iter().try_for_each(|stem| self.remove(stem))?;
+        Ok(dead)
+    }
+
+    /// Removes the files of a run; one that just ended may do the same.
+    fn remove(&self, stem: &str) -> Result<(), RunsError> {
+        for ending in [ENTRY, SOCKET] {
+            match fs::remove_file(self.file(stem, ending)) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(system(&self.path.join(format!("{stem}.{ending}")))(error));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -302,7 +302,7 @@ impl Run {
                 callbacks: options.wais_callbacks.clone(),
             },
         };
-        let listener = listener.announced(options.runs.as_ref(), folder.path());
+        let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
         let server = Server::start(listener, context, options.tokens)?;
         let plugins = plugins.start(&testbed, &now, &server, &folder.logs(), &tell)?;
 

@@ -33,7 +33,7 @@ pub fn link(what: &Link) -> miette::Result<()> {
     }
 }
 
-/// Who asks a run, and where that serves its API.
+/// A run and the client that talks to it.
 struct Asked {
     api: SocketAddr,
     client: Client,

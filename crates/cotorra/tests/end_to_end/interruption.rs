@@ -57,7 +57,7 @@ fn kill_9_loses_nothing_that_was_kept_and_leaves_nothing_that_runs() {
     assert!(samples > 0);
     assert!(!run.folder.join("summary.json").exists(), "a killed run has no report");
 
-    // Only control groups outlive a killed run, until the next start or `clean`.
+    // Only control groups and its entry outlive a killed run, until the next start or `clean`.
     for group in &groups {
         let found = stdout(&output(["clean", "--dry-run"]));
         assert!(!group.exists() || found.contains(&group.display().to_string()), "{found}");

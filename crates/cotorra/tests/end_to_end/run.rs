@@ -214,7 +214,9 @@ fn tools_talk_to_the_run_and_to_nobody_who_listens_on_a_port() {
     let taken = squatter.local_addr().unwrap().to_string();
     let runtime = tempfile::tempdir().unwrap();
     let as_user = |command: &mut Command| {
-        command.env("COTORRA_TOKEN", TOKEN).env("XDG_RUNTIME_DIR", runtime.path());
+        command
+            .env("COTORRA_TOKEN", TOKEN)
+            .envs(["XDG_RUNTIME_DIR", "TMPDIR"].map(|name| (name, runtime.path())));
     };
     let told = |words: &[&str]| {
         let mut command = cotorra(words);

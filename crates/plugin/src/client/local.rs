@@ -1,11 +1,10 @@
 //! HTTP over a Unix socket.
 //!
-//! ureq keeps its transports apart from its stable interface (`unversioned`): a new version of it may want changes here.
+//! ureq excludes its transports from its stable interface (`unversioned`): a new version may need changes here.
 
 use std::{
     io::{self, Read, Write},
     os::unix::net::UnixStream,
-    path::{Path, PathBuf},
     time::Duration,
 };
 
@@ -19,12 +18,14 @@ use ureq::{
     },
 };
 
-/// What asks over the socket at this path, whatever an address says.
-pub(super) fn agent(config: Config, socket: &Path) -> Agent {
-    Agent::with_parts(config, Local { socket: socket.to_owned() }, NoName)
+use crate::runs::RunEntry;
+
+/// Returns an agent that connects to a run's socket, whatever an address says.
+pub(super) fn agent(config: Config, run: &RunEntry) -> Agent {
+    Agent::with_parts(config, Local { run: run.clone() }, NoName)
 }
 
-/// No name is looked up, and no thread started that would do so: who enters a namespace next must have one alone.
+/// Looks up no name, and starts no thread for that: a process that enters a user namespace next must have one thread.
 #[derive(Debug)]
 struct NoName;
 
@@ -36,14 +37,14 @@ impl Resolver for NoName {
 
 #[derive(Debug)]
 struct Local {
-    socket: PathBuf,
+    run: RunEntry,
 }
 
 impl Connector for Local {
     type Out = Connection;
 
     fn connect(&self, details: &ConnectionDetails<'_>, _: Option<()>) -> Result<Option<Connection>, Error> {
-        let stream = UnixStream::connect(&self.socket)?;
+        let stream = self.run.connect()?;
         let buffers =
             LazyBuffers::new(details.config.input_buffer_size(), details.config.output_buffer_size());
         Ok(Some(Connection { stream, buffers }))

@@ -1,4 +1,7 @@
-use std::os::unix::{fs::symlink, net::UnixStream};
+use std::{
+    mem,
+    os::unix::{fs::symlink, process::parent_id},
+};
 
 use tempfile::TempDir;
 
@@ -26,14 +29,20 @@ impl Rig {
     }
 
     fn announce(&self, port: u16) -> Announced {
-        self.runs.announce(api(port), Path::new(&format!("/runs/{port}"))).unwrap()
+        self.runs.announce(api(port), &format!("/runs/{port}")).unwrap()
     }
 
     /// What is left of a process that was killed.
     fn dead(&self, port: u16) {
         let mut killed = self.announce(port);
-        (killed._lock, killed.listener) = (None, None);
-        killed.files.clear();
+        (killed._entry, killed.listener) = (None, None);
+        mem::forget(killed);
+    }
+
+    /// The entry and the socket of the only run.
+    fn paths(&self) -> [PathBuf; 2] {
+        let run = self.runs.find(None).unwrap();
+        [ENTRY, SOCKET].map(|ending| self.folder().join(format!("{}.{ending}", run.stem)))
     }
 
     fn files(&self) -> usize {
@@ -59,9 +68,9 @@ fn a_run_is_found_on_its_socket_as_long_as_it_is_announced() {
     let mut announced = rig.announce(7700);
     let listener = announced.listener().unwrap();
     let run = rig.runs.find(None).unwrap();
-    assert_eq!(rig.runs.find(Some(api(7700))).unwrap(), run);
-    assert_eq!((run.api, &*run.run, run.process), (api(7700), Path::new("/runs/7700"), process::id()));
-    UnixStream::connect(&run.socket).unwrap();
+    assert_eq!(rig.runs.find(Some(api(7700))).unwrap().stem, run.stem);
+    assert_eq!((run.api, &*run.what, run.process), (api(7700), "/runs/7700", process::id()));
+    run.connect().unwrap();
     listener.accept().unwrap();
     drop(announced);
     assert!(matches!(rig.runs.find(None), Err(RunsError::None { .. })));
@@ -72,8 +81,8 @@ fn a_run_is_found_on_its_socket_as_long_as_it_is_announced() {
 fn nobody_but_its_user_may_read_an_entry_or_connect() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
-    let socket = rig.runs.find(None).unwrap().socket;
-    let modes = [rig.folder(), socket.with_extension(ENTRY), socket].map(|path| mode(&path));
+    let [entry, socket] = rig.paths();
+    let modes = [rig.folder(), entry, socket].map(|path| mode(&path));
     assert_eq!(modes, [0o700, 0o600, 0o600]);
 }
 
@@ -85,8 +94,8 @@ fn two_runs_are_told_apart_by_address() {
     let listed = "several testbeds run: 127.0.0.1:7700 (/runs/7700), 127.0.0.1:7701 (/runs/7701)";
     assert_eq!(several.to_string(), listed);
     let found = [7700, 7701].map(|port| rig.runs.find(Some(api(port))).unwrap());
-    assert_eq!(found.each_ref().map(|run| run.run.to_str().unwrap()), ["/runs/7700", "/runs/7701"]);
-    assert_ne!(found[0].socket, found[1].socket);
+    assert_eq!(found.each_ref().map(|run| &*run.what), ["/runs/7700", "/runs/7701"]);
+    assert_ne!(found[0].stem, found[1].stem);
     let nobody = rig.runs.find(Some(api(7702))).unwrap_err().to_string();
     assert!(nobody.contains("127.0.0.1:7702; there are 127.0.0.1:7700 (/runs/7700), "), "{nobody}");
     drop(both);
@@ -96,7 +105,7 @@ fn two_runs_are_told_apart_by_address() {
 fn a_run_on_all_addresses_is_found_by_that_of_loopback() {
     let rig = Rig::new();
     let all = SocketAddr::from(([0, 0, 0, 0], 7700));
-    let _announced = rig.runs.announce(all, Path::new("/runs/all")).unwrap();
+    let _announced = rig.runs.announce(all, "/runs/all").unwrap();
     assert_eq!(rig.runs.find(Some(api(7700))).unwrap().api, all);
     for other in [api(7701), ([192, 0, 2, 1], 7700).into()] {
         assert!(matches!(rig.runs.find(Some(other)), Err(RunsError::NotThere { .. })), "{other}");
@@ -110,7 +119,7 @@ fn the_entry_of_a_dead_process_is_no_run_and_the_next_run_removes_it() {
     assert_eq!(rig.files(), 2);
     assert!(matches!(rig.runs.find(Some(api(7700))), Err(RunsError::NotThere { .. })));
     let (left, refused) = rig.runs.leftovers();
-    assert_eq!((left.len(), refused.len(), rig.files()), (2, 0, 2));
+    assert_eq!((left.len(), refused.len(), rig.files()), (1, 0, 2));
     let _next = rig.announce(7701);
     assert_eq!((rig.runs.find(None).unwrap().api, rig.files()), (api(7701), 2));
 }
@@ -122,8 +131,11 @@ fn cleaning_removes_what_dead_processes_left_and_nothing_else() {
     rig.dead(7700);
     // Killed before its entry was written.
     fs::write(rig.folder().join("1-7702.sock"), "").unwrap();
+    let notes = rig.folder().join("notes.json");
+    fs::write(&notes, "of something else").unwrap();
+    fs::set_permissions(&notes, Permissions::from_mode(0o600)).unwrap();
     let (cleaned, refused) = rig.runs.clean();
-    assert_eq!((cleaned.len(), refused.len(), rig.files()), (3, 0, 2));
+    assert_eq!((cleaned.len(), refused.len(), rig.files()), (2, 0, 3));
     assert_eq!(rig.runs.find(None).unwrap().api, api(7701));
 }
 
@@ -131,8 +143,7 @@ fn cleaning_removes_what_dead_processes_left_and_nothing_else() {
 fn an_entry_that_others_could_have_written_is_refused() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
-    let socket = rig.runs.find(None).unwrap().socket;
-    let entry = socket.with_extension(ENTRY);
+    let [entry, socket] = rig.paths();
     for (path, wrong, right) in
         [(&entry, 0o644, 0o600), (&socket, 0o666, 0o600), (&rig.folder(), 0o750, 0o700)]
     {
@@ -147,33 +158,54 @@ fn an_entry_that_others_could_have_written_is_refused() {
 }
 
 #[test]
-fn a_folder_that_is_a_link_or_can_be_replaced_is_refused() {
+fn a_folder_that_is_a_link_is_refused() {
     let rig = Rig::new();
     let announced = rig.announce(7700);
-    let base = rig.base.path();
-    fs::set_permissions(base, Permissions::from_mode(0o777)).unwrap();
-    assert_eq!(rig.refusal(), NotPrivate::Parent);
-    // As that for temporary files: only who owns a file there may replace it.
-    fs::set_permissions(base, Permissions::from_mode(0o1777)).unwrap();
-    rig.runs.find(None).unwrap();
-    fs::rename(rig.folder(), base.join("elsewhere")).unwrap();
-    symlink(base.join("elsewhere"), rig.folder()).unwrap();
+    let elsewhere = rig.base.path().join("elsewhere");
+    fs::rename(rig.folder(), &elsewhere).unwrap();
+    symlink(elsewhere, rig.folder()).unwrap();
     assert_eq!(rig.refusal(), NotPrivate::Kind { wanted: "folder" });
-    let refused = rig.runs.announce(api(7701), Path::new("/runs/b")).unwrap_err();
+    let refused = rig.runs.announce(api(7701), "/runs/b").unwrap_err();
     assert!(matches!(refused, RunsError::NotPrivate { .. }), "{refused}");
     drop(announced);
 }
 
 #[test]
+fn a_folder_that_takes_the_place_of_the_checked_one_is_not_used() {
+    let rig = Rig::new();
+    let mut announced = rig.announce(7700);
+    let listener = announced.listener().unwrap();
+    let [_, socket] = rig.paths();
+    let run = rig.runs.find(None).unwrap();
+    fs::rename(rig.folder(), rig.base.path().join("elsewhere")).unwrap();
+    fs::create_dir(rig.folder()).unwrap();
+    let squatter = UnixListener::bind(socket).unwrap();
+    squatter.set_nonblocking(true).unwrap();
+    run.connect().unwrap();
+    assert_eq!(squatter.accept().unwrap_err().kind(), io::ErrorKind::WouldBlock);
+    listener.accept().unwrap();
+    drop(announced);
+    assert_eq!((rig.files(), fs::read_dir(rig.base.path().join("elsewhere")).unwrap().count()), (1, 0));
+}
+
+#[test]
+fn a_folder_with_a_long_name_serves_too() {
+    let base = TempDir::new().unwrap();
+    // A socket's own path may have 107 bytes.
+    let runs = Runs::in_folder(base.path().join("x".repeat(200)));
+    let mut announced = runs.announce(api(7700), "/runs/7700").unwrap();
+    let listener = announced.listener().unwrap();
+    runs.find(None).unwrap().connect().unwrap();
+    listener.accept().unwrap();
+}
+
+#[test]
 fn what_belongs_to_another_user_is_refused() {
-    let own = Found { is_of_kind: true, uid: 1000, mode: 0o600 };
-    assert_eq!(private(own, "file", Some(1000)), Ok(()));
-    let of = |uid| private(Found { uid, ..own }, "file", Some(1000));
-    assert_eq!([of(0), of(1001)], [Err(NotPrivate::Owner { uid: 0 }), Err(NotPrivate::Owner { uid: 1001 })]);
-    assert!(private(own, "file", None).is_err(), "nobody knows who this is");
-    let parent = Found { mode: 0o755, ..own };
-    assert_eq!(keeps(parent, Some(1000)), Ok(()));
-    assert_eq!(keeps(parent, Some(1001)), Err(NotPrivate::Parent));
+    assert_eq!(private(1000, 0o600, Some(1000)), Ok(()));
+    for uid in [0, 1001] {
+        assert_eq!(private(uid, 0o600, Some(1000)), Err(NotPrivate::Owner { uid }));
+    }
+    assert!(private(1000, 0o600, None).is_err(), "nobody knows who this is");
 }
 
 #[test]
@@ -189,7 +221,9 @@ fn a_folder_of_somebody_else_does_not_hide_a_run() {
 
 #[test]
 fn only_open_files_of_the_runs_own_process_are_its_own() {
-    let run = RunEntry { api: api(7700), run: "/r".into(), process: 4242, socket: "/s".into() };
+    let rig = Rig::new();
+    let _announced = rig.announce(7700);
+    let run = RunEntry { process: 4242, ..rig.runs.find(None).unwrap() };
     assert!(run.holds(Path::new("/proc/4242/fd/17")));
     for other in [
         "/proc/4243/fd/17",
@@ -206,12 +240,30 @@ fn only_open_files_of_the_runs_own_process_are_its_own() {
 }
 
 #[test]
+fn a_process_that_got_the_number_of_a_runs_is_not_the_runs() {
+    let rig = Rig::new();
+    let _announced = rig.announce(7700);
+    let run = rig.runs.find(None).unwrap();
+    assert!(run.is_its_process());
+    for process in [parent_id(), u32::MAX] {
+        assert!(!RunEntry { process, ..run.clone() }.is_its_process(), "{process}");
+    }
+}
+
+#[test]
+fn an_entry_that_is_too_long_is_refused() {
+    let rig = Rig::new();
+    let _announced = rig.runs.announce(api(7700), &"x".repeat(LONGEST_ENTRY as usize)).unwrap();
+    assert!(matches!(rig.runs.find(None), Err(RunsError::Malformed { .. })));
+}
+
+#[test]
 fn an_entry_of_another_version_says_what_to_do() {
     let rig = Rig::new();
     let announced = rig.announce(7700);
-    let entry = rig.runs.find(None).unwrap().socket.with_extension(ENTRY);
+    let [entry, _] = rig.paths();
     fs::write(&entry, "{}").unwrap();
     let told = rig.runs.find(None).unwrap_err().to_string();
-    assert!(told.contains("use the cotorra that runs, or remove it"), "{told}");
+    assert!(told.contains("use the version of cotorra that runs, or remove it"), "{told}");
     drop(announced);
 }

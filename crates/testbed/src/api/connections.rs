@@ -28,7 +28,7 @@ impl Limits {
         Self { strangers: share.clamp(16, 256), callers: share.clamp(16, 1024) }
     }
 
-    /// Those of the run's socket for its own user, which have places apart: whatever strangers do to the others is not felt there.
+    /// Those of the socket for the run's own user: places apart, so that strangers on the port take none of them.
     pub(super) fn of_user(self) -> Self {
         Self { strangers: self.strangers / 4, callers: self.callers / 4 }
     }

@@ -15,7 +15,7 @@ mod wais;
 use std::{
     collections::{BTreeMap, BTreeSet},
     net::SocketAddr,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{Arc, mpsc},
 };
 
@@ -171,8 +171,8 @@ impl Listener {
         Ok(listener)
     }
 
-    /// Has tools of this user find it, too, as that of a run (`what`), if there is where.
-    pub(crate) fn announced(self, runs: Option<&Runs>, what: &Path) -> Self {
+    /// Lets tools of this user find it among these runs; `what` tells them which it is.
+    pub(crate) fn announced(self, runs: Option<&Runs>, what: &str) -> Self {
         let announced = runs.and_then(|runs| {
             let told = |error: &RunsError| {
                 tracing::warn!("`cotorra exec` and `cotorra link` do not find this run: {error}")

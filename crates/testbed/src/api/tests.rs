@@ -77,7 +77,7 @@ fn serve_found_in(found_in: Option<&Runs>, replay: bool, limits: Limits, patienc
         wais: WaisOptions::default(),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
-    let listener = listener.announced(found_in, Path::new("/runs/served"));
+    let listener = listener.announced(found_in, "/runs/served");
     Served {
         server: Server::start_within(listener, context, Tokens::default(), limits, patience).unwrap(),
         history,
@@ -294,7 +294,7 @@ plugins:
         let tokens =
             Tokens::new(Some(token(OPERATOR)), BTreeMap::from([of("one", ONE), of("two", TWO)])).unwrap();
         let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &tokens).unwrap();
-        let listener = listener.announced(found_in, Path::new("/runs/served"));
+        let listener = listener.announced(found_in, "/runs/served");
         Self { server: Server::start(listener, context, tokens).unwrap(), events, core: inbox }
     }
 
@@ -594,7 +594,7 @@ fn tools_of_its_user_find_a_run_and_ask_it_where_nobody_else_can_listen() {
     let served =
         serve_found_in(Some(&runs), false, Limits { strangers: 64, callers: 64 }, Patience::default());
     let run = runs.find(Some(served.server.address())).unwrap();
-    assert_eq!((run.api, &*run.run), (served.server.address(), Path::new("/runs/served")));
+    assert_eq!((run.api, &*run.what), (served.server.address(), "/runs/served"));
     let client = cotorra_plugin::client::Client::of(&run).unwrap();
     assert_eq!(client.testbed().unwrap().name, "served");
     assert_eq!(client.service_times(&Default::default()).unwrap().items.len(), 20);
@@ -622,10 +622,9 @@ fn strangers_that_flood_the_port_take_no_place_from_tools_of_the_user() {
     let runs = Runs::in_folder(folder.path().join("cotorra"));
     let limits = Limits { strangers: 16, callers: 16 };
     let served = serve_found_in(Some(&runs), false, limits, Patience::default());
-    let socket = runs.find(None).unwrap().socket;
     // Both were there first, and say nothing yet.
     let mut early = TcpStream::connect(served.server.address()).unwrap();
-    let mut tool = std::os::unix::net::UnixStream::connect(socket).unwrap();
+    let mut tool = runs.find(None).unwrap().connect().unwrap();
     let flood: Vec<_> = (0..64).map(|_| TcpStream::connect(served.server.address()).unwrap()).collect();
     // Closed: the flood was accepted before anything else is said.
     let mut end = Vec::new();

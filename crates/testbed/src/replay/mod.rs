@@ -5,7 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     net::{Ipv4Addr, SocketAddr},
     ops::Bound,
-    path::{Path, PathBuf},
+    path::Path,
     sync::Arc,
     time::Duration,
 };
@@ -57,7 +57,7 @@ pub struct ReplayOptions {
     /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
     /// Where tools of this user find the replay, and as what; `None` where they need not.
-    pub known: Option<(Runs, PathBuf)>,
+    pub known: Option<(Runs, String)>,
     /// What callers of the API must show.
     pub tokens: Tokens,
     /// How fast.

@@ -101,7 +101,7 @@ pub(super) fn simulate_with(
             replay: false,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
-        let listener = listener.announced(options.runs.as_ref(), folder.path());
+        let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
         let programs = apart.insert(Programs::serve(listener, options.tokens.clone(), wall, context)?);
         programs.start(&testbed, &folder.logs(), underway.simulation.host())?;
     }
