@@ -1,5 +1,5 @@
-//! What VNFs of others are shown of this machine, and what is kept from them: histories, and files that plug-ins' settings
-//! name, which may hold keys.
+//! What VNFs of others are shown of this machine, and what is kept from them: histories, sockets of runs, and files that
+//! plug-ins' settings name, which may hold keys.
 
 use std::{
     env, fs, io,
@@ -11,7 +11,10 @@ use cotorra_datapath::Confinement;
 use cotorra_graph::{Program, Rights, Testbed, Vnf};
 use cotorra_measurements::Location;
 
-use crate::report::{Place, RunFolder};
+use crate::{
+    report::{Place, RunFolder},
+    run::Options,
+};
 
 /// Processes and threads of all confined programs together, where no control group limits them.
 const PROCESSES: u64 = 1024;
@@ -32,9 +35,8 @@ impl Confined {
     pub(crate) fn new(
         testbed: &Testbed,
         file: &Path,
-        place: &Place,
+        options: &Options,
         run: &RunFolder,
-        history: Option<&Location>,
     ) -> io::Result<Self> {
         let folder = file.parent().unwrap_or(Path::new("/")).to_owned();
         let is_confined =
@@ -43,8 +45,10 @@ impl Confined {
             check(&folder)?;
         }
         let mut hidden = vec![run.path().to_owned()];
-        hidden.extend(earlier_runs(place, &folder));
-        if let Some(Location::File(path)) = history {
+        hidden.extend(earlier_runs(&options.folder, &folder));
+        // A socket can be used in a folder that is read-only: who reaches that of a run may control it.
+        hidden.extend(options.runs.iter().flat_map(|runs| runs.folders()).cloned());
+        if let Some(Location::File(path)) = &options.history {
             let path = std::path::absolute(path)?;
             let beside = ["", "-wal", "-shm", "-journal"].map(|end| {
                 let mut name = path.clone().into_os_string();

@@ -230,8 +230,7 @@ impl Run {
         let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
         let info = run_info(&testbed, seed, text);
         let testbed_file = absolute(file)?;
-        let history_file = options.history.as_ref();
-        let confined = Confined::new(&testbed, &testbed_file, &options.folder, &folder, history_file)
+        let confined = Confined::new(&testbed, &testbed_file, &options, &folder)
             .map_err(system("show VNFs the testbed file's folder"))?;
         let recording =
             Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;

@@ -77,6 +77,7 @@ what='write the history' tried sh -c "test -s '$run/history.sqlite' && echo forg
 what='read the log of another' tried cat "$run/logs/cotorra.log"
 what='write into the testbed file'"'"'s folder' tried touch forged
 touch "$HOME/../forged" "$run/forged"
+what='find the socket of the run' tried sh -c 'find "$PWD" -name "*.sock" | grep .'
 what='enter the network of the host' tried nsenter --net=/proc/1/ns/net true
 what='kill all that it sees' tried sh -c 'kill -0 1'
 echo kept >"$HOME/kept" && cat "$HOME/kept"
@@ -100,9 +101,12 @@ fn vnfs_of_others_are_kept_from_the_host_unless_they_are_trusted() {
     let may = format!("{ping}, capabilities: [net_raw]");
     let vnfs = [("spy", spy), ("trusted", trusted), ("pings", &may)];
     let file = with_vnfs(&vnfs, "", place.path());
+    let runtime = place.path().join("runtime");
+    fs::create_dir(&runtime).unwrap();
     let run = Run::start_with(&file, &["--until", "5min"], |command| {
-        command.env("COTORRA_TOKEN", TOKEN);
+        command.env("COTORRA_TOKEN", TOKEN).env("XDG_RUNTIME_DIR", &runtime);
     });
+    assert_eq!(fs::read_dir(runtime.join("cotorra")).unwrap().count(), 2, "its entry and its socket");
     let address = format!("{}/api/v1/robots {TOKEN}", run.api);
     fs::write(place.path().join("part"), address).unwrap();
     fs::rename(place.path().join("part"), place.path().join("api")).unwrap();
@@ -113,7 +117,7 @@ fn vnfs_of_others_are_kept_from_the_host_unless_they_are_trusted() {
     let done = |name: &str| log(name).lines().any(|line| line == "done");
     wait_until(|| vnfs.iter().all(|(name, _)| done(name)));
     let told = log("spy");
-    assert_eq!(told.matches(": held").count(), 9, "{told}");
+    assert_eq!(told.matches(": held").count(), 10, "{told}");
     assert!(!told.contains("ESCAPED") && told.contains("kept"), "{told}");
     let forged = ["forged", "vnfs/forged"].map(|name| run.folder.join(name));
     let forged: Vec<_> =
