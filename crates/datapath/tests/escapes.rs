@@ -1,7 +1,7 @@
-//! Ways out of a node that a confined program tries, as root and as an ordinary user: none may lead anywhere. The harness
-//! is its own, because a user namespace can only be entered before there are threads.
+//! Ways out of a node that a confined program tries, as root and as an ordinary user: none may lead anywhere.
 #![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
 
+mod harness;
 mod ways;
 
 use std::{
@@ -35,23 +35,7 @@ fn main() -> ExitCode {
     }
     let privilege =
         cotorra_datapath::enter_user_namespace_if_needed().expect("tests need user namespaces or root");
-    // The protocol of nextest: `--list --format terse`, and `NAME --exact` for each test.
-    let arguments: Vec<String> = env::args().skip(1).collect();
-    let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
-    if has("--list") {
-        if !has("--ignored") {
-            TESTS.iter().for_each(|(name, _)| println!("{name}: test"));
-        }
-        return ExitCode::SUCCESS;
-    }
-    let filter = arguments.iter().find(|argument| !argument.starts_with('-')).map_or("", String::as_str);
-    let mut failed = false;
-    for (name, test) in TESTS.iter().filter(|(name, _)| name.contains(filter)) {
-        let passed = std::panic::catch_unwind(test).is_ok();
-        println!("{privilege:?}: {name}: {}", if passed { "ok" } else { "FAILED" });
-        failed |= !passed;
-    }
-    if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+    harness::run(TESTS, [(format!("{privilege:?}"), ())], |test, ()| test())
 }
 
 /// A run's folder, with a history, a folder of a VNF, and the testbed file's folder beside.

@@ -1,13 +1,13 @@
 //! What the datapath promises, shown with real namespaces, real sockets and unmodified programs, on every kind of
-//! port that this machine has. Runs as root and as an ordinary user. The harness is its own, because a user namespace can
-//! only be entered before there are threads.
+//! port that this machine has. Runs as root and as an ordinary user.
 #![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
+
+mod harness;
 
 use std::{
     fs,
     io::{Read, Write},
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket},
-    panic,
     process::{self, Command, ExitCode, Stdio},
     thread,
     time::Duration,
@@ -50,32 +50,16 @@ fn main() -> ExitCode {
     if let Some(kind) = helper.strip_prefix("run ") {
         return run_and_wait(kind);
     }
-    // The protocol of nextest: `--list --format terse`, and `NAME --exact` for each test.
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
-    if has("--list") {
-        if !has("--ignored") {
-            TESTS.iter().for_each(|(name, _)| println!("{name}: test"));
+    let is_there = |kind: &PortKind| match start(&star(2, Conditions::default()).0, *kind) {
+        Ok(_) => true,
+        Err(error) => {
+            println!("{kind:?}: skipped: {error}");
+            assert!(*kind == PortKind::Tap, "packet sockets work wherever namespaces do");
+            false
         }
-        return ExitCode::SUCCESS;
-    }
-    let filter = arguments.iter().find(|argument| !argument.starts_with('-')).map_or("", String::as_str);
-    let chosen = |name: &str| if has("--exact") { name == filter } else { name.contains(filter) };
-    let mut failed = false;
-    for kind in [PortKind::Tap, PortKind::PacketSocket] {
-        let (graph, _) = star(2, Conditions::default());
-        if let Err(e) = start(&graph, kind) {
-            println!("{kind:?}: skipped: {e}");
-            assert!(kind == PortKind::Tap, "packet sockets work wherever namespaces do");
-            continue;
-        }
-        for (name, test) in TESTS.iter().filter(|(name, _)| chosen(name)) {
-            let passed = panic::catch_unwind(|| test(kind)).is_ok();
-            println!("{privilege:?}, {kind:?}: {name}: {}", if passed { "ok" } else { "FAILED" });
-            failed |= !passed;
-        }
-    }
-    if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS }
+    };
+    let kinds = [PortKind::Tap, PortKind::PacketSocket].into_iter().filter(is_there);
+    harness::run(TESTS, kinds.map(|kind| (format!("{privilege:?}, {kind:?}"), kind)), |test, kind| test(kind))
 }
 
 /// Hosts at one switch, each by a link with these conditions.
