@@ -10,7 +10,7 @@ use crate::{output, testbed_file};
 /// Check testbed files
 ///
 /// Says everything that is wrong with each, in its place, with what would be right; or, where nothing is, what the
-/// testbed holds.
+/// testbed holds. Plug-ins are made as a run makes them, but no ledger is reached for.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:

@@ -13,7 +13,11 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{History, Kind, Location, PageRequest, RunId, export::ExportError};
 
-use crate::recorded::{Recorded, RecordedError};
+use crate::{
+    plugins,
+    recorded::{Recorded, RecordedError},
+    run::RunError,
+};
 
 /// Events between two questions to a history.
 const STEP: usize = 10_000;
@@ -107,11 +111,12 @@ pub struct Rehearsal {
     pub replayed: usize,
 }
 
-/// Goes through a testbed's script without a run.
+/// Goes through a testbed's plug-ins and script without a run.
 ///
 /// # Errors
-/// [`ScriptError`], with what would not work.
-pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, ScriptError> {
+/// [`RunError`], with what would not work.
+pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, RunError> {
+    plugins::rehearse(testbed)?;
     Ok(Script::load(testbed)?.1)
 }
 

@@ -122,6 +122,26 @@ fn what_plugins_refuse_leaves_no_folder_behind() {
         let said = refused(words, &with_program, "seed=2");
         assert!(said.contains("cannot start `./no-such-program`"), "{said}");
     }
+    // `check` says the same, and reaches for no ledger.
+    let check = |file: &Path| {
+        let output = cotorra(["check"]).arg(file).output().unwrap();
+        (output.status.success(), stderr(&output))
+    };
+    let text = fs::read_to_string(&testbed).unwrap();
+    let wrong = place.path().join("wrong.yaml");
+    for ledger in ["{ kind: modelled, block_period: 5 s }", "{ kind: anvil, program: ./no-such-program }"] {
+        let of_ledger = text.replace("{ kind: modelled, block_period: 5 s }", ledger);
+        let is_known = ledger.contains("modelled") || cfg!(feature = "ethereum");
+        fs::write(&wrong, &of_ledger).unwrap();
+        assert_eq!(check(&wrong).0, is_known, "{:?}", check(&wrong));
+        fs::write(&wrong, of_ledger.replace("price: 140", "price: 0")).unwrap();
+        let (right, said) = check(&wrong);
+        let told = "plug-in `orchestrator-3`: price: 0 is no price";
+        assert!(!right && (!is_known || said.contains(told)), "{said}");
+    }
+    let (right, said) = check(&with_program);
+    assert!(!right && said.contains("cannot start `./no-such-program`"), "{said}");
+
     if cfg!(not(feature = "ethereum")) {
         let said = refused(&run, &testbed, "plugins.*.settings.ledger=anvil");
         assert!(said.contains("`--features ethereum`"), "{said}");

@@ -19,7 +19,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_federation::{Federation, Ledgers};
+use cotorra_federation::{Federation, LedgerChoice, Ledgers, Settings};
 use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed, Timestamp};
 use cotorra_network_control::program_of_others;
 use cotorra_okpi::Okpi;
@@ -140,6 +140,29 @@ pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
         }
     }
     Ok(())
+}
+
+/// Looks whether a run could make the plug-ins. What only a run uses, a real ledger, is left alone.
+pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
+    check_programs(testbed)?;
+    let mut maker = Bundled::new(testbed, testbed.seed, Ledgers::default());
+    for spec in &testbed.plugins {
+        let PluginProgram::Bundled(name) = &spec.program else { continue };
+        if name == "federation" && has_real_ledger(spec) {
+            let mut modelled = spec.clone();
+            modelled.settings.remove("ledger");
+            Bundled::new(testbed, testbed.seed, Ledgers::default()).make(&modelled, name)?;
+        } else {
+            maker.make(spec, name)?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether an orchestrator would reach for a ledger outside of this process. Wrong settings reach for nothing.
+fn has_real_ledger(spec: &PluginSpec) -> bool {
+    let is_real = |choice| !matches!(choice, LedgerChoice::Modelled { .. });
+    cfg!(feature = "ethereum") && Settings::decode(&spec.settings).is_ok_and(|set| is_real(set.ledger))
 }
 
 /// The program of a plug-in, and its arguments.
