@@ -19,7 +19,7 @@ use cotorra_fabric::Fabric;
 use cotorra_graph::{
     IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
 };
-use cotorra_measurements::{History, Location, Recorder, RunId, RunInfo};
+use cotorra_measurements::{History, Location, Recorder, RecorderStats, RunId, RunInfo};
 use cotorra_netem::Confirmed;
 use cotorra_network_control::{
     program_of_others,
@@ -101,6 +101,8 @@ pub struct Finished {
     pub run: RunId,
     /// What the recording came to, if it was recorded or watched.
     pub recording: Option<RecordingSummary>,
+    /// What could not be written, as on a full disk, and why.
+    pub unrecorded: Vec<String>,
 }
 
 impl Finished {
@@ -398,23 +400,31 @@ impl Run {
     /// Waits for the run's end, takes everything down, and writes the report.
     ///
     /// # Errors
-    /// [`RunError`] when the report cannot be written, or the run broke.
+    /// [`RunError::Panicked`].
     pub fn finish(mut self) -> Result<Finished, RunError> {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
         let recording = self.recording.take().map(Recording::finish);
+        let mut unrecorded = Vec::new();
         if let Err(error) = self.recorder.flush() {
-            tracing::error!("the history is not complete: {error}");
+            let RecorderStats { recorded, written, .. } = self.recorder.stats();
+            let events = recorded - written;
+            unrecorded.push(format!("the last {events} events are not in the history: {error}"));
         }
         let losses = Losses {
             frames_dropped: self.datapath.dropped_frames(),
             history_dropped: self.recorder.stats().dropped,
         };
         let summary = report.summary(end, why.as_str(), losses);
-        self.folder.write_report(&report, &summary)?;
-        self.history.end_run(self.run, end)?;
+        if let Err(error) = self.folder.write_report(&report, &summary) {
+            unrecorded.push(format!("the report is not complete: {error}"));
+        }
+        if let Err(error) = self.history.end_run(self.run, end) {
+            unrecorded.push(format!("the history does not say that the run ended: {error}"));
+        }
+        unrecorded.iter().for_each(|what| tracing::error!("not recorded: {what}"));
         let folder = self.folder.path().to_owned();
-        Ok(Finished { summary, report, folder, run: self.run, recording })
+        Ok(Finished { summary, report, folder, run: self.run, recording, unrecorded })
     }
 }
 

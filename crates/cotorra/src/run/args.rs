@@ -39,7 +39,7 @@ Examples:
   COTORRA_HISTORY_PASSWORD=secret cotorra run testbeds/corridor.yaml --history mysql://ana@db.lab/cotorra
   COTORRA_TOKEN=$(openssl rand -hex 16) cotorra run testbeds/corridor.yaml --api 0.0.0.0:7700
 
-Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
+Exit status: 0 done, 1 error or not all could be recorded, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct RunArgs {
     /// The testbed file.
     pub file: PathBuf,

@@ -132,7 +132,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         stage.emulate(&loaded, &args.file, options)?
     };
     output::print(&summary::describe(&finished, history.as_ref()))?;
-    Ok(verdict(&finished.summary))
+    Ok(if finished.unrecorded.is_empty() { verdict(&finished.summary) } else { ExitCode::FAILURE })
 }
 
 /// What a run noted that this one is to go on after, if there is one.

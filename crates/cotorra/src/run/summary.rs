@@ -37,14 +37,17 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     if summary.history_dropped > 0 {
         text += &format!("  {} the history lacks {} events\n", style("!").red(), summary.history_dropped);
     }
+    for what in &finished.unrecorded {
+        text += &format!("  {} not recorded: {what}\n", style("!").red());
+    }
     if let Some(recording) = &finished.recording {
         text += &lost(recording);
     }
     let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
-    text += &format!(
-        "\n{}/\n  summary.json  service_time.csv  service_time.svg  {own}  testbed.yaml  logs/\n",
-        folder.display()
-    );
+    let files = ["summary.json", "service_time.csv", "service_time.svg", own, "testbed.yaml"];
+    let there = files.into_iter().filter(|file| folder.join(file).exists());
+    let there: String = there.map(|file| format!("{file}  ")).collect();
+    text += &format!("\n{}/\n  {there}logs/\n", folder.display());
     if let Some(RecordingSummary { file: Some(file), messages, .. }) = &finished.recording {
         text += &format!("{}: {}\n", file.display(), count(*messages as usize, "message"));
     }

@@ -180,6 +180,11 @@ impl Run {
         let status = self.child.wait().unwrap();
         (status, printed, self.lines.iter().collect::<Vec<_>>().join("\n"))
     }
+    /// Waits until it says a line with this on standard error.
+    pub fn wait_for_line(&self, with: &str) {
+        assert!(self.lines.iter().any(|line| line.contains(with)), "it ended without: {with}");
+    }
+
 
     /// Waits for its end; its report must be there, valid figures or not.
     pub fn report(&mut self) -> (Value, String) {

@@ -5,6 +5,7 @@ mod command_line;
 mod confinement;
 mod documents;
 mod experiment;
+mod disk;
 mod going_on;
 mod harness;
 mod history;

@@ -82,6 +82,8 @@ pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<(), FolderE
     let draft = folder.join(format!(".{name}.part"));
     fs::write(&draft, text)
         .and_then(|()| fs::rename(&draft, &path))
+        // It may not be there.
+        .inspect_err(|_| drop(fs::remove_file(&draft)))
         .map_err(|source| FolderError { path, source })
 }
 

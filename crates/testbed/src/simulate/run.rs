@@ -148,7 +148,8 @@ pub(super) fn simulate_with(
     let summary = report.summary(simulation.now(), end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, simulation.now())?;
-    Ok(Finished { summary, report, folder: folder.path().to_owned(), run, recording })
+    let (folder, unrecorded) = (folder.path().to_owned(), Vec::new());
+    Ok(Finished { summary, report, folder, run, recording, unrecorded })
 }
 
 /// A simulation whose events are kept.

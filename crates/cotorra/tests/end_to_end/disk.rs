@@ -1,0 +1,74 @@
+//! A run whose disk is full: a small file system in memory, in a mount namespace of its own.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    env,
+    ffi::OsStr,
+    fs,
+    os::unix::fs::MetadataExt,
+    process::{Command, Stdio},
+};
+
+use tempfile::TempDir;
+
+use crate::{
+    harness::Run,
+    one_robot::{NAVIGATED, testbed},
+};
+
+/// What a command runs in: `$0` is the folder.
+const MOUNT: &str = "mount -t tmpfs -o size=8M tmpfs \"$0\"; exec \"$@\"";
+
+/// Puts a small disk in a folder, for this command alone.
+fn on_a_small_disk(command: &mut Command, folder: &OsStr) {
+    let mut inside = Command::new("unshare");
+    if fs::metadata("/proc/self").unwrap().uid() != 0 {
+        inside.arg("--map-root-user");
+    }
+    inside
+        .args(["--mount", "sh", "-euc", MOUNT])
+        .arg(folder)
+        .arg(command.get_program())
+        .args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => inside.env(name, value),
+            None => inside.env_remove(name),
+        };
+    }
+    *command = inside;
+}
+
+#[test]
+fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
+    let place = TempDir::new().unwrap();
+    let mut probe = Command::new("true");
+    on_a_small_disk(&mut probe, place.path().as_os_str());
+    if !probe.stderr(Stdio::null()).status().is_ok_and(|status| status.success()) {
+        assert!(env::var_os("CI").is_none(), "the kernel lets nobody make a mount namespace");
+        return eprintln!("skipped: the kernel lets nobody make a mount namespace");
+    }
+    // What a plug-in prints is kept on the disk of the run, which it fills.
+    let plugin = "plugins:\n  - { id: full, command: [sh, -c, 'cat /dev/zero; exec sleep 1000'] }\n";
+    let file = testbed(place.path(), "full", "{ kind: robot }", &format!("{NAVIGATED}{plugin}"));
+    let mut run = Run::start_with(&file, &[], |command| {
+        let out = command.get_args().skip_while(|word| *word != "--out").nth(1).unwrap().to_owned();
+        on_a_small_disk(command, &out);
+    });
+    run.wait_for_line("the history cannot be written");
+    run.signal("INT");
+    let (status, printed, said) = run.wait();
+    assert_eq!(status.code(), Some(1), "{printed}{said}");
+    let lines: Vec<_> = printed.lines().collect();
+    assert!(lines[0].starts_with("full: ") && lines[0].ends_with("it was stopped"), "{printed}");
+    for what in [
+        "events are not in the history: ",
+        "the report is not complete: ",
+        "the history does not say that the run ended: ",
+    ] {
+        let told =
+            |text: &str| text.lines().any(|line| line.contains("not recorded: ") && line.contains(what));
+        assert!(told(&printed) && told(&said), "{what}\n{printed}\n{said}");
+    }
+    assert!(printed.contains("fidelity") && !printed.contains("summary.json  "), "{printed}");
+}
