@@ -191,6 +191,10 @@ impl Service {
     }
 
     fn won(&mut self, taken: &mut Vec<NodeId>, desk: &mut Desk<'_>) {
+        // The chain took its choice back, and made it again.
+        if self.vap != Vap::None {
+            return;
+        }
         desk.note(self.id(), Step::WinnerReceived, "");
         match desk.settings.behaviour {
             Behaviour::Idle | Behaviour::Silent => return,
