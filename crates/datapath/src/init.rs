@@ -12,7 +12,7 @@ use std::{
         fd::{AsRawFd, RawFd},
         unix::process::CommandExt,
     },
-    process::Command,
+    process::{self, Command},
     ptr,
 };
 
@@ -259,6 +259,22 @@ unsafe fn reap(program: pid_t) {
             }
         }
     }
+}
+
+/// Has a program killed when this process dies, however that comes. The thread that starts it stays until then: the kernel
+/// watches that thread.
+pub fn end_with_us(command: &mut Command) {
+    let ours = process::id();
+    let watch = move || {
+        // SAFETY: async-signal-safe calls without pointers.
+        unsafe {
+            check(libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL as c_ulong))?;
+            // Not if that was too late.
+            if libc::getppid() as u32 == ours { Ok(()) } else { Err(io::ErrorKind::BrokenPipe.into()) }
+        }
+    };
+    // SAFETY: the closure keeps to async-signal-safe calls, and allocates nothing.
+    unsafe { command.pre_exec(watch) };
 }
 
 /// Sends SIGTERM to a process that is our child and has not been waited for.

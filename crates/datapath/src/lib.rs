@@ -42,6 +42,7 @@ pub use confine::Confinement;
 pub use datapath::{Datapath, Options, PortKind};
 pub use engine::{EventSink, Handle};
 pub use error::Error;
+pub use init::end_with_us;
 pub use kernel_network::{KernelNetwork, NoKernelNetwork, Observed};
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};

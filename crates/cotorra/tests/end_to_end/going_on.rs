@@ -40,12 +40,14 @@ fn a_run_goes_on_only_after_one_of_the_same_testbed_on_the_same_ledger() {
 #[cfg(feature = "ethereum")]
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 mod on_a_ledger {
-    use std::{collections::BTreeSet, env, fs, path::Path, time::Duration};
+    use std::{collections::BTreeSet, path::Path};
 
-    use cotorra_ledger::ethereum::{self, Key, Password, anvil};
     use serde_json::Value;
 
-    use crate::harness::{Run, output, project_file, stderr, stdout, wait_until};
+    use crate::{
+        chain::Chain,
+        harness::{Run, output, project_file, stderr, stdout, wait_until},
+    };
 
     /// Who noted what of which service, with the detail, and when: seconds of the run, or before it.
     type Note = (String, String, String, Option<String>, f64);
@@ -70,45 +72,7 @@ mod on_a_ledger {
 
     #[test]
     fn a_core_that_was_killed_goes_on_after_its_run() {
-        let installed =
-            project_file("contracts").join("node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
-        let program = env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
-        if !program.exists() {
-            assert!(
-                env::var_os("CI").is_none(),
-                "anvil is missing: npm install --prefix contracts --no-save"
-            );
-            return eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
-        }
-        let settings = anvil::Settings {
-            program: Some(program),
-            block_period: Some(Duration::from_secs(1)),
-            ..Default::default()
-        };
-        let node = anvil::Anvil::start(&settings).unwrap();
-        let place = tempfile::tempdir().unwrap();
-        let password = place.path().join("password");
-        fs::write(&password, "trial").unwrap();
-        let keys = project_file("testbeds/trial-keys");
-        let open = |domain: &str| {
-            Key::open(&keys.join(format!("{domain}.json")), &Password::File(password.clone())).unwrap()
-        };
-        let domains = ["domain-1", "domain-2", "domain-3", "domain-4"];
-        for domain in domains {
-            let params = serde_json::json!([open(domain).account().to_string(), "0xffffffffffffffffffff"]);
-            let call = serde_json::json!({ "jsonrpc": "2.0", "id": 1, "method": "anvil_setBalance", "params": params });
-            let agent = ureq::Agent::config_builder().proxy(None).build().new_agent();
-            agent.post(format!("http://{}", node.address())).send_json(call).unwrap();
-        }
-        let url = format!("ws://{}", node.address());
-        let (contract, from_block) = ethereum::deploy(&url, &open("domain-1")).unwrap();
-        let ledgers = domains.map(|domain| {
-            let ledger = serde_json::json!({
-                "kind": "ethereum", "url": url, "contract": contract.to_string(), "from_block": from_block,
-                "key_store": keys.join(format!("{domain}.json")), "password_file": password,
-            });
-            format!("plugins.{}.settings.ledger={ledger}", domain.replace("domain", "orchestrator"))
-        });
+        let Some(chain) = Chain::start() else { return };
         // From there on the robot needs another domain within 20 s: it is announced at once.
         let mut arguments = vec!["--set", "walks.robot.waypoints=[[18.5, 0], [34, 0]]"];
         arguments.extend([
@@ -117,6 +81,7 @@ mod on_a_ledger {
             "--set",
             "plugins.orchestrator-1.settings.collect=2 s",
         ]);
+        let ledgers = chain.settings(0);
         ledgers.iter().for_each(|ledger| arguments.extend(["--set", ledger]));
         let has = |run: &Run, step: &str| {
             let events = run.get("/api/v1/measurements/events?kinds=decision&limit=1000");

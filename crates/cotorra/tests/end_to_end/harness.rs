@@ -153,6 +153,13 @@ impl Run {
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }
 
+    /// What happens from now on, as the API's stream tells it.
+    pub fn follow(&self) -> impl Iterator<Item = Value> + use<> {
+        let answer = agent().get(format!("{}/api/v1/events", self.api)).call().unwrap();
+        let lines = BufReader::new(answer.into_body().into_reader()).lines().map_while(Result::ok);
+        lines.filter_map(|line| line.strip_prefix("data: ").map(|event| serde_json::from_str(event).unwrap()))
+    }
+
     /// The first service time of a robot; waits for it.
     pub fn wait_for_service(&self) -> Value {
         let mut found = Value::Null;
@@ -173,6 +180,11 @@ impl Run {
         kill(name, &format!("-{}", self.pid()));
     }
 
+    /// Waits until it says a line with this on standard error.
+    pub fn wait_for_line(&self, with: &str) {
+        assert!(self.lines.iter().any(|line| line.contains(with)), "it ended without: {with}");
+    }
+
     /// Waits for its end, and gives its exit status, what it printed, and what else it said.
     pub fn wait(&mut self) -> (ExitStatus, String, String) {
         let mut printed = String::new();
@@ -180,11 +192,6 @@ impl Run {
         let status = self.child.wait().unwrap();
         (status, printed, self.lines.iter().collect::<Vec<_>>().join("\n"))
     }
-    /// Waits until it says a line with this on standard error.
-    pub fn wait_for_line(&self, with: &str) {
-        assert!(self.lines.iter().any(|line| line.contains(with)), "it ended without: {with}");
-    }
-
 
     /// Waits for its end; its report must be there, valid figures or not.
     pub fn report(&mut self) -> (Value, String) {
@@ -252,7 +259,8 @@ impl Drop for Run {
     }
 }
 
-fn kill(signal: &str, target: &str) {
+/// Sends a signal to a process, or to the group that `-` stands before.
+pub fn kill(signal: &str, target: &str) {
     assert!(Command::new("kill").args(["-s", signal, "--", target]).status().unwrap().success());
 }
 

@@ -1,16 +1,19 @@
 //! The real program, from outside: what it prints, what it leaves, and what it does not leave.
 
 mod api;
+#[cfg(feature = "ethereum")]
+mod chain;
 mod command_line;
 mod confinement;
+mod disk;
 mod documents;
 mod experiment;
-mod disk;
 mod going_on;
 mod harness;
 mod history;
 mod history_server;
 mod interruption;
+mod kill_cycles;
 mod link;
 mod localize;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]

@@ -173,7 +173,7 @@ fn program<'a>(spec: &PluginSpec, words: &'a [String]) -> Result<(&'a String, &'
     })
 }
 
-/// A plug-in that is a program, and runs; killed when this is dropped.
+/// A plug-in that is a program, and runs; killed when this is dropped, or this process is killed.
 struct Process(Child);
 
 impl Process {
@@ -182,7 +182,9 @@ impl Process {
         let (program, arguments) = program(spec, words)?;
         let start = || {
             let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
-            program_of_others(program, &spec.env)
+            let mut command = program_of_others(program, &spec.env);
+            cotorra_datapath::end_with_us(&mut command);
+            command
                 .args(arguments)
                 .env("COTORRA_API", format!("http://{}", api.address()))
                 .env("COTORRA_PLUGIN", spec.id.as_str())

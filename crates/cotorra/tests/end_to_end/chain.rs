@@ -1,0 +1,130 @@
+//! An anvil node with the contract, for the four domains of `testbeds/federation.yaml`.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+    time::Duration,
+};
+
+use cotorra_ledger::ethereum::{
+    self, Key, Password,
+    anvil::{self, Anvil},
+};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::harness::project_file;
+
+const DOMAINS: [&str; 4] = ["domain-1", "domain-2", "domain-3", "domain-4"];
+
+/// A node that makes a block each second.
+pub struct Chain {
+    place: TempDir,
+    settings: anvil::Settings,
+    node: Option<Anvil>,
+    contract: String,
+    from_block: u64,
+}
+
+impl Chain {
+    /// One with the contract, and with money for each domain; `None` where there is no anvil.
+    pub fn start() -> Option<Self> {
+        let installed =
+            project_file("contracts").join("node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
+        let program = env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
+        if !program.exists() {
+            assert!(
+                env::var_os("CI").is_none(),
+                "anvil is missing: npm install --prefix contracts --no-save"
+            );
+            eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
+            return None;
+        }
+        let place = tempfile::tempdir().unwrap();
+        let program = Some(at_home(&program, place.path()));
+        let block_period = Some(Duration::from_secs(1));
+        let settings = anvil::Settings { program, block_period, ..Default::default() };
+        let node = Anvil::start(&settings).unwrap();
+        let settings = anvil::Settings { port: node.address().port(), ..settings };
+        fs::write(place.path().join("password"), "trial").unwrap();
+        let (contract, from_block) = (String::new(), 0);
+        let mut chain = Self { place, settings, node: Some(node), contract, from_block };
+        for domain in DOMAINS {
+            chain.rpc(
+                "anvil_setBalance",
+                &json!([chain.key(domain).account().to_string(), "0xffffffffffffffffffff"]),
+            );
+        }
+        let (contract, from_block) = ethereum::deploy(&chain.url(), &chain.key("domain-1")).unwrap();
+        (chain.contract, chain.from_block) = (contract.to_string(), from_block);
+        Some(chain)
+    }
+
+    fn key(&self, domain: &str) -> Key {
+        let file = project_file("testbeds/trial-keys").join(format!("{domain}.json"));
+        Key::open(&file, &Password::File(self.place.path().join("password"))).unwrap()
+    }
+
+    fn url(&self) -> String {
+        format!("ws://127.0.0.1:{}", self.settings.port)
+    }
+
+    fn rpc(&self, method: &str, params: &Value) -> Value {
+        let call = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": params });
+        let agent = ureq::Agent::config_builder().proxy(None).build().new_agent();
+        let url = format!("http://127.0.0.1:{}", self.settings.port);
+        let mut answer = agent.post(url).send_json(call).unwrap();
+        answer.body_mut().read_json::<Value>().unwrap()["result"].clone()
+    }
+
+    /// What has the orchestrators use it, with transactions that are final after so many blocks.
+    pub fn settings(&self, depth: u64) -> [String; 4] {
+        DOMAINS.map(|domain| {
+            let ledger = json!({
+                "kind": "ethereum", "url": self.url(), "contract": self.contract, "from_block": self.from_block,
+                "depth": depth, "key_store": project_file("testbeds/trial-keys").join(format!("{domain}.json")),
+                "password_file": self.place.path().join("password"),
+            });
+            format!("plugins.{}.settings.ledger={ledger}", domain.replace("domain", "orchestrator"))
+        })
+    }
+
+    /// Keeps the chain as it is now, for [`Self::resume`].
+    pub fn keep(&mut self) {
+        let state = self.rpc("anvil_dumpState", &json!([]));
+        let packed = self.place.path().join("packed");
+        fs::write(&packed, state.as_str().unwrap()).unwrap();
+        let unpack =
+            "import gzip, sys; sys.stdout.buffer.write(gzip.decompress(bytes.fromhex(sys.stdin.read()[2:])))";
+        let state = self.place.path().join("state.json");
+        let mut python = Command::new("python3");
+        python
+            .args(["-c", unpack])
+            .stdin(fs::File::open(packed).unwrap())
+            .stdout(fs::File::create(&state).unwrap());
+        assert!(python.status().unwrap().success());
+        self.settings.state = Some(state);
+    }
+
+    /// Ends the node with SIGKILL.
+    pub fn kill(&mut self) {
+        drop(self.node.take());
+    }
+
+    /// Starts it again where it was, with the chain that was kept last.
+    pub fn resume(&mut self) {
+        self.node = Some(Anvil::start(&self.settings).unwrap());
+    }
+}
+
+/// The program, with a home of its own: a node that is killed leaves files there.
+fn at_home(program: &Path, folder: &Path) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let script = folder.join("anvil");
+    fs::write(&script, format!("#!/bin/sh\nHOME={} exec {} \"$@\"\n", folder.display(), program.display()))
+        .unwrap();
+    fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).unwrap();
+    script
+}
