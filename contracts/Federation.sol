@@ -143,9 +143,11 @@ contract Federation {
     }
 
     /// @notice The id of the service that `creator` announces with `salt`. It has the creator in it, so that nobody can
-    /// take another's id by being faster, and a repeated transaction announces nothing twice.
-    function idOf(address creator, bytes32 salt) public pure returns (bytes32) {
-        return keccak256(abi.encode(creator, salt));
+    /// take another's id by being faster, and a repeated transaction announces nothing twice. It has the chain and this
+    /// contract in it, so that no id, and nothing that was signed, sealed or derived for one, is of use anywhere else. The chain
+    /// is asked each time: one that splits has two.
+    function idOf(address creator, bytes32 salt) public view returns (bytes32) {
+        return keccak256(abi.encode(keccak256("cotorra federation"), block.chainid, address(this), creator, salt));
     }
 
     /// @notice Announces a service, open for bids.

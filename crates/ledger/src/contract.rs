@@ -5,12 +5,13 @@ use std::collections::HashMap;
 
 use crate::{
     message::{Call, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Refusal, Requirements, State, Terms},
-    values::{Account, ChainTime, Commitment, Price, PublicKey, Salt, ServiceId, Wei},
+    values::{Account, ChainTime, Commitment, Deployment, Price, PublicKey, Salt, ServiceId, Wei},
 };
 
 /// `contracts/Federation.sol`, rule by rule.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Contract {
+    deployment: Deployment,
     names: HashMap<Account, String>,
     balances: HashMap<Account, Wei>,
     services: HashMap<ServiceId, Service>,
@@ -74,6 +75,22 @@ impl Stage {
 }
 
 impl Contract {
+    /// A new one, there.
+    pub fn new(deployment: Deployment) -> Self {
+        Self {
+            deployment,
+            names: HashMap::new(),
+            balances: HashMap::new(),
+            services: HashMap::new(),
+            commitments: HashMap::new(),
+        }
+    }
+
+    /// Where it is.
+    pub fn deployment(&self) -> Deployment {
+        self.deployment
+    }
+
     /// A call by `caller` in a block of time `now`.
     ///
     /// # Errors
@@ -131,7 +148,7 @@ impl Contract {
         requirements: &Requirements,
         terms: Terms,
     ) -> Result<Event, Refusal> {
-        let id = ServiceId::of(creator, salt);
+        let id = ServiceId::of(self.deployment, creator, salt);
         self.require_registered(creator)?;
         require(!self.services.contains_key(&id), Refusal::AlreadyAnnounced)?;
         require(key != PublicKey::default(), Refusal::BadKey)?;

@@ -25,6 +25,6 @@ pub use message::{
 pub use modelled::{ModelledChain, ModelledLedger};
 pub use seal::{Attachment, Bid, SealError, Sealable, Secret};
 pub use values::{
-    Account, BlockHash, ChainTime, Commitment, ParseHexError, Price, PublicKey, Salt, ServiceId,
+    Account, BlockHash, ChainTime, Commitment, Deployment, ParseHexError, Price, PublicKey, Salt, ServiceId,
     TransactionHash, Wei,
 };

@@ -10,7 +10,7 @@ use crate::{
     contract::Contract,
     ledger::{Ledger, Notice, Ticket},
     message::Call,
-    values::{Account, ChainTime},
+    values::{Account, ChainTime, Deployment},
 };
 
 /// The modelled chain, which operators share.
@@ -54,6 +54,8 @@ pub struct ModelledLedger {
 
 /// The chain's time when its first run began; any would do.
 const GENESIS: ChainTime = ChainTime(1_600_000_000);
+/// No real chain has this ID: what is made for the model is of use nowhere else.
+const DEPLOYMENT: Deployment = Deployment { chain_id: 0, contract: Account([0; 20]) };
 
 impl ModelledChain {
     /// A chain whose first block comes a `period` into the run.
@@ -63,7 +65,7 @@ impl ModelledChain {
     pub fn new(period: Duration) -> Self {
         assert!(period > Duration::ZERO, "blocks are some time apart");
         Self(Arc::new(Mutex::new(Chain {
-            contract: Contract::default(),
+            contract: Contract::new(DEPLOYMENT),
             period,
             began_ns: GENESIS.0 * 1_000_000_000,
             next_block: Timestamp::ZERO + period,
@@ -72,6 +74,11 @@ impl ModelledChain {
             operators: Vec::new(),
             told: Vec::new(),
         })))
+    }
+
+    /// Where the contract is.
+    pub fn deployment(&self) -> Deployment {
+        DEPLOYMENT
     }
 
     /// The access of the operator with that address. It hears first what happened so far.

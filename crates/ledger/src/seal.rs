@@ -16,7 +16,7 @@ use sha3::{Digest, Keccak256};
 
 use crate::{
     message::MAX_SEALED,
-    values::{Account, Price, PublicKey, Salt, ServiceId},
+    values::{Account, Deployment, Price, PublicKey, Salt, ServiceId},
 };
 
 type Kem = X25519HkdfSha256;
@@ -45,9 +45,13 @@ pub enum SealError {
     Content(String),
 }
 
-/// An operator's secret: all its keys and salts come from it.
+/// An operator's secret with one contract on one chain: all its keys and salts there come from it, and with another
+/// contract it has others.
 #[derive(Clone)]
-pub struct Secret([u8; 32]);
+pub struct Secret {
+    bytes: [u8; 32],
+    deployment: Deployment,
+}
 
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -121,9 +125,14 @@ impl Sealable for Attachment {
 }
 
 impl Secret {
-    /// From 32 bytes that nobody else knows.
-    pub fn new(bytes: [u8; 32]) -> Self {
-        Self(bytes)
+    /// From 32 bytes that nobody else knows, for that contract.
+    pub fn new(bytes: [u8; 32], deployment: Deployment) -> Self {
+        Self { bytes, deployment }
+    }
+
+    /// What it is for.
+    pub fn deployment(&self) -> Deployment {
+        self.deployment
     }
 
     /// The public half of the one-time key of the service that is announced with `salt`.
@@ -204,11 +213,12 @@ impl Secret {
         serde_json::from_slice(&text).map_err(|reason| SealError::Content(reason.to_string()))
     }
 
-    /// Keccak-256 of the secret, a label and parts, each with its length: a sponge with its key in front is a
+    /// Keccak-256 of the secret, the contract, a label and parts, each with its length: a sponge with its key in front is a
     /// pseudo-random function (Bertoni and others, "Cryptographic sponge functions", 2011).
     fn derive(&self, label: &str, parts: &[&[u8]]) -> [u8; 32] {
-        let mut hash = Keccak256::new().chain_update(self.0);
-        for part in [&[label.as_bytes()], parts].concat() {
+        let Deployment { chain_id, contract } = self.deployment;
+        let mut hash = Keccak256::new().chain_update(self.bytes);
+        for part in [&[&chain_id.to_be_bytes()[..], &contract.0, label.as_bytes()], parts].concat() {
             hash.update((part.len() as u64).to_be_bytes());
             hash.update(part);
         }
@@ -230,13 +240,14 @@ mod tests {
     const ID: ServiceId = ServiceId([3; 32]);
     const SENDER: Account = Account([4; 20]);
     const SALT: Salt = Salt([5; 32]);
+    const HERE: Deployment = Deployment { chain_id: 1, contract: Account([6; 20]) };
 
     fn creator() -> Secret {
-        Secret::new([1; 32])
+        Secret::new([1; 32], HERE)
     }
 
     fn provider() -> Secret {
-        Secret::new([2; 32])
+        Secret::new([2; 32], HERE)
     }
 
     fn bid() -> Bid {
@@ -260,6 +271,25 @@ mod tests {
         assert_eq!(creator.open::<Bid>(SALT, ID, Account([9; 20]), &sealed()), Err(SealError::Broken));
         assert_eq!(creator.open::<Bid>(Salt([9; 32]), ID, SENDER, &sealed()), Err(SealError::Broken));
         assert_eq!(creator.open::<Attachment>(SALT, ID, SENDER, &sealed()), Err(SealError::Broken));
+    }
+
+    #[test]
+    fn nothing_that_an_operator_makes_repeats_with_another_contract_or_on_another_chain() {
+        let redeployed = Deployment { contract: Account([7; 20]), ..HERE };
+        let elsewhere = Deployment { chain_id: 2, ..HERE };
+        let made = |deployment| {
+            let secret = Secret::new([1; 32], deployment);
+            let salt = secret.announcement_salt(1);
+            let id = ServiceId::of(deployment, SENDER, salt);
+            // The salts and ids of one contract, as far as somebody replays them with another.
+            let again = ServiceId::of(deployment, SENDER, SALT);
+            let sealed = secret.seal(creator().public_key(SALT), ID, SENDER, &bid()).unwrap();
+            let keys = [secret.public_key(SALT).0, secret.ft_key(ID), secret.bid_salt(ID).0];
+            [salt.0, id.0, again.0, sealed[..HEAD].try_into().unwrap()].into_iter().chain(keys)
+        };
+        let made: Vec<_> = [HERE, redeployed, elsewhere].into_iter().flat_map(made).collect();
+        let different: std::collections::BTreeSet<_> = made.iter().collect();
+        assert_eq!(different.len(), made.len());
     }
 
     #[test]
@@ -291,7 +321,7 @@ mod tests {
 
     #[test]
     fn nothing_secret_is_printed() {
-        assert_eq!(format!("{:?}", Secret::new([0xab; 32])), "Secret(…)");
+        assert_eq!(format!("{:?}", Secret::new([0xab; 32], HERE)), "Secret(…)");
         let attachment = Attachment {
             radio_unit: "R4".to_owned(),
             ssid: "robots".to_owned(),

@@ -99,10 +99,23 @@ fn word(bytes: &[u8]) -> [u8; 32] {
     word
 }
 
+/// A contract on a chain: what ids, salts and keys are bound to, so that none repeats on another chain, or with another
+/// contract.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct Deployment {
+    /// The chain's ID (EIP-155).
+    pub chain_id: u64,
+    /// The contract's address there.
+    pub contract: Account,
+}
+
 impl ServiceId {
     /// The id of the service that `creator` announces with `salt`: the contract's `idOf`.
-    pub fn of(creator: Account, salt: Salt) -> Self {
-        Self(keccak(&[word(&creator.0), salt.0]))
+    pub fn of(deployment: Deployment, creator: Account, salt: Salt) -> Self {
+        let Deployment { chain_id, contract } = deployment;
+        let purpose = Keccak256::digest("cotorra federation").into();
+        let chain = word(&chain_id.to_be_bytes());
+        Self(keccak(&[purpose, chain, word(&contract.0), word(&creator.0), salt.0]))
     }
 }
 

@@ -124,17 +124,17 @@ fn check(before: &Testbed, now: &Testbed) -> Result<(), CannotGoOn> {
         let contract = contract(spec).ok_or_else(|| CannotGoOn::Ledger(spec.id.clone()))?;
         let was = orchestrators(before).find(|was| was.id == spec.id && was.domain == spec.domain);
         let was = was.and_then(self::contract);
-        if !was.is_some_and(|was| was.eq_ignore_ascii_case(&contract)) {
+        if was != Some(contract) {
             return Err(CannotGoOn::OtherLedger(spec.id.clone()));
         }
     }
     if anybody { Ok(()) } else { Err(CannotGoOn::Nobody) }
 }
 
-/// The contract that an orchestrator negotiates on, if its ledger outlives a run.
-fn contract(spec: &PluginSpec) -> Option<String> {
+/// The chain and the contract that an orchestrator negotiates on, if its ledger outlives a run.
+fn contract(spec: &PluginSpec) -> Option<(u64, String)> {
     match Settings::decode(&spec.settings).ok()?.ledger {
-        LedgerChoice::Ethereum(network) => Some(network.contract),
+        LedgerChoice::Ethereum(network) => Some((network.chain_id, network.contract.to_ascii_lowercase())),
         LedgerChoice::Modelled { .. } | LedgerChoice::Anvil { .. } => None,
     }
 }
@@ -158,8 +158,12 @@ mod tests {
     }
 
     fn on(contract: &str) -> Testbed {
+        on_chain(1, contract)
+    }
+
+    fn on_chain(chain_id: u64, contract: &str) -> Testbed {
         let ledger = format!(
-            "plugins.*.settings.ledger={{kind: ethereum, url: 'ws://127.0.0.1:1', contract: '{contract}', key_store: k}}"
+            "plugins.*.settings.ledger={{kind: ethereum, url: 'ws://127.0.0.1:1', chain_id: {chain_id}, contract: '{contract}', key_store: k}}"
         );
         testbed(&[&ledger])
     }
@@ -234,6 +238,7 @@ mod tests {
         assert!(refused(&modelled, &modelled).contains("`orchestrator-1`: its ledger begins with the run"));
         assert!(refused(&modelled, &here).contains("that run had another ledger"));
         assert!(refused(&on("0xac"), &here).contains("another contract"));
+        assert!(refused(&on_chain(2, "0xab"), &here).contains("another ledger"));
         let without = Testbed { plugins: Vec::new(), ..here.clone() };
         assert!(refused(&here, &without).contains("no plug-in `federation`"));
         let history = History::in_memory().unwrap();

@@ -3,7 +3,7 @@
 use std::{collections::BTreeSet, path::PathBuf, time::Duration};
 
 use cotorra_ledger::{
-    Account, Ledger, Secret,
+    Account, Deployment, Ledger, Secret,
     ethereum::{self, EthereumLedger, Key, Password, anvil},
 };
 
@@ -36,7 +36,7 @@ fn real(reason: impl ToString) -> LedgerError {
 pub(crate) struct Node {
     block_period: Duration,
     url: String,
-    contract: Account,
+    deployment: Deployment,
     from_block: u64,
     /// Of its accounts, how many are taken.
     taken: usize,
@@ -50,8 +50,8 @@ impl Node {
             anvil::Settings { program, block_period: Some(block_period), ..anvil::Settings::default() };
         let anvil = anvil::Anvil::start(&settings).map_err(real)?;
         let url = format!("ws://{}", anvil.address());
-        let (contract, from_block) = ethereum::deploy(&url, &key(KEYS[0])).map_err(real)?;
-        Ok(Self { block_period, url, contract, from_block, taken: 0, _anvil: anvil })
+        let (deployment, from_block) = ethereum::deploy(&url, &key(KEYS[0])).map_err(real)?;
+        Ok(Self { block_period, url, deployment, from_block, taken: 0, _anvil: anvil })
     }
 
     pub(crate) fn block_period(&self) -> Duration {
@@ -67,7 +67,7 @@ impl Node {
             ))
         })?;
         self.taken += 1;
-        connect(&self.url, self.contract, self.from_block, 0, key)
+        connect(&self.url, self.deployment, self.from_block, 0, key)
     }
 }
 
@@ -79,7 +79,8 @@ pub(crate) fn open(network: &Joining) -> Result<(Box<dyn Ledger>, Secret), Ledge
     };
     let key = Key::open(&network.key_store, &password).map_err(real)?;
     let contract = network.contract.parse().map_err(real)?;
-    connect(&network.url, contract, network.from_block, network.depth, key)
+    let deployment = Deployment { chain_id: network.chain_id, contract };
+    connect(&network.url, deployment, network.from_block, network.depth, key)
 }
 
 /// See [`Network::join`].
@@ -126,7 +127,10 @@ pub(crate) fn join(
     let clients: BTreeSet<_> = surveys.iter().map(|survey| survey.client.clone()).collect();
     let (contract, from_block) = match contract {
         Some(there) => there,
-        None => ethereum::deploy(&access.url, key).map_err(real)?,
+        None => {
+            let (deployment, block) = ethereum::deploy(&access.url, key).map_err(real)?;
+            (deployment.contract, block)
+        }
     };
     let block_period = match block_period {
         Some(period) => period,
@@ -142,13 +146,13 @@ pub(crate) fn join(
 
 fn connect(
     url: &str,
-    contract: Account,
+    deployment: Deployment,
     from_block: u64,
     depth: u64,
     key: Key,
 ) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
-    let secret = key.secret();
-    let settings = ethereum::Settings { url: url.to_owned(), contract, from_block, depth };
+    let secret = key.secret(deployment);
+    let settings = ethereum::Settings { url: url.to_owned(), deployment, from_block, depth };
     let ledger = EthereumLedger::connect(settings, key).map_err(real)?;
     Ok((Box::new(ledger), secret))
 }

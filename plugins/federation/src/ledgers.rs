@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_graph::{DomainId, Timestamp};
-use cotorra_ledger::{Account, Ledger, ModelledChain, Secret};
+use cotorra_ledger::{Account, Deployment, Ledger, ModelledChain, Secret};
 use sha3::{Digest, Keccak256};
 
 use crate::settings::LedgerChoice;
@@ -62,12 +62,14 @@ impl Ledgers {
     ) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
         match choice {
             LedgerChoice::Modelled { block_period, outage } => {
-                let ledger = self.modelled(*block_period)?.ledger(account(domain));
+                let chain = self.modelled(*block_period)?;
+                let secret = modelled_secret(domain, seed, chain.deployment());
+                let ledger = chain.ledger(account(domain));
                 let ledger = match outage {
                     Some([from, until]) => ledger.away(Timestamp::ZERO + *from..Timestamp::ZERO + *until),
                     None => ledger,
                 };
-                Ok((Box::new(ledger), modelled_secret(domain, seed)))
+                Ok((Box::new(ledger), secret))
             }
             _ if self.virtual_time => Err(LedgerError::VirtualTime),
             #[cfg(not(feature = "ethereum"))]
@@ -112,9 +114,9 @@ fn account(domain: &DomainId) -> Account {
 }
 
 /// A domain's secret on the modelled ledger: nobody is there who could look.
-fn modelled_secret(domain: &DomainId, seed: u64) -> Secret {
+fn modelled_secret(domain: &DomainId, seed: u64, deployment: Deployment) -> Secret {
     let hash = Keccak256::new().chain_update(seed.to_be_bytes()).chain_update(domain.as_str());
-    Secret::new(hash.finalize().into())
+    Secret::new(hash.finalize().into(), deployment)
 }
 
 #[cfg(test)]

@@ -213,7 +213,9 @@ impl Federation {
             return;
         }
         let account = self.ledger.account();
-        let is_it = |number: &u64| ServiceId::of(account, self.secret.announcement_salt(*number)) == *id;
+        let is_it = |number: &u64| {
+            ServiceId::of(self.secret.deployment(), account, self.secret.announcement_salt(*number)) == *id
+        };
         let Some(number) = (self.announced..self.announced + UNKNOWN).find(is_it) else { return };
         self.announced = number + 1;
         let request = Request { requirements: requirements.clone(), terms: *terms, policy: self.policy() };

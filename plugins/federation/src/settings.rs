@@ -88,6 +88,8 @@ pub enum LedgerChoice {
 pub struct Joining {
     /// A node's WebSocket.
     pub url: String,
+    /// The chain's ID (EIP-155). A node of another chain is none: ids and keys are of one chain.
+    pub chain_id: u64,
     /// Where the contract is.
     pub contract: String,
     /// The block that it was deployed in, or any before.

@@ -24,6 +24,7 @@ pub struct Chain {
     place: TempDir,
     settings: anvil::Settings,
     node: Option<Anvil>,
+    chain_id: u64,
     contract: String,
     from_block: u64,
 }
@@ -49,16 +50,17 @@ impl Chain {
         let node = Anvil::start(&settings).unwrap();
         let settings = anvil::Settings { port: node.address().port(), ..settings };
         fs::write(place.path().join("password"), "trial").unwrap();
-        let (contract, from_block) = (String::new(), 0);
-        let mut chain = Self { place, settings, node: Some(node), contract, from_block };
+        let (chain_id, contract, from_block) = (0, String::new(), 0);
+        let mut chain = Self { place, settings, node: Some(node), chain_id, contract, from_block };
         for domain in DOMAINS {
             chain.rpc(
                 "anvil_setBalance",
                 &json!([chain.key(domain).account().to_string(), "0xffffffffffffffffffff"]),
             );
         }
-        let (contract, from_block) = ethereum::deploy(&chain.url(), &chain.key("domain-1")).unwrap();
-        (chain.contract, chain.from_block) = (contract.to_string(), from_block);
+        let (deployment, from_block) = ethereum::deploy(&chain.url(), &chain.key("domain-1")).unwrap();
+        (chain.chain_id, chain.contract) = (deployment.chain_id, deployment.contract.to_string());
+        chain.from_block = from_block;
         Some(chain)
     }
 
@@ -83,8 +85,9 @@ impl Chain {
     pub fn settings(&self, depth: u64) -> [String; 4] {
         DOMAINS.map(|domain| {
             let ledger = json!({
-                "kind": "ethereum", "url": self.url(), "contract": self.contract, "from_block": self.from_block,
-                "depth": depth, "key_store": project_file("testbeds/trial-keys").join(format!("{domain}.json")),
+                "kind": "ethereum", "url": self.url(), "chain_id": self.chain_id, "contract": self.contract,
+                "from_block": self.from_block, "depth": depth,
+                "key_store": project_file("testbeds/trial-keys").join(format!("{domain}.json")),
                 "password_file": self.place.path().join("password"),
             });
             format!("plugins.{}.settings.ledger={ledger}", domain.replace("domain", "orchestrator"))

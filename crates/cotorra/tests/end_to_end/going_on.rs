@@ -22,8 +22,7 @@ fn a_run_goes_on_only_after_one_of_the_same_testbed_on_the_same_ledger() {
         assert!(!output.status.success() && !out.exists(), "{after} left something");
         stderr(&output).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
     };
-    let on_a_network =
-        "plugins.*.settings.ledger={kind: ethereum, url: 'ws://127.0.0.1:9', contract: '0x00', key_store: k}";
+    let on_a_network = "plugins.*.settings.ledger={kind: ethereum, url: 'ws://127.0.0.1:9', chain_id: 1, contract: '0x00', key_store: k}";
     for (after, more, told) in [
         ("nowhere", &[][..], "there is no folder nowhere"),
         ("7", &[], "run 7 of which history?"),

@@ -22,7 +22,7 @@ use crate::{
     ledger::{Ledger, Notice, Rejection, Ticket},
     message::{Call, Event},
     outbox::{Action, Fees, Outbox, Status, Told},
-    values::{Account, BlockHash, ChainTime, TransactionHash},
+    values::{Account, BlockHash, ChainTime, Deployment, TransactionHash},
 };
 
 /// How a network is reached.
@@ -30,8 +30,8 @@ use crate::{
 pub struct Settings {
     /// A node's WebSocket, `ws://…` or `wss://…`.
     pub url: String,
-    /// Where the contract is.
-    pub contract: Account,
+    /// The chain, and where the contract is there. A node of another chain is none.
+    pub deployment: Deployment,
     /// The block that it was deployed in, or any before: events are heard from there on.
     pub from_block: u64,
     /// How many blocks on top of its own make a transaction final: 0 where consensus is final at once.
@@ -179,7 +179,15 @@ impl Client {
         let provider =
             tokio::time::timeout(ANSWER, node::connect(&self.settings.url)).await.map_err(late)??;
         let chain = provider.get_chain_id().await?;
-        let contract = Address::from(self.settings.contract.0);
+        let wanted = self.settings.deployment.chain_id;
+        if chain != wanted {
+            let url = &self.settings.url;
+            let reason = format!(
+                "the node at {url} is of the chain {chain}, not {wanted}: set `chain_id` or another node"
+            );
+            return Err(Over::Connection(reason));
+        }
+        let contract = Address::from(self.settings.deployment.contract.0);
         if provider.get_code_at(contract).await?.is_empty() {
             let reason = format!("there is no contract at {contract} on the chain {chain}");
             return Err(Over::Connection(reason));
@@ -269,7 +277,7 @@ impl Client {
 
     /// Tells what was said before the blocks that can be taken back.
     async fn catch_up(&mut self, provider: &RootProvider, head: u64) -> Result<(), Over> {
-        let contract = Address::from(self.settings.contract.0);
+        let contract = Address::from(self.settings.deployment.contract.0);
         let mut from = self.next_block.unwrap_or(self.settings.from_block);
         // The last ones are heard block by block. Behind a gap deeper than that, nothing that is known can be compared.
         let until = head.saturating_sub(DEEPEST as u64 / 2);
@@ -291,7 +299,7 @@ impl Client {
 
     /// What the contract said in a block.
     async fn events_in(&self, provider: &RootProvider, header: &Header) -> Result<Vec<Event>, Over> {
-        let contract = Address::from(self.settings.contract.0);
+        let contract = Address::from(self.settings.deployment.contract.0);
         // The header says already whether it may have said anything.
         if !header.logs_bloom.contains_input(BloomInput::Raw(contract.as_slice())) {
             return Ok(Vec::new());
@@ -363,7 +371,7 @@ impl Client {
             gas_limit: gas,
             max_fee_per_gas: fees.most,
             max_priority_fee_per_gas: fees.tip,
-            to: TxKind::Call(Address::from(self.settings.contract.0)),
+            to: TxKind::Call(Address::from(self.settings.deployment.contract.0)),
             value: U256::from(call.value().0),
             input: Bytes::from(abi::encode(call)),
             ..TxEip1559::default()
@@ -414,7 +422,7 @@ impl Client {
     fn request(&self, call: &Call) -> TransactionRequest {
         TransactionRequest::default()
             .from(self.key.signer.address())
-            .to(Address::from(self.settings.contract.0))
+            .to(Address::from(self.settings.deployment.contract.0))
             .value(U256::from(call.value().0))
             .input(TransactionInput::both(Bytes::from(abi::encode(call))))
     }

@@ -12,7 +12,10 @@ use alloy::{
 };
 use sha3::{Digest, Keccak256};
 
-use crate::{seal::Secret, values::Account};
+use crate::{
+    seal::Secret,
+    values::{Account, Deployment},
+};
 
 /// Where a key store's password comes from.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -102,13 +105,12 @@ impl Key {
         Account(self.signer.address().into())
     }
 
-    /// The secret that the operator's other keys and salts come from.
-    pub fn secret(&self) -> Secret {
+    /// The secret that the operator's other keys and salts with a contract come from.
+    pub fn secret(&self, deployment: Deployment) -> Secret {
         // Apart from the key itself, which signs: neither says anything of the other.
         let key = self.signer.to_bytes();
-        Secret::new(
-            Keccak256::new().chain_update(key).chain_update(b"cotorra federation secret").finalize().into(),
-        )
+        let bytes = Keccak256::new().chain_update(key).chain_update(b"cotorra federation secret");
+        Secret::new(bytes.finalize().into(), deployment)
     }
 }
 

@@ -17,7 +17,10 @@ use tokio::{
 };
 
 use super::{abi, key::Key, socket::AtOnce};
-use crate::{outbox::Fees, values::Account};
+use crate::{
+    outbox::Fees,
+    values::{Account, Deployment},
+};
 
 /// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -44,16 +47,19 @@ pub(super) type Failed = RpcError<TransportErrorKind>;
 ///
 /// # Errors
 /// [`EthereumError`].
-pub fn deploy(url: &str, key: &Key) -> Result<(Account, u64), EthereumError> {
+pub fn deploy(url: &str, key: &Key) -> Result<(Deployment, u64), EthereumError> {
     let node = |reason: String| EthereumError::Node { url: url.to_owned(), reason };
-    let receipt = runtime()?.block_on(create(url, key)).map_err(|reason| node(reason.to_string()))?;
+    let created = runtime()?.block_on(create(url, key));
+    let (chain_id, receipt) = created.map_err(|reason| node(reason.to_string()))?;
     match (receipt.status(), receipt.contract_address, receipt.block_number) {
-        (true, Some(address), Some(block)) => Ok((Account(address.into()), block)),
+        (true, Some(address), Some(block)) => {
+            Ok((Deployment { chain_id, contract: Account(address.into()) }, block))
+        }
         _ => Err(node("it did not deploy the contract".to_owned())),
     }
 }
 
-async fn create(url: &str, key: &Key) -> Result<TransactionReceipt, Failed> {
+async fn create(url: &str, key: &Key) -> Result<(u64, TransactionReceipt), Failed> {
     let provider = connect(url).await?;
     let from = key.signer.address();
     let input = Bytes::from(abi::bytecode());
@@ -62,8 +68,9 @@ async fn create(url: &str, key: &Key) -> Result<TransactionReceipt, Failed> {
     let request = TransactionRequest { from: Some(from), input: input_of, ..Default::default() };
     let (base, tip) = asked(&provider).await?;
     let fees = Fees::offer(base, tip, None);
+    let chain_id = provider.get_chain_id().await?;
     let transaction = key.sign(TxEip1559 {
-        chain_id: provider.get_chain_id().await?,
+        chain_id,
         nonce: provider.get_transaction_count(from).pending().await?,
         gas_limit: estimate(&provider, request).await?,
         max_fee_per_gas: fees.most,
@@ -76,7 +83,7 @@ async fn create(url: &str, key: &Key) -> Result<TransactionReceipt, Failed> {
     let asks = DEPLOYMENT.as_millis() / ASK.as_millis();
     for _ in 0..asks {
         if let Some(receipt) = provider.get_transaction_receipt(hash).await? {
-            return Ok(receipt);
+            return Ok((chain_id, receipt));
         }
         tokio::time::sleep(ASK).await;
     }

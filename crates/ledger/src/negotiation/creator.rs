@@ -146,13 +146,13 @@ impl Creator {
     pub fn new(now: Timestamp, account: Account, secret: Secret, salt: Salt, request: Request) -> Self {
         Self {
             key: secret.public_key(salt),
+            heard: Heard::new(ServiceId::of(secret.deployment(), account, salt)),
             secret,
             salt,
             request,
             started: now,
             announced: None,
             is_behind: false,
-            heard: Heard::new(ServiceId::of(account, salt)),
             calls: Calls::default(),
             want: Want::Service,
             bids: Vec::new(),

@@ -8,8 +8,8 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    ChainTime, Commitment, ModelledChain, ModelledLedger, Price, PublicKey, Refusal, Requirements, Salt,
-    State, Terms, Wei,
+    ChainTime, Commitment, Deployment, ModelledChain, ModelledLedger, Price, PublicKey, Refusal,
+    Requirements, Salt, State, Terms, Wei,
     seal::{Attachment, Secret},
 };
 
@@ -31,7 +31,7 @@ fn account(number: u8) -> Account {
 }
 
 fn secret(number: u8) -> Secret {
-    Secret::new([number; 32])
+    Secret::new([number; 32], Deployment::default())
 }
 
 fn request() -> Request {
@@ -596,7 +596,7 @@ fn manner() -> impl Strategy<Value = Manner> {
 
 /// Any event of the service, sensible or not.
 fn any_event() -> impl Strategy<Value = Event> {
-    let id = ServiceId::of(account(0), Salt([1; 32]));
+    let id = ServiceId::of(Deployment::default(), account(0), Salt([1; 32]));
     let deadline = || (0..400u64).prop_map(ChainTime);
     let provider = || (0..4u8).prop_map(account);
     prop_oneof![
@@ -698,7 +698,7 @@ proptest! {
         let chain = ModelledChain::new(PERIOD);
         let mut ledger = chain.ledger(account(1));
         let announced = Event::ServiceAnnounced {
-            id: ServiceId::of(account(0), Salt([1; 32])),
+            id: ServiceId::of(Deployment::default(), account(0), Salt([1; 32])),
             creator: account(0),
             key: secret(0).public_key(Salt([1; 32])),
             requirements: request().requirements,

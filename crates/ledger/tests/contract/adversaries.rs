@@ -1,7 +1,7 @@
 //! Those who mean no good, some of them contracts themselves.
 
 use alloy::{primitives::Bytes, sol_types::SolCall};
-use cotorra_ledger::{Account, Call, Commitment, Event, Outcome, Refusal, Salt, ServiceId, Wei, ethereum};
+use cotorra_ledger::{Account, Call, Commitment, Event, Outcome, Refusal, Salt, Wei, ethereum};
 
 use crate::{
     both::{Both, CREATOR, OTHER, PRICE, PROVIDER, TERMS, announce, bid, choose, deploy, salt_of},
@@ -35,7 +35,7 @@ fn with_balance(both: &mut Both, wallet: Account) {
     let create = |both: &mut Both, call: Call| execute(both, wallet, &call).unwrap();
     create(both, Call::Register { name: "mallory".to_owned() });
     create(both, announce(SALT));
-    let id = ServiceId::of(wallet, SALT);
+    let id = both.id(wallet, SALT);
     let chain = &both.chain;
     chain.call(both.now.after(1), PROVIDER, &bid(id, PROVIDER)).unwrap();
     both.wait(1);
@@ -83,7 +83,7 @@ fn nobody_takes_an_id_by_being_faster() {
     // Mallory saw the creator's announcement before it was in a block, and sends the same at a higher fee.
     both.does(OTHER, announce(SALT));
     let announced = both.does(CREATOR, announce(SALT));
-    assert_eq!(announced.service(), Some(ServiceId::of(CREATOR, SALT)));
+    assert_eq!(announced.service(), Some(both.id(CREATOR, SALT)));
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn a_copied_bid_cannot_be_opened() {
     let copied = Call::Choose { id, provider: OTHER, price: PRICE, salt: salt_of(PROVIDER), deposit };
     both.refuses(Refusal::CommitmentDiffers, CREATOR, copied);
     // Nor does a bid for one service serve for another.
-    let second = ServiceId::of(CREATOR, Salt([8; 32]));
+    let second = both.id(CREATOR, Salt([8; 32]));
     both.does(CREATOR, announce(Salt([8; 32])));
     let commitment = Commitment::to(id, PROVIDER, PRICE, salt_of(PROVIDER));
     both.does(PROVIDER, Call::Bid { id: second, commitment, sealed: vec![1] });
@@ -145,7 +145,7 @@ fn the_losers_and_the_winners_of_other_services_deploy_nothing_here() {
     both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));
     let second = Salt([8; 32]);
     both.does(CREATOR, announce(second));
-    let second = ServiceId::of(CREATOR, second);
+    let second = both.id(CREATOR, second);
     both.does(OTHER, bid(second, OTHER));
     both.does(CREATOR, choose(second, OTHER));
     both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));

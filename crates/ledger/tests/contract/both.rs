@@ -26,13 +26,15 @@ pub struct Both {
 impl Both {
     /// On a new chain; `None` where there is none.
     pub fn new() -> Option<Self> {
-        Some(Self { chain: Chain::new()?, rules: Contract::default(), now: START, gas: 0 })
+        let chain = Chain::new()?;
+        let rules = Contract::new(chain.deployment());
+        Some(Self { chain, rules, now: START, gas: 0 })
     }
 
     /// On the same chain, with a new contract.
     pub fn renew(&mut self) {
         self.chain.renew();
-        self.rules = Contract::default();
+        self.rules = Contract::new(self.chain.deployment());
     }
 
     /// With three registered operators.
@@ -75,6 +77,11 @@ impl Both {
         assert_eq!(self.call(caller, call.clone()), Err(refusal), "{call:?}");
     }
 
+    /// The id of a creator's service.
+    pub fn id(&self, creator: Account, salt: Salt) -> ServiceId {
+        ServiceId::of(self.rules.deployment(), creator, salt)
+    }
+
     /// Where a service stands.
     pub fn state(&self, id: ServiceId) -> State {
         self.rules.state(id)
@@ -92,7 +99,7 @@ impl Both {
 
     /// A service of the creator with a bid of the provider.
     pub fn bid_for(&mut self, salt: Salt) -> ServiceId {
-        let id = ServiceId::of(CREATOR, salt);
+        let id = self.id(CREATOR, salt);
         self.does(CREATOR, announce(salt));
         self.does(PROVIDER, bid(id, PROVIDER));
         id

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use cotorra_ledger::{
-    Account, Call, ChainTime, Event, Refusal,
+    Account, Call, ChainTime, Deployment, Event, Refusal,
     ethereum::{
         self,
         anvil::{self, Anvil},
@@ -56,6 +56,12 @@ impl Chain {
         let receipt = self.deploy(account(99), &ethereum::bytecode());
         self.contract = receipt["contractAddress"].as_str().unwrap().parse().unwrap();
         self.deployment_gas = number(&receipt["gasUsed"]);
+    }
+
+    /// The contract, and the chain that it is on.
+    pub fn deployment(&self) -> Deployment {
+        let chain_id = number(&self.rpc("eth_chainId", json!([])));
+        Deployment { chain_id, contract: self.contract }
     }
 
     /// Where the contract is.

@@ -17,7 +17,8 @@ fn table(both: &mut Both) -> String {
         both.does(caller, call);
         rows.push(format!("| `{name}` | {by} | {} |", both.gas));
     };
-    let id = |number| ServiceId::of(CREATOR, Salt([number; 32]));
+    let deployment = both.chain.deployment();
+    let id = |number| ServiceId::of(deployment, CREATOR, Salt([number; 32]));
     for operator in [PROVIDER, OTHER] {
         both.does(operator, Call::Register { name: "domain 2".to_owned() });
     }

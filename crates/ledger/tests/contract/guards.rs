@@ -87,7 +87,7 @@ fn an_announcement_is_complete_and_unique() {
 #[test]
 fn bids_are_of_other_operators_once_and_in_time() {
     let Some(mut both) = Both::with_operators() else { return };
-    let id = ServiceId::of(CREATOR, SALT);
+    let id = both.id(CREATOR, SALT);
     both.refuses(Refusal::WrongState(State::None), PROVIDER, bid(id, PROVIDER));
     let Event::ServiceAnnounced { deadline, .. } = both.does(CREATOR, announce(SALT)) else { panic!() };
     both.refuses(Refusal::NotRegistered, stranger(), bid(id, stranger()));
@@ -245,7 +245,7 @@ fn a_late_release_is_charged_for_what_was_paid_and_no_more() {
 fn the_highest_price_for_the_longest_time_overflows_nothing() {
     let Some(mut both) = Both::with_operators() else { return };
     let terms = Terms { use_for: u32::MAX, ..TERMS };
-    let id = ServiceId::of(CREATOR, SALT);
+    let id = both.id(CREATOR, SALT);
     both.does(
         CREATOR,
         Call::Announce { salt: SALT, key: PublicKey([9; 32]), requirements: requirements(), terms },

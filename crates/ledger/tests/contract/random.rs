@@ -4,7 +4,8 @@
 use std::{cell::RefCell, collections::BTreeMap};
 
 use cotorra_ledger::{
-    Account, Call, Commitment, Event, Price, PublicKey, Refusal, Salt, ServiceId, State, Terms, Wei,
+    Account, Call, Commitment, Deployment, Event, Price, PublicKey, Refusal, Salt, ServiceId, State, Terms,
+    Wei,
 };
 use proptest::{
     prelude::*,
@@ -21,13 +22,14 @@ const BID: Price = Price::new(3).unwrap();
 /// A service that calls are about; once it has ended, the next takes its place.
 #[derive(Debug, Clone, Copy)]
 struct Service {
+    deployment: Deployment,
     creator: Account,
     salt: Salt,
 }
 
 impl Service {
     fn id(self) -> ServiceId {
-        ServiceId::of(self.creator, self.salt)
+        ServiceId::of(self.deployment, self.creator, self.salt)
     }
 
     fn announce(self, key: PublicKey) -> Call {
@@ -99,8 +101,9 @@ fn whatever_is_called_the_contract_does_what_its_rules_say() {
             for operator in [CREATOR, PROVIDER, OTHER] {
                 both.does(operator, Call::Register { name: "operator".to_owned() });
             }
+            let deployment = both.chain.deployment();
             let mut salts = (0..=u8::MAX).map(|number| Salt([number; 32]));
-            let mut announced = |creator| Service { creator, salt: salts.next().unwrap() };
+            let mut announced = |creator| Service { deployment, creator, salt: salts.next().unwrap() };
             let mut services = [announced(CREATOR), announced(CREATOR), announced(OTHER)];
             let mut is_late = [false; 3];
             for (number, caller, provider, any, wait) in steps {

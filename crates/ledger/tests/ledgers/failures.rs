@@ -267,7 +267,7 @@ fn the_announcement_is_replayed(stage: &Stage<'_>) {
         creator.has(|step| *step == CreatorStep::Announced)
     });
     // Word for word, by the creator and by somebody else.
-    let secret = creator.operator.key.secret();
+    let secret = creator.operator.secret();
     let salt = secret.announcement_salt(1);
     let again = || {
         let requirements = request(policy()).requirements;

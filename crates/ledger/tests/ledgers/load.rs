@@ -86,9 +86,10 @@ impl Side<Provider> {
                 && bids_for(*id)
                 && !self.services.contains_key(id)
             {
-                let (key, endpoint) = (&self.operator.key, "http://domain:7700".to_owned());
+                let (account, endpoint) = (self.operator.key.account(), "http://domain:7700".to_owned());
                 let offer = Offer { price, endpoint };
-                if let Some(provider) = Provider::new(key.account(), key.secret(), event, offer).unwrap() {
+                let secret = self.operator.secret();
+                if let Some(provider) = Provider::new(account, secret, event, offer).unwrap() {
                     self.services.insert(*id, (provider, Vec::new()));
                 }
             }
@@ -144,7 +145,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     for number in 0..announcements {
         let index = number % creators.len();
         let side = &mut creators[index];
-        let (account, secret) = (side.operator.key.account(), side.operator.key.secret());
+        let (account, secret) = (side.operator.key.account(), side.operator.secret());
         let request = request(policy);
         let creator = Creator::new(
             side.operator.now(),

@@ -71,6 +71,14 @@ fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
 }
 
 #[test]
+fn a_node_of_another_chain_is_not_used() {
+    let Some(node) = Node::start() else { return };
+    let mut ledger = node.stray(1);
+    let Notice::Down(reason) = ledger.wait() else { panic!("it is up") };
+    assert!(reason.contains("is of the chain 31337, not 31338"), "{reason}");
+}
+
+#[test]
 fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.poor_operator(9);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use cotorra_ledger::{
-    Account, Notice, Ticket, Wei,
+    Deployment, Notice, Ticket, Wei,
     ethereum::{
         self, EthereumLedger, Key, Settings,
         anvil::{self, Anvil},
@@ -25,7 +25,7 @@ pub struct Node {
     anvil: Option<Anvil>,
     program: PathBuf,
     folder: TempDir,
-    contract: Account,
+    deployment: Deployment,
     port: u16,
     blocks: Blocks,
     /// The nodes of a network that is there already.
@@ -65,13 +65,13 @@ impl Node {
             anvil: None,
             program: program()?,
             folder: tempfile::tempdir().unwrap(),
-            contract: Account::default(),
+            deployment: Deployment::default(),
             port: 0,
             existing: Vec::new(),
         };
         node.restart();
         node.enrich(99);
-        (node.contract, _) = ethereum::deploy(&node.url(1), &key(99)).unwrap();
+        (node.deployment, _) = ethereum::deploy(&node.url(1), &key(99)).unwrap();
         node.blocks = blocks;
         node.prepare();
         Some(node)
@@ -80,10 +80,10 @@ impl Node {
     /// The network with nodes at these WebSockets, on which the operators of tests have money; the contract is deployed anew.
     pub fn existing(urls: &[&str]) -> Self {
         let _alone = DEPLOYER.lock();
-        let (contract, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
+        let (deployment, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
         let (anvil, program, folder) = (None, PathBuf::new(), tempfile::tempdir().unwrap());
         let existing = urls.iter().map(|url| (*url).to_owned()).collect();
-        Self { anvil, program, folder, contract, port: 0, blocks: Blocks::Theirs, existing }
+        Self { anvil, program, folder, deployment, port: 0, blocks: Blocks::Theirs, existing }
     }
 
     /// The node again, with the chain that it had, where it was.
@@ -205,6 +205,13 @@ impl Node {
         operator
     }
 
+    /// The access of one that wants the same contract on another chain.
+    pub fn stray(&self, number: u8) -> EthereumLedger {
+        let deployment = Deployment { chain_id: self.deployment.chain_id + 1, ..self.deployment };
+        let settings = Settings { url: self.url(number), deployment, from_block: 0, depth: 2 };
+        EthereumLedger::connect(settings, key(number)).unwrap()
+    }
+
     /// One without money.
     pub fn poor_operator(&self, number: u8) -> Operator {
         self.reconnect(number)
@@ -217,8 +224,9 @@ impl Node {
 
     /// The same by another URL.
     pub fn reconnect_at(&self, number: u8, url: String) -> Operator {
-        let settings = Settings { url, contract: self.contract, from_block: 0, depth: 2 };
-        Operator::new(EthereumLedger::connect(settings, key(number)).unwrap(), key(number))
+        let settings = Settings { url, deployment: self.deployment, from_block: 0, depth: 2 };
+        let ledger = EthereumLedger::connect(settings, key(number)).unwrap();
+        Operator::new(ledger, key(number), self.deployment)
     }
 
     /// How many transactions of an operator are on the chain.
@@ -230,7 +238,7 @@ impl Node {
 
     /// What the contract has.
     pub fn holds(&self) -> Wei {
-        let balance = self.rpc("eth_getBalance", &format!("[\"{}\", \"latest\"]", self.contract));
+        let balance = self.rpc("eth_getBalance", &format!("[\"{}\", \"latest\"]", self.deployment.contract));
         Wei(u128::from_str_radix(&balance.as_str().unwrap()[2..], 16).unwrap())
     }
 

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use cotorra_graph::Timestamp;
 use cotorra_ledger::{
-    Account, Attachment, Call, Event, Ledger, Notice, Price, Requirements, Terms, Ticket, Wei,
+    Account, Attachment, Call, Deployment, Event, Ledger, Notice, Price, Requirements, Secret, Terms, Ticket,
+    Wei,
     ethereum::{EthereumLedger, Key},
     negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Request},
 };
@@ -15,6 +16,8 @@ use crate::node::{BLOCKS, Node};
 pub struct Operator {
     pub ledger: EthereumLedger,
     pub key: Key,
+    /// Where the contract is.
+    pub deployment: Deployment,
     /// All that was heard.
     pub notices: Vec<Notice>,
     /// Whether the test keeps it from its node: nobody waits for it.
@@ -27,11 +30,17 @@ pub struct Operator {
 
 impl Operator {
     /// One that has heard of the chain's head.
-    pub fn new(ledger: EthereumLedger, key: Key) -> Self {
+    pub fn new(ledger: EthereumLedger, key: Key, deployment: Deployment) -> Self {
         let (notices, now) = (Vec::new(), Timestamp::ZERO);
-        let mut operator = Self { ledger, key, notices, is_cut_off: false, now, head: 0, announced: 0 };
+        let mut operator =
+            Self { ledger, key, deployment, notices, is_cut_off: false, now, head: 0, announced: 0 };
         operator.wait_for(|notice| matches!(notice, Notice::Head { .. }));
         operator
+    }
+
+    /// What its other keys come from.
+    pub fn secret(&self) -> Secret {
+        self.key.secret(self.deployment)
     }
 
     pub fn now(&self) -> Timestamp {
@@ -51,8 +60,8 @@ impl Operator {
     /// Announces another service.
     pub fn announce(&mut self) -> Ticket {
         self.announced += 1;
-        let salt = self.key.secret().announcement_salt(1000 + self.announced);
-        let key = self.key.secret().public_key(salt);
+        let salt = self.secret().announcement_salt(1000 + self.announced);
+        let key = self.secret().public_key(salt);
         let Request { requirements, terms, .. } = request(policy());
         self.ledger.submit(self.now(), Call::Announce { salt, key, requirements, terms })
     }
@@ -165,7 +174,7 @@ impl CreatorSide {
 
     /// One with terms of its own.
     pub fn asking(operator: Operator, terms: Terms, policy: Policy) -> Self {
-        let secret = operator.key.secret();
+        let secret = operator.secret();
         let salt = secret.announcement_salt(1);
         let request = Request { terms, ..request(policy) };
         let negotiation = Creator::new(operator.now(), operator.key.account(), secret, salt, request);
@@ -271,8 +280,8 @@ impl ProviderSide {
                 )
             {
                 let offer = Offer { price: self.price, endpoint: "http://domain-2:7700".to_owned() };
-                let key = &self.operator.key;
-                self.negotiation = Provider::new(key.account(), key.secret(), event, offer).unwrap();
+                let account = self.operator.key.account();
+                self.negotiation = Provider::new(account, self.operator.secret(), event, offer).unwrap();
             }
             if let Some(negotiation) = &mut self.negotiation {
                 negotiation.handle(now, notice);

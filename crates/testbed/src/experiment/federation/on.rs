@@ -37,6 +37,7 @@ impl On {
                     json!({
                         "kind": "ethereum",
                         "url": access.url,
+                        "chain_id": network.chain_id,
                         "contract": network.contract.to_string(),
                         "from_block": network.from_block,
                         "depth": network.depth,
