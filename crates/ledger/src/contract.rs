@@ -15,14 +15,26 @@ pub struct Contract {
     names: HashMap<Account, String>,
     balances: HashMap<Account, Wei>,
     services: HashMap<ServiceId, Service>,
-    commitments: HashMap<(ServiceId, Account), Commitment>,
+    bids: HashMap<(ServiceId, Account), Bid>,
 }
 
 #[derive(Debug, Clone)]
 struct Service {
     creator: Account,
     terms: Terms,
+    /// Behind it, nobody is chosen any more.
+    choose_by: ChainTime,
+    /// How often somebody was chosen.
+    choices: u32,
     stage: Stage,
+}
+
+/// A provider has one bid for a service at most, and that is chosen once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Bid {
+    Standing(Commitment),
+    /// It was chosen, or its bond taken back.
+    Spent,
 }
 
 /// The state of a service, with what it has in it.
@@ -82,7 +94,7 @@ impl Contract {
             names: HashMap::new(),
             balances: HashMap::new(),
             services: HashMap::new(),
-            commitments: HashMap::new(),
+            bids: HashMap::new(),
         }
     }
 
@@ -101,18 +113,21 @@ impl Contract {
             Call::Announce { salt, key, requirements, terms } => {
                 self.announce(now, caller, *salt, *key, requirements, *terms)
             }
-            Call::Bid { id, commitment, sealed } => self.bid(now, caller, *id, *commitment, sealed),
+            Call::Bid { id, commitment, sealed, bond } => {
+                self.bid(now, caller, *id, *commitment, sealed, *bond)
+            }
             Call::Choose { id, provider, price, salt, deposit } => {
                 let bid = Opened { provider: *provider, price: *price, salt: *salt };
                 self.choose(now, caller, *id, bid, *deposit)
             }
             Call::Deploy { id, sealed } => self.deploy(now, caller, *id, sealed),
             Call::Accept { id } => self.accept(now, caller, *id),
-            Call::Cancel { id } => self.cancel(caller, *id),
-            Call::Decline { id } => self.decline(caller, *id),
+            Call::Cancel { id } => self.cancel(now, caller, *id),
+            Call::Decline { id } => self.decline(now, caller, *id),
             Call::Release { id } => self.release(now, caller, *id),
             Call::Expire { id } => self.expire(now, *id),
-            Call::Withdraw => self.withdraw(caller),
+            Call::Reclaim { id } => self.reclaim(now, caller, *id),
+            Call::Withdraw { to } => self.withdraw(caller, *to),
         }
     }
 
@@ -126,10 +141,15 @@ impl Contract {
         self.balances.get(&operator).copied().unwrap_or_default()
     }
 
-    /// All the money that the contract holds: deposits of services that have not ended, and balances.
+    /// All the money that the contract holds: deposits and bonds of services that have not ended, bonds of bids that stand,
+    /// and balances.
     pub fn holds(&self) -> Wei {
-        let deposits = self.services.values().map(Service::deposit);
-        Wei(deposits.chain(self.balances.values().copied()).map(|wei| wei.0).sum())
+        let deposits = self.services.values().flat_map(|service| [service.deposit(), service.winners_bond()]);
+        let bonds = self.bids.iter().map(|((id, _), bid)| match bid {
+            Bid::Standing(_) => self.services[id].terms.bond(),
+            Bid::Spent => Wei(0),
+        });
+        Wei(deposits.chain(bonds).chain(self.balances.values().copied()).map(|wei| wei.0).sum())
     }
 
     fn register(&mut self, caller: Account, name: &str) -> Result<Event, Refusal> {
@@ -154,10 +174,11 @@ impl Contract {
         require(key != PublicKey::default(), Refusal::BadKey)?;
         let Requirements { vnf, map, ssid, .. } = requirements;
         require(is_name(vnf) && is_name(map) && ssid.len() <= MAX_SSID, Refusal::BadRequirements)?;
-        let Terms { open_for, deploy_within, accept_within, use_for } = terms;
+        let Terms { open_for, deploy_within, accept_within, use_for, bond: _ } = terms;
         require(![open_for, deploy_within, accept_within, use_for].contains(&0), Refusal::BadTerms)?;
         let deadline = now.after(open_for);
-        self.services.insert(id, Service { creator, terms, stage: Stage::Open { deadline } });
+        let stage = Stage::Open { deadline };
+        self.services.insert(id, Service { creator, terms, choose_by: deadline, choices: 0, stage });
         Ok(Event::ServiceAnnounced { id, creator, key, requirements: requirements.clone(), terms, deadline })
     }
 
@@ -168,14 +189,17 @@ impl Contract {
         id: ServiceId,
         commitment: Commitment,
         sealed: &[u8],
+        bond: Wei,
     ) -> Result<Event, Refusal> {
         self.require_registered(provider)?;
         let service = self.open(now, id)?;
+        let due = service.terms.bond();
         require(service.creator != provider, Refusal::OwnService)?;
-        require(!self.commitments.contains_key(&(id, provider)), Refusal::AlreadyBid)?;
-        require(commitment != Commitment::default(), Refusal::BadCommitment)?;
+        require(!self.bids.contains_key(&(id, provider)), Refusal::AlreadyBid)?;
+        require(commitment != Commitment::default() && commitment != SPENT, Refusal::BadCommitment)?;
         require(is_sealed(sealed), Refusal::BadSealed)?;
-        self.commitments.insert((id, provider), commitment);
+        require(bond == due, Refusal::BadDeposit(due))?;
+        self.bids.insert((id, provider), Bid::Standing(commitment));
         Ok(Event::BidPlaced { id, provider, commitment, sealed: sealed.to_owned() })
     }
 
@@ -187,17 +211,28 @@ impl Contract {
         Opened { provider, price, salt }: Opened,
         deposit: Wei,
     ) -> Result<Event, Refusal> {
-        let commitment = self.commitments.get(&(id, provider)).copied();
-        let service = self.open(now, id)?;
+        let bid = self.bids.get(&(id, provider)).copied();
+        let service = self.service(id)?;
+        let can_choose = match service.stage {
+            Stage::Open { .. } | Stage::Deployed { .. } => true,
+            Stage::Closed { deadline, .. } => now > deadline,
+            Stage::InUse { .. } | Stage::Ended { .. } => false,
+        };
+        require(can_choose, Refusal::WrongState(service.stage.state()))?;
+        require(now <= service.choose_by, Refusal::TooLate(service.choose_by))?;
         require(service.creator == caller, Refusal::OnlyCreator)?;
-        let commitment = commitment.ok_or(Refusal::NoSuchBid)?;
+        let Some(Bid::Standing(commitment)) = bid else { return Err(Refusal::NoSuchBid) };
         require(commitment == Commitment::to(id, provider, price, salt), Refusal::CommitmentDiffers)?;
         require(price.get() != 0, Refusal::PriceIsZero)?;
         let due = price.times(service.terms.use_for);
         require(deposit == due, Refusal::BadDeposit(due))?;
+        self.settle(now, id, Wei(0));
+        self.bids.insert((id, provider), Bid::Spent);
+        let service = self.service(id)?;
         let deadline = now.after(service.terms.deploy_within);
         service.stage = Stage::Closed { winner: Winner { provider, price }, deadline };
-        Ok(Event::ProviderChosen { id, provider, price, deadline })
+        service.choices += 1;
+        Ok(Event::ProviderChosen { id, provider, price, choice: service.choices, deadline })
     }
 
     fn deploy(
@@ -215,7 +250,9 @@ impl Contract {
         require(winner.provider == caller, Refusal::OnlyProvider)?;
         require(is_sealed(sealed), Refusal::BadSealed)?;
         let deadline = now.after(service.terms.accept_within);
+        let bond = service.terms.bond();
         service.stage = Stage::Deployed { winner, at: now, deadline };
+        self.credit(caller, bond);
         Ok(Event::ServiceDeployed { id, provider: caller, sealed: sealed.to_owned(), deadline })
     }
 
@@ -231,18 +268,20 @@ impl Contract {
         Ok(Event::ServiceAccepted { id, provider: winner.provider, deadline })
     }
 
-    fn cancel(&mut self, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
+    fn cancel(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
         let service = self.services.get(&id).ok_or(Refusal::OnlyCreator)?;
         require(service.creator == caller, Refusal::OnlyCreator)?;
         require_unaccepted(&service.stage)?;
-        Ok(self.end(id, Outcome::Cancelled, Wei(0)))
+        let is_failed = matches!(service.stage, Stage::Closed { deadline, .. } if now > deadline);
+        let outcome = if is_failed { Outcome::NotDeployed } else { Outcome::Cancelled };
+        Ok(self.end(now, id, outcome, Wei(0)))
     }
 
-    fn decline(&mut self, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
+    fn decline(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
         let service = self.services.get(&id).ok_or(Refusal::OnlyProvider)?;
         require(service.stage.is_won_by(caller), Refusal::OnlyProvider)?;
         require_unaccepted(&service.stage)?;
-        Ok(self.end(id, Outcome::Declined, Wei(0)))
+        Ok(self.leave(now, id, Outcome::Declined))
     }
 
     fn release(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
@@ -253,7 +292,7 @@ impl Contract {
         };
         let used = u32::try_from(now.min(deadline).0 - from.0).expect("the deadline is u32 seconds behind");
         let outcome = if now > deadline { Outcome::Completed } else { Outcome::Released };
-        Ok(self.end(id, outcome, winner.price.times(used)))
+        Ok(self.end(now, id, outcome, winner.price.times(used)))
     }
 
     fn expire(&mut self, now: ChainTime, id: ServiceId) -> Result<Event, Refusal> {
@@ -266,29 +305,70 @@ impl Contract {
             Stage::Ended { .. } => return Err(Refusal::WrongState(State::Ended)),
         };
         require(now > deadline, Refusal::TooEarly(deadline))?;
-        let charge = if outcome == Outcome::Completed { service.deposit() } else { Wei(0) };
-        Ok(self.end(id, outcome, charge))
+        Ok(match outcome {
+            Outcome::NotDeployed | Outcome::NotAccepted => self.leave(now, id, outcome),
+            Outcome::Completed => self.end(now, id, outcome, service.deposit()),
+            _ => self.end(now, id, outcome, Wei(0)),
+        })
     }
 
-    fn withdraw(&mut self, operator: Account) -> Result<Event, Refusal> {
+    fn reclaim(&mut self, now: ChainTime, provider: Account, id: ServiceId) -> Result<Event, Refusal> {
+        let Some(Bid::Standing(_)) = self.bids.get(&(id, provider)) else { return Err(Refusal::NoSuchBid) };
+        let service = self.service(id)?;
+        let is_decided = matches!(service.stage, Stage::InUse { .. } | Stage::Ended { .. });
+        require(is_decided || now > service.choose_by, Refusal::BondBound)?;
+        let bond = service.terms.bond();
+        self.bids.insert((id, provider), Bid::Spent);
+        self.credit(provider, bond);
+        Ok(Event::BondReclaimed { id, provider, bond })
+    }
+
+    fn withdraw(&mut self, operator: Account, to: Account) -> Result<Event, Refusal> {
+        require(to != Account::default() && to != self.deployment.contract, Refusal::BadReceiver)?;
         let amount = self.balance(operator);
         require(amount != Wei(0), Refusal::NothingToWithdraw)?;
         self.balances.remove(&operator);
-        Ok(Event::Withdrawn { operator, amount })
+        Ok(Event::Withdrawn { operator, to, amount })
     }
 
-    /// The deposit becomes the parties' balances.
-    fn end(&mut self, id: ServiceId, outcome: Outcome, charge: Wei) -> Event {
-        let service = self.services.get_mut(&id).expect("the caller has looked at it");
-        let (creator, deposit, winner) = (service.creator, service.deposit(), service.stage.winner());
+    fn end(&mut self, now: ChainTime, id: ServiceId, outcome: Outcome, charge: Wei) -> Event {
+        let winner = self.settle(now, id, charge);
+        let service = self.services.get_mut(&id).expect("it was settled");
         service.stage = Stage::Ended { winner };
         let provider = winner.map(|winner| winner.provider).unwrap_or_default();
-        for (operator, wei) in [(provider, charge.0), (creator, deposit.0 - charge.0)] {
-            if wei != 0 {
-                self.balances.entry(operator).or_default().0 += wei;
-            }
-        }
         Event::ServiceEnded { id, provider, outcome, charge }
+    }
+
+    /// Drops the winner: another can be chosen, unless it is too late for that.
+    fn leave(&mut self, now: ChainTime, id: ServiceId, outcome: Outcome) -> Event {
+        if now > self.services[&id].choose_by {
+            return self.end(now, id, outcome, Wei(0));
+        }
+        let winner = self.settle(now, id, Wei(0)).expect("there is one to leave");
+        let service = self.services.get_mut(&id).expect("it was settled");
+        let deadline = service.choose_by;
+        service.stage = Stage::Open { deadline };
+        Event::ServiceReopened { id, provider: winner.provider, deadline }
+    }
+
+    /// Deposit and bond become the parties' balances. Returns the winner, if there is one. The caller changes the stage.
+    fn settle(&mut self, now: ChainTime, id: ServiceId, charge: Wei) -> Option<Winner> {
+        let service = &self.services[&id];
+        let winner = service.stage.winner()?;
+        let (creator, rest) = (service.creator, Wei(service.deposit().0 - charge.0));
+        let is_late = matches!(service.stage, Stage::Closed { deadline, .. } if now > deadline);
+        let bond = (if is_late { creator } else { winner.provider }, service.winners_bond());
+        for (operator, wei) in [(winner.provider, charge), (creator, rest), bond] {
+            self.credit(operator, wei);
+        }
+        Some(winner)
+    }
+
+    fn credit(&mut self, operator: Account, wei: Wei) {
+        if wei != Wei(0) {
+            let balance = self.balances.entry(operator).or_default();
+            balance.0 = balance.0.checked_add(wei.0).expect("there are fewer than 2^128 wei");
+        }
     }
 
     fn require_registered(&self, operator: Account) -> Result<(), Refusal> {
@@ -311,6 +391,14 @@ impl Contract {
 }
 
 impl Service {
+    /// The winner's bond, as long as it is held.
+    fn winners_bond(&self) -> Wei {
+        match self.stage {
+            Stage::Closed { .. } => self.terms.bond(),
+            _ => Wei(0),
+        }
+    }
+
     /// What the contract holds for it now.
     fn deposit(&self) -> Wei {
         match self.stage {
@@ -321,6 +409,13 @@ impl Service {
         }
     }
 }
+
+/// As a commitment, it would be taken for that of a bid that was chosen.
+const SPENT: Commitment = {
+    let mut one = [0; 32];
+    one[31] = 1;
+    Commitment(one)
+};
 
 fn require(holds: bool, otherwise: Refusal) -> Result<(), Refusal> {
     if holds { Ok(()) } else { Err(otherwise) }

@@ -34,10 +34,10 @@ pub struct Requirements {
     pub signal_dbm: i16,
 }
 
-/// How long each step may take, in seconds of the chain; none may be zero.
+/// How long each step may take, in seconds of the chain, none of which may be zero; and the bond.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Terms {
-    /// For bids, and the choice among them.
+    /// For bids, and for each choice among them.
     pub open_for: u32,
     /// From the choice.
     pub deploy_within: u32,
@@ -45,6 +45,15 @@ pub struct Terms {
     pub accept_within: u32,
     /// At most, from the deployment; the deposit pays for all of it.
     pub use_for: u32,
+    /// What goes with a bid, wei: whoever is chosen and does not deploy in time loses it to the creator.
+    pub bond: u64,
+}
+
+impl Terms {
+    /// What goes with a bid.
+    pub fn bond(&self) -> Wei {
+        Wei(self.bond.into())
+    }
 }
 
 /// A transaction's content.
@@ -74,8 +83,11 @@ pub enum Call {
         commitment: Commitment,
         /// Price, salt and endpoint, sealed.
         sealed: Vec<u8>,
+        /// As the terms say.
+        bond: Wei,
     },
-    /// The creator chooses a bid, and deposits what the longest use would cost.
+    /// The creator chooses a bid, and deposits what the longest use would cost. It may choose another when the winner is
+    /// late, or what it deployed cannot be used.
     Choose {
         /// For which service.
         id: ServiceId,
@@ -120,8 +132,16 @@ pub enum Call {
         /// Which.
         id: ServiceId,
     },
+    /// A bidder that was not chosen takes its bond back, once nobody can be chosen any more.
+    Reclaim {
+        /// Of which service.
+        id: ServiceId,
+    },
     /// Pays out the caller's balance.
-    Withdraw,
+    Withdraw {
+        /// To which address: a contract that takes no money names another.
+        to: Account,
+    },
 }
 
 impl Call {
@@ -129,6 +149,7 @@ impl Call {
     pub fn value(&self) -> Wei {
         match self {
             Self::Choose { deposit, .. } => *deposit,
+            Self::Bid { bond, .. } => *bond,
             _ => Wei(0),
         }
     }
@@ -214,6 +235,8 @@ pub enum Event {
         provider: Account,
         /// What it costs.
         price: Price,
+        /// How often somebody was chosen by then.
+        choice: u32,
         /// For the deployment.
         deadline: ChainTime,
     },
@@ -237,6 +260,24 @@ pub enum Event {
         /// Until when it is paid for.
         deadline: ChainTime,
     },
+    /// The winner gave it back, or was late: another can be chosen.
+    ServiceReopened {
+        /// Which.
+        id: ServiceId,
+        /// Who was the winner.
+        provider: Account,
+        /// For the choice.
+        deadline: ChainTime,
+    },
+    /// A bidder that was not chosen has its bond again.
+    BondReclaimed {
+        /// Of which service.
+        id: ServiceId,
+        /// Who.
+        provider: Account,
+        /// How much.
+        bond: Wei,
+    },
     /// A service is over.
     ServiceEnded {
         /// Which.
@@ -252,6 +293,8 @@ pub enum Event {
     Withdrawn {
         /// Who.
         operator: Account,
+        /// To whom, as it said.
+        to: Account,
         /// How much.
         amount: Wei,
     },
@@ -267,6 +310,8 @@ impl Event {
             | Self::ProviderChosen { id, .. }
             | Self::ServiceDeployed { id, .. }
             | Self::ServiceAccepted { id, .. }
+            | Self::ServiceReopened { id, .. }
+            | Self::BondReclaimed { id, .. }
             | Self::ServiceEnded { id, .. } => Some(*id),
         }
     }
@@ -350,6 +395,12 @@ pub enum Refusal {
         /// When it is.
         ChainTime,
     ),
+    /// Somebody may still be chosen.
+    #[error("a bond is bound until nobody can be chosen any more")]
+    BondBound,
+    /// Nobody could have the money there.
+    #[error("nobody has the money that is paid to zero, or to the contract")]
+    BadReceiver,
     /// There is no balance.
     #[error("the caller has nothing to withdraw")]
     NothingToWithdraw,

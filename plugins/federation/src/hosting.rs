@@ -63,7 +63,8 @@ impl Hosting {
             return;
         }
         let Some((unit, serves)) = self.unit_for(requirements, units, coverage) else { return };
-        let offer = Offer { price, endpoint: settings.endpoint.clone() };
+        let (endpoint, deploys_within) = (settings.endpoint.clone(), settings.deploy_within());
+        let offer = Offer { price, endpoint, deploys_within };
         // A key that cannot be encrypted to is the creator's mistake: there is nobody to tell.
         let Ok(Some(provider)) = Provider::new(account, secret.clone(), announced, offer) else { return };
         self.services.push(Service {
@@ -170,14 +171,23 @@ impl Service {
             worked = true;
             match step {
                 ProviderStep::Bidding => desk.note(self.id(), Step::BidSent, ""),
-                ProviderStep::Won if !self.provider.is_over() => self.won(taken, desk),
+                ProviderStep::Won if self.provider.is_winner() => self.won(taken, desk),
                 ProviderStep::Confirming => desk.note(self.id(), Step::ConfirmationSent, ""),
                 ProviderStep::Ended { charge, .. } => {
                     self.take_down(desk);
                     if charge > Wei(0) {
                         desk.note(self.id(), Step::Paid, charge.to_string());
-                        ledger.submit(desk.now, Call::Withdraw);
                     }
+                    // Also the bond.
+                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                }
+                ProviderStep::Replaced => {
+                    desk.note(self.id(), Step::Replaced, "");
+                    self.take_down(desk);
+                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                }
+                ProviderStep::Reclaimed => {
+                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
                 }
                 ProviderStep::Overdue => self.take_down(desk),
                 ProviderStep::Won

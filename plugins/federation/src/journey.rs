@@ -330,7 +330,7 @@ impl Journey {
                 CreatorStep::InUse => desk.note(id, Step::InUse, ""),
                 CreatorStep::Ended(outcome) => {
                     desk.note(id, Step::Ended, format!("{outcome:?}"));
-                    ledger.submit(desk.now, Call::Withdraw);
+                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
                     let robot = self.walk.robot.clone();
                     self.abandoned(&robot, desk, "its provider ended the service");
                 }
@@ -349,7 +349,12 @@ impl Journey {
 
     /// The winner says how to attach.
     fn deployed(&mut self, attachment: Attachment, desk: &mut Desk<'_>) {
-        let Stage::Negotiating(creator) = std::mem::replace(&mut self.stage, Stage::Home) else { return };
+        // Also of another provider, in place of one that could not be attached to.
+        let (Stage::Negotiating(creator) | Stage::Attaching { creator, .. }) =
+            std::mem::replace(&mut self.stage, Stage::Home)
+        else {
+            return;
+        };
         desk.note(creator.id(), Step::ConfirmationReceived, attachment.radio_unit.clone());
         let (since, next_try) = (desk.now, desk.now);
         if let Ok(radio_unit) = attachment.radio_unit.parse() {
@@ -369,16 +374,15 @@ impl Journey {
     /// once the robot has to wait for it.
     fn attach(&mut self, desk: &mut Desk<'_>) {
         let robot = self.walk.robot.clone();
-        let halted = self.halted;
+        if let (Stage::Attaching { since, .. }, Some(halted)) = (&self.stage, self.halted)
+            && desk.now.since(halted.max(*since)) >= desk.settings.attach_within
+            && let Stage::Attaching { mut creator, .. } = std::mem::replace(&mut self.stage, Stage::Home)
+        {
+            creator.unusable();
+            self.stage = Stage::Negotiating(creator);
+        }
         let (to, next_try) = match &mut self.stage {
-            Stage::Attaching { creator, attachment, since, next_try } => {
-                let waits_since = halted.map(|halted| halted.max(*since));
-                if waits_since.is_some_and(|since| desk.now.since(since) >= desk.settings.attach_within) {
-                    creator.unusable();
-                    *next_try = Timestamp::MAX;
-                }
-                (attachment.radio_unit.parse().ok(), next_try)
-            }
+            Stage::Attaching { attachment, next_try, .. } => (attachment.radio_unit.parse().ok(), next_try),
             Stage::Returning { to, next_try, .. } => {
                 (desk.units.get(to).is_some_and(|unit| unit.on).then(|| to.clone()), next_try)
             }

@@ -9,7 +9,7 @@ use std::{
 use cotorra_graph::{AccessPoint, DomainId, Event, Instruction, NodeId, Testbed, Timestamp, VnfState};
 use cotorra_ledger::{
     Call, Event as Said, Ledger, Notice, Secret, ServiceId,
-    negotiation::{Creator, CreatorStep, Policy, Request},
+    negotiation::{Creator, CreatorStep, Policy, Record, Request},
 };
 use cotorra_plugin::{Actions, Noted, Plugin};
 
@@ -99,6 +99,8 @@ pub struct Federation {
     resumed: Vec<Creator>,
     /// What was noted before it was started again.
     noted: BTreeSet<Noted>,
+    /// How others served its robots.
+    record: Record,
     /// How many services were announced.
     announced: u64,
     /// Whether all was heard that the chain has said so far.
@@ -127,6 +129,7 @@ impl Federation {
         Self {
             coverage: Coverage::of(&empty(), settings.edge),
             settings,
+            record: Record::new(ledger.account()),
             ledger,
             secret,
             name: domain.to_string(),
@@ -176,6 +179,7 @@ impl Federation {
     }
 
     fn hear(&mut self, now: Timestamp, notice: &Notice) {
+        self.record.handle(notice);
         match notice {
             Notice::Head { .. } => self.caught_up = true,
             Notice::Event(said @ Said::ServiceAnnounced { creator, .. }) => {
@@ -218,7 +222,8 @@ impl Federation {
         };
         let Some(number) = (self.announced..self.announced + UNKNOWN).find(is_it) else { return };
         self.announced = number + 1;
-        let request = Request { requirements: requirements.clone(), terms: *terms, policy: self.policy() };
+        let (requirements, policy, record) = (requirements.clone(), self.policy(), self.record.clone());
+        let request = Request { requirements, terms: *terms, policy, record };
         let salt = self.secret.announcement_salt(number);
         self.resumed.push(Creator::new(now, account, self.secret.clone(), salt, request));
     }
@@ -253,7 +258,8 @@ impl Federation {
             requirements.map.clone_from(&self.map);
             let salt = self.secret.announcement_salt(self.announced);
             self.announced += 1;
-            let request = Request { requirements, terms: self.settings.terms(), policy };
+            let (terms, record) = (self.settings.terms(), self.record.clone());
+            let request = Request { requirements, terms, policy, record };
             let account = self.ledger.account();
             journey.begin(Creator::new(now, account, self.secret.clone(), salt, request));
         }
@@ -273,7 +279,7 @@ impl Federation {
                     if let CreatorStep::Ended(outcome) = step {
                         desk.note(creator.id(), Step::Ended, format!("{outcome:?}"));
                         // What was deposited and not charged.
-                        ledger.submit(desk.now, Call::Withdraw);
+                        ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
                     }
                 }
             }

@@ -37,6 +37,13 @@ pub struct Settings {
     /// periods, and 15 s where that is not known.
     #[serde(deserialize_with = "optional_duration")]
     pub collect: Option<Duration>,
+    /// What goes with each bid for its services, wei: whoever wins and does not deploy in time loses it to this domain.
+    /// Without it a tenth of what the longest use costs at the highest price.
+    pub bond: Option<u64>,
+    /// The longest time from the choice to the confirmation on the chain: what it grants others, and what it needs itself.
+    /// Without it two block periods, 2 s at least, and 30 s where that is not known.
+    #[serde(deserialize_with = "optional_duration")]
+    pub deploy_within: Option<Duration>,
     /// With so many bids there is no more waiting.
     pub enough: usize,
     /// So long after the announcement a negotiation is given up.
@@ -142,6 +149,8 @@ impl Default for Settings {
             lead: Duration::from_secs(30),
             stop: Duration::from_secs(2),
             collect: None,
+            bond: None,
+            deploy_within: None,
             enough: usize::MAX,
             patience: Duration::from_secs(60),
             attach_within: Duration::from_secs(5),
@@ -192,10 +201,27 @@ impl Settings {
         let seconds = |time: Duration| u32::try_from(time.as_secs()).unwrap_or(u32::MAX).max(1);
         Terms {
             open_for: seconds(self.patience),
-            deploy_within: seconds(self.patience),
+            deploy_within: self.deploy_within(),
             accept_within: seconds(self.patience),
             use_for: seconds(self.use_for),
+            bond: self.bond.unwrap_or_else(|| {
+                let use_for = seconds(self.use_for);
+                let longest = self.highest_price.map_or(0, |price| price.times(use_for).0);
+                u64::try_from(longest / 10).unwrap_or(u64::MAX)
+            }),
         }
+    }
+
+    /// How long a deployment takes at most, seconds.
+    pub(crate) fn deploy_within(&self) -> u32 {
+        let within = self.deploy_within.unwrap_or(match self.ledger {
+            LedgerChoice::Modelled { block_period, .. } | LedgerChoice::Anvil { block_period, .. } => {
+                (2 * block_period).max(Duration::from_secs(2))
+            }
+            LedgerChoice::Ethereum(_) => Duration::from_secs(30),
+        });
+        // At most a day, or two block periods of a day.
+        within.as_secs_f64().ceil() as u32
     }
 
     /// How long bids are collected.

@@ -63,6 +63,8 @@ steps! {
     WentOn = "went on",
     /// The service is over on the chain.
     Ended = "ended",
+    /// The creator chose another in the provider's place, for it was late or could not be attached to.
+    Replaced = "replaced",
     /// The provider took the vAP down: a(R) = {}.
     TakenDown = "taken down",
     /// The provider heard what the use is paid with.

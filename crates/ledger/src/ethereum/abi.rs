@@ -56,10 +56,11 @@ pub fn encode(call: &Call) -> Vec<u8> {
                 deployWithin: terms.deploy_within,
                 acceptWithin: terms.accept_within,
                 useFor: terms.use_for,
+                bond: terms.bond,
             },
         }
         .abi_encode(),
-        Call::Bid { id, commitment, sealed } => Federation::bidCall {
+        Call::Bid { id, commitment, sealed, bond: _ } => Federation::bidCall {
             id: id.0.into(),
             commitment: commitment.0.into(),
             sealedBid: Bytes::copy_from_slice(sealed),
@@ -81,7 +82,8 @@ pub fn encode(call: &Call) -> Vec<u8> {
         Call::Decline { id: of } => Federation::declineCall { id: id(of) }.abi_encode(),
         Call::Release { id: of } => Federation::releaseCall { id: id(of) }.abi_encode(),
         Call::Expire { id: of } => Federation::expireCall { id: id(of) }.abi_encode(),
-        Call::Withdraw => Federation::withdrawCall {}.abi_encode(),
+        Call::Reclaim { id: of } => Federation::reclaimCall { id: id(of) }.abi_encode(),
+        Call::Withdraw { to } => Federation::withdrawCall { to: to.0.into() }.abi_encode(),
     }
 }
 
@@ -117,6 +119,7 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
                 deploy_within: e.terms.deployWithin,
                 accept_within: e.terms.acceptWithin,
                 use_for: e.terms.useFor,
+                bond: e.terms.bond,
             },
             deadline: ChainTime(e.deadline.to()),
         },
@@ -130,6 +133,7 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
             id: ServiceId(e.id.0),
             provider: Account(e.provider.into()),
             price: Price::new(e.price.to()).expect("96 bits"),
+            choice: e.choice,
             deadline: ChainTime(e.deadline.to()),
         },
         FederationEvents::ServiceDeployed(e) => Event::ServiceDeployed {
@@ -143,6 +147,16 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
             provider: Account(e.provider.into()),
             deadline: ChainTime(e.deadline.to()),
         },
+        FederationEvents::ServiceReopened(e) => Event::ServiceReopened {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            deadline: ChainTime(e.deadline.to()),
+        },
+        FederationEvents::BondReclaimed(e) => Event::BondReclaimed {
+            id: ServiceId(e.id.0),
+            provider: Account(e.provider.into()),
+            bond: Wei(e.bond.into()),
+        },
         FederationEvents::ServiceEnded(e) => Event::ServiceEnded {
             id: ServiceId(e.id.0),
             provider: Account(e.provider.into()),
@@ -150,7 +164,8 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
             charge: wei(e.charge)?,
         },
         FederationEvents::Withdrawn(e) => {
-            Event::Withdrawn { operator: Account(e.operator.into()), amount: wei(e.amount)? }
+            let (operator, to) = (Account(e.operator.into()), Account(e.to.into()));
+            Event::Withdrawn { operator, to, amount: wei(e.amount)? }
         }
     })
 }
@@ -183,6 +198,8 @@ pub fn decode_refusal(data: &[u8]) -> Result<Refusal, DecodeError> {
         FederationErrors::WrongState(e) => Refusal::WrongState(state(e.state)?),
         FederationErrors::TooLate(e) => Refusal::TooLate(ChainTime(e.deadline.to())),
         FederationErrors::TooEarly(e) => Refusal::TooEarly(ChainTime(e.deadline.to())),
+        FederationErrors::BondBound(_) => Refusal::BondBound,
+        FederationErrors::BadReceiver(_) => Refusal::BadReceiver,
         FederationErrors::NothingToWithdraw(_) => Refusal::NothingToWithdraw,
         FederationErrors::TransferFailed(_) => Refusal::TransferFailed,
     })
@@ -231,7 +248,7 @@ mod tests {
     proptest! {
         #[test]
         fn whatever_a_node_says_is_read_or_refused(
-            kind in 0..9usize,
+            kind in 0..11usize,
             mut topics in prop::collection::vec(any::<[u8; 32]>(), 0..4),
             mut data in prop::collection::vec(any::<u8>(), 0..600),
         ) {
@@ -244,6 +261,8 @@ mod tests {
                 Federation::ServiceDeployed::SIGNATURE_HASH,
                 Federation::ServiceAccepted::SIGNATURE_HASH,
                 Federation::ServiceEnded::SIGNATURE_HASH,
+                Federation::ServiceReopened::SIGNATURE_HASH,
+                Federation::BondReclaimed::SIGNATURE_HASH,
                 Federation::Withdrawn::SIGNATURE_HASH,
             ];
             if let (Some(first), Some(kind)) = (topics.first_mut(), kinds.get(kind)) {

@@ -4,7 +4,7 @@ use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::Timestamp;
 
-use super::{Calls, Heard, Seen};
+use super::{Calls, Heard, Record, Seen, Standing};
 use crate::{
     ledger::{Ledger, Notice},
     message::{Call, Event, Outcome, Requirements, Terms},
@@ -21,16 +21,19 @@ pub struct Request {
     pub terms: Terms,
     /// How a bid is chosen, and how long all of it may take.
     pub policy: Policy,
+    /// What is remembered of those who may bid.
+    pub record: Record,
 }
 
-/// How a bid is chosen: the cheapest, if it is not too dear.
+/// How a bid is chosen: the cheapest that is not too dear, of those who served before; else of those who never failed; else
+/// of the others. When its provider fails, the next one is chosen in the same way.
 #[derive(Debug, Clone, Copy)]
 pub struct Policy {
     /// More is not paid.
     pub highest: Price,
     /// Whoever bids while this has not passed since the announcement was heard is considered.
     pub collect: Duration,
-    /// With so many bids that can be chosen, there is no more waiting.
+    /// With so many bids that can be chosen, of providers that never failed, there is no more waiting.
     pub enough: usize,
     /// So long after the start the attachment must be known; otherwise the negotiation is given up.
     pub patience: Duration,
@@ -88,7 +91,7 @@ pub enum Failure {
     /// There were bids, none of which can be chosen.
     #[error("no bid could be chosen: all were too dear, or could not be opened")]
     NoGoodBid,
-    /// The winner did not deploy, or gave the service back.
+    /// The winner did not deploy, or gave the service back; of several, the last.
     #[error("the chosen provider did not deploy")]
     NotDeployed,
     /// What the winner said cannot be opened, or nobody could attach.
@@ -126,7 +129,7 @@ pub struct Creator {
     secret: Secret,
     salt: Salt,
     key: PublicKey,
-    request: Request,
+    pub(super) request: Request,
     started: Timestamp,
     /// When the announcement was heard first.
     announced: Option<Timestamp>,
@@ -214,9 +217,9 @@ impl Creator {
         }
     }
 
-    /// The robot could not attach: the service is not accepted, and nothing is paid.
+    /// The robot could not attach: the service is not accepted, nothing is paid, and the next bid is chosen if there is one.
     pub fn unusable(&mut self) {
-        self.fail(Failure::Unusable);
+        self.next_best(Failure::Unusable);
     }
 
     /// The service is no longer needed: it is cancelled, or, once it was accepted, released and paid.
@@ -244,7 +247,8 @@ impl Creator {
         // What the contract no longer allows is not waited for.
         let late = match self.heard.seen() {
             Seen::Open { deadline } => (deadline < self.heard.time).then_some(Failure::Ledger),
-            Seen::Closed { deadline, .. } => (deadline < self.heard.time).then_some(Failure::NotDeployed),
+            // The next block is behind it.
+            Seen::Closed { deadline, .. } => (deadline <= self.heard.time).then_some(Failure::NotDeployed),
             Seen::Deployed { deadline, .. } => (deadline < self.heard.time).then_some(Failure::Unusable),
             Seen::InUse { deadline, .. } if deadline < self.heard.time => {
                 self.want = Want::Over;
@@ -253,8 +257,17 @@ impl Creator {
             _ => None,
         };
         if let Some(failure) = late {
-            self.fail(failure);
-            self.want = Want::Over;
+            match (self.want, self.heard.seen().winner()) {
+                (Want::Service, Some(winner)) => {
+                    if self.choice.is_none_or(|choice| choice.provider == winner) {
+                        self.next_best(failure);
+                    }
+                }
+                _ => {
+                    self.fail(failure);
+                    self.want = Want::Over;
+                }
+            }
         }
     }
 
@@ -275,6 +288,10 @@ impl Creator {
 
     fn wanted(&self) -> Option<Call> {
         let id = self.id();
+        let choose = |Good { provider, price, salt }| {
+            let deposit = price.times(self.request.terms.use_for);
+            Call::Choose { id, provider, price, salt, deposit }
+        };
         match (self.heard.seen(), self.want) {
             // Also after the chain took back what it had said of a service that is used already.
             (Seen::Nothing, Want::Service | Want::Use) => Some(Call::Announce {
@@ -283,11 +300,12 @@ impl Creator {
                 requirements: self.request.requirements.clone(),
                 terms: self.request.terms,
             }),
-            (Seen::Open { .. }, Want::Service | Want::Use) => {
-                self.choice.map(|Good { provider, price, salt }| {
-                    let deposit = price.times(self.request.terms.use_for);
-                    Call::Choose { id, provider, price, salt, deposit }
-                })
+            (Seen::Open { .. }, Want::Service | Want::Use) => self.choice.map(choose),
+            // The winner has failed, and another is to be chosen in its place.
+            (Seen::Closed { provider, .. } | Seen::Deployed { provider, .. }, Want::Service)
+                if self.choice.is_some_and(|choice| choice.provider != provider) =>
+            {
+                self.choice.map(choose)
             }
             (Seen::Deployed { .. }, Want::Use) => Some(Call::Accept { id }),
             (Seen::Open { .. } | Seen::Closed { .. } | Seen::Deployed { .. }, Want::Over) => {
@@ -312,10 +330,12 @@ impl Creator {
                 self.on_bid(*provider, *commitment, sealed)
             }
             Event::ProviderChosen { .. } => self.steps.push_back(CreatorStep::Chosen),
-            Event::ServiceDeployed { provider, sealed, .. } if self.want == Want::Service => {
+            Event::ServiceDeployed { provider, sealed, .. }
+                if self.want == Want::Service && self.is_current(*provider) =>
+            {
                 match self.secret.open(self.salt, self.id(), *provider, sealed) {
                     Ok(attachment) => self.steps.push_back(CreatorStep::Deployed(attachment)),
-                    Err(_) => self.fail(Failure::Unusable),
+                    Err(_) => self.next_best(Failure::Unusable),
                 }
             }
             Event::ServiceAccepted { .. } => {
@@ -324,6 +344,9 @@ impl Creator {
                     self.want = Want::Use;
                 }
                 self.steps.push_back(CreatorStep::InUse);
+            }
+            Event::ServiceReopened { provider, .. } if self.is_current(*provider) => {
+                self.next_best(Failure::NotDeployed);
             }
             Event::ServiceEnded { outcome, .. } => {
                 if self.want == Want::Service {
@@ -342,7 +365,9 @@ impl Creator {
                 self.bids.push(bid);
                 let Good { provider, price, .. } = bid;
                 self.steps.push_back(CreatorStep::BidReceived { provider, price, endpoint });
-                if self.bids.len() >= self.request.policy.enough && self.want == Want::Service {
+                let record = &self.request.record;
+                let sound = self.bids.iter().filter(|bid| record.standing(bid.provider) != Standing::Failed);
+                if sound.count() >= self.request.policy.enough && self.want == Want::Service {
                     self.choose();
                 }
             }
@@ -378,12 +403,37 @@ impl Creator {
         matches!(self.heard.seen(), Seen::Open { .. }).then(|| since + self.request.policy.collect)
     }
 
-    /// The cheapest; of equals, the one that came first.
+    /// Whether a provider is the one that was chosen last, as far as that is known.
+    fn is_current(&self, provider: Account) -> bool {
+        self.choice.is_none_or(|choice| choice.provider == provider)
+    }
+
+    /// The winner has failed: the next bid is chosen, and the negotiation has failed if there is none.
+    fn next_best(&mut self, failure: Failure) {
+        if self.want != Want::Service {
+            return;
+        }
+        match self.best() {
+            Some(bid) => self.choice = Some(bid),
+            None => self.fail(failure),
+        }
+    }
+
+    /// The best bid that was not chosen yet; of equals, the one that came first.
+    fn best(&self) -> Option<Good> {
+        let is_new = |bid: &&Good| {
+            self.heard.choice_of(bid.provider) == 0
+                && self.choice.is_none_or(|choice| choice.provider != bid.provider)
+        };
+        let by = |bid: &&Good| (self.request.record.standing(bid.provider), bid.price);
+        self.bids.iter().filter(is_new).min_by_key(by).copied()
+    }
+
     fn choose(&mut self) {
         if self.choice.is_some() {
             return;
         }
-        self.choice = self.bids.iter().min_by_key(|bid| bid.price).copied();
+        self.choice = self.best();
         if self.choice.is_none() {
             let bids =
                 self.heard.events.iter().filter(|event| matches!(event, Event::BidPlaced { .. })).count();

@@ -8,6 +8,7 @@
 
 mod creator;
 mod provider;
+mod record;
 #[cfg(test)]
 mod tests;
 
@@ -21,6 +22,7 @@ use crate::{
 
 pub use creator::{Creator, CreatorStep, Failure, Policy, Request};
 pub use provider::{Offer, Provider, ProviderStep};
+pub use record::{Record, Standing};
 
 /// Where a service stands, by what was heard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +36,7 @@ enum Seen {
 }
 
 /// What was heard of one service.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Heard {
     id: ServiceId,
     events: Vec<Event>,
@@ -65,21 +67,48 @@ impl Heard {
     /// Where the service stands. What comes later in its life counts, in whatever order it was heard.
     fn seen(&self) -> Seen {
         let rank = |event: &Event| match *event {
-            Event::ServiceAnnounced { deadline, .. } => Some((1, Seen::Open { deadline })),
-            Event::ProviderChosen { provider, deadline, .. } => {
-                Some((2, Seen::Closed { provider, deadline }))
+            Event::ServiceAnnounced { deadline, .. } => Some(((0, 1), Seen::Open { deadline })),
+            Event::ProviderChosen { provider, deadline, choice, .. } => {
+                Some(((choice, 2), Seen::Closed { provider, deadline }))
             }
             Event::ServiceDeployed { provider, deadline, .. } => {
-                Some((3, Seen::Deployed { provider, deadline }))
+                Some(((self.choice_of(provider), 3), Seen::Deployed { provider, deadline }))
             }
             Event::ServiceAccepted { provider, deadline, .. } => {
-                Some((4, Seen::InUse { provider, deadline }))
+                Some(((self.choice_of(provider), 4), Seen::InUse { provider, deadline }))
             }
-            Event::ServiceEnded { outcome, .. } => Some((5, Seen::Ended(outcome))),
-            Event::BidPlaced { .. } | Event::OperatorRegistered { .. } | Event::Withdrawn { .. } => None,
+            Event::ServiceReopened { provider, deadline, .. } => {
+                Some(((self.choice_of(provider), 5), Seen::Open { deadline }))
+            }
+            Event::ServiceEnded { outcome, .. } => Some(((u32::MAX, 6), Seen::Ended(outcome))),
+            Event::BidPlaced { .. }
+            | Event::BondReclaimed { .. }
+            | Event::OperatorRegistered { .. }
+            | Event::Withdrawn { .. } => None,
         };
         let last = self.events.iter().filter_map(rank).max_by_key(|(rank, _)| *rank);
         last.map_or(Seen::Nothing, |(_, seen)| seen)
+    }
+
+    /// Which of the choices a provider was, by what was heard: it is one at most. 0 if none.
+    fn choice_of(&self, of: Account) -> u32 {
+        let choice = |event: &Event| match *event {
+            Event::ProviderChosen { provider, choice, .. } if provider == of => Some(choice),
+            _ => None,
+        };
+        self.events.iter().find_map(choice).unwrap_or(0)
+    }
+}
+
+impl Seen {
+    /// The winner, while there is one.
+    fn winner(self) -> Option<Account> {
+        match self {
+            Self::Closed { provider, .. }
+            | Self::Deployed { provider, .. }
+            | Self::InUse { provider, .. } => Some(provider),
+            Self::Nothing | Self::Open { .. } | Self::Ended(_) => None,
+        }
     }
 }
 

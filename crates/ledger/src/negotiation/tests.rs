@@ -14,7 +14,7 @@ use crate::{
 };
 
 const PERIOD: Duration = Duration::from_secs(5);
-const TERMS: Terms = Terms { open_for: 60, deploy_within: 30, accept_within: 30, use_for: 120 };
+const TERMS: Terms = Terms { open_for: 60, deploy_within: 30, accept_within: 30, use_for: 120, bond: 500 };
 const POLICY: Policy = Policy {
     highest: Price::new(100).unwrap(),
     collect: Duration::from_secs(20),
@@ -47,7 +47,7 @@ fn request() -> Request {
         width_mhz: 20,
         signal_dbm: -70,
     };
-    Request { requirements, terms: TERMS, policy: POLICY }
+    Request { requirements, terms: TERMS, policy: POLICY, record: Record::new(account(0)) }
 }
 
 fn attachment() -> Attachment {
@@ -283,6 +283,45 @@ impl World {
         assert_eq!(Wei(contract.balance(account(0)).0 + paid), contract.holds(), "{what}");
     }
 
+    /// What happened on the chain.
+    fn said(&self) -> Vec<Event> {
+        let mut ledger = self.chain.ledger(account(99));
+        let notices = std::iter::from_fn(|| ledger.poll(self.now));
+        notices
+            .filter_map(|notice| if let Notice::Event(event) = notice { Some(event) } else { None })
+            .collect()
+    }
+
+    /// Deposits and bonds.
+    fn paid_in(&self) -> Wei {
+        let wei = self.said().into_iter().map(|event| match event {
+            Event::BidPlaced { .. } => TERMS.bond().0,
+            Event::ProviderChosen { price, .. } => price.times(TERMS.use_for).0,
+            _ => 0,
+        });
+        Wei(wei.sum())
+    }
+
+    /// The bonds that a provider put in, and whether it is due them: it deployed in time, or was not chosen.
+    fn bonds_of(&self, provider: Account) -> (u128, bool) {
+        let said = self.said();
+        let is_its = |event: &Event| match event {
+            Event::BidPlaced { provider: of, .. } | Event::ProviderChosen { provider: of, .. } => {
+                *of == provider
+            }
+            _ => false,
+        };
+        let bids =
+            said.iter().filter(|event| matches!(event, Event::BidPlaced { .. }) && is_its(event)).count();
+        let was_late = |event: &Event| match event {
+            Event::ProviderChosen { provider: of, .. } if *of == provider => !said
+                .iter()
+                .any(|event| matches!(event, Event::ServiceDeployed { provider: of, .. } if *of == provider)),
+            _ => false,
+        };
+        (bids as u128 * TERMS.bond().0, !said.iter().any(was_late))
+    }
+
     fn failure(&self) -> Option<Failure> {
         self.steps.iter().find_map(|(_, step)| match step {
             CreatorStep::Failed(failure) => Some(*failure),
@@ -311,7 +350,7 @@ impl World {
             assert!(domain.bids.iter().all(Provider::is_over), "{:?}", domain.bids);
             let deployed = domain.steps.iter().any(|(_, step)| matches!(step, ProviderStep::Won));
             let told = |(_, step): &(_, ProviderStep)| {
-                matches!(step, ProviderStep::Ended { .. } | ProviderStep::Overdue)
+                matches!(step, ProviderStep::Ended { .. } | ProviderStep::Overdue | ProviderStep::Replaced)
             };
             assert!(!deployed || domain.steps.iter().any(told), "taken down: {:?}", domain.steps);
         }
@@ -326,8 +365,11 @@ impl Domain {
                 && self.manner != Manner::NeverBids
                 && !self.bids.iter().any(|bid| Some(bid.id()) == event.service())
             {
-                let offer =
-                    Offer { price: Price::new(self.price).unwrap(), endpoint: "http://there".to_owned() };
+                let offer = Offer {
+                    price: Price::new(self.price).unwrap(),
+                    endpoint: "http://there".to_owned(),
+                    deploys_within: 20,
+                };
                 self.bids.extend(Provider::new(own, secret(own.0[0]), event, offer).unwrap());
             }
             for bid in &mut self.bids {
@@ -375,7 +417,7 @@ fn a_negotiation_takes_the_blocks_that_it_must_and_nothing_else() {
     assert_eq!(world.at(|step| matches!(step, CreatorStep::Deployed(_))), 25.0);
     assert_eq!(world.at(|step| *step == CreatorStep::InUse), 30.0);
     // In use from 30 s, released 20 s later, in the block at 55 s; charged from the deployment in the block at 25 s.
-    assert_eq!(world.chain.contract().balance(cheapest), Wei(7 * 30));
+    assert_eq!(world.chain.contract().balance(cheapest), Wei(7 * 30 + TERMS.bond().0));
     assert_eq!(world.chain.contract().balance(account(0)), Wei(7 * 90));
 }
 
@@ -395,9 +437,9 @@ fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
         (&[], Failure::NoBid, Outcome::Cancelled),
         (&[(NeverBids, 1)], Failure::NoBid, Outcome::Cancelled),
         (&[(Honest, 101), (Honest, 0)], Failure::NoGoodBid, Outcome::Cancelled),
-        (&[(NeverDeploys, 5), (Honest, 6)], Failure::NotDeployed, Outcome::NotDeployed),
-        (&[(FailsToDeploy, 5), (Honest, 6)], Failure::NotDeployed, Outcome::Declined),
-        (&[(Lies, 5), (Honest, 6)], Failure::Unusable, Outcome::Cancelled),
+        (&[(NeverDeploys, 5)], Failure::NotDeployed, Outcome::NotDeployed),
+        (&[(FailsToDeploy, 5)], Failure::NotDeployed, Outcome::Cancelled),
+        (&[(Lies, 5)], Failure::Unusable, Outcome::Cancelled),
     ];
     for (providers, failure, outcome) in cases {
         let mut world = World::new(providers, Faults::default());
@@ -408,8 +450,143 @@ fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
         // Whoever says first that the time has passed ends it.
         let late = outcome == Outcome::NotDeployed && ended == Some(Outcome::Cancelled);
         assert!(ended == Some(outcome) || late, "{providers:?}: {ended:?}");
-        assert_eq!(world.chain.contract().balance(account(1)), Wei(0));
+        // Who did not deploy has lost its bond, and nobody else.
+        let bond = if providers == [(NeverDeploys, 5)] { Wei(0) } else { TERMS.bond() };
+        for (number, (manner, price)) in (1..).zip(providers) {
+            let balance = world.chain.contract().balance(account(number));
+            let has_bid =
+                *manner != NeverBids && TERMS.bond() <= Price::new(*price).unwrap().times(TERMS.use_for);
+            assert_eq!(balance, if has_bid { bond } else { Wei(0) }, "{providers:?}");
+        }
     }
+}
+
+#[test]
+fn where_a_winner_fails_the_next_bid_is_taken_without_another_auction() {
+    use Manner::*;
+    for failing in [NeverDeploys, FailsToDeploy, Lies] {
+        let mut world = World::new(&[(failing, 5), (Honest, 6)], Faults::default());
+        world.run(seconds(400.0));
+        world.assert_used_and_paid(&format!("{failing:?}"));
+        let contract = world.chain.contract();
+        let lost = if failing == NeverDeploys { TERMS.bond() } else { Wei(0) };
+        assert_eq!(contract.balance(account(1)), Wei(TERMS.bond().0 - lost.0), "{failing:?}");
+        // In a deployment of 120 s at 6 wei.
+        let others = contract.balance(account(0)).0 + contract.balance(account(2)).0;
+        assert_eq!(others, 5 * 120 + 6 * 120 + TERMS.bond().0 + lost.0, "{failing:?}");
+    }
+}
+
+#[test]
+fn who_failed_is_not_taken_again_and_who_served_comes_first_also_after_a_restart() {
+    use Manner::*;
+    for failing in [NeverDeploys, FailsToDeploy, Lies] {
+        let mut world = World::new(&[(failing, 5), (Honest, 9), (Honest, 7)], Faults::default());
+        // All bid; the cheapest fails, and the next serves.
+        world.creator.request.policy.enough = 3;
+        world.run(seconds(400.0));
+        world.assert_used_and_paid(&format!("{failing:?}"));
+        let mut record = Record::new(account(0));
+        let mut again = world.chain.ledger(account(0));
+        let heard: Vec<_> = std::iter::from_fn(|| again.poll(world.now)).collect();
+        heard.iter().chain(&heard).for_each(|notice| record.handle(notice));
+        let standings = [1, 2, 3, 4].map(|number| record.standing(account(number)));
+        use Standing::*;
+        assert_eq!(standings, [Failed, Unknown, Proven, Unknown], "{failing:?}");
+        // What the chain takes back is not remembered.
+        for notice in &heard {
+            if let Notice::Event(event) = notice {
+                record.handle(&Notice::Retracted(event.clone()));
+            }
+        }
+        assert_eq!(record.standing(account(1)), Unknown);
+        // Another creator remembers nothing of it.
+        let mut other = Record::new(account(9));
+        heard.iter().for_each(|notice| other.handle(notice));
+        assert_eq!(other.standing(account(1)), Unknown);
+
+        let mut next = World::new(&[(failing, 5), (Honest, 6), (Honest, 7)], Faults::default());
+        let mut known = Record::new(account(0));
+        heard.iter().for_each(|notice| known.handle(notice));
+        next.creator.request.record = known;
+        next.run(seconds(400.0));
+        next.assert_used_and_paid("the next time");
+        let chosen: Vec<_> = next
+            .steps
+            .iter()
+            .filter_map(|(_, step)| match step {
+                CreatorStep::Choosing { provider, .. } => Some(*provider),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(chosen, [account(3)], "{failing:?}: {:?}", next.steps);
+    }
+}
+
+#[test]
+fn a_failure_is_remembered_for_a_thousand_services_of_the_creators_own() {
+    let mut record = Record::new(account(0));
+    let announce = |record: &mut Record, creator, number: u16| {
+        let mut id = ServiceId::default();
+        id.0[0] = creator;
+        id.0[1..3].copy_from_slice(&number.to_be_bytes());
+        let Request { requirements, terms, .. } = request();
+        let (creator, key, deadline) = (account(creator), PublicKey([1; 32]), ChainTime(60));
+        let announced = Event::ServiceAnnounced { id, creator, key, requirements, terms, deadline };
+        record.handle(&Notice::Event(announced));
+        id
+    };
+    let id = announce(&mut record, 0, 0);
+    let (provider, price, deadline) = (account(1), Price::MAX, ChainTime(90));
+    let chosen = Event::ProviderChosen { id, provider, price, choice: 1, deadline };
+    for event in [chosen, Event::ServiceReopened { id, provider, deadline }] {
+        record.handle(&Notice::Event(event));
+    }
+    // Others cannot fill the memory.
+    (0..2000).for_each(|number| _ = announce(&mut record, 9, number));
+    (1..1000).for_each(|number| _ = announce(&mut record, 0, number));
+    assert_eq!(record.standing(provider), Standing::Failed);
+    announce(&mut record, 0, 1000);
+    assert_eq!(record.standing(provider), Standing::Unknown);
+}
+
+#[test]
+fn who_failed_is_taken_where_nobody_else_bids() {
+    use Manner::*;
+    let mut first = World::new(&[(FailsToDeploy, 5)], Faults::default());
+    first.run(seconds(400.0));
+    assert_eq!(first.failure(), Some(Failure::NotDeployed));
+    let mut record = Record::new(account(0));
+    let mut again = first.chain.ledger(account(0));
+    while let Some(notice) = again.poll(first.now) {
+        record.handle(&notice);
+    }
+    assert_eq!(record.standing(account(1)), Standing::Failed);
+    let mut next = World::new(&[(Honest, 5)], Faults::default());
+    next.creator.request.record = record;
+    next.run(seconds(400.0));
+    next.assert_used_and_paid("it serves now");
+}
+
+#[test]
+fn a_provider_risks_no_bond_on_what_it_cannot_keep_or_what_does_not_pay() {
+    let announced = |terms| Event::ServiceAnnounced {
+        id: ServiceId([1; 32]),
+        creator: account(0),
+        key: secret(0).public_key(Salt([1; 32])),
+        requirements: request().requirements,
+        terms,
+        deadline: ChainTime(300),
+    };
+    let offer = Offer { price: Price::new(5).unwrap(), endpoint: String::new(), deploys_within: 20 };
+    let bids =
+        |terms| Provider::new(account(1), secret(1), &announced(terms), offer.clone()).unwrap().is_some();
+    assert!(bids(TERMS) && bids(Terms { deploy_within: 20, bond: 5 * 120, ..TERMS }));
+    assert!(!bids(Terms { deploy_within: 19, ..TERMS }), "it would be late");
+    assert!(!bids(Terms { bond: 5 * 120 + 1, ..TERMS }), "it risks more than it can earn");
+    assert!(bids(Terms { open_for: 3600, ..TERMS }));
+    assert!(!bids(Terms { open_for: 3601, ..TERMS }), "the creator may never choose");
+    assert!(bids(Terms { deploy_within: 19, bond: 0, ..TERMS }), "it risks nothing");
 }
 
 #[test]
@@ -453,7 +630,8 @@ fn a_creator_whose_node_is_away_for_a_while_goes_on_when_it_is_back() {
 
 #[test]
 fn a_winner_that_is_cut_off_deploys_for_nothing_and_takes_it_down_when_it_is_back() {
-    let mut world = World::new(&[(Manner::NeverDeploys, 5), (Manner::Honest, 6)], Faults::default());
+    let mut world = World::new(&[(Manner::NeverDeploys, 5)], Faults::default());
+    world.creator.request.policy.enough = 1;
     world.run(seconds(22.0));
     let winner = &mut world.providers[0];
     assert!(winner.steps.iter().any(|(_, step)| *step == ProviderStep::Won));
@@ -618,6 +796,7 @@ fn any_event() -> impl Strategy<Value = Event> {
             id,
             provider,
             price: Price::MAX,
+            choice: 1 + u32::from(provider.0[0]),
             deadline,
         }),
         (provider(), deadline()).prop_map(move |(provider, deadline)| Event::ServiceDeployed {
@@ -666,10 +845,18 @@ proptest! {
         (world.attach, world.using) = (Duration::from_millis(attach), Duration::from_secs(using));
         world.run(seconds(1500.0));
         world.assert_over();
-        // Nobody is charged for what it did not use, and no money is lost.
+        // Nobody is charged for what it did not use, and no money is lost: also no bond is left behind.
         let contract = world.chain.contract();
         let balances: u128 = (0..5).map(|number| contract.balance(account(number)).0).sum();
         prop_assert_eq!(Wei(balances), contract.holds());
+        prop_assert_eq!(Wei(balances), world.paid_in());
+        // Nobody loses its bond but who won and did not deploy in time.
+        for (number, domain) in (1..).zip(&world.providers) {
+            let (bids, kept) = world.bonds_of(account(number));
+            if kept {
+                prop_assert!(contract.balance(account(number)).0 >= bids, "{:?}", domain.steps);
+            }
+        }
     }
 
     #[test]
@@ -705,7 +892,7 @@ proptest! {
             terms: TERMS,
             deadline: ChainTime(300),
         };
-        let offer = Offer { price: Price::MAX, endpoint: String::new() };
+        let offer = Offer { price: Price::MAX, endpoint: String::new(), deploys_within: 20 };
         let mut provider = Provider::new(account(1), secret(1), &announced, offer).unwrap().unwrap();
         let mut now = Timestamp::ZERO;
         for (notice, later) in notices {

@@ -1,7 +1,7 @@
 //! Those who mean no good, some of them contracts themselves.
 
 use alloy::{primitives::Bytes, sol_types::SolCall};
-use cotorra_ledger::{Account, Call, Commitment, Event, Outcome, Refusal, Salt, Wei, ethereum};
+use cotorra_ledger::{Account, Call, Commitment, Event, Refusal, Salt, Wei, ethereum};
 
 use crate::{
     both::{Both, CREATOR, OTHER, PRICE, PROVIDER, TERMS, announce, bid, choose, deploy, salt_of},
@@ -53,15 +53,21 @@ fn a_payee_that_asks_again_while_it_is_paid_gets_nothing_more() {
     let victim = both.closed(Salt([7; 32]));
     let wallet = both.chain.create(MALLORY, &attacker("Reentrant"));
     with_balance(&mut both, wallet);
-    let again = Reentrant::setAgainCall { input: Bytes::from(ethereum::encode(&Call::Withdraw)) };
+    let again =
+        Reentrant::setAgainCall { input: Bytes::from(ethereum::encode(&Call::Withdraw { to: wallet })) };
     both.wait(1);
     both.chain.transact(both.now, MALLORY, wallet, &again.abi_encode(), 0).unwrap();
     let amount = PRICE.times(TERMS.use_for);
-    let paid = execute(&mut both, wallet, &Call::Withdraw).unwrap();
-    assert_eq!(paid, [Event::Withdrawn { operator: wallet, amount }]);
+    let paid = execute(&mut both, wallet, &Call::Withdraw { to: wallet }).unwrap();
+    assert_eq!(paid, [Event::Withdrawn { operator: wallet, to: wallet, amount }]);
     assert_eq!(both.chain.wealth(wallet), amount.0, "paid once");
     assert_eq!(view(&both, &Reentrant::gainsCall {}, wallet), [0; 32], "the call from within was refused");
-    assert_eq!(both.chain.wealth(both.chain.contract()), amount.0, "the victim's deposit is still there");
+    let left = amount.0 + 2 * TERMS.bond().0;
+    assert_eq!(
+        both.chain.wealth(both.chain.contract()),
+        left,
+        "the victim's deposit is still there, and all bonds"
+    );
     both.chain.call(both.now.after(1), CREATOR, &Call::Cancel { id: victim }).unwrap();
 }
 
@@ -72,9 +78,18 @@ fn a_payee_that_takes_no_money_holds_up_nobody() {
     // Its service ends although it cannot be paid back; only its own withdrawal fails, each time.
     with_balance(&mut both, wallet);
     for _ in 0..2 {
-        assert_eq!(execute(&mut both, wallet, &Call::Withdraw), Err(Refusal::TransferFailed));
+        assert_eq!(execute(&mut both, wallet, &Call::Withdraw { to: wallet }), Err(Refusal::TransferFailed));
     }
-    assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0);
+    let bond = TERMS.bond().0;
+    assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0 + bond);
+    // What could not be paid is not lost: it goes to whom its owner says, and to nobody else at anybody else's word.
+    both.wait(1);
+    let anybody = both.chain.call(both.now, MALLORY, &Call::Withdraw { to: MALLORY });
+    assert_eq!(anybody.err(), Some(Refusal::NothingToWithdraw));
+    let to = Account([67; 20]);
+    execute(&mut both, wallet, &Call::Withdraw { to }).unwrap();
+    assert_eq!(both.chain.wealth(to), PRICE.times(TERMS.use_for).0);
+    assert_eq!(both.chain.wealth(both.chain.contract()), bond);
 }
 
 #[test]
@@ -108,7 +123,7 @@ fn a_copied_bid_cannot_be_opened() {
     let second = both.id(CREATOR, Salt([8; 32]));
     both.does(CREATOR, announce(Salt([8; 32])));
     let commitment = Commitment::to(id, PROVIDER, PRICE, salt_of(PROVIDER));
-    both.does(PROVIDER, Call::Bid { id: second, commitment, sealed: vec![1] });
+    both.does(PROVIDER, Call::Bid { id: second, commitment, sealed: vec![1], bond: TERMS.bond() });
     both.refuses(Refusal::CommitmentDiffers, CREATOR, choose(second, PROVIDER));
 }
 
@@ -118,11 +133,10 @@ fn a_provider_that_lies_about_its_deployment_is_paid_nothing() {
     let id = both.deployed(SALT);
     both.refuses(Refusal::OnlyCreator, PROVIDER, Call::Accept { id });
     both.wait(TERMS.accept_within);
-    let ended = both.does(PROVIDER, Call::Expire { id });
-    let outcome = Outcome::NotAccepted;
-    assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome, charge: Wei(0) });
-    both.refuses(Refusal::NothingToWithdraw, PROVIDER, Call::Withdraw);
-    both.does(CREATOR, Call::Withdraw);
+    let left = both.does(PROVIDER, Call::Expire { id });
+    assert!(matches!(left, Event::ServiceReopened { provider: PROVIDER, .. }), "{left:?}");
+    assert_eq!(both.balance(PROVIDER), TERMS.bond(), "its bond, and nothing else");
+    both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }
 
 #[test]
@@ -131,9 +145,10 @@ fn a_creator_cannot_take_its_deposit_out_of_a_used_service() {
     let id = both.in_use(SALT);
     both.wait(TERMS.use_for / 2);
     // Each call, refused or not, is a second later.
-    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw);
+    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw { to: CREATOR });
     both.does(PROVIDER, Call::Release { id });
-    assert_eq!(both.balance(PROVIDER), PRICE.times(TERMS.use_for / 2 + 3));
+    let used = PRICE.times(TERMS.use_for / 2 + 3);
+    assert_eq!(both.balance(PROVIDER), Wei(used.0 + TERMS.bond().0));
 }
 
 #[test]

@@ -11,7 +11,8 @@ pub const CREATOR: Account = Account([1; 20]);
 pub const PROVIDER: Account = Account([2; 20]);
 pub const OTHER: Account = Account([3; 20]);
 
-pub const TERMS: Terms = Terms { open_for: 60, deploy_within: 30, accept_within: 20, use_for: 600 };
+pub const TERMS: Terms =
+    Terms { open_for: 60, deploy_within: 30, accept_within: 20, use_for: 600, bond: 1000 };
 pub const PRICE: Price = Price::new(7).unwrap();
 
 pub struct Both {
@@ -153,7 +154,7 @@ pub fn salt_of(provider: Account) -> Salt {
 
 pub fn bid(id: ServiceId, provider: Account) -> Call {
     let commitment = Commitment::to(id, provider, PRICE, salt_of(provider));
-    Call::Bid { id, commitment, sealed: vec![0xab; 128] }
+    Call::Bid { id, commitment, sealed: vec![0xab; 128], bond: TERMS.bond() }
 }
 
 pub fn choose(id: ServiceId, provider: Account) -> Call {

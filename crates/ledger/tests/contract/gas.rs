@@ -25,12 +25,14 @@ fn table(both: &mut Both) -> String {
     row(both, "register", "operator", CREATOR, Call::Register { name: "domain 1".to_owned() });
     row(both, "announce", "creator", CREATOR, announce(Salt([1; 32])));
     row(both, "bid", "provider", PROVIDER, bid(id(1), PROVIDER));
+    both.does(OTHER, bid(id(1), OTHER));
     row(both, "choose", "creator", CREATOR, choose(id(1), PROVIDER));
     row(both, "deploy", "provider", PROVIDER, deploy(id(1)));
     row(both, "accept", "creator", CREATOR, Call::Accept { id: id(1) });
     both.wait(60);
     row(both, "release", "either", CREATOR, Call::Release { id: id(1) });
-    row(both, "withdraw", "operator", PROVIDER, Call::Withdraw);
+    row(both, "reclaim", "loser", OTHER, Call::Reclaim { id: id(1) });
+    row(both, "withdraw", "operator", PROVIDER, Call::Withdraw { to: PROVIDER });
     let closed = both.closed(Salt([2; 32]));
     row(both, "cancel", "creator", CREATOR, Call::Cancel { id: closed });
     let closed = both.closed(Salt([3; 32]));

@@ -20,11 +20,15 @@ fn a_service_is_negotiated_used_and_paid_by_the_second() {
     let ended = both.does(CREATOR, Call::Release { id });
     let charge = PRICE.times(100);
     assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome: Outcome::Released, charge });
-    assert_eq!(both.does(PROVIDER, Call::Withdraw), Event::Withdrawn { operator: PROVIDER, amount: charge });
+    let amount = Wei(charge.0 + TERMS.bond().0);
+    assert_eq!(
+        both.does(PROVIDER, Call::Withdraw { to: OTHER }),
+        Event::Withdrawn { operator: PROVIDER, to: OTHER, amount }
+    );
     assert_eq!(both.balance(CREATOR), Wei(PRICE.times(TERMS.use_for).0 - charge.0));
-    both.does(CREATOR, Call::Withdraw);
+    both.does(CREATOR, Call::Withdraw { to: CREATOR });
     assert_eq!(both.chain.wealth(both.chain.contract()), 0);
-    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw);
+    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw { to: CREATOR });
 }
 
 #[test]
@@ -97,12 +101,12 @@ fn bids_are_of_other_operators_once_and_in_time() {
     both.refuses(
         Refusal::BadCommitment,
         PROVIDER,
-        Call::Bid { id, commitment: Commitment::default(), sealed: sealed.clone() },
+        Call::Bid { id, commitment: Commitment::default(), sealed: sealed.clone(), bond: TERMS.bond() },
     );
     for sealed in [vec![], vec![1; 1025]] {
-        both.refuses(Refusal::BadSealed, PROVIDER, Call::Bid { id, commitment, sealed });
+        both.refuses(Refusal::BadSealed, PROVIDER, Call::Bid { id, commitment, sealed, bond: TERMS.bond() });
     }
-    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1; 1024] });
+    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1; 1024], bond: TERMS.bond() });
     both.refuses(Refusal::AlreadyBid, PROVIDER, bid(id, PROVIDER));
     both.now.0 = deadline.0 - 1;
     both.does(OTHER, bid(id, OTHER));
@@ -135,7 +139,7 @@ fn the_creator_alone_chooses_among_the_bids_at_their_price() {
     // A bid for nothing can be made, for nobody sees its price; it cannot win.
     let free = Price::new(0).unwrap();
     let commitment = Commitment::to(id, OTHER, free, salt_of(OTHER));
-    both.does(OTHER, Call::Bid { id, commitment, sealed: vec![1] });
+    both.does(OTHER, Call::Bid { id, commitment, sealed: vec![1], bond: TERMS.bond() });
     let call = Call::Choose { id, provider: OTHER, price: free, salt: salt_of(OTHER), deposit: Wei(0) };
     both.refuses(Refusal::PriceIsZero, CREATOR, call);
     both.does(CREATOR, choose(id, PROVIDER));
@@ -187,11 +191,13 @@ fn until_both_said_that_it_works_either_may_go_and_nothing_is_owed() {
         let id = make(&mut both, Salt([20 + number; 32]));
         assert_eq!(both.does(CREATOR, Call::Cancel { id }), ended(id, PROVIDER, Outcome::Cancelled));
         let id = make(&mut both, Salt([30 + number; 32]));
-        assert_eq!(both.does(PROVIDER, Call::Decline { id }), ended(id, PROVIDER, Outcome::Declined));
+        let declined = both.does(PROVIDER, Call::Decline { id });
+        assert!(matches!(declined, Event::ServiceReopened { provider: PROVIDER, .. }), "{declined:?}");
+        both.refuses(Refusal::OnlyProvider, PROVIDER, Call::Decline { id });
     }
-    assert_eq!(both.balance(PROVIDER), Wei(0));
+    assert_eq!(both.balance(PROVIDER), Wei(4 * TERMS.bond().0), "its bond is its own again");
     assert_eq!(both.balance(CREATOR), Wei(4 * PRICE.times(TERMS.use_for).0));
-    both.does(CREATOR, Call::Withdraw);
+    both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }
 
 #[test]
@@ -219,8 +225,18 @@ fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
         if let Some((party, call)) = late {
             both.refuses(Refusal::TooLate(deadline), party, call);
         }
-        let Event::ServiceEnded { outcome, charge, .. } = both.does(stranger(), Call::Expire { id }) else {
-            panic!()
+        let mut happened = both.does(stranger(), Call::Expire { id });
+        if matches!(wanted, Outcome::NotDeployed | Outcome::NotAccepted) {
+            // While another can be chosen, nobody takes that from the creator. Behind that, it is over.
+            let Event::ServiceReopened { provider: PROVIDER, deadline, .. } = happened else { panic!() };
+            both.refuses(Refusal::TooEarly(deadline), stranger(), Call::Expire { id });
+            both.now = deadline;
+            happened = both.does(stranger(), Call::Expire { id });
+        }
+        let Event::ServiceEnded { outcome, charge, .. } = happened else { panic!() };
+        let wanted = match wanted {
+            Outcome::NotDeployed | Outcome::NotAccepted => Outcome::NoWinner,
+            other => other,
         };
         assert_eq!(outcome, wanted);
         let all = PRICE.times(TERMS.use_for);
@@ -253,12 +269,128 @@ fn the_highest_price_for_the_longest_time_overflows_nothing() {
     let price = Price::MAX;
     let salt = salt_of(PROVIDER);
     let commitment = Commitment::to(id, PROVIDER, price, salt);
-    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1] });
+    both.does(PROVIDER, Call::Bid { id, commitment, sealed: vec![1], bond: TERMS.bond() });
     let deposit = price.times(u32::MAX);
     both.does(CREATOR, Call::Choose { id, provider: PROVIDER, price, salt, deposit });
     both.does(PROVIDER, deploy(id));
     both.does(CREATOR, Call::Accept { id });
     both.does(CREATOR, Call::Release { id });
-    both.does(PROVIDER, Call::Withdraw);
-    both.does(CREATOR, Call::Withdraw);
+    both.does(PROVIDER, Call::Withdraw { to: PROVIDER });
+    both.does(CREATOR, Call::Withdraw { to: CREATOR });
+}
+
+/// The provider's bond and one more bid, of another.
+fn two_bids(both: &mut Both) -> ServiceId {
+    let id = both.bid_for(SALT);
+    both.does(OTHER, bid(id, OTHER));
+    id
+}
+
+#[test]
+fn a_bid_is_bound_by_its_bond_and_no_more() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.id(CREATOR, SALT);
+    both.does(CREATOR, announce(SALT));
+    for wrong in [0, TERMS.bond().0 - 1, TERMS.bond().0 + 1] {
+        let Call::Bid { id, commitment, sealed, .. } = bid(id, PROVIDER) else { panic!() };
+        let call = Call::Bid { id, commitment, sealed, bond: Wei(wrong) };
+        both.refuses(Refusal::BadDeposit(TERMS.bond()), PROVIDER, call);
+    }
+    // What stands for a bid that was chosen is no commitment: its bond would be nobody's.
+    let mut spent = [0; 32];
+    spent[31] = 1;
+    let call = Call::Bid { id, commitment: Commitment(spent), sealed: vec![1], bond: TERMS.bond() };
+    both.refuses(Refusal::BadCommitment, PROVIDER, call);
+}
+
+#[test]
+fn who_wins_and_does_not_deploy_in_time_loses_its_bond_to_the_creator_and_another_is_chosen() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = two_bids(&mut both);
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.refuses(Refusal::WrongState(State::Closed), CREATOR, choose(id, OTHER));
+    both.wait(TERMS.deploy_within);
+    both.does(CREATOR, choose(id, OTHER));
+    let deposit = PRICE.times(TERMS.use_for);
+    assert_eq!(both.balance(CREATOR), Wei(deposit.0 + TERMS.bond().0));
+    assert_eq!(both.balance(PROVIDER), Wei(0));
+    // It is out: it neither deploys, nor declines, nor bids, nor is chosen again, and it has no bond to take back.
+    both.refuses(Refusal::OnlyProvider, PROVIDER, deploy(id));
+    both.refuses(Refusal::OnlyProvider, PROVIDER, Call::Decline { id });
+    both.refuses(Refusal::NoSuchBid, PROVIDER, Call::Reclaim { id });
+    both.does(OTHER, Call::Decline { id });
+    assert_eq!(both.balance(OTHER), TERMS.bond(), "it said so in time");
+    both.refuses(Refusal::AlreadyBid, PROVIDER, bid(id, PROVIDER));
+    for again in [PROVIDER, OTHER] {
+        both.refuses(Refusal::NoSuchBid, CREATOR, choose(id, again));
+    }
+}
+
+#[test]
+fn a_late_winner_does_not_save_its_bond_by_declining_and_does_not_end_the_service() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = two_bids(&mut both);
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.wait(TERMS.deploy_within);
+    both.does(PROVIDER, Call::Decline { id });
+    assert_eq!((both.balance(PROVIDER), both.state(id)), (Wei(0), State::Open));
+    both.does(CREATOR, choose(id, OTHER));
+    // Nor by a creator that gives up behind the time, or before it.
+    both.wait(TERMS.deploy_within);
+    let ended = both.does(CREATOR, Call::Cancel { id });
+    assert!(matches!(ended, Event::ServiceEnded { outcome: Outcome::NotDeployed, .. }), "{ended:?}");
+    assert_eq!(both.balance(OTHER), Wei(0));
+}
+
+#[test]
+fn a_creator_that_gives_up_in_time_takes_no_bond() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.closed(SALT);
+    both.does(CREATOR, Call::Cancel { id });
+    assert_eq!(both.balance(PROVIDER), TERMS.bond());
+    // Nor one that chooses another in place of what was deployed.
+    let id = both.id(CREATOR, Salt([6; 32]));
+    both.does(CREATOR, announce(Salt([6; 32])));
+    both.does(PROVIDER, bid(id, PROVIDER));
+    both.does(OTHER, bid(id, OTHER));
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.does(PROVIDER, deploy(id));
+    both.does(CREATOR, choose(id, OTHER));
+    assert_eq!(both.balance(PROVIDER), Wei(2 * TERMS.bond().0));
+}
+
+#[test]
+fn who_was_not_chosen_has_its_bond_again_once_nobody_can_be_chosen() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = two_bids(&mut both);
+    both.refuses(Refusal::BondBound, OTHER, Call::Reclaim { id });
+    both.does(CREATOR, choose(id, PROVIDER));
+    both.does(PROVIDER, deploy(id));
+    both.refuses(Refusal::BondBound, OTHER, Call::Reclaim { id });
+    both.does(CREATOR, Call::Accept { id });
+    for nobody in [PROVIDER, CREATOR, stranger()] {
+        both.refuses(Refusal::NoSuchBid, nobody, Call::Reclaim { id });
+    }
+    let reclaimed = Event::BondReclaimed { id, provider: OTHER, bond: TERMS.bond() };
+    assert_eq!(both.does(OTHER, Call::Reclaim { id }), reclaimed);
+    both.refuses(Refusal::NoSuchBid, OTHER, Call::Reclaim { id });
+    both.does(OTHER, Call::Withdraw { to: OTHER });
+    // Also of a creator that never says anything.
+    both.does(CREATOR, announce(Salt([6; 32])));
+    let id = both.id(CREATOR, Salt([6; 32]));
+    both.does(OTHER, bid(id, OTHER));
+    both.wait(TERMS.open_for);
+    both.does(OTHER, Call::Reclaim { id });
+    both.refuses(Refusal::NoSuchBid, OTHER, Call::Reclaim { id });
+}
+
+#[test]
+fn nothing_is_paid_to_nobody() {
+    let Some(mut both) = Both::with_operators() else { return };
+    let id = both.closed(SALT);
+    both.does(CREATOR, Call::Cancel { id });
+    for to in [Account::default(), both.chain.contract()] {
+        both.refuses(Refusal::BadReceiver, CREATOR, Call::Withdraw { to });
+    }
+    both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }

@@ -16,7 +16,7 @@ use crate::both::{Both, CREATOR, OTHER, PROVIDER, requirements, salt_of};
 
 /// Few of everything, so that calls meet each other.
 const CALLERS: [Account; 4] = [CREATOR, PROVIDER, OTHER, Account([77; 20])];
-const TERMS: Terms = Terms { open_for: 60, deploy_within: 40, accept_within: 30, use_for: 50 };
+const TERMS: Terms = Terms { open_for: 60, deploy_within: 40, accept_within: 30, use_for: 50, bond: 5 };
 const BID: Price = Price::new(3).unwrap();
 
 /// A service that calls are about; once it has ended, the next takes its place.
@@ -38,7 +38,7 @@ impl Service {
 
     fn bid(self, provider: Account, price: Price) -> Call {
         let commitment = Commitment::to(self.id(), provider, price, salt_of(provider));
-        Call::Bid { id: self.id(), commitment, sealed: vec![1] }
+        Call::Bid { id: self.id(), commitment, sealed: vec![1], bond: TERMS.bond() }
     }
 
     fn choose(self, provider: Account, price: Price, too_much: u128) -> Call {
@@ -77,7 +77,8 @@ impl Service {
             11 => Call::Decline { id },
             12 => Call::Release { id },
             13 => Call::Expire { id },
-            _ => Call::Withdraw,
+            14 => Call::Reclaim { id },
+            _ => Call::Withdraw { to: provider },
         }
     }
 }
@@ -86,7 +87,7 @@ impl Service {
 fn step() -> impl Strategy<Value = (usize, Account, Account, Option<u8>, u32)> {
     let caller = || prop::sample::select(&CALLERS[..]);
     let wait = prop_oneof![12 => 0..2u32, 1 => 20..70u32];
-    (0..3usize, caller(), caller(), prop::option::weighted(0.35, 0..15u8), wait)
+    (0..3usize, caller(), caller(), prop::option::weighted(0.35, 0..16u8), wait)
 }
 
 #[test]
@@ -132,7 +133,7 @@ fn whatever_is_called_the_contract_does_what_its_rules_say() {
     // What this compares is worth as much as what it comes across.
     let seen = both.into_inner().1;
     for outcome in
-        ["Cancelled", "Declined", "NoWinner", "NotDeployed", "NotAccepted", "Released", "Completed"]
+        ["Cancelled", "NoWinner", "NotDeployed", "Released", "Completed", "ServiceReopened", "BondReclaimed"]
     {
         assert!(seen.contains_key(outcome), "no {outcome} in {seen:?}");
     }

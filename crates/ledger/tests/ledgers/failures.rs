@@ -97,7 +97,7 @@ fn price(wei: u128) -> Price {
 }
 
 fn long() -> Terms {
-    request(policy()).terms
+    request(policy(), Account::default()).terms
 }
 
 /// A winner that does not deploy within some seconds of the chain's is given up.
@@ -114,7 +114,7 @@ fn failed(creator: &CreatorSide, with: Failure) {
 /// What an operator is paid out.
 fn withdrawn(node: &Node, operator: &mut Operator) -> Wei {
     let account = operator.key.account();
-    operator.ledger.submit(operator.now(), Call::Withdraw);
+    operator.ledger.submit(operator.now(), Call::Withdraw { to: account });
     let amount = |notices: &[Notice], of: Account| {
         notices.iter().find_map(|notice| match notice {
             Notice::Event(Event::Withdrawn { operator, amount, .. }) if *operator == of => Some(*amount),
@@ -123,6 +123,12 @@ fn withdrawn(node: &Node, operator: &mut Operator) -> Wei {
     };
     node.until(operator, "the payment", |notices| amount(notices, account).is_some());
     amount(&operator.notices, account).unwrap()
+}
+
+/// The creator has all of its deposit back, and the winner's bond.
+fn bond_was_lost(node: &Node, creator: &mut CreatorSide) {
+    let deposit = price(9).times(long().use_for);
+    assert_eq!(withdrawn(node, &mut creator.operator), Wei(deposit.0 + long().bond().0));
 }
 
 /// The creator has all of its deposit back.
@@ -142,7 +148,8 @@ fn used_and_paid(node: &Node, creator: &mut CreatorSide, providers: &mut [Provid
     assert!(!creator.has(|step| matches!(step, CreatorStep::Failed(_))), "{:?}", creator.steps);
     let charge = providers[0].ended().unwrap();
     assert!(charge > Wei(0));
-    assert_eq!(withdrawn(node, &mut providers[0].operator), charge);
+    let bond = long().bond().0;
+    assert_eq!(withdrawn(node, &mut providers[0].operator), Wei(charge.0 + bond));
     let Wei(rest) = withdrawn(node, &mut creator.operator);
     assert_eq!(Wei(rest + charge.0), price(9).times(long().use_for));
 }
@@ -175,14 +182,14 @@ fn the_winner_is_silent(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Silent, short());
     until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
-    nothing_was_paid(stage.node, &mut creator);
+    bond_was_lost(stage.node, &mut creator);
 }
 
 fn the_deployment_fails(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Fails, long());
     until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
-    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Declined)));
+    assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
     nothing_was_paid(stage.node, &mut creator);
 }
 
@@ -232,7 +239,7 @@ fn the_winner_is_cut_off(stage: &Stage<'_>) {
     providers[0].deploy();
     until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
-    nothing_was_paid(stage.node, &mut creator);
+    bond_was_lost(stage.node, &mut creator);
     proxy.mend();
     let operator = &mut providers[0].operator;
     operator.wait_for(|notice| *notice == Notice::Up);
@@ -270,7 +277,7 @@ fn the_announcement_is_replayed(stage: &Stage<'_>) {
     let secret = creator.operator.secret();
     let salt = secret.announcement_salt(1);
     let again = || {
-        let requirements = request(policy()).requirements;
+        let requirements = request(policy(), Account::default()).requirements;
         Call::Announce { salt, key: secret.public_key(salt), requirements, terms: long() }
     };
     let refused = creator.operator.ledger.submit(creator.operator.now(), again());

@@ -6,7 +6,7 @@
 use std::{collections::BTreeMap, env, time::Instant};
 
 use cotorra_ledger::{
-    Call, Event, Ledger, Notice, Outcome, Price, ServiceId, Wei,
+    Account, Call, Event, Ledger, Notice, Outcome, Price, ServiceId, Wei,
     negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep},
 };
 
@@ -87,7 +87,7 @@ impl Side<Provider> {
                 && !self.services.contains_key(id)
             {
                 let (account, endpoint) = (self.operator.key.account(), "http://domain:7700".to_owned());
-                let offer = Offer { price, endpoint };
+                let offer = Offer { price, endpoint, deploys_within: 10 };
                 let secret = self.operator.secret();
                 if let Some(provider) = Provider::new(account, secret, event, offer).unwrap() {
                     self.services.insert(*id, (provider, Vec::new()));
@@ -146,7 +146,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
         let index = number % creators.len();
         let side = &mut creators[index];
         let (account, secret) = (side.operator.key.account(), side.operator.secret());
-        let request = request(policy);
+        let request = request(policy, account);
         let creator = Creator::new(
             side.operator.now(),
             account,
@@ -197,7 +197,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     let won = ["Bidding", "BidPlaced", "Won", "Confirming", "Deployed", "InUse", "Ended"];
     let lost = ["Bidding", "BidPlaced", "Lost"];
     // Who lost may or may not have heard how it ended.
-    let is_lost = |steps: &[String]| steps.len() <= 4 && steps[..3] == lost;
+    let is_lost = |steps: &[String]| steps.len() <= 5 && steps[..3] == lost;
     let other = answers.iter().find(|steps| ***steps != won && !is_lost(steps));
     let counts = [
         answers.iter().filter(|steps| ***steps == won).count(),
@@ -208,7 +208,8 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     let mut operators: Vec<Operator> = creators.into_iter().map(|side| side.operator).collect();
     operators.extend(sides.into_iter().map(|side| side.operator));
     for operator in &mut operators {
-        operator.ledger.submit(operator.now(), Call::Withdraw);
+        let to = operator.key.account();
+        operator.ledger.submit(operator.now(), Call::Withdraw { to });
     }
     let heard = &mut operators[0];
     let paid = |notices: &[Notice], of: &dyn Fn(&Event) -> u128| -> u128 {
@@ -216,6 +217,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     };
     let deposit = |event: &Event| match event {
         Event::ProviderChosen { price, .. } => price.times(600).0,
+        Event::BidPlaced { .. } => request(policy, Account::default()).terms.bond().0,
         _ => 0,
     };
     let withdrawn = |event: &Event| match event {
@@ -232,6 +234,6 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     println!(
         "{providers} providers, {announcements} announcements at once, {bids} bids for each: all over after {took:.1?}; \
          {} transactions; {blocks} blocks with registrations and withdrawals",
-        announcements * (5 + bids),
+        announcements * (4 + 2 * bids),
     );
 }

@@ -64,7 +64,7 @@ fn negotiate(node: &Node) {
 fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
-    let ticket = operator.ledger.submit(operator.now(), Call::Withdraw);
+    let ticket = operator.ledger.submit(operator.now(), Call::Withdraw { to: operator.key.account() });
     let refused = Notice::Refused(ticket, Rejection::Contract(Refusal::NothingToWithdraw));
     node.until(&mut operator, "the refusal", |notices| notices.contains(&refused));
     assert_eq!(node.transactions(&operator), 1, "the registration");

@@ -8,7 +8,7 @@ use cotorra_ledger::{
     Account, Attachment, Call, Deployment, Event, Ledger, Notice, Price, Requirements, Secret, Terms, Ticket,
     Wei,
     ethereum::{EthereumLedger, Key},
-    negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Request},
+    negotiation::{Creator, CreatorStep, Offer, Policy, Provider, ProviderStep, Record, Request},
 };
 
 use crate::node::{BLOCKS, Node};
@@ -62,7 +62,7 @@ impl Operator {
         self.announced += 1;
         let salt = self.secret().announcement_salt(1000 + self.announced);
         let key = self.secret().public_key(salt);
-        let Request { requirements, terms, .. } = request(policy());
+        let Request { requirements, terms, .. } = request(policy(), self.key.account());
         self.ledger.submit(self.now(), Call::Announce { salt, key, requirements, terms })
     }
 
@@ -130,7 +130,7 @@ pub fn one_bid() -> Policy {
     Policy { enough: 1, ..policy() }
 }
 
-pub fn request(policy: Policy) -> Request {
+pub fn request(policy: Policy, account: Account) -> Request {
     let requirements = Requirements {
         vnf: "vAP".to_owned(),
         map: "corridor".to_owned(),
@@ -143,8 +143,8 @@ pub fn request(policy: Policy) -> Request {
         width_mhz: 20,
         signal_dbm: -70,
     };
-    let terms = Terms { open_for: 7200, deploy_within: 7200, accept_within: 7200, use_for: 600 };
-    Request { requirements, terms, policy }
+    let terms = Terms { open_for: 3600, deploy_within: 7200, accept_within: 7200, use_for: 600, bond: 77 };
+    Request { requirements, terms, policy, record: Record::new(account) }
 }
 
 pub fn attachment() -> Attachment {
@@ -169,14 +169,15 @@ pub struct CreatorSide {
 
 impl CreatorSide {
     pub fn new(operator: Operator, policy: Policy) -> Self {
-        Self::asking(operator, request(policy).terms, policy)
+        let terms = request(policy, operator.key.account()).terms;
+        Self::asking(operator, terms, policy)
     }
 
     /// One with terms of its own.
     pub fn asking(operator: Operator, terms: Terms, policy: Policy) -> Self {
         let secret = operator.secret();
         let salt = secret.announcement_salt(1);
-        let request = Request { terms, ..request(policy) };
+        let request = Request { terms, ..request(policy, operator.key.account()) };
         let negotiation = Creator::new(operator.now(), operator.key.account(), secret, salt, request);
         Self { operator, negotiation, steps: Vec::new(), heard: 0, attaches: true }
     }
@@ -279,7 +280,11 @@ impl ProviderSide {
                     |of| matches!(event, Event::ServiceAnnounced { creator, .. } if *creator == of),
                 )
             {
-                let offer = Offer { price: self.price, endpoint: "http://domain-2:7700".to_owned() };
+                let offer = Offer {
+                    price: self.price,
+                    endpoint: "http://domain-2:7700".to_owned(),
+                    deploys_within: 1,
+                };
                 let account = self.operator.key.account();
                 self.negotiation = Provider::new(account, self.operator.secret(), event, offer).unwrap();
             }

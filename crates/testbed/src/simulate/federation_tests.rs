@@ -14,6 +14,9 @@ use crate::experiment::federation::STEPS;
 /// The edge of domain 1's coverage on the walk of `testbeds/federation.yaml`.
 const EDGE_M: f64 = 23.8;
 
+/// Nobody but domain 2 bids.
+const ALONE: &str = "plugins.orchestrator-3.settings.behaviour=silent";
+
 fn testbed(settings: &[&str]) -> Arc<Testbed> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/federation.yaml");
     let text = std::fs::read_to_string(&path).unwrap();
@@ -172,20 +175,49 @@ fn all_bids_are_too_dear() {
 
 #[test]
 fn the_winner_does_not_deploy() {
-    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=idle"]);
+    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=idle", ALONE]);
     assert!(told.when(Step::WinnerReceived).is_some() && told.when(Step::DeploymentStarted).is_none());
 }
 
 #[test]
 fn the_deployment_fails() {
-    let told = goes_wrong(&["nodes.n_AP.cpus=0"]);
+    let told = goes_wrong(&["nodes.n_AP.cpus=0", ALONE]);
     assert!(told.when(Step::DeploymentFailed).is_some() && told.when(Step::ConfirmationSent).is_none());
 }
 
 #[test]
 fn the_provider_lies_about_its_deployment() {
-    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=lying"]);
+    let told = goes_wrong(&["plugins.orchestrator-2.settings.behaviour=lying", ALONE]);
     assert!(told.when(Step::ConfirmationReceived).is_some() && told.when(Step::Attached).is_none());
+}
+
+#[test]
+fn where_the_winner_fails_the_robot_goes_on_with_the_next_bid() {
+    for failing in [
+        "plugins.orchestrator-2.settings.behaviour=idle",
+        "nodes.n_AP.cpus=0",
+        "plugins.orchestrator-2.settings.behaviour=lying",
+    ] {
+        let mut simulation = Simulation::new(testbed(&[failing]), 1).unwrap();
+        let told = Told::of(&mut simulation, 400.0);
+        let detail = told.detail();
+        assert!(told.finished && told.faults.is_empty(), "{failing}: {:?} {detail}", told.faults);
+        assert!(told.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{failing}: {detail}");
+        assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "{failing}: {detail}");
+    }
+}
+
+#[test]
+fn with_time_for_the_next_bid_an_idle_winner_halts_nobody() {
+    let early =
+        ["plugins.orchestrator-1.settings.lead=60 s", "plugins.orchestrator-1.settings.patience=120 s"];
+    let idle = ["plugins.orchestrator-2.settings.behaviour=idle"];
+    for (settings, halted) in [([&idle[..], &early].concat(), false), (idle.to_vec(), true)] {
+        let mut simulation = Simulation::new(testbed(&settings), 1).unwrap();
+        let told = Told::of(&mut simulation, 100.0);
+        assert_eq!(told.when(Step::Halted).is_some(), halted, "{settings:?}: {}", told.detail());
+        assert!(told.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{settings:?}: {}", told.detail());
+    }
 }
 
 #[test]
@@ -212,6 +244,7 @@ fn the_ledger_was_never_there() {
 fn the_ledger_is_out_of_the_winners_reach() {
     let told = goes_wrong(&[
         "plugins.orchestrator-2.settings.ledger={kind: modelled, block_period: 5 s, outage: [27 s, 130 s]}",
+        ALONE,
     ]);
     assert_eq!(told.when(Step::WinnerReceived), None, "{}", told.detail());
 }
