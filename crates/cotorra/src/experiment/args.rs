@@ -94,6 +94,7 @@ pub struct OkpiArgs {
 Examples:
   cotorra experiment federation                            in virtual time, on a modelled ledger, in seconds
   cotorra experiment federation --runs 20 --block-period 5
+  cotorra experiment federation --dishonest --runs 100     how many robots dishonest providers halt, and at what cost
   cotorra experiment federation --emulate --block-period 1  with real packets and an anvil node, some three minutes a run
   COTORRA_LEDGER_PASSWORD=… cotorra experiment federation --emulate --ledger wss://node.example --keys keys \\
       --ledger domain-2=ws://127.0.0.1:8546                 on a network that is there already: domain 2 by a node of its own
@@ -124,6 +125,10 @@ pub struct FederationArgs {
     /// End each run after so much time, such as 60s or 2min [default: twice what the walk takes, and a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
+    /// Instead, print how many robots dishonest providers halt, and at what cost: the negotiation alone, in virtual time, with
+    /// --runs robots for each figure
+    #[arg(long, conflicts_with_all = ["emulate", "block_period", "seed", "until"])]
+    pub dishonest: bool,
     #[command(flatten)]
     pub walks: WalkArgs,
     #[command(flatten)]

@@ -12,8 +12,8 @@ use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
     FolderError, Options, Place, Recorded, RecordedError,
     experiment::federation::{
-        Access, Comparison, FILES, Federated, LedgerError, Network, NoFederation, On, domains, longest,
-        settings,
+        Access, Comparison, FILES, Federated, LedgerError, Network, NoFederation, On, dishonest, domains,
+        longest, settings,
     },
 };
 
@@ -71,6 +71,10 @@ struct Planned {
 
 /// Runs the robot's walk with each block period.
 pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
+    if args.dishonest {
+        output::print(&dishonest::table(args.runs))?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let how = if args.emulate { "emulated with real packets" } else { "in virtual time" };
     if args.walks.dry_run {
         output::print(&describe_plan(args, how)?)?;

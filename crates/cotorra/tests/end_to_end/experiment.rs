@@ -47,6 +47,16 @@ fn okpi_and_the_state_of_the_art_are_compared_in_virtual_time() {
 }
 
 #[test]
+fn the_halts_by_dishonest_providers_are_told_with_their_cost() {
+    let output = cotorra(["experiment", "federation", "--dishonest"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let table = stdout(&output);
+    let rows = |share: &str| table.lines().filter(|row| row.starts_with(share)).count();
+    assert_eq!(rows("| 0 % | 0.0 % | 0.0 % | 0.0 % | 0.0 % | no halt | no halt | no halt |"), 2, "{table}");
+    assert_eq!((rows("| 1 % |"), rows("| 50 % | 100.0 % |")), (2, 2), "{table}");
+}
+
+#[test]
 fn a_robot_is_handed_to_another_domain_in_virtual_time() {
     let out = tempfile::tempdir().unwrap();
     let testbed = corridor().with_file_name("federation.yaml");

@@ -1,6 +1,7 @@
 //! The COTORRA letter's second validation (arXiv 2101.07676): a robot leaves the coverage of its domain, whose
 //! orchestrator has found another domain's virtual access point by then, over a ledger with blocks.
 
+pub mod dishonest;
 mod drawn;
 mod on;
 
