@@ -37,7 +37,7 @@ impl AccessPoints {
         radio_unit: &NodeId,
         access_point: AccessPoint,
         network: &impl Network,
-        vim: &Vim<E>,
+        vim: &mut Vim<E>,
     ) -> Result<(), Refused> {
         let refused = |reason: &dyn ToString| Refused(reason.to_string());
         if self.deploying.contains_key(radio_unit) {
@@ -46,7 +46,7 @@ impl AccessPoints {
         let (unit, wanted) = (radio_unit.clone(), access_point.clone());
         let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
         network.with(check).map_err(|gone| refused(&gone))?.map_err(|reason| refused(&reason))?;
-        vim.check_room(&AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit)
+        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit)
             .map_err(|reason| refused(&reason))?;
         let time = self.times.get(radio_unit).copied().unwrap_or_default();
         self.deploying.insert(radio_unit.clone(), (now + time, access_point));
@@ -54,10 +54,11 @@ impl AccessPoints {
     }
 
     /// Takes a vAP down, or gives its deployment up.
-    pub(crate) fn remove(
+    pub(crate) fn remove<E: Engine>(
         &mut self,
         radio_unit: &NodeId,
         network: &impl Network,
+        vim: &mut Vim<E>,
     ) -> Result<Vec<Event>, Refused> {
         if self.deploying.remove(radio_unit).is_none() {
             let unit = radio_unit.clone();
@@ -65,11 +66,17 @@ impl AccessPoints {
             let done = network.with(off).map_err(|gone| Refused(gone.to_string()))?;
             done.map_err(|reason| Refused(reason.to_string()))?;
         }
+        vim.release(&AccessPoint::vnf(radio_unit));
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])
     }
 
     /// Lets those serve whose deployment is done.
-    pub(crate) fn poll(&mut self, now: Timestamp, network: &impl Network) -> Result<Vec<Event>, NetworkGone> {
+    pub(crate) fn poll<E: Engine>(
+        &mut self,
+        now: Timestamp,
+        network: &impl Network,
+        vim: &mut Vim<E>,
+    ) -> Result<Vec<Event>, NetworkGone> {
         let mut events = Vec::new();
         for (radio_unit, (_, access_point)) in self.deploying.extract_if(.., |_, (at, _)| *at <= now) {
             let unit = radio_unit.clone();
@@ -77,7 +84,10 @@ impl AccessPoints {
                 move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_on(now, &unit, access_point);
             events.push(match network.with(on)? {
                 Ok(()) => life(&radio_unit, VnfState::Started, None),
-                Err(reason) => life(&radio_unit, VnfState::Failed, Some(reason.to_string())),
+                Err(reason) => {
+                    vim.release(&AccessPoint::vnf(&radio_unit));
+                    life(&radio_unit, VnfState::Failed, Some(reason.to_string()))
+                }
             });
         }
         Ok(events)

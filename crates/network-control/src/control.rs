@@ -158,7 +158,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// [`NetworkGone`].
     pub fn poll(&mut self, now: Timestamp) -> Result<Vec<Event>, NetworkGone> {
         let mut events = self.vim.poll(now);
-        events.extend(self.access_points.poll(now, &self.network)?);
+        events.extend(self.access_points.poll(now, &self.network, &mut self.vim)?);
         Ok(events)
     }
 
@@ -247,10 +247,12 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Ok(Vec::new())
             }
             Instruction::Deploy { radio_unit, access_point } => {
-                self.access_points.deploy(now, &radio_unit, access_point, &self.network, &self.vim)?;
+                self.access_points.deploy(now, &radio_unit, access_point, &self.network, &mut self.vim)?;
                 Ok(Vec::new())
             }
-            Instruction::Remove { radio_unit } => self.access_points.remove(&radio_unit, &self.network),
+            Instruction::Remove { radio_unit } => {
+                self.access_points.remove(&radio_unit, &self.network, &mut self.vim)
+            }
             Instruction::Provision { robot, radio_unit, access_point } => {
                 let provision =
                     move |fabric: &mut Fabric, _| fabric.provision(&robot, &radio_unit, access_point);

@@ -1,7 +1,7 @@
 use std::{cell::RefCell, path::Path};
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, Timestamp, testbed_file};
+use cotorra_graph::{HardwareGraph, Timestamp, VnfId, testbed_file};
 
 use super::*;
 use crate::vim::InMemoryEngine;
@@ -52,40 +52,61 @@ fn lab() -> AccessPoint {
 
 #[test]
 fn a_vap_serves_once_its_deployment_is_done() {
-    let (_, network, vim, mut access_points) = world();
-    access_points.deploy(at(100), &id("off"), lab(), &network, &vim).unwrap();
+    let (_, network, mut vim, mut access_points) = world();
+    access_points.deploy(at(100), &id("off"), lab(), &network, &mut vim).unwrap();
     assert_eq!(access_points.next_deadline(), Some(at(400)));
-    assert_eq!(access_points.poll(at(399), &network).unwrap(), []);
+    assert_eq!(access_points.poll(at(399), &network, &mut vim).unwrap(), []);
     let started = life(&id("off"), VnfState::Started, None);
-    assert_eq!(access_points.poll(at(400), &network).unwrap(), [started]);
+    assert_eq!(access_points.poll(at(400), &network, &mut vim).unwrap(), [started]);
     assert_eq!(access_points.next_deadline(), None);
     let stopped = life(&id("off"), VnfState::Stopped, None);
-    assert_eq!(access_points.remove(&id("off"), &network).unwrap(), [stopped]);
-    let refused = access_points.remove(&id("off"), &network).unwrap_err();
+    assert_eq!(access_points.remove(&id("off"), &network, &mut vim).unwrap(), [stopped]);
+    let refused = access_points.remove(&id("off"), &network, &mut vim).unwrap_err();
     assert!(refused.0.contains("`off` is off"), "{refused}");
 }
 
 #[test]
 fn a_deployment_can_be_given_up() {
-    let (_, network, vim, mut access_points) = world();
-    access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap();
-    access_points.remove(&id("off"), &network).unwrap();
-    assert_eq!(access_points.poll(at(1000), &network).unwrap(), []);
-    access_points.deploy(at(1000), &id("off"), lab(), &network, &vim).unwrap();
+    let (_, network, mut vim, mut access_points) = world();
+    access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
+    access_points.remove(&id("off"), &network, &mut vim).unwrap();
+    assert_eq!(access_points.poll(at(1000), &network, &mut vim).unwrap(), []);
+    access_points.deploy(at(1000), &id("off"), lab(), &network, &mut vim).unwrap();
 }
 
 #[test]
 fn what_cannot_be_deployed_is_refused_at_once() {
-    let (_, network, vim, mut access_points) = world();
+    let (_, network, mut vim, mut access_points) = world();
     let mut refused = |unit: &str, access_point: AccessPoint| {
-        access_points.deploy(at(0), &id(unit), access_point, &network, &vim).unwrap_err().0
+        access_points.deploy(at(0), &id(unit), access_point, &network, &mut vim).unwrap_err().0
     };
     assert!(refused("on", lab()).contains("deployed on `on` already"));
     assert!(refused("nowhere", lab()).contains("no radio unit `nowhere`"));
     assert!(refused("small", lab()).contains("needs 0.5 CPUs of `small`"));
     let other = AccessPoint { ssid: "other".into(), ..lab() };
     assert!(refused("off", other).contains("made for the network `lab`"));
-    access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap();
-    let again = access_points.deploy(at(0), &id("off"), lab(), &network, &vim).unwrap_err();
+    access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
+    let again = access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap_err();
     assert!(again.0.contains("is being deployed on `off` already"), "{again}");
+}
+
+#[test]
+fn a_vap_has_its_room_from_the_start_of_its_deployment_to_its_end() {
+    let (graph, network, ..) = world();
+    let vnf = VnfId::new("other").unwrap();
+    let mut vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());
+    let mut access_points = AccessPoints::new(&graph);
+    // A radio unit has one CPU.
+    let other = |vim: &mut Vim<InMemoryEngine>| {
+        let fits = vim.reserve(vnf.clone(), 0.6, 1, &id("off")).is_ok();
+        vim.release(&vnf);
+        fits
+    };
+    assert!(other(&mut vim));
+    access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
+    assert!(!other(&mut vim));
+    access_points.poll(at(300), &network, &mut vim).unwrap();
+    assert!(!other(&mut vim));
+    access_points.remove(&id("off"), &network, &mut vim).unwrap();
+    assert!(other(&mut vim));
 }

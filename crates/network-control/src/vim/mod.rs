@@ -7,7 +7,7 @@ mod engine;
 mod memory;
 mod process;
 
-use std::time::Duration;
+use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
     Event, HardwareGraph, NodeId, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
@@ -112,6 +112,8 @@ pub struct Vim<E> {
     graph: HardwareGraph,
     /// By name. They are looked at in each step of virtual time: a map would take longer.
     slots: Vec<Slot>,
+    /// Room that others take on nodes: CPUs and bytes.
+    reserved: BTreeMap<VnfId, (NodeId, f64, u64)>,
     instances: u64,
 }
 
@@ -129,7 +131,7 @@ impl<E: Engine> Vim<E> {
         };
         let mut slots: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(slot).collect();
         slots.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
-        Self { engine, graph, slots, instances: 0 }
+        Self { engine, graph, slots, reserved: BTreeMap::new(), instances: 0 }
     }
 
     /// Starts every VNF where the testbed file puts it.
@@ -234,8 +236,29 @@ impl<E: Engine> Vim<E> {
         self.engine.shut_down();
     }
 
-    /// Whether a VNF that takes so much fits on a node, beside all others there.
-    pub(crate) fn check_room(
+    /// Takes room on a node for a VNF that something else runs.
+    ///
+    /// # Errors
+    /// [`VimError`] when the node has no room.
+    pub(crate) fn reserve(
+        &mut self,
+        vnf: VnfId,
+        cpus: f64,
+        memory: u64,
+        node: &NodeId,
+    ) -> Result<(), VimError> {
+        self.check_room(&vnf, cpus, memory, node)?;
+        self.reserved.insert(vnf, (node.clone(), cpus, memory));
+        Ok(())
+    }
+
+    /// Gives that room back, if there is any.
+    pub(crate) fn release(&mut self, vnf: &VnfId) {
+        self.reserved.remove(vnf);
+    }
+
+    /// Whether a VNF that takes so much fits on a node, beside all others there and those on their way to it.
+    fn check_room(
         &self,
         vnf: &VnfId,
         needed_cpus: f64,
@@ -244,11 +267,13 @@ impl<E: Engine> Vim<E> {
     ) -> Result<(), VimError> {
         let node = self.graph.node(id).ok_or_else(|| VimError::UnknownNode(id.clone()))?;
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
+        let is_here = |s: &&Slot| s.node == *id || s.next.as_ref().is_some_and(|next| next.node == *id);
         let others = || {
-            self.slots
-                .iter()
-                .filter(|s| s.vnf.id != *vnf && s.node == *id)
+            let slots = self.slots.iter().filter(|s| s.vnf.id != *vnf).filter(is_here);
+            let reserved = self.reserved.iter().filter(|(other, (node, ..))| *other != vnf && node == id);
+            slots
                 .map(|s| (s.vnf.cpus, s.vnf.memory_bytes))
+                .chain(reserved.map(|(_, (_, cpus, memory))| (*cpus, *memory)))
         };
         let cpus = capacity.cpus - others().map(|(cpus, _)| cpus).sum::<f64>();
         let memory = capacity.memory_bytes.saturating_sub(others().map(|(_, memory)| memory).sum());

@@ -34,16 +34,22 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
 
 /// Three servers, of which the last is small; `moving` runs on `a`, `fixed` on `b`.
 fn vim() -> Vim<InMemoryEngine> {
+    let nodes = vec![server("a", 4.0), server("b", 8.0), server("c", 2.0)];
+    vim_of(nodes, vec![vnf("moving", "a", false), vnf("fixed", "b", true)])
+}
+
+/// These VNFs, ready on these servers.
+fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
     let graph = HardwareGraph {
         domains: vec![DomainId::new("d").unwrap()],
-        nodes: vec![server("a", 4.0), server("b", 8.0), server("c", 2.0)],
+        nodes,
         links: Vec::new(),
         wireless: BTreeMap::new(),
     };
     let service = Service {
         id: ServiceId::new("s").unwrap(),
         robot: NodeId::new("robot").unwrap(),
-        vnfs: vec![vnf("moving", "a", false), vnf("fixed", "b", true)],
+        vnfs,
         virtual_links: Vec::new(),
         kpis: cotorra_graph::Kpis {
             service_time: Duration::from_millis(15),
@@ -137,6 +143,19 @@ fn a_move_that_fails_leaves_the_old_instance_in_service() {
     assert_eq!(names(&vim)[1], ("moving".into(), "a".into()));
     assert!(vim.all_ready());
     assert_eq!(vim.next_deadline(), None);
+}
+
+#[test]
+fn two_vnfs_that_move_at_once_do_not_overfill_a_node() {
+    let nodes = vec![server("a", 8.0), server("b", 4.0)];
+    let mut vim = vim_of(nodes, vec![vnf("one", "a", false), vnf("two", "a", false)]);
+    vim.place(Timestamp::ZERO, &id("one"), &id("b")).unwrap();
+    // The first is not there yet.
+    let refused = vim.place(Timestamp::ZERO, &id("two"), &id("b")).unwrap_err();
+    assert_eq!(refused.to_string(), "VNF `two` needs 4 CPUs of `b`, which has 0 left");
+    // Once it stays where it is, there is.
+    vim.place(Timestamp::ZERO, &id("one"), &id("a")).unwrap();
+    vim.place(Timestamp::ZERO, &id("two"), &id("b")).unwrap();
 }
 
 #[test]
