@@ -6,11 +6,12 @@ use cotorra_graph::{NodeId, Vnf, VnfId};
 
 use super::engine::{Engine, EngineEvent, InstanceId, Outcome};
 
-/// Keeps a list of what would run; every instance is ready at once unless its node was told to fail.
+/// Keeps a list of what would run; every instance is ready at once unless its node was told to fail or to take for ever.
 #[derive(Debug, Default)]
 pub struct InMemoryEngine {
     running: BTreeMap<InstanceId, (VnfId, NodeId)>,
     failing: Vec<NodeId>,
+    stalled: Vec<NodeId>,
     happened: VecDeque<EngineEvent>,
 }
 
@@ -18,6 +19,11 @@ impl InMemoryEngine {
     /// From now on no instance can be started on that node.
     pub fn fail_on(&mut self, node: NodeId) {
         self.failing.push(node);
+    }
+
+    /// From now on no instance that is started on that node becomes ready.
+    pub fn stall_on(&mut self, node: NodeId) {
+        self.stalled.push(node);
     }
 
     /// Lets an instance die.
@@ -39,7 +45,9 @@ impl Engine for InMemoryEngine {
             return Err(format!("`{node}` starts nothing"));
         }
         self.running.insert(instance, (vnf.id.clone(), node.clone()));
-        self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
+        if !self.stalled.contains(node) {
+            self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
+        }
         Ok(())
     }
 

@@ -93,6 +93,7 @@ impl Slot {
     /// From now on packets go to this instance.
     fn switch(&mut self, now: Timestamp, to: Instance, events: &mut Vec<Event>) {
         self.node = to.node.clone();
+        self.restart_at = None;
         if self.current.as_ref().is_none_or(|old| old.node != to.node) {
             events.push(Event::Placement(Placement { vnf: self.vnf.id.clone(), node: to.node.clone() }));
         }
@@ -182,6 +183,10 @@ impl<E: Engine> Vim<E> {
             self.engine.stop(given_up.id);
         }
         if slot.node == *node {
+            // The instance that served there died, and its successor is given up.
+            if slot.current.is_none() && slot.restart_at.is_none() {
+                self.launch(now, index, node.clone(), &mut events);
+            }
             return Ok(events);
         }
         match slot.last.iter().position(|(_, instance)| instance.node == *node) {
@@ -301,6 +306,7 @@ impl<E: Engine> Vim<E> {
         self.instances += 1;
         let id = InstanceId(self.instances);
         slot.next = Some(Instance { id, node: node.clone(), since: now, ready: false });
+        slot.restart_at = None;
         if slot.vnf.program == Program::RobotDriver {
             // The robot's own driver runs in the Robot Middleware: nothing is to be started.
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Ready }, events);

@@ -158,6 +158,39 @@ fn two_vnfs_that_move_at_once_do_not_overfill_a_node() {
     vim.place(Timestamp::ZERO, &id("two"), &id("b")).unwrap();
 }
 
+/// Kills what serves as the VNF that can move.
+fn kill_moving(vim: &mut Vim<InMemoryEngine>) -> Vec<Event> {
+    let (instance, ..) = vim.engine.running().find(|(_, vnf, _)| vnf.as_str() == "moving").unwrap();
+    vim.engine.kill(instance, "killed by the test");
+    vim.poll(Timestamp::ZERO)
+}
+
+#[test]
+fn a_vnf_that_died_while_it_moved_is_started_where_it_is_to_stay() {
+    let mut vim = vim();
+    vim.engine.stall_on(id("b"));
+    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    kill_moving(&mut vim);
+    assert!(!vim.all_ready());
+    // What was to take over is given up.
+    vim.place(Timestamp::ZERO, &id("moving"), &id("a")).unwrap();
+    assert_eq!(order(&vim.poll(Timestamp::ZERO)), ["Started a", "placed a"]);
+    assert!(vim.all_ready());
+    assert_eq!(instances(&vim), 1);
+}
+
+#[test]
+fn a_vnf_that_died_and_is_moved_is_started_once() {
+    let mut vim = vim();
+    kill_moving(&mut vim);
+    let due = vim.next_deadline().unwrap();
+    vim.engine.stall_on(id("b"));
+    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    assert_eq!(vim.next_deadline(), None, "it is under way");
+    vim.poll(due);
+    assert_eq!(instances(&vim), 1);
+}
+
 #[test]
 fn a_vnf_that_dies_is_started_again_each_time_later() {
     let mut vim = vim();
