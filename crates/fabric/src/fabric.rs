@@ -10,6 +10,7 @@ use cotorra_graph::{
 };
 
 use crate::{
+    balance::Balance,
     frame::Frame,
     lateness::Histogram,
     pipe::{Packet, Pipe, Purpose},
@@ -105,6 +106,8 @@ pub struct Fabric {
     /// Of what crossed the air, by who sent it and who got it.
     air_lateness: HashMap<[PortId; 2], Histogram>,
     drops: Drops,
+    /// Of packets that hosts sent: those that were sent, delivered and stranded.
+    balance: Balance,
 }
 
 #[derive(Debug)]
@@ -202,6 +205,7 @@ impl Fabric {
             lateness: Histogram::default(),
             air_lateness: HashMap::new(),
             drops: Drops::default(),
+            balance: Balance::default(),
         })
     }
 
@@ -220,12 +224,14 @@ impl Fabric {
     pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
         let now = self.advance(now);
         if port.0 >= self.ports.len() {
-            return self.drop_unroutable(frame);
+            self.drops.unroutable += 1;
+            return self.pool.put(frame);
         }
         if frame.check().is_err() {
             self.drops.malformed += 1;
             return self.pool.put(frame);
         }
+        self.balance.sent += u64::from(frame.wire_packets());
         self.learn(port, &frame);
         let Port { vertex, is_robot, .. } = self.ports[port.0];
         let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
@@ -244,6 +250,7 @@ impl Fabric {
         let now = self.advance(now);
         while let Some((due, port, frame)) = self.outbox.pop_front() {
             self.lateness.record(now.since(due));
+            self.balance.delivered += u64::from(frame.wire_packets());
             deliver(port, frame);
         }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
@@ -488,6 +495,16 @@ impl Fabric {
         self.pipes.iter().map(Pipe::in_flight).sum()
     }
 
+    /// Returns what became of all packets that hosts sent.
+    pub fn balance(&self) -> Balance {
+        let mut balance = self.balance;
+        self.pipes.iter().for_each(|pipe| balance += pipe.balance());
+        balance += self.radio.balance();
+        balance.under_way +=
+            self.outbox.iter().map(|(.., frame)| u64::from(frame.wire_packets())).sum::<u64>();
+        balance
+    }
+
     /// An empty buffer with room for a frame of `length` bytes, used before if there is one.
     pub fn buffer(&mut self, length: usize) -> Vec<u8> {
         self.pool.take(length)
@@ -720,6 +737,7 @@ impl Fabric {
 
     fn drop_unroutable(&mut self, frame: Frame) {
         self.drops.unroutable += 1;
+        self.balance.stranded += u64::from(frame.wire_packets());
         self.pool.put(frame);
     }
 

@@ -75,6 +75,7 @@
 //! give the same bytes.
 #![forbid(unsafe_code)]
 
+mod balance;
 mod checksum;
 mod fabric;
 mod frame;
@@ -93,6 +94,7 @@ mod transmitter;
 mod trial;
 mod wire_probes;
 
+pub use balance::Balance;
 pub use fabric::{Drops, Fabric, FabricError, PortId};
 pub use frame::{Checksum, Frame, MEASURING_ETHERTYPE, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;

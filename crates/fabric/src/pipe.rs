@@ -7,6 +7,7 @@ use cotorra_graph::{Conditions, Direction, LinkContext, LinkId, QueueLimit, Rate
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::{
+    balance::Balance,
     frame::Frame,
     impairment::{Impairments, jittered},
     lateness::Histogram,
@@ -115,6 +116,14 @@ impl Pipe {
         let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
         let line: u64 = self.line.iter().map(|f| u64::from(f.packet.frame.wire_packets())).sum();
         self.queued_packets + sending + line
+    }
+
+    /// Returns what became of packets that came to it and do not only measure.
+    pub(crate) fn balance(&self) -> Balance {
+        let waiting = self.queue.iter().chain(self.transmitter.sending());
+        let all = waiting.chain(self.line.iter().map(|flying| &flying.packet));
+        let under_way = all.filter(|packet| packet.counts()).map(|p| u64::from(p.frame.wire_packets())).sum();
+        Balance { under_way, ..self.meter.counters.into() }
     }
 
     /// d, λ, conditions and counters, under the name of the link's direction.

@@ -11,6 +11,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::phy::{Exchange, Phy, Reception};
 use crate::{
+    balance::Balance,
     frame::Frame,
     impairment::{Impairments, jittered},
     meter::Meter,
@@ -81,6 +82,13 @@ impl WirelessLink {
             last_due: Timestamp::ZERO,
         };
         Self { lanes: [lane("forward"), lane("backward")], id, receptions: None }
+    }
+
+    /// Returns what became of frames that were sent on it.
+    pub(super) fn balance(&self) -> Balance {
+        let mut balance = Balance::default();
+        self.lanes.iter().for_each(|lane| balance += lane.meter.counters.into());
+        balance
     }
 
     pub(super) fn lane(&mut self, direction: Direction) -> &mut Lane {

@@ -162,6 +162,12 @@ impl Medium {
         [up.take(), down.take()]
     }
 
+    /// Returns how many frames wait from or for a single station. Frames that only measure do not count.
+    pub(super) fn unicast_waiting(&self) -> u64 {
+        let queues = self.peers.iter().flat_map(|peer| [&peer.up, &peer.down]);
+        queues.flat_map(|queue| &queue.frames).filter(|waiting| !waiting.is_probe).count() as u64
+    }
+
     /// Lets a frame wait for its turn.
     ///
     /// # Errors

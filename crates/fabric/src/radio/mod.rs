@@ -44,6 +44,7 @@ use self::{
     station::{Purpose, Station},
 };
 use crate::{
+    balance::Balance,
     fabric::{FabricError, PortId},
     frame::Frame,
     pool::Pool,
@@ -97,6 +98,8 @@ pub(crate) struct Radio {
     events: VecDeque<Stamped>,
     /// Frames that were lost, for their buffers.
     lost: Vec<Frame>,
+    /// How many frames came that no link of the radio could carry.
+    without_carrier: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -262,6 +265,7 @@ impl Radio {
             sent: 0,
             events: VecDeque::new(),
             lost: Vec::new(),
+            without_carrier: 0,
         };
         for robot in 0..radio.robots.len() {
             radio.listen(robot);
@@ -277,10 +281,19 @@ impl Radio {
     /// A robot sends a frame to its radio unit. The frame is one packet as it is on the wire.
     pub(crate) fn push_up(&mut self, now: Timestamp, robot: PortId, frame: Frame) {
         self.advance(now);
-        let Some(Role::Robot(robot)) = self.role(robot) else { return self.lost.push(frame) };
-        // A station that never had a radio unit has no carrier.
-        let Some(unit) = self.robots[robot].home else { return self.lost.push(frame) };
+        let station = match self.role(robot) {
+            // A station that never had a radio unit has no carrier.
+            Some(Role::Robot(robot)) => self.robots[robot].home.map(|unit| (robot, unit)),
+            _ => None,
+        };
+        let Some((robot, unit)) = station else { return self.strand(frame) };
         self.enqueue(now, Path { robot, unit, direction: Direction::Forward }, frame, false);
+    }
+
+    /// No link of the radio can carry a frame.
+    fn strand(&mut self, frame: Frame) {
+        self.without_carrier += 1;
+        self.lost.push(frame);
     }
 
     /// A radio unit sends a frame to a robot. What comes to a radio unit after the robot has left it goes the way of
@@ -288,7 +301,7 @@ impl Radio {
     pub(crate) fn push_down(&mut self, now: Timestamp, unit: PortId, robot: PortId, frame: Frame) {
         self.advance(now);
         let (Some(Role::Unit(unit)), Some(Role::Robot(robot))) = (self.role(unit), self.role(robot)) else {
-            return self.lost.push(frame);
+            return self.strand(frame);
         };
         let path = Path { robot, unit, direction: Direction::Backward };
         match (self.robots[robot].home, self.gap_policy(robot)) {
@@ -492,6 +505,15 @@ impl Radio {
         let [signal, _] = self.signals(robot, unit);
         let [uplink_mbps, downlink_mbps] = self.receptions(robot, unit).map(|r| r.mbps());
         StationContext { robot: self.robots[robot].id.clone(), signal, downlink_mbps, uplink_mbps }
+    }
+
+    /// Returns what became of all frames that came to the radio and do not only measure.
+    pub(crate) fn balance(&self) -> Balance {
+        let mut balance = Balance { stranded: self.without_carrier, ..Balance::default() };
+        self.links.iter().flatten().for_each(|link| balance += link.balance());
+        let flying = self.in_flight.iter().filter(|Reverse(flying)| !flying.is_probe).count() as u64;
+        balance.under_way = self.medium.unicast_waiting() + flying;
+        balance
     }
 
     /// Both directions of every wireless link that a robot was attached by, or that was changed. The others have

@@ -734,6 +734,9 @@ proptest! {
         if !groups {
             let ended = counters.packets + counters.lost + counters.overflowed + world.radio.medium.waiting();
             prop_assert_eq!(world.pushed + counters.duplicated, ended);
+            let mut packets = world.radio.balance();
+            (packets.sent, packets.delivered) = (world.pushed, world.arrived.len() as u64);
+            prop_assert!(packets.is_even(), "{packets:?}");
         }
     }
 }
@@ -763,6 +766,17 @@ fn a_radio_unit_that_is_off_is_neither_heard_nor_attached_to() {
     let attach = world.radio.attach(at(2_000), &id("r"), &id("B"));
     assert_eq!(attach, Err(Refusal::NotServing(id("B"))));
     assert_eq!(world.radio.switch_off(at(2_000), &id("B")), Err(Refusal::NotServing(id("B"))));
+}
+
+#[test]
+fn a_frame_of_a_robot_that_has_no_radio_unit_is_counted() {
+    let mut off = unit("A", 0.0, 1);
+    let NodeKind::RadioUnit(kind) = &mut off.kind else { panic!("a radio unit") };
+    kind.serving = false;
+    let mut world = World::new(network(), vec![robot("r", 1.0, Roaming::Signal), off]);
+    world.up(at(0), "r", 100);
+    world.run(at(1_000));
+    assert_eq!(world.radio.balance(), Balance { stranded: 1, ..Balance::default() });
 }
 
 #[test]

@@ -131,6 +131,10 @@ proptest! {
         fabric.poll(now, &mut |port, frame| out.push(Delivery { at: now, port, frame }));
         let (gone, doubled) = balance(&mut fabric, now);
         prop_assert_eq!(u64::from(pushed) + doubled, out.len() as u64 + gone + fabric.in_flight());
+        let packets = fabric.balance();
+        prop_assert!(packets.is_even(), "{packets:?}");
+        prop_assert_eq!((packets.sent, packets.delivered), (u64::from(pushed), out.len() as u64));
+        prop_assert_eq!(packets.under_way, fabric.in_flight());
         out.extend(run(&mut fabric, now, Timestamp::MAX));
         let (gone, doubled) = balance(&mut fabric, now);
         prop_assert_eq!(u64::from(pushed) + doubled, out.len() as u64 + gone);

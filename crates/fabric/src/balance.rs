@@ -1,0 +1,51 @@
+//! Conservation of packets: what hosts sent, and what became of it.
+
+use std::ops::AddAssign;
+
+/// What became of all packets that hosts sent, as they are on the wire. Packets that only measure are left out. A frame
+/// to many hosts becomes many packets, and makes it uneven.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Balance {
+    /// Packets that hosts sent.
+    pub sent: u64,
+    /// Packets that links doubled.
+    pub duplicated: u64,
+    /// Packets that hosts received.
+    pub delivered: u64,
+    /// Packets that links lost.
+    pub lost: u64,
+    /// Packets that full queues dropped.
+    pub overflowed: u64,
+    /// Packets that no path led on, or whose sender has no carrier.
+    pub stranded: u64,
+    /// Packets that wait or are on their way.
+    pub under_way: u64,
+}
+
+impl Balance {
+    /// Whether no packet vanished and none came from nowhere.
+    pub const fn is_even(&self) -> bool {
+        let ended = self.delivered + self.lost + self.overflowed + self.stranded;
+        self.sent + self.duplicated == ended + self.under_way
+    }
+}
+
+impl AddAssign for Balance {
+    fn add_assign(&mut self, other: Self) {
+        self.sent += other.sent;
+        self.duplicated += other.duplicated;
+        self.delivered += other.delivered;
+        self.lost += other.lost;
+        self.overflowed += other.overflowed;
+        self.stranded += other.stranded;
+        self.under_way += other.under_way;
+    }
+}
+
+impl From<cotorra_graph::LinkCounters> for Balance {
+    /// What one direction of a link did to packets that were on it.
+    fn from(counters: cotorra_graph::LinkCounters) -> Self {
+        let cotorra_graph::LinkCounters { lost, overflowed, duplicated, .. } = counters;
+        Self { lost, overflowed, duplicated, ..Self::default() }
+    }
+}
