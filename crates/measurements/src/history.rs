@@ -154,6 +154,15 @@ impl History {
         self.store.end_run(run, at)
     }
 
+    /// Keeps a history in a file from growing, as a full disk does, or lets it grow again, for tests. Does nothing to
+    /// histories elsewhere.
+    ///
+    /// # Errors
+    /// When the engine cannot.
+    pub fn set_full(&self, full: bool) -> Result<()> {
+        self.store.set_full(full)
+    }
+
     /// One run.
     ///
     /// # Errors

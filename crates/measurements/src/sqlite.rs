@@ -35,6 +35,9 @@ const BUSY: Duration = Duration::from_secs(5);
 /// Memory for pages of the connection that writes, KiB.
 const CACHE_KIB: i32 = 8192;
 
+/// SQLite's own bound on a file.
+const MOST_PAGES: u32 = 4_294_967_294;
+
 /// Pages of 4 KiB in the log when it is folded into the file.
 const LOG_PAGES: i32 = 4096;
 
@@ -232,6 +235,14 @@ impl Store for Sqlite {
                 params![info.name, info.seed.cast_signed(), info.started_at_unix_ns, info.testbed],
             )?;
             Ok(RunId(writer.connection.last_insert_rowid()))
+        })
+    }
+
+    fn set_full(&self, full: bool) -> Result<()> {
+        // SQLite takes no bound below what there is already.
+        let pages = if full { 1 } else { MOST_PAGES };
+        self.write(|writer| {
+            writer.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))
         })
     }
 

@@ -176,6 +176,11 @@ pub(crate) trait Store: Send + Sync {
         Ok(())
     }
 
+    /// Keeps it from growing, as a full disk does, or lets it grow again.
+    fn set_full(&self, _full: bool) -> Result<()> {
+        Ok(())
+    }
+
     // Below: retention. What keeps everything needs none of it.
 
     /// Samples of a kind in a span and behind a cursor, in order; `raw` leaves out those that rolled-up steps have.

@@ -32,6 +32,26 @@ fn everything(history: &History, run: RunId) -> Vec<Stamped> {
 }
 
 #[test]
+fn what_is_recorded_while_the_disk_is_full_is_written_once_it_has_room() {
+    let (_folder, path) = folder();
+    let history = History::open(&path).unwrap();
+    let run = history.begin_run(&run_info("full")).unwrap();
+    let recorder = history.paced_recorder(run).unwrap();
+    let long = "x".repeat(5000);
+    let events: Vec<_> = (0..20).map(|at| notice(at, &long)).collect();
+    recorder.record(events[0].clone());
+    recorder.flush().unwrap();
+    history.set_full(true).unwrap();
+    events[1..].iter().cloned().for_each(|event| recorder.record(event));
+    let refused = recorder.flush().unwrap_err();
+    assert!(matches!(refused, Error::Full { .. }), "{refused}");
+    assert_eq!(everything(&history, run), events[..1]);
+    history.set_full(false).unwrap();
+    recorder.flush().unwrap();
+    assert_eq!(everything(&history, run), events);
+}
+
+#[test]
 fn a_history_is_there_when_it_is_opened_again() {
     let (_folder, path) = folder();
     let history = History::open(&path).unwrap();
