@@ -1,5 +1,6 @@
 //! A ledger for virtual time: the contract's rules, and a block each period. It is a model: no network, no consensus, no
-//! forks and no fees; blocks are punctual, have room for everything, and everybody sees them at once.
+//! forks but those that are asked for, and no fees; blocks are punctual, have room for everything, and everybody sees
+//! them at once.
 
 use std::{collections::VecDeque, ops::Range, sync::Arc, time::Duration};
 
@@ -31,6 +32,15 @@ struct Chain {
     operators: Vec<Operator>,
     /// What was told so far, for those who come later.
     told: Vec<Notice>,
+    /// The blocks that have calls, oldest first.
+    blocks: Vec<Block>,
+}
+
+#[derive(Debug)]
+struct Block {
+    time: ChainTime,
+    /// The calls that it included. Each made an event.
+    calls: Vec<(usize, Ticket, Call)>,
 }
 
 #[derive(Debug)]
@@ -73,6 +83,7 @@ impl ModelledChain {
             pending: Vec::new(),
             operators: Vec::new(),
             told: Vec::new(),
+            blocks: Vec::new(),
         })))
     }
 
@@ -98,6 +109,37 @@ impl ModelledChain {
         chain.next_block = Timestamp::ZERO + chain.next_block.since(now);
     }
 
+    /// Replaces the last blocks by empty ones, from the `depth`th last block that has calls on, as a fork does that
+    /// becomes the longest chain. Their events are taken back, and their calls are in the next block. Returns whether there
+    /// was such a block.
+    pub fn reorganise(&self, now: Timestamp, depth: usize) -> bool {
+        let mut chain = self.0.lock();
+        chain.advance(now);
+        let remaining = chain.blocks.len().saturating_sub(depth);
+        let gone = chain.blocks.split_off(remaining);
+        let calls: Vec<_> = gone.into_iter().flat_map(|block| block.calls).collect();
+        if calls.is_empty() {
+            return false;
+        }
+        // The contract is what the remaining calls make of it.
+        let Chain { contract, blocks, operators, .. } = &mut *chain;
+        *contract = Contract::new(DEPLOYMENT);
+        for Block { time, calls } in blocks {
+            for (index, _, call) in calls {
+                let again = contract.apply(*time, operators[*index].account, call);
+                debug_assert!(again.is_ok(), "it was accepted before");
+            }
+        }
+        for _ in &calls {
+            if let Some(Notice::Event(event)) = chain.told.pop() {
+                chain.tell(&Notice::Retracted(event));
+            }
+        }
+        let later = std::mem::replace(&mut chain.pending, calls);
+        chain.pending.extend(later);
+        true
+    }
+
     /// The contract, as of the last block.
     pub fn contract(&self) -> Contract {
         self.0.lock().contract.clone()
@@ -110,16 +152,22 @@ impl Chain {
         while self.next_block <= now {
             let time = ChainTime((self.began_ns + self.next_block.as_nanos()) / 1_000_000_000);
             self.number += 1;
-            for (index, ticket, call) in std::mem::take(&mut self.pending) {
+            let pending = std::mem::take(&mut self.pending);
+            let mut included = Vec::new();
+            for (index, ticket, call) in pending {
                 match self.contract.apply(time, self.operators[index].account, &call) {
                     Ok(event) => {
                         self.operators[index].notices.push_back(Notice::Included(ticket));
                         self.tell(&Notice::Event(event));
+                        included.push((index, ticket, call));
                     }
                     Err(refusal) => {
                         self.operators[index].notices.push_back(Notice::Refused(ticket, refusal.into()))
                     }
                 }
+            }
+            if !included.is_empty() {
+                self.blocks.push(Block { time, calls: included });
             }
             self.tell(&Notice::Head { number: self.number, time });
             self.next_block = self.next_block + self.period;
@@ -238,6 +286,35 @@ mod tests {
         );
         assert_eq!(all(&mut two, seconds(7)), [event, head]);
         assert_eq!(all(&mut two, seconds(20)).len(), 3, "a block each 5 s, even an empty one");
+    }
+
+    #[test]
+    fn what_is_reorganised_away_is_taken_back_and_included_again() {
+        let chain = ModelledChain::new(Duration::from_secs(5));
+        let (mut one, mut two) = (chain.ledger(Account([1; 20])), chain.ledger(Account([2; 20])));
+        let register = |name: &str| Call::Register { name: name.to_owned() };
+        let said = |operator, name: &str| Event::OperatorRegistered {
+            operator: Account([operator; 20]),
+            name: name.into(),
+        };
+        assert!(!chain.reorganise(seconds(1), 1), "there is no block yet");
+        let first = one.submit(seconds(1), register("one"));
+        all(&mut one, seconds(6));
+        two.submit(seconds(7), register("two"));
+        all(&mut one, seconds(20));
+        assert!(chain.reorganise(seconds(21), 2));
+        let back = [Notice::Retracted(said(2, "two")), Notice::Retracted(said(1, "one"))];
+        assert_eq!(all(&mut one, seconds(21)), back);
+        // Who comes meanwhile hears nothing of it.
+        assert_eq!(all(&mut chain.ledger(Account([3; 20])), seconds(21)), [Notice::Up]);
+        let head = Notice::Head { number: 5, time: ChainTime(GENESIS.0 + 25) };
+        let again =
+            [Notice::Included(first), Notice::Event(said(1, "one")), Notice::Event(said(2, "two")), head];
+        assert_eq!(all(&mut one, seconds(25)), again);
+        // One that is all that is left.
+        assert!(chain.reorganise(seconds(26), 9));
+        assert!(!chain.reorganise(seconds(26), 9));
+        assert_eq!(all(&mut one, seconds(26)).len(), 2);
     }
 
     #[test]

@@ -203,7 +203,7 @@ fn where_the_winner_fails_the_robot_goes_on_with_the_next_bid() {
         let detail = told.detail();
         assert!(told.finished && told.faults.is_empty(), "{failing}: {:?} {detail}", told.faults);
         assert!(told.handovers.iter().any(|(_, to, _)| to == "n_AP3"), "{failing}: {detail}");
-        assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "{failing}: {detail}");
+        assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "{failing}: {detail}");
     }
 }
 
