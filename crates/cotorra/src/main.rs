@@ -20,6 +20,7 @@ mod link;
 mod localize;
 mod logs;
 mod netem;
+mod progress;
 mod quantity;
 mod replay;
 mod run;

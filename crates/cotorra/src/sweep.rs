@@ -14,11 +14,12 @@ use cotorra_testbed::{
     FolderError,
     sweep::{Axis, Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder},
 };
-use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{
     duration::parse_duration,
-    output, signals,
+    output,
+    progress::Progress,
+    signals,
     table::Table,
     testbed_file::{self, FileError, count},
 };
@@ -70,8 +71,6 @@ pub struct SweepArgs {
 const LISTED: usize = 40;
 /// What a shell calls a program that SIGINT ended.
 const INTERRUPTED: u8 = 130;
-/// Without a progress bar, a line at each such share of the runs.
-const LINES: usize = 20;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -124,48 +123,6 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     folder.write(&sweep, &runs).map_err(Error::from)?;
     output::print(&describe(&sweep, &runs, folder.path()))?;
     Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })
-}
-
-struct Progress {
-    bar: Option<ProgressBar>,
-    lines: usize,
-}
-
-impl Progress {
-    fn new(headless: bool) -> Self {
-        let style = ProgressStyle::with_template("{wide_bar:.cyan/dim}  {pos} of {len} runs, {eta} to go")
-            .expect("a template that is right")
-            .progress_chars("━╸─");
-        let bar = ProgressBar::new(0).with_style(style);
-        bar.enable_steady_tick(Duration::from_millis(200));
-        let shown = !headless && !bar.is_hidden();
-        Self { bar: shown.then_some(bar), lines: 0 }
-    }
-
-    fn show(&mut self, done: usize, of: usize) {
-        match &self.bar {
-            Some(bar) => {
-                if bar.length() != Some(of as u64) {
-                    // Runs of an earlier time say nothing of how long the rest takes.
-                    bar.set_length(of as u64);
-                    bar.set_position(done as u64);
-                    bar.reset_eta();
-                }
-                bar.set_position(done as u64);
-            }
-            None if done * LINES / of.max(1) >= self.lines => {
-                self.lines = done * LINES / of.max(1) + 1;
-                note!("{done} of {of} runs");
-            }
-            None => {}
-        }
-    }
-
-    fn close(self) {
-        if let Some(bar) = self.bar {
-            bar.finish_and_clear();
-        }
-    }
 }
 
 fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path, runs: usize, jobs: NonZero<usize>) -> String {
