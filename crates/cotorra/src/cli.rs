@@ -11,6 +11,7 @@ use crate::{
     clean::CleanArgs,
     exec::ExecArgs,
     experiment::Experiment,
+    fault_test::FaultTestArgs,
     history::{self, History},
     link::Link,
     localize::LocalizeArgs,
@@ -59,6 +60,7 @@ pub enum Command {
         #[command(subcommand)]
         experiment: Experiment,
     },
+    FaultTest(FaultTestArgs),
     /// Ask what runs recorded
     ///
     /// RUN is the folder of a run, `latest` for the newest under runs/, or the number of a run in the history that

@@ -15,6 +15,7 @@ mod doctor;
 mod duration;
 mod exec;
 mod experiment;
+mod fault_test;
 mod history;
 mod link;
 mod localize;
@@ -64,6 +65,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
             return experiment::federation(&args);
         }
         Command::Sweep(args) => return sweep::sweep(&args),
+        Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { question } => return history::history(&question),
         Command::Replay(args) => return replay::replay(&args),
         Command::Localize(args) => return localize::localize(&args),

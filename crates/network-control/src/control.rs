@@ -10,7 +10,7 @@ use cotorra_graph::{
 
 use crate::{
     access::AccessPoints,
-    vim::{Engine, Vim},
+    vim::{Engine, Managed, Vim},
 };
 
 /// Names in notes have so many characters at most.
@@ -150,6 +150,11 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// a(n) of all nodes.
     pub fn placements(&self) -> Vec<Placement> {
         self.vim.placements()
+    }
+
+    /// Returns every VNF with its instances, by name.
+    pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
+        self.vim.managed()
     }
 
     /// What became of VNFs, and what happened in the network, since the last call.

@@ -13,7 +13,10 @@ use cotorra_graph::{
     VnfId,
 };
 use cotorra_localization::trajectory::Errors;
-use cotorra_network_control::{Network, NetworkControl, NetworkGone, Refused, vim::Engine};
+use cotorra_network_control::{
+    Network, NetworkControl, NetworkGone, Refused,
+    vim::{Engine, Managed},
+};
 use cotorra_plugin::wire::{self, Answer};
 use cotorra_robot_middleware::{Nonces, RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
 
@@ -198,6 +201,11 @@ impl<N: Network, E: Engine> Core<N, E> {
         let mut bytes = Vec::with_capacity(1024);
         packet.encode(&mut bytes);
         Some(Datagram { robot: packet.robot, to, bytes })
+    }
+
+    /// Returns every VNF with its instances, by name.
+    pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
+        self.control.managed()
     }
 
     /// A datagram arrived at a robot from this address.

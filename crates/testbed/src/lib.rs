@@ -12,6 +12,7 @@ mod core_loop;
 mod domain;
 mod earlier;
 pub mod experiment;
+pub mod faults;
 mod live;
 mod plugins;
 mod real_links;

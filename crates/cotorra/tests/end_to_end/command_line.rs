@@ -1,6 +1,10 @@
 //! Commands that bring nothing up.
 
-use std::{fs, io, process::Stdio};
+use std::{
+    fs,
+    io::{self, BufRead, BufReader},
+    process::{Command, Stdio},
+};
 
 use serde_json::Value;
 
@@ -179,4 +183,33 @@ fn benchmarks_are_listed_and_an_unknown_one_is_refused() {
     let unknown = output(["bench", "round-tripp"]);
     assert_eq!(unknown.status.code(), Some(1));
     assert!(stderr(&unknown).contains("round-trip"), "{}", stderr(&unknown));
+}
+
+#[test]
+fn a_fault_test_that_ctrl_c_stops_prints_what_was_done() {
+    let mut command = cotorra(["fault-test", "--headless", "--runs", "100"]);
+    let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let pid = child.id().to_string();
+    for line in BufReader::new(child.stderr.take().unwrap()).lines().map_while(Result::ok) {
+        if line.starts_with("5 of 100 runs") {
+            assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        }
+    }
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", stdout(&output));
+    let summary = stdout(&output);
+    assert!(summary.lines().next().unwrap().contains(" of 100 runs, "), "{summary}");
+    assert!(summary.contains("packets are conserved"), "{summary}");
+}
+
+#[test]
+fn a_fault_test_repeats_whatever_its_jobs() {
+    let test = |seed: &str, jobs: &str| {
+        stdout(&output(["fault-test", "--headless", "--runs", "3", "--seed", seed, "--jobs", jobs]))
+    };
+    let told = test("1", "1");
+    assert!(told.starts_with("3 of 3 runs, "), "{told}");
+    assert!(told.contains("nothing acknowledged is lost"), "{told}");
+    assert_eq!(test("1", "3"), told);
+    assert_ne!(test("4", "1"), told);
 }

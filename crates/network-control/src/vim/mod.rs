@@ -72,6 +72,30 @@ struct Instance {
     ready: bool,
 }
 
+/// The stage of an instance's life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// It will serve once it is ready.
+    Starting,
+    /// Packets go to it.
+    Serving,
+    /// It answers packets that are under way to it, until then.
+    Draining(Timestamp),
+}
+
+/// A VNF and its instances, for checks.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Managed<'a> {
+    /// The VNF.
+    pub vnf: &'a Vnf,
+    /// a(n), also while nothing runs.
+    pub node: &'a NodeId,
+    /// Its instances.
+    pub instances: Vec<(InstanceId, &'a NodeId, Stage)>,
+    /// Time of its next start.
+    pub restart_at: Option<Timestamp>,
+}
+
 /// A VNF and its instances.
 #[derive(Debug)]
 struct Slot {
@@ -153,6 +177,21 @@ impl<E: Engine> Vim<E> {
     /// Where every VNF runs.
     pub fn placements(&self) -> Vec<Placement> {
         self.slots.iter().map(|s| Placement { vnf: s.vnf.id.clone(), node: s.node.clone() }).collect()
+    }
+
+    /// Returns every VNF with its instances, by name.
+    pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
+        self.slots.iter().map(|slot| {
+            let starting = slot.next.iter().map(|i| (i.id, &i.node, Stage::Starting));
+            let serving = slot.current.iter().map(|i| (i.id, &i.node, Stage::Serving));
+            let draining = slot.last.iter().map(|(until, i)| (i.id, &i.node, Stage::Draining(*until)));
+            Managed {
+                vnf: &slot.vnf,
+                node: &slot.node,
+                instances: starting.chain(serving).chain(draining).collect(),
+                restart_at: slot.restart_at,
+            }
+        })
     }
 
     /// Whether every VNF runs and is ready.

@@ -3,6 +3,7 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     sync::Arc,
+    time::Duration,
 };
 
 use cotorra_brain::NavigationVnf;
@@ -29,19 +30,109 @@ impl Bundled {
     }
 }
 
-/// By node, in the order in which they were started, each with its port.
-type Instances = BTreeMap<NodeId, Vec<(InstanceId, u16, Bundled)>>;
+/// How an instance answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Mood {
+    /// At once.
+    #[default]
+    Prompt,
+    /// So much later.
+    Slow(Duration),
+    /// Never.
+    Hung,
+}
+
+struct Instance {
+    id: InstanceId,
+    vnf: VnfId,
+    port: u16,
+    program: Bundled,
+    mood: Mood,
+    is_ready: bool,
+}
+
+#[derive(Default)]
+struct Instances {
+    /// By node, in the order in which they were started.
+    by_node: BTreeMap<NodeId, Vec<Instance>>,
+    happened: VecDeque<EngineEvent>,
+    /// Instances that are started become ready only once this ends.
+    starts_held: bool,
+}
+
+impl Instances {
+    fn all(&mut self) -> impl Iterator<Item = &mut Instance> {
+        self.by_node.values_mut().flatten()
+    }
+
+    fn tell(&mut self, instance: InstanceId, outcome: Outcome) {
+        self.happened.push_back(EngineEvent { instance, outcome });
+    }
+}
 
 /// The VNFs that serve on each node.
 #[derive(Clone, Default)]
 pub(crate) struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
-    /// Writes what the VNFs on a node answer to a datagram that came to that port; false if none does.
-    pub(super) fn answer(&self, node: &NodeId, port: u16, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
+    /// Writes what the VNFs on a node answer to a datagram that came to that port, and gives how much later they do;
+    /// `None` if none does.
+    pub(super) fn answer(
+        &self,
+        node: &NodeId,
+        port: u16,
+        datagram: &[u8],
+        answer: &mut Vec<u8>,
+    ) -> Option<Duration> {
         let mut all = self.0.lock();
-        let mut here = all.get_mut(node).into_iter().flatten().filter(|(_, at, _)| *at == port);
-        here.any(|(_, _, vnf)| vnf.answer(datagram, answer))
+        let here = all.by_node.get_mut(node).into_iter().flatten();
+        here.filter(|instance| instance.port == port && instance.is_ready).find_map(|instance| {
+            let later = match instance.mood {
+                Mood::Prompt => Duration::ZERO,
+                Mood::Slow(later) => later,
+                Mood::Hung => return None,
+            };
+            instance.program.answer(datagram, answer).then_some(later)
+        })
+    }
+}
+
+/// What can go wrong with instances.
+impl Serving {
+    /// All instances of a VNF die.
+    pub(crate) fn kill(&self, vnf: &VnfId) {
+        let mut all = self.0.lock();
+        let mut killed = Vec::new();
+        for instances in all.by_node.values_mut() {
+            killed.extend(instances.extract_if(.., |instance| instance.vnf == *vnf).map(|dead| dead.id));
+        }
+        for instance in killed {
+            all.tell(instance, Outcome::Died("killed".to_owned()));
+        }
+    }
+
+    /// All instances of a VNF answer so from now on.
+    pub(crate) fn set_mood(&self, vnf: &VnfId, mood: Mood) {
+        self.0.lock().all().filter(|i| i.vnf == *vnf).for_each(|instance| instance.mood = mood);
+    }
+
+    /// From now on instances that are started do not become ready until this is called with `false`.
+    pub(crate) fn hold_starts(&self, held: bool) {
+        let mut all = self.0.lock();
+        all.starts_held = held;
+        if held {
+            return;
+        }
+        let waiting = all.all().filter(|instance| !instance.is_ready);
+        let ready: Vec<_> = waiting.map(|instance| (instance.is_ready = true, instance.id).1).collect();
+        ready.into_iter().for_each(|instance| all.tell(instance, Outcome::Ready));
+    }
+
+    /// What runs, ready or not.
+    pub(crate) fn running(&self) -> Vec<InstanceId> {
+        let mut running: Vec<_> = self.0.lock().all().map(|instance| instance.id).collect();
+        running.sort_unstable();
+        running
     }
 }
 
@@ -50,8 +141,6 @@ pub(crate) struct VirtualEngine {
     /// What an instance begins as, and its port, by VNF.
     planned: BTreeMap<VnfId, (u16, Bundled)>,
     serving: Serving,
-    running: BTreeMap<InstanceId, NodeId>,
-    happened: VecDeque<EngineEvent>,
 }
 
 impl VirtualEngine {
@@ -72,36 +161,35 @@ impl VirtualEngine {
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })
         });
-        Self { planned: planned.collect(), serving, running: BTreeMap::new(), happened: VecDeque::new() }
+        Self { planned: planned.collect(), serving }
     }
 }
 
 impl Engine for VirtualEngine {
-    fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
+    fn start(&mut self, id: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
         if !matches!(vnf.program, Program::Navigation | Program::Localization) {
             return Err("only the bundled VNFs run in virtual time".to_owned());
         }
-        let (port, bundled) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
-        self.serving.0.lock().entry(node.clone()).or_default().push((instance, port, bundled));
-        self.running.insert(instance, node.clone());
-        self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
+        let (port, program) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
+        let mut all = self.serving.0.lock();
+        let is_ready = !all.starts_held;
+        let instance = Instance { id, vnf: vnf.id.clone(), port, program, mood: Mood::default(), is_ready };
+        all.by_node.entry(node.clone()).or_default().push(instance);
+        if is_ready {
+            all.tell(id, Outcome::Ready);
+        }
         Ok(())
     }
 
-    fn stop(&mut self, instance: InstanceId) {
-        if let Some(node) = self.running.remove(&instance)
-            && let Some(instances) = self.serving.0.lock().get_mut(&node)
-        {
-            instances.retain(|(id, ..)| *id != instance);
-        }
+    fn stop(&mut self, id: InstanceId) {
+        self.serving.0.lock().by_node.values_mut().for_each(|here| here.retain(|other| other.id != id));
     }
 
     fn poll(&mut self) -> Option<EngineEvent> {
-        self.happened.pop_front()
+        self.serving.0.lock().happened.pop_front()
     }
 
     fn shut_down(&mut self) {
-        self.running.clear();
-        self.serving.0.lock().clear();
+        self.serving.0.lock().by_node.clear();
     }
 }

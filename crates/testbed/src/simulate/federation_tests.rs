@@ -100,7 +100,7 @@ impl Told {
         );
         assert!(!self.vaps.values().any(|on| *on), "{:?}: {detail}", self.vaps);
         assert_eq!(self.vaps.get("R3"), None, "its own radio unit was never released: {detail}");
-        assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "{detail}");
+        assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "{detail}");
         assert!(self.when(Step::Failed).is_some(), "{detail}");
     }
 }
@@ -137,7 +137,7 @@ fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     assert_eq!(told.vaps, BTreeMap::from([("R3".to_owned(), true), ("n_AP".to_owned(), false)]));
     // The cheaper of the two that answered was paid for what was used.
     assert!(told.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2"));
-    assert_eq!(simulation._ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
+    assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
 }
 
 #[test]
@@ -264,7 +264,7 @@ fn a_ledger_that_is_back_in_time_does_no_harm() {
 fn an_announcement_that_is_replayed_changes_nothing() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
     Told::of(&mut simulation, 21.0);
-    let chain = simulation._ledgers.chain().unwrap().clone();
+    let chain = simulation.ledgers.chain().unwrap().clone();
     let mut eve = chain.ledger(Account([0xee; 20]));
     let now = Timestamp::from_secs_f64(21.0);
     let heard: Vec<_> = std::iter::from_fn(|| eve.poll(now)).collect();
@@ -299,7 +299,7 @@ fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
         let mut before = Simulation::new(testbed(&[]), 1).unwrap();
         let told = Told::of(&mut before, stopped_at);
         let at = told.robots.last().unwrap().1.sensors.pose.x;
-        let ledgers = std::mem::take(&mut before._ledgers);
+        let ledgers = std::mem::take(&mut before.ledgers);
         drop(before);
         ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
         // The robot is where it was; all else begins as the file says.
@@ -345,7 +345,7 @@ fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_ste
     for stopped_at in [16.5, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
         let mut before = Simulation::new(testbed(&[]), 1).unwrap();
         let (noted, x) = notes(&mut before, stopped_at);
-        let ledgers = std::mem::take(&mut before._ledgers);
+        let ledgers = std::mem::take(&mut before.ledgers);
         drop(before);
         ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
         // Its history was kept, and is read.

@@ -2,6 +2,7 @@
 //! a clock. Nothing sleeps, nothing is random but by the seed, and the same seed gives the same events.
 
 mod engine;
+mod interference;
 mod network;
 mod run;
 mod udp;
@@ -13,16 +14,17 @@ use std::{
     time::Duration,
 };
 
-use cotorra_fabric::{Fabric, PortId};
+use cotorra_fabric::{Balance, Fabric, PortId};
 use cotorra_federation::Ledgers;
 use cotorra_graph::{HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
 use cotorra_localization::trajectory::Errors;
-use cotorra_network_control::Refused;
+use cotorra_network_control::{Refused, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedScan};
 
+use self::interference::{Held, Interference};
 pub use self::run::simulate;
 pub(crate) use self::{
-    engine::{Serving, VirtualEngine},
+    engine::{Mood, Serving, VirtualEngine},
     network::VirtualNetwork,
 };
 use crate::{
@@ -48,10 +50,11 @@ pub struct Simulation {
     core: Core<VirtualNetwork, VirtualEngine>,
     network: VirtualNetwork,
     serving: Serving,
+    interference: Interference,
     host: PluginHost,
     locals: Locals,
     /// What orchestrators share.
-    _ledgers: Ledgers,
+    ledgers: Ledgers,
     ports: HashMap<Ipv4Addr, PortId>,
     happened: VecDeque<Happened>,
     /// Events among that.
@@ -139,10 +142,11 @@ impl Simulation {
             core,
             network,
             serving,
+            interference: Interference::default(),
             host: PluginHost::new(testbed.plugins.iter().map(|spec| spec.id.clone()), PATIENCE)
                 .with_domains(&testbed.graph.domains),
             locals,
-            _ledgers: bundled.into_ledgers(),
+            ledgers: bundled.into_ledgers(),
             ports: (0..hosts).map(|i| (HostAddress::of(i).ipv4, PortId(i))).collect(),
             happened: VecDeque::new(),
             events: 0,
@@ -154,7 +158,6 @@ impl Simulation {
     }
 
     /// The same with another plug-in in process.
-    #[cfg(test)]
     pub(crate) fn with_plugin(
         mut self,
         id: PluginId,
@@ -209,7 +212,8 @@ impl Simulation {
         let now = self.now();
         let plugins = self.locals.next_deadline();
         let fabric = self.network.fabric().poll(now, &mut |_, _| {});
-        let others = plugins.into_iter().chain(fabric).chain(self.alarm);
+        let held = self.interference.next_deadline();
+        let others = plugins.into_iter().chain(fabric).chain(self.alarm).chain(held);
         let next = others.fold(self.core.next_deadline(), Timestamp::min);
         // A deadline that is not in the future was met by this step; time must not stand still.
         next.max(now + Duration::from_nanos(1))
@@ -241,6 +245,47 @@ impl Simulation {
     /// Cuts a program off.
     pub(crate) fn cut_off(&mut self, plugin: &PluginId, fault: &Fault) {
         self.host.cut_off(self.network.now(), plugin, fault, &mut self.core);
+    }
+
+    /// Returns the instances of VNFs that run.
+    pub(crate) fn serving(&self) -> &Serving {
+        &self.serving
+    }
+
+    /// Returns every VNF with its instances, by name.
+    pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
+        self.core.managed()
+    }
+
+    /// Returns what became of all packets that hosts sent.
+    pub(crate) fn packets(&self) -> Balance {
+        self.network.fabric().balance()
+    }
+
+    /// Lets a robot neither send nor hear from now on, or do both again.
+    pub(crate) fn set_silent(&mut self, robot: &NodeId, silent: bool) {
+        self.interference.set_silent(robot, silent);
+    }
+
+    /// Keeps the last answer to each robot from now on, for [`Self::answer_again`].
+    pub(crate) fn tap_answers(&mut self) {
+        self.interference.tap_answers();
+    }
+
+    /// Lets a robot receive its last answer, if there is one, once more, with the byte `forged` changed.
+    pub(crate) fn answer_again(&mut self, robot: &NodeId, forged: Option<usize>) {
+        let Some((from, mut payload)) = self.interference.last_answer(robot) else { return };
+        if let Some(byte) = forged.and_then(|place| place.checked_rem(payload.len())) {
+            payload[byte] ^= 0x5a;
+        }
+        self.core.receive(self.now(), robot, from, &payload);
+    }
+
+    /// Reorganises the modelled ledger's last blocks with calls away, so many, if there is a ledger.
+    pub(crate) fn reorganise_ledger(&self, depth: usize) {
+        if let Some(chain) = self.ledgers.chain() {
+            chain.reorganise(self.now(), depth);
+        }
     }
 
     /// What happened, oldest first; scans are left out.
@@ -281,7 +326,15 @@ impl Simulation {
             let (Some(from), Some(to)) = (self.port(&datagram.robot), self.port_at(*datagram.to.ip())) else {
                 continue;
             };
+            if self.interference.is_silent(&datagram.robot) {
+                continue;
+            }
             self.send(now, (from, ROBOT_PORT), (to, datagram.to.port()), &datagram.bytes);
+        }
+        while let Some(Held { from, to, payload }) = self.interference.release(now) {
+            if let Some(receiver) = self.port_at(to.0) {
+                self.send(now, from, (receiver, to.1), &payload);
+            }
         }
         loop {
             let mut delivered = Vec::new();
@@ -303,13 +356,25 @@ impl Simulation {
         let Some(datagram) = udp::parse(frame) else { return };
         let Some(host) = self.network.fabric().host(port).cloned() else { return };
         if datagram.to == ROBOT_PORT {
+            if self.interference.is_silent(&host) {
+                return;
+            }
             let from = SocketAddrV4::new(datagram.sender, datagram.from);
+            self.interference.note_answer(&host, from, datagram.payload);
             return self.core.receive(now, &host, from, datagram.payload);
         }
         let mut answer = Vec::with_capacity(128);
         let answered = self.serving.answer(&host, datagram.to, datagram.payload, &mut answer);
-        if let (true, Some(sender)) = (answered, self.port_at(datagram.sender)) {
-            self.send(now, (port, datagram.to), (sender, datagram.from), &answer);
+        let from = (port, datagram.to);
+        match (answered, self.port_at(datagram.sender)) {
+            (Some(Duration::ZERO), Some(sender)) => {
+                self.send(now, from, (sender, datagram.from), &answer);
+            }
+            (Some(later), Some(_)) => {
+                let held = Held { from, to: (datagram.sender, datagram.from), payload: answer };
+                self.interference.hold(now + later, held);
+            }
+            _ => {}
         }
     }
 

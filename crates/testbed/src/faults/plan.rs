@@ -1,0 +1,286 @@
+//! Random faults at random times, from the same seed as the testbed.
+
+use std::{fmt, time::Duration};
+
+use cotorra_graph::{
+    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, PluginId, Probability,
+    Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
+};
+
+use super::{draw::Draw, invariants::SABOTEUR};
+
+/// A fault, or its end.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Fault {
+    /// An instruction, which may be refused. Links are cut and mended by instructions, too.
+    Instruct { kind: &'static str, instruction: Instruction },
+    /// All instances of a VNF die.
+    Kill(VnfId),
+    /// All its instances stop answering.
+    Hang(VnfId),
+    /// All its instances answer so much later.
+    Slow(VnfId, Duration),
+    /// All its instances answer at once again.
+    Recover(VnfId),
+    /// Instances that are started do not become ready.
+    HoldStarts,
+    /// They do again.
+    ReleaseStarts,
+    /// A robot neither sends nor hears.
+    Silence(NodeId),
+    /// It does both again.
+    Hear(NodeId),
+    /// A robot receives its last answer once more.
+    Replay(NodeId),
+    /// A robot receives its last answer once more, with this byte changed.
+    Forge(NodeId, usize),
+    /// The history's disk is full.
+    FillDisk,
+    /// The disk has room again.
+    FreeDisk,
+    /// So many of the ledger's last blocks with calls are reorganised away.
+    Reorganise(usize),
+    /// A plug-in misbehaves.
+    Sabotage(Saboteur),
+}
+
+/// A plug-in that moves a robot, and then misbehaves.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Saboteur {
+    pub(super) id: PluginId,
+    pub(super) robot: NodeId,
+    pub(super) how: Sabotage,
+}
+
+/// How a plug-in misbehaves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sabotage {
+    Panic,
+    /// It does not return from a call.
+    Hang,
+    /// It gives far too many instructions at once.
+    Flood,
+}
+
+impl Fault {
+    /// Returns its name in the summary.
+    pub(super) const fn kind(&self) -> &'static str {
+        match self {
+            Self::Instruct { kind, .. } => kind,
+            Self::Kill(_) => "VNF killed",
+            Self::Hang(_) => "VNF hung",
+            Self::Slow(..) => "VNF slowed",
+            Self::Recover(_) => "VNF recovered",
+            Self::HoldStarts => "starts held",
+            Self::ReleaseStarts => "starts released",
+            Self::Silence(_) => "robot silent",
+            Self::Hear(_) => "robot heard again",
+            Self::Replay(_) => "answer repeated",
+            Self::Forge(..) => "answer forged",
+            Self::FillDisk => "disk full",
+            Self::FreeDisk => "disk freed",
+            Self::Reorganise(_) => "ledger reorganised",
+            Self::Sabotage(Saboteur { how: Sabotage::Panic, .. }) => "plug-in panicked",
+            Self::Sabotage(Saboteur { how: Sabotage::Hang, .. }) => "plug-in hung",
+            Self::Sabotage(Saboteur { how: Sabotage::Flood, .. }) => "plug-in flooded",
+        }
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kind = self.kind();
+        match self {
+            Self::Instruct { instruction, .. } => {
+                write!(f, "{kind}: {}", serde_json::to_string(instruction).map_err(|_| fmt::Error)?)
+            }
+            Self::Kill(vnf) | Self::Hang(vnf) | Self::Recover(vnf) => write!(f, "{kind}: {vnf}"),
+            Self::Slow(vnf, later) => write!(f, "{kind}: {vnf} by {later:?}"),
+            Self::Silence(robot) | Self::Hear(robot) | Self::Replay(robot) => write!(f, "{kind}: {robot}"),
+            Self::Forge(robot, byte) => write!(f, "{kind}: {robot}, byte {byte}"),
+            Self::Reorganise(depth) => write!(f, "{kind}: {depth} blocks"),
+            Self::Sabotage(Saboteur { id, robot, .. }) => write!(f, "{kind}: {id}, which moved {robot}"),
+            Self::HoldStarts | Self::ReleaseStarts | Self::FillDisk | Self::FreeDisk => f.write_str(kind),
+        }
+    }
+}
+
+/// The faults of a run.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Plan {
+    pub(super) until: Timestamp,
+    /// Whether the history is in a file, which a full disk stops from growing.
+    pub(super) on_disk: bool,
+    /// In the order of time.
+    pub(super) faults: Vec<(Timestamp, Fault)>,
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (at, fault) in &self.faults {
+            writeln!(f, "{:>9.3} s  {fault}", at.as_secs_f64())?;
+        }
+        writeln!(f, "{:>9.3} s  end", self.until.as_secs_f64())
+    }
+}
+
+/// What faults are about.
+struct Names {
+    robots: Vec<NodeId>,
+    units: Vec<NodeId>,
+    nodes: Vec<NodeId>,
+    links: Vec<LinkId>,
+    /// VNFs that can be moved and killed.
+    vnfs: Vec<VnfId>,
+    on_disk: bool,
+    has_ledger: bool,
+}
+
+impl Plan {
+    /// Draws the plan of a seed for its testbed.
+    pub(super) fn new(seed: u64, testbed: &Testbed) -> Self {
+        let mut draw = Draw::new(seed, "plan");
+        let graph = &testbed.graph;
+        let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
+        let has_ledger = graph.domains.len() > 1;
+        // Negotiations take some blocks.
+        let (least, most) = if has_ledger { (12.0, 24.0) } else { (6.0, 14.0) };
+        let until = Timestamp::ZERO + draw.duration(least, most);
+        let on_disk = draw.chance(0.25);
+        let mut names = Names {
+            robots: graph.robots().map(|(node, _)| node.id.clone()).collect(),
+            units: graph.radio_units().map(|(node, _)| node.id.clone()).collect(),
+            nodes: graph.nodes.iter().map(|node| node.id.clone()).collect(),
+            links: graph.links.iter().map(|link| link.id.clone()).collect(),
+            vnfs: vnfs.filter(|vnf| vnf.program != Program::RobotDriver).map(|vnf| vnf.id.clone()).collect(),
+            on_disk,
+            has_ledger,
+        };
+        let robots = names.robots.iter();
+        names.links.extend(robots.flat_map(|robot| names.units.iter().map(|u| LinkId::wireless(robot, u))));
+        let mut faults = Vec::new();
+        for _ in 0..draw.whole(3..=25) {
+            let at = Timestamp::ZERO + draw.duration(0.2, until.as_secs_f64() - 0.2);
+            names.fault(&mut draw, at).into_iter().for_each(|fault| insert(&mut faults, fault));
+        }
+        for number in 1..=draw.whole(0..=2) {
+            let how = *draw.one(&[Sabotage::Panic, Sabotage::Hang, Sabotage::Flood]);
+            let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("it is a name");
+            let at = Timestamp::ZERO + draw.duration(1.0, until.as_secs_f64() - 2.0);
+            let robot = draw.one(&names.robots).clone();
+            insert(&mut faults, (at, Fault::Sabotage(Saboteur { id, robot, how })));
+        }
+        Self { until, on_disk, faults }
+    }
+}
+
+/// Inserts a fault behind those that come before it or at once.
+fn insert(faults: &mut Vec<(Timestamp, Fault)>, fault: (Timestamp, Fault)) {
+    faults.insert(faults.partition_point(|(at, _)| *at <= fault.0), fault);
+}
+
+impl Names {
+    /// Draws a fault, and what ends it.
+    fn fault(&self, draw: &mut Draw, at: Timestamp) -> Vec<(Timestamp, Fault)> {
+        let later = at + draw.duration(0.0, 4.0);
+        let (vnf, robot) = (draw.one(&self.vnfs).clone(), draw.one(&self.robots).clone());
+        match draw.whole(0..=19) {
+            0..=2 => {
+                let link = draw.one(&self.links).clone();
+                let direction = *draw.one(&[None, Some(Direction::Forward), Some(Direction::Backward)]);
+                let cut = |kind, loss| {
+                    let change = ConditionChange { loss: Some(loss), ..ConditionChange::default() };
+                    let instruction = Instruction::Condition { link: link.clone(), direction, change };
+                    Fault::Instruct { kind, instruction }
+                };
+                let all = Loss::Independent { rate: Probability::ONE };
+                vec![(at, cut("link cut", all)), (later, cut("link mended", Loss::None))]
+            }
+            3 | 4 => vec![(at, Fault::Kill(vnf))],
+            5 => vec![(at, Fault::Hang(vnf.clone())), (later, Fault::Recover(vnf))],
+            6 => {
+                let by = draw.duration(0.0, 1.0);
+                vec![(at, Fault::Slow(vnf.clone(), by)), (later, Fault::Recover(vnf))]
+            }
+            7 => vec![(at, Fault::HoldStarts), (later, Fault::ReleaseStarts)],
+            8 => vec![(at, Fault::Silence(robot.clone())), (later, Fault::Hear(robot))],
+            9 => vec![(at, Fault::Replay(robot))],
+            10 => vec![(at, Fault::Forge(robot, draw.whole(0..=255)))],
+            11 if self.on_disk => vec![(at, Fault::FillDisk), (later, Fault::FreeDisk)],
+            12 | 13 if self.has_ledger => vec![(at, Fault::Reorganise(draw.whole(1..=3)))],
+            // Several at once, as a plug-in gives them.
+            11..=14 => {
+                let places = (0..draw.whole(1..=3)).map(|_| self.place(draw));
+                places.map(|instruction| (at, Fault::Instruct { kind: "VNF moved", instruction })).collect()
+            }
+            15 => {
+                let instruction = self.nonsense(draw);
+                vec![(at, Fault::Instruct { kind: "nonsense asked", instruction })]
+            }
+            _ => {
+                let instruction = self.instruction(draw, robot);
+                vec![(at, Fault::Instruct { kind: "instruction", instruction })]
+            }
+        }
+    }
+
+    fn place(&self, draw: &mut Draw) -> Instruction {
+        Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: draw.one(&self.nodes).clone() }
+    }
+
+    /// Draws any instruction. It may be refused.
+    fn instruction(&self, draw: &mut Draw, robot: NodeId) -> Instruction {
+        let radio_unit = draw.one(&self.units).clone();
+        let link = draw.one(&self.links).clone();
+        match draw.whole(0..=9) {
+            0 | 1 => Instruction::Attach { robot, radio_unit },
+            2 => Instruction::Scan { robot },
+            3 => {
+                let velocity = Velocity { linear: draw.number(-1.0, 1.0), angular: draw.number(-2.0, 2.0) };
+                Instruction::Move { robot, velocity, waypoint: draw.whole(0..=2) as u32 }
+            }
+            4 => Instruction::Halt { robot },
+            5 => Instruction::Go { robot },
+            6 => {
+                let access_point = AccessPoint { ssid: "lab".to_owned(), mobility_domain: 1, key: None };
+                Instruction::Deploy { radio_unit, access_point }
+            }
+            7 => Instruction::Remove { radio_unit },
+            8 => {
+                let test = ThroughputTest { duration: draw.duration(0.01, 0.2), rate_limit: None };
+                Instruction::TestThroughput { link, direction: Direction::Forward, test }
+            }
+            _ => {
+                let change = ConditionChange {
+                    delay_ms: Some(draw.number(0.0, 100.0)),
+                    drop_scale: Some(draw.number(0.5, 20.0)),
+                    duplication: Probability::new(draw.number(0.0, 0.2)),
+                    reordering: Probability::new(draw.number(0.0, 0.2)),
+                    ..ConditionChange::default()
+                };
+                Instruction::Condition { link, direction: None, change }
+            }
+        }
+    }
+
+    /// Draws an instruction that no testbed can follow.
+    fn nonsense(&self, draw: &mut Draw) -> Instruction {
+        let nobody = NodeId::new("nobody").expect("it is a name");
+        let change = ConditionChange { delay_ms: Some(-1.0), ..ConditionChange::default() };
+        match draw.whole(0..=5) {
+            0 => Instruction::Attach { robot: nobody, radio_unit: draw.one(&self.units).clone() },
+            1 => Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: nobody },
+            2 => Instruction::Condition { link: draw.one(&self.links).clone(), direction: None, change },
+            3 => {
+                let change = ConditionChange { rate: Some(Rate::Unlimited), ..ConditionChange::default() };
+                let link = LinkId::between(&nobody, &nobody);
+                Instruction::Condition { link, direction: None, change }
+            }
+            4 => {
+                let robot = draw.one(&self.robots).clone();
+                Instruction::Move { robot, velocity: Velocity::default(), waypoint: u32::MAX }
+            }
+            _ => Instruction::Note { process: String::new(), step: "x".repeat(200), ago: None },
+        }
+    }
+}

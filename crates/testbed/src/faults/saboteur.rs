@@ -1,0 +1,89 @@
+//! Plug-ins that misbehave.
+
+use std::{
+    panic::resume_unwind,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+    time::Duration,
+};
+
+use cotorra_graph::{Event, Instruction, Timestamp, Velocity};
+use cotorra_plugin::{Actions, Plugin};
+
+use super::plan::{Sabotage, Saboteur};
+
+/// It moves a robot so long before it misbehaves. The robot must stop then.
+const LEAD: Duration = Duration::from_millis(200);
+/// Instructions of a flood.
+const FLOOD: usize = 1500;
+
+/// What a misbehaving plug-in did, shared with the run.
+#[derive(Clone, Default)]
+pub(super) struct Deeds {
+    /// Instructions that it gave.
+    asked: Arc<AtomicUsize>,
+    /// Whether the call that just returned stands for one that never does.
+    hangs: Arc<AtomicBool>,
+}
+
+impl Deeds {
+    pub(super) fn asked(&self) -> usize {
+        self.asked.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn take_hang(&self) -> bool {
+        self.hangs.swap(false, Ordering::Relaxed)
+    }
+}
+
+/// A plug-in that moves a robot, and then misbehaves.
+pub(super) struct Misbehaving {
+    saboteur: Saboteur,
+    at: Timestamp,
+    next: Option<Timestamp>,
+    deeds: Deeds,
+}
+
+impl Misbehaving {
+    pub(super) fn new(saboteur: Saboteur, at: Timestamp, deeds: Deeds) -> Self {
+        let first = Timestamp::ZERO + at.since(Timestamp::ZERO + LEAD);
+        Self { saboteur, at, next: Some(first), deeds }
+    }
+
+    /// Gives an instruction; its reason is its number.
+    fn ask(&self, instruction: Instruction, actions: &mut Actions) {
+        let number = self.deeds.asked.fetch_add(1, Ordering::Relaxed);
+        actions.instruct_because(instruction, number.to_string());
+    }
+}
+
+impl Plugin for Misbehaving {
+    fn handle(&mut self, _now: Timestamp, _event: &Event, _actions: &mut Actions) {}
+
+    fn next_deadline(&self) -> Option<Timestamp> {
+        self.next
+    }
+
+    fn expire(&mut self, now: Timestamp, actions: &mut Actions) {
+        if now < self.at {
+            self.next = Some(self.at);
+            let velocity = Velocity { linear: 0.3, angular: 0.2 };
+            let robot = self.saboteur.robot.clone();
+            return self.ask(Instruction::Move { robot, velocity, waypoint: 0 }, actions);
+        }
+        self.next = None;
+        match self.saboteur.how {
+            // Without the message that a panic prints.
+            Sabotage::Panic => resume_unwind(Box::new("by design")),
+            Sabotage::Hang => self.deeds.hangs.store(true, Ordering::Relaxed),
+            Sabotage::Flood => {
+                for _ in 0..FLOOD {
+                    let (process, step) = ("flood".to_owned(), "drop".to_owned());
+                    self.ask(Instruction::Note { process, step, ago: None }, actions);
+                }
+            }
+        }
+    }
+}
