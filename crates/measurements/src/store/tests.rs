@@ -45,18 +45,29 @@ impl Engines {
         for name in ["history.sqlite", "history.sqlite-wal", "history.sqlite-shm"] {
             let _ = std::fs::remove_file(path.with_file_name(name));
         }
-        let mut stores: Vec<Arc<dyn Store>> =
-            vec![Arc::<Memory>::default(), Arc::new(Sqlite::open(&path).unwrap())];
+        let local: [Arc<dyn Store>; 2] = [Arc::<Memory>::default(), Arc::new(Sqlite::open(&path).unwrap())];
         #[cfg(feature = "mariadb")]
-        if let Some((remote, _)) = &self.remote {
-            stores.push(remote.clone());
-        }
-        let prepared = stores.into_iter().map(|store| {
+        let remote = self.remote.iter().map(|(remote, _)| remote.clone() as Arc<dyn Store>);
+        #[cfg(not(feature = "mariadb"))]
+        let remote = [];
+        let prepared = local.into_iter().chain(remote).map(|store| {
             let run = store.begin_run(&run_info("asked")).unwrap();
             let other = store.begin_run(&run_info("other")).unwrap();
             (store, run, other)
         });
         prepared.collect()
+    }
+
+    /// Opens once more what one of them, other than that in memory, is opened on.
+    fn again(&self, store: &Arc<dyn Store>) -> Box<dyn Store> {
+        #[cfg(feature = "mariadb")]
+        if let Some((remote, _)) = &self.remote
+            && Arc::ptr_eq(store, &(remote.clone() as Arc<dyn Store>))
+        {
+            return Box::new(Remote::open(remote.place()).unwrap());
+        }
+        let _ = store;
+        Box::new(Sqlite::open(&self.folder.path().join("history.sqlite")).unwrap())
     }
 }
 
@@ -264,13 +275,7 @@ fn raw(reading: Reading) -> f64 {
 fn two_that_record_one_run_lose_nothing() {
     let engines = Engines::new();
     for (store, run, _) in engines.fresh().into_iter().skip(1) {
-        let path = engines.folder.path().join("history.sqlite");
-        let other: Box<dyn Store> = match &engines.remote {
-            Some((remote, _)) if Arc::ptr_eq(&store, &(remote.clone() as Arc<dyn Store>)) => {
-                Box::new(Remote::open(remote.place()).unwrap())
-            }
-            _ => Box::new(Sqlite::open(&path).unwrap()),
-        };
+        let other = engines.again(&store);
         let load = |n: u64| Stamped {
             at: Timestamp::from_nanos(n * 700_000_000),
             event: Event::Radio(cotorra_graph::RadioContext {
