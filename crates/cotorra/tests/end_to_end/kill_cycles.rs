@@ -16,13 +16,17 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::{
-    harness::{Run, are_held, cotorra, kill, output, project_file, stderr, stdout, wait_until},
+    harness::{Run, are_held, cotorra, kill, project_file, stderr, stdout, wait_until},
     mariadb::MariaDb,
     one_robot::testbed,
 };
 
 /// The environment variable that repeats a draw.
 const SEED: &str = "COTORRA_KILL_SEED";
+
+/// Folders of our own, by the variable that names them to cotorra.
+const FOLDERS: [(&str, &str); 4] =
+    [("TMPDIR", "tmp"), ("HOME", "home"), ("XDG_STATE_HOME", "state"), ("XDG_RUNTIME_DIR", "runtime")];
 
 /// Events between two looks, at most: some seconds of a run.
 const LONGEST: u64 = 150;
@@ -91,7 +95,7 @@ struct Site {
     server: Option<MariaDb>,
     url: String,
     interfaces: BTreeSet<String>,
-    /// Control groups of the run before, which the next start removes.
+    /// Control groups and the entry of the run before, which the next start removes.
     left: Vec<PathBuf>,
     /// Runs in each of the two histories.
     runs: [u64; 2],
@@ -113,7 +117,7 @@ impl Site {
         let place = TempDir::new().unwrap();
         let server = MariaDb::start();
         let url = server.as_ref().map(MariaDb::fresh).unwrap_or_default();
-        for folder in ["tmp", "home", "state"] {
+        for (_, folder) in FOLDERS {
             fs::create_dir(place.path().join(folder)).unwrap();
         }
         let script = place.path().join("instructs.py");
@@ -154,11 +158,9 @@ plugins:
         let history = self.history(in_server);
         let run = Run::start_with(testbed, arguments, |command| {
             command.env("COTORRA_HISTORY", history).env("PYTHONDONTWRITEBYTECODE", "1");
-            for (name, folder) in [("TMPDIR", "tmp"), ("HOME", "home"), ("XDG_STATE_HOME", "state")] {
-                command.env(name, self.place.path().join(folder));
-            }
+            command.envs(self.folders());
         });
-        assert_eq!(self.left.drain(..).filter(|group| group.exists()).count(), 0);
+        assert_eq!(self.left.drain(..).filter(|left| left.exists()).count(), 0);
         run
     }
 
@@ -196,8 +198,25 @@ plugins:
         Kept { instructions, events }
     }
 
+    /// Environment variables with folders of our own.
+    fn folders(&self) -> [(&'static str, PathBuf); 4] {
+        FOLDERS.map(|(name, folder)| (name, self.place.path().join(folder)))
+    }
+
+    fn clean(&self, words: &[&str]) -> String {
+        let done = cotorra(["clean"]).args(words).envs(self.folders()).output().unwrap();
+        assert!(done.status.success(), "{}", stderr(&done));
+        stdout(&done)
+    }
+
+    /// Entries of runs, by which tools find them.
+    fn entries(&self) -> Vec<PathBuf> {
+        let folder = self.place.path().join("runtime/cotorra");
+        fs::read_dir(folder).map(|all| all.map(|entry| entry.unwrap().path()).collect()).unwrap_or_default()
+    }
+
     /// Waits until nothing of a run is left: processes, namespaces with their interfaces, the API, mounts, files. Only control
-    /// groups stay, which the next start or `clean` removes.
+    /// groups and an entry stay, which the next start or `clean` removes.
     fn assert_nothing_is_left(&self, run: &Run, before: &Before) {
         wait_until(|| run.processes().is_empty());
         wait_until(|| !are_held(&before.namespaces));
@@ -209,9 +228,10 @@ plugins:
             let left: Vec<_> = fs::read_dir(self.place.path().join(folder)).unwrap().collect();
             assert!(left.is_empty(), "{left:?}");
         }
-        for group in &before.groups {
-            let found = stdout(&output(["clean", "--dry-run"]));
-            assert!(!group.exists() || found.contains(&group.display().to_string()), "{found}");
+        let found = self.clean(&["--dry-run"]);
+        let entries = self.entries().into_iter().map(|entry| entry.with_extension("json"));
+        for left in before.groups.iter().cloned().chain(entries) {
+            assert!(!left.exists() || found.contains(&left.display().to_string()), "{found}");
         }
     }
 }
@@ -272,11 +292,13 @@ impl Site {
         };
         self.assert_nothing_is_left(&run, &before);
         if cleans {
-            assert!(output(["clean"]).status.success());
+            self.clean(&[]);
             assert_eq!(before.groups.iter().filter(|group| group.exists()).count(), 0);
+            assert_eq!(self.entries(), Vec::<PathBuf>::new());
         }
         drop(run);
         self.left = before.groups;
+        self.left.extend(self.entries());
         if victim == Victim::Core {
             self.next_run(in_server);
         }
