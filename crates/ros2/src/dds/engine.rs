@@ -15,7 +15,7 @@ const DISCOVERY: Token = Token(1);
 pub const FIRST_ID: usize = 2;
 
 /// How soon what had to wait is tried again: no longer than commands are apart.
-const RETRY: Duration = Duration::from_millis(20);
+pub const RETRY: Duration = Duration::from_millis(20);
 
 /// What the thread waits with, and what wakes it.
 pub fn poll() -> io::Result<(Poll, Waker)> {

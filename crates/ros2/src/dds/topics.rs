@@ -12,6 +12,7 @@ use rustdds::{
 
 use super::{
     codec::{self, Reader, Writer},
+    engine::RETRY,
     graph::{Gid, Graph},
     participant::Shared,
 };
@@ -93,8 +94,14 @@ impl Publication {
     pub fn close(&self, shared: &Shared, mut patience: Duration) -> bool {
         let mut output = self.output.lock();
         output.closed = true;
-        self.flush_output(&mut output, shared);
-        let mut arrived = true;
+        // What waits goes as soon as some of what is on its way has been acknowledged.
+        while self.flush_output(&mut output, shared) && !patience.is_zero() {
+            for writer in output.writers.iter().flatten() {
+                let _ = writer.wait_for_acknowledgments(patience.min(RETRY));
+            }
+            patience = patience.saturating_sub(RETRY);
+        }
+        let mut arrived = output.waiting.front().is_none();
         for writer in output.writers.drain(..).flatten() {
             if !writer.wait_for_acknowledgments(patience).unwrap_or(false) {
                 arrived = false;

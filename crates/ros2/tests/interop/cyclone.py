@@ -9,9 +9,10 @@ import sys
 import time
 from dataclasses import dataclass
 
-from cyclonedds.core import Policy, Qos
+from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
+from cyclonedds.internal import InvalidSample
 from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
@@ -141,8 +142,12 @@ profiles = {
 
 
 def received(reader):
+    # By default, it leaves what has come from a writer that has gone since.
+    whatever = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
     while True:
-        yield from reader.take_iter(timeout=3600 * 1_000_000_000)
+        for sample in reader.take_iter(condition=whatever, timeout=3600 * 1_000_000_000):
+            if not isinstance(sample, InvalidSample):
+                yield sample
 
 
 def pitch(there, back):
