@@ -9,10 +9,10 @@ use crate::{
     conditions::{ConditionChange, Conditions, Jitter, JitterDistribution, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
-    units::{Dbm, Timestamp, millis},
+    units::{Dbm, Position, Timestamp, is_zero, millis},
 };
 
-/// A robot's position and heading with their covariance; σ_p(r).
+/// A robot's position and orientation with their covariance; σ_p(r).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Pose {
@@ -20,7 +20,16 @@ pub struct Pose {
     pub x: f64,
     /// Metres.
     pub y: f64,
-    /// Radians from the x axis, counter-clockwise, in (-π, π].
+    /// Metres above the floor; 0 where it is left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub z: f64,
+    /// Turn about the axis forward, radians, in (-π, π]; 0 where it is left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub roll: f64,
+    /// Turn about the axis to the left, radians, in [-π/2, π/2]: positive with the nose down; 0 where it is left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pitch: f64,
+    /// Yaw: radians from the x axis, counter-clockwise, in (-π, π].
     pub heading: f64,
     /// Row-major covariance of (x, y, heading); m², m·rad, rad².
     pub covariance: [f64; 9],
@@ -29,9 +38,19 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Where on the map that is.
-    pub fn position(&self) -> crate::units::Position {
-        crate::units::Position::new(self.x, self.y)
+    /// On the floor, and upright.
+    pub const fn planar(x: f64, y: f64, heading: f64, covariance: [f64; 9], source: PoseSource) -> Self {
+        Self { x, y, z: 0.0, roll: 0.0, pitch: 0.0, heading, covariance, source }
+    }
+
+    /// Where that is.
+    pub const fn position(&self) -> Position {
+        Position { x: self.x, y: self.y, z: self.z }
+    }
+
+    /// Whether position and orientation are finite numbers.
+    pub fn is_finite(&self) -> bool {
+        [self.x, self.y, self.z, self.roll, self.pitch, self.heading].into_iter().all(f64::is_finite)
     }
 }
 
@@ -48,14 +67,38 @@ pub enum PoseSource {
     Localization,
 }
 
-/// Linear and angular velocity of a ground robot.
+/// Velocity of a robot: along its heading, upwards, and about the vertical axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Velocity {
     /// Forward, m/s.
     pub linear: f64,
+    /// Upward, m/s; 0 where it is left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub vertical: f64,
     /// Counter-clockwise, rad/s.
     pub angular: f64,
+}
+
+impl Velocity {
+    /// Of a robot on the floor.
+    pub const fn planar(linear: f64, angular: f64) -> Self {
+        Self { linear, vertical: 0.0, angular }
+    }
+
+    /// Whether all parts are finite numbers.
+    pub fn is_finite(self) -> bool {
+        [self.linear, self.vertical, self.angular].into_iter().all(f64::is_finite)
+    }
+
+    /// The same direction and curve, so many times as fast.
+    pub fn scaled(self, factor: f64) -> Self {
+        Self {
+            linear: self.linear * factor,
+            vertical: self.vertical * factor,
+            angular: self.angular * factor,
+        }
+    }
 }
 
 /// σ(r): what a robot senses.

@@ -27,6 +27,8 @@ pub struct GeoOrigin {
     pub longitude: f64,
     /// Where the map's y axis points: radians from north, clockwise.
     pub bearing: f64,
+    /// Of the map's floor, metres above the ellipsoid; `None` where nobody knows.
+    pub altitude: Option<f64>,
 }
 
 /// A network of IP addresses, such as `10.1.0.0/16` or `fd00::/8`; an address alone is a network of one.

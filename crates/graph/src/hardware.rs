@@ -106,7 +106,7 @@ pub struct Node {
     pub id: NodeId,
     /// Who runs it.
     pub domain: DomainId,
-    /// Where it is; a robot's is where it starts.
+    /// Where it is, with the height of its antenna; a robot's is where it starts.
     pub position: Option<Position>,
     /// What it is.
     #[serde(flatten)]
@@ -199,6 +199,40 @@ pub enum RobotModel {
     /// TurtleBot 2: Kobuki base with an RPLIDAR A2.
     #[default]
     Turtlebot2,
+    /// A quadrotor that flies by velocities, with the same lidar.
+    Quadrotor,
+}
+
+impl RobotModel {
+    /// Whether it leaves the floor.
+    pub const fn flies(self) -> bool {
+        matches!(self, Self::Quadrotor)
+    }
+
+    /// Fastest along its heading, m/s.
+    pub const fn max_speed(self) -> f64 {
+        match self {
+            Self::Turtlebot2 => 0.7,
+            Self::Quadrotor => 5.0,
+        }
+    }
+
+    /// Of its outline, metres.
+    pub const fn radius(self) -> f64 {
+        match self {
+            // Half the diameter of a Kobuki base, 351.5 mm, rounded up.
+            Self::Turtlebot2 => 0.177,
+            Self::Quadrotor => 0.25,
+        }
+    }
+
+    /// What people call it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Turtlebot2 => "TurtleBot 2",
+            Self::Quadrotor => "quadrotor",
+        }
+    }
 }
 
 /// Who decides when a robot changes its radio unit.

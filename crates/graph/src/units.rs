@@ -185,7 +185,13 @@ impl fmt::Display for Dbm {
     }
 }
 
-/// A place on the map, in metres, in the map's frame.
+/// Whether a height or an angle is that of what stands on the floor. Left out when written, and so read where it is not
+/// there: what moves in the plane has no third dimension in files and in JSON.
+pub(crate) fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+/// A place, in metres, in the map's frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Position {
@@ -193,20 +199,39 @@ pub struct Position {
     pub x: f64,
     /// Metres to the north of the map's origin.
     pub y: f64,
+    /// Metres above the floor; 0 where it is left out.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub z: f64,
 }
 
 impl Position {
-    /// The place (x, y), in metres.
+    /// The place (x, y) on the floor, in metres.
     pub const fn new(x: f64, y: f64) -> Self {
-        Self { x, y }
+        Self { x, y, z: 0.0 }
     }
 
-    /// Euclidean distance in metres.
+    /// The place above or below this one, at `z` metres above the floor.
+    pub const fn at_height(self, z: f64) -> Self {
+        Self { z, ..self }
+    }
+
+    /// The place on the floor below this one.
+    pub const fn on_floor(self) -> Self {
+        self.at_height(0.0)
+    }
+
+    /// Euclidean distance in metres, heights included.
     pub fn distance(self, other: Self) -> f64 {
-        (self.x - other.x).hypot(self.y - other.y)
+        (self.x - other.x).hypot(self.y - other.y).hypot(self.z - other.z)
     }
 
-    /// Whether it is inside a polygon, by the even-odd rule.
+    /// The place so far on the straight way to another one: this one at 0, the other at 1, exactly so at both.
+    pub fn towards(self, to: Self, share: f64) -> Self {
+        let between = |from: f64, to: f64| from * (1.0 - share) + to * share;
+        Self { x: between(self.x, to.x), y: between(self.y, to.y), z: between(self.z, to.z) }
+    }
+
+    /// Whether it is above or below the inside of a polygon, by the even-odd rule.
     pub fn is_within(self, polygon: &[Self]) -> bool {
         let edges = polygon.iter().zip(polygon.iter().cycle().skip(1));
         let crossed = |a: &Self, b: &Self| {
@@ -218,7 +243,10 @@ impl Position {
 
 impl fmt::Display for Position {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "({:.1}, {:.1})", self.x, self.y)
+        match self.z {
+            0.0 => write!(f, "({:.1}, {:.1})", self.x, self.y),
+            z => write!(f, "({:.1}, {:.1}, {z:.1})", self.x, self.y),
+        }
     }
 }
 

@@ -102,7 +102,7 @@ impl Drive {
         }
         let off = Pose2::new(0.0, 0.0, (y - at.y).atan2(x - at.x) - at.heading).heading;
         let linear = if off.abs() < 0.5 { 0.3 } else { 0.0 };
-        self.robot.command(self.now, Velocity { linear, angular: (1.5 * off).clamp(-0.8, 0.8) }).unwrap();
+        self.robot.command(self.now, Velocity::planar(linear, (1.5 * off).clamp(-0.8, 0.8))).unwrap();
         let before = self.odometry();
         self.now = self.now + PERIOD;
         self.robot.advance(self.now);

@@ -81,13 +81,7 @@ fn link(n: u64) -> Stamped {
 /// The `n`th sample of robots that hear four radio units.
 fn robot(n: u64) -> Stamped {
     let (tick, place) = (n / ROBOTS, n % ROBOTS);
-    let pose = Pose {
-        x: n as f64 * 0.01,
-        y: 1.5,
-        heading: 0.1,
-        covariance: [0.0; 9],
-        source: PoseSource::Simulator,
-    };
+    let pose = Pose::planar(n as f64 * 0.01, 1.5, 0.1, [0.0; 9], PoseSource::Simulator);
     let attachment = |(i, unit): (usize, &NodeId)| Attachment {
         radio_unit: unit.clone(),
         attached: i == 0,
@@ -99,7 +93,7 @@ fn robot(n: u64) -> Stamped {
         sensors: SensorData {
             pose,
             odometry: pose,
-            velocity: Velocity { linear: 0.3, angular: 0.0 },
+            velocity: Velocity::planar(0.3, 0.0),
             bumper: false,
             nearest_obstacle_m: Some(1.25),
         },

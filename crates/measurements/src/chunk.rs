@@ -26,7 +26,7 @@ const MOST: usize = 20_000;
 const fn places(kind: Kind) -> &'static [usize] {
     match kind {
         Kind::Link => &[2, 3, 4, 5, 14, 15, 17],
-        Kind::Robot => &[2, 3, 4, 28, 29, 31],
+        Kind::Robot => &[2, 3, 4, 28, 29, 31, 33, 39],
         Kind::Radio => &[2],
         _ => &[],
     }
@@ -314,7 +314,7 @@ mod tests {
         ) {
             let mut chunk = Chunk::default();
             for (t, children) in &samples {
-                chunk.push(Kind::Robot, *t, &vec![Value::Null; 32]);
+                chunk.push(Kind::Robot, *t, &vec![Value::Null; 40]);
                 children.iter().for_each(|(of, bits)| chunk.push_child(*of, f64::from_bits(*bits)));
             }
             let bytes = chunk.finish(Kind::Robot).unwrap();

@@ -44,6 +44,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "odom_cov_hx", "odom_cov_hy", "odom_cov_hh",
                 "odom_source",
                 "linear_mps", "angular_radps", "bumper", "nearest_obstacle_m", "health",
+                "z_m", "roll_rad", "pitch_rad", "odom_z_m", "odom_roll_rad", "odom_pitch_rad", "vertical_mps",
             ],
             series: &["robot"],
             children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),
@@ -79,7 +80,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Vnf => plain(&["vnf", "node", "state", "detail"]),
         Kind::Decision => plain(&[
             "plugin", "instruction", "subject", "object", "linear_mps", "angular_radps", "waypoint",
-            "direction", "change", "reason", "refused",
+            "direction", "change", "reason", "refused", "vertical_mps",
         ]),
         Kind::PluginFault => plain(&["plugin", "reason"]),
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),

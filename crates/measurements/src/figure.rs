@@ -64,10 +64,14 @@ quantities! {
         X = "x", "m", "x_m";
         /// Its position, m.
         Y = "y", "m", "y_m";
+        /// Its height above the floor, m.
+        Z = "z", "m", "z_m";
         /// Its heading, rad.
         Heading = "heading", "rad", "heading_rad";
         /// Its speed ahead, m/s.
         Speed = "speed", "m/s", "linear_mps";
+        /// Its speed upwards, m/s.
+        Climb = "climb", "m/s", "vertical_mps";
         /// Its turning rate, rad/s.
         Turn = "turn", "rad/s", "angular_radps";
         /// How far the nearest obstacle is, m.
@@ -88,8 +92,8 @@ quantities! {
 }
 
 /// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
-/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`,
-/// `turn:…`, `obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
+/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `speed:…`,
+/// `climb:…`, `turn:…`, `obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
 /// services if they are not said); `handover_gap:ROBOT` (likewise); `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -220,8 +224,10 @@ impl Figure {
                 match quantity {
                     RobotQuantity::X => each(sensors.pose.x),
                     RobotQuantity::Y => each(sensors.pose.y),
+                    RobotQuantity::Z => each(sensors.pose.z),
                     RobotQuantity::Heading => each(sensors.pose.heading),
                     RobotQuantity::Speed => each(sensors.velocity.linear),
+                    RobotQuantity::Climb => each(sensors.velocity.vertical),
                     RobotQuantity::Turn => each(sensors.velocity.angular),
                     RobotQuantity::Obstacle => sensors.nearest_obstacle_m.into_iter().for_each(each),
                 }
@@ -316,7 +322,7 @@ impl fmt::Display for Figure {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is not a figure: say delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
-     with :LINK or :LINK:DIRECTION; x, y, heading, speed, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
+     with :LINK or :LINK:DIRECTION; x, y, z, heading, speed, climb, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
      or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; lateness_p50, lateness_p99 or lateness_max"
 )]
 pub struct InvalidFigure(String);

@@ -81,16 +81,16 @@ fn direction() -> impl Strategy<Value = Direction> {
 
 prop_compose! {
     fn pose()(
-        (x, y, heading) in (real(), real(), real()),
+        (x, y, z, roll, pitch, heading) in (real(), real(), real(), real(), real(), real()),
         covariance in proptest::array::uniform9(real()),
         source in select(vec![PoseSource::Simulator, PoseSource::Odometry, PoseSource::Localization]),
     ) -> Pose {
-        Pose { x, y, heading, covariance, source }
+        Pose { x, y, z, roll, pitch, heading, covariance, source }
     }
 }
 
 fn velocity() -> impl Strategy<Value = Velocity> {
-    (real(), real()).prop_map(|(linear, angular)| Velocity { linear, angular })
+    (real(), real(), real()).prop_map(|(linear, vertical, angular)| Velocity { linear, vertical, angular })
 }
 
 prop_compose! {

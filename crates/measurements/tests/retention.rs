@@ -54,8 +54,7 @@ fn link(name: &str, n: u64) -> Stamped {
 }
 
 fn robot(n: u64) -> Stamped {
-    let pose =
-        Pose { x: n as f64, y: 0.5, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let pose = Pose::planar(n as f64, 0.5, 0.0, [0.0; 9], PoseSource::Simulator);
     let heard = |(name, signal): (&str, f64)| Attachment {
         radio_unit: NodeId::new(name).unwrap(),
         attached: name == "R1",

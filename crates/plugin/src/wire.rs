@@ -283,8 +283,7 @@ mod tests {
     use super::*;
 
     fn position() -> PositionPacket {
-        let pose =
-            Pose { x: 25.5, y: -27.8, heading: 1.5, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let pose = Pose::planar(25.5, -27.8, 1.5, [0.0; 9], PoseSource::Simulator);
         PositionPacket {
             sequence: 7,
             emitted: Timestamp::from_nanos(1_400_000_123),
@@ -310,8 +309,7 @@ mod tests {
 
     #[test]
     fn a_navigation_packet_answers_with_the_same_sequence_and_emission() {
-        let answer =
-            NavigationPacket::answering(&position(), 4, Velocity { linear: 0.3, angular: -0.1 }.into());
+        let answer = NavigationPacket::answering(&position(), 4, Velocity::planar(0.3, -0.1).into());
         let mut bytes = b"old".to_vec();
         answer.encode(&mut bytes);
         assert_eq!(bytes.len(), 32 + 4 + 48);

@@ -116,8 +116,9 @@ fn line(namespace: &str, id: i32, points: Vec<Point>, color: ColorRGBA) -> Marke
     Marker { r#type: LINE_STRIP, scale: width, color, points, ..marker(namespace, id) }
 }
 
-fn point(place: Position, z: f64) -> Point {
-    Point { x: place.x, y: place.y, z }
+/// So many metres above a place.
+fn point(place: Position, height: f64) -> Point {
+    Point { x: place.x, y: place.y, z: place.z + height }
 }
 
 fn vector((x, y, z): (f64, f64, f64)) -> Vector3 {

@@ -29,7 +29,7 @@ links: []
 /// The robot is that far along x after so many seconds.
 fn moved(second: u64) -> Arc<Stamped> {
     let (covariance, source) = ([0.0; 9], PoseSource::Odometry);
-    let pose = Pose { x: second as f64, y: 2.0, heading: 0.0, covariance, source };
+    let pose = Pose::planar(second as f64, 2.0, 0.0, covariance, source);
     let sensors = SensorData {
         pose,
         odometry: pose,

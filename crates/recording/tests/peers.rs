@@ -47,11 +47,11 @@ fn vnf(name: &str) -> VnfId {
 fn pose(x: f64, y: f64, heading: f64) -> Pose {
     let mut covariance = [0.0; 9];
     (covariance[0], covariance[4], covariance[8]) = (0.25, 0.5, 0.125);
-    Pose { x, y, heading, covariance, source: PoseSource::Localization }
+    Pose::planar(x, y, heading, covariance, PoseSource::Localization)
 }
 
 fn events() -> Vec<Event> {
-    let velocity = Velocity { linear: 0.25, angular: -0.5 };
+    let velocity = Velocity::planar(0.25, -0.5);
     vec![
         Event::Placement(Placement { vnf: vnf("navigation"), node: node("edge") }),
         Event::VirtualLink(VirtualLinkMapping {

@@ -73,7 +73,7 @@ fn one_robot_second(bencher: Bencher<'_, '_>) {
     bencher.with_inputs(|| robot(Arc::clone(&world))).bench_local_values(|mut robot| {
         for ms in (0..1000).step_by(200) {
             let now = Timestamp::ZERO + Duration::from_millis(ms);
-            let _ = robot.command(now, Velocity { linear: 0.3, angular: 0.05 });
+            let _ = robot.command(now, Velocity::planar(0.3, 0.05));
         }
         robot.advance(Timestamp::ZERO + Duration::from_secs(1));
         robot
@@ -103,7 +103,7 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
     bencher.bench_local(|| {
         position.encode(&mut datagram);
         let received = PositionPacket::decode(black_box(&datagram)).expect("a position packet");
-        let velocity = Velocity { linear: 0.3, angular: 0.05 };
+        let velocity = Velocity::planar(0.3, 0.05);
         NavigationPacket::answering(&received, 4, velocity.into()).encode(&mut datagram);
         NavigationPacket::decode(black_box(&datagram)).expect("a navigation packet")
     });

@@ -2,15 +2,23 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, RobotFault, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, RobotFault, RobotModel, SensorData, Timestamp, Velocity};
 
-use crate::lidar::Scan;
+use crate::{kobuki, lidar::Scan, quadrotor};
+
+/// The part of a velocity that a robot of that model and speed limit, m/s, does, on the same curve.
+pub(crate) fn limited(model: RobotModel, wanted: Velocity, speed_limit: f64) -> Velocity {
+    match model {
+        RobotModel::Turtlebot2 => kobuki::limited(wanted, speed_limit),
+        RobotModel::Quadrotor => quadrotor::limited(wanted, speed_limit),
+    }
+}
 
 /// Why a robot does not follow a command.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CommandRefused {
     /// A velocity is NaN or infinite.
-    #[error("a velocity of {} m/s and {} rad/s is no finite number", .0.linear, .0.angular)]
+    #[error("a velocity of {} m/s, {} m/s upward and {} rad/s is no finite number", .0.linear, .0.vertical, .0.angular)]
     NotFinite(Velocity),
     /// Something is wrong with the robot, so that it had better stand still.
     #[error("it stands still until it is well again: {0}")]

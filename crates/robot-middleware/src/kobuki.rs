@@ -4,7 +4,7 @@
 
 use std::{f64::consts::PI, time::Duration};
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Timestamp, Velocity};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
@@ -17,22 +17,18 @@ const RADIANS_PER_TICK: f64 = 0.002_436_916_871_363_93;
 /// Way of a wheel from one encoder tick to the next: 0.000 085 292 m.
 pub const METRES_PER_TICK: f64 = WHEEL_RADIUS * RADIANS_PER_TICK;
 /// Of the body, metres.
-pub const RADIUS: f64 = 0.177;
+pub const RADIUS: f64 = RobotModel::Turtlebot2.radius();
 /// Without a command for so long, the base stops.
 pub const COMMAND_TIMEOUT: Duration = Duration::from_millis(600);
 /// m/s.
-pub const MAX_SPEED: f64 = 0.7;
+pub const MAX_SPEED: f64 = RobotModel::Turtlebot2.max_speed();
 /// rad/s (180 °/s).
 pub const MAX_ANGULAR_SPEED: f64 = PI;
 
-/// The part of a velocity that a robot of that speed limit, m/s, may drive, on the same curve.
+/// The part of a velocity that a robot of that speed limit, m/s, may drive, on the same curve; it does not leave the floor.
 pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
     let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
-    if over > 1.0 {
-        Velocity { linear: wanted.linear / over, angular: wanted.angular / over }
-    } else {
-        wanted
-    }
+    if over > 1.0 { Velocity::planar(wanted.linear / over, wanted.angular / over) } else { wanted }
 }
 
 /// Acceleration and deceleration, m/s².
@@ -73,6 +69,12 @@ impl Base {
         }
     }
 
+    /// Where it is, exactly.
+    pub fn pose(&self) -> Pose {
+        let Position { x, y, z } = self.position;
+        Pose { z, ..Pose::planar(x, y, self.heading, [0.0; 9], PoseSource::Simulator) }
+    }
+
     /// Wants that velocity until the command timeout.
     pub fn command(&mut self, now: Timestamp, velocity: Velocity) {
         self.wanted = velocity;
@@ -83,10 +85,10 @@ impl Base {
     pub fn advance(&mut self, at: Timestamp, step: Duration, world: &World) -> Motion {
         let wanted = if at < self.wanted_until { self.wanted } else { Velocity::default() };
         let seconds = step.as_secs_f64();
-        self.velocity = Velocity {
-            linear: ramp(self.velocity.linear, wanted.linear, LINEAR_RAMP, seconds),
-            angular: ramp(self.velocity.angular, wanted.angular, ANGULAR_RAMP, seconds),
-        };
+        self.velocity = Velocity::planar(
+            ramp(self.velocity.linear, wanted.linear, LINEAR_RAMP, seconds),
+            ramp(self.velocity.angular, wanted.angular, ANGULAR_RAMP, seconds),
+        );
         let motion =
             Motion { forward: self.velocity.linear * seconds, turned: self.velocity.angular * seconds };
         let share = self.free_share(motion, world);
@@ -107,7 +109,7 @@ impl Base {
         let half = motion.turned / 2.0;
         let chord = motion.forward * if half.abs() < 1e-9 { 1.0 } else { half.sin() / half };
         let (sin, cos) = (self.heading + half).sin_cos();
-        Position::new(self.position.x + chord * cos, self.position.y + chord * sin)
+        Position { x: self.position.x + chord * cos, y: self.position.y + chord * sin, ..self.position }
     }
 
     /// The share of the way, 0 to 1, that the body can go before it touches something. A step is shorter than the
@@ -208,9 +210,10 @@ impl Odometer {
         let error = self.gyro_bias * seconds + GYRO_WALK * seconds.sqrt() * self.noise.bell();
         let turned = if moving { motion.turned + error } else { 0.0 };
         let (sin, cos) = (self.heading + turned / 2.0).sin_cos();
-        self.position = Position::new(self.position.x + forward * cos, self.position.y + forward * sin);
+        let Position { x, y, .. } = self.position;
+        self.position = Position { x: x + forward * cos, y: y + forward * sin, ..self.position };
         self.heading = normalised(self.heading + turned);
-        self.velocity = Velocity { linear: forward / seconds, angular: turned / seconds };
+        self.velocity = Velocity::planar(forward / seconds, turned / seconds);
         self.way += forward.abs();
         self.elapsed += if moving { seconds } else { 0.0 };
     }
@@ -226,13 +229,9 @@ impl Odometer {
         let heading = (GYRO_BIAS * self.elapsed).powi(2) + GYRO_WALK.powi(2) * self.elapsed;
         let scale = WHEEL_SCALE.powi(2) + WHEEL_DIFFERENCE.powi(2) + heading;
         let position = scale * self.way.powi(2) + SLIP.powi(2) * self.way + METRES_PER_TICK.powi(2);
-        Pose {
-            x: self.position.x,
-            y: self.position.y,
-            heading: self.heading,
-            covariance: [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading],
-            source: PoseSource::Odometry,
-        }
+        let covariance = [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading];
+        let Position { x, y, z } = self.position;
+        Pose { z, ..Pose::planar(x, y, self.heading, covariance, PoseSource::Odometry) }
     }
 }
 

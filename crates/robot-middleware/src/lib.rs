@@ -16,6 +16,7 @@ mod localization;
 mod middleware;
 mod nonce;
 mod planar;
+mod quadrotor;
 mod random;
 mod rejection;
 pub mod ros;

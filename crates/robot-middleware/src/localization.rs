@@ -15,7 +15,8 @@ pub use vnf::{LocalizationVnf, NotLocalized, Rejected};
 /// The filter for a kind of robot: both ends go by its motion noise and by when it wants a scan.
 fn parameters(model: RobotModel) -> Parameters {
     match model {
-        RobotModel::Turtlebot2 => Parameters::turtlebot2(),
+        // Both have the same lidar; the filter allows for more error of wheels than there is in the air.
+        RobotModel::Turtlebot2 | RobotModel::Quadrotor => Parameters::turtlebot2(),
     }
 }
 
@@ -28,11 +29,5 @@ pub(crate) fn believed(pose: &Pose) -> Belief {
 }
 
 fn told(Belief { pose, covariance }: &Belief) -> Pose {
-    Pose {
-        x: pose.x,
-        y: pose.y,
-        heading: pose.heading,
-        covariance: *covariance,
-        source: PoseSource::Localization,
-    }
+    Pose::planar(pose.x, pose.y, pose.heading, *covariance, PoseSource::Localization)
 }

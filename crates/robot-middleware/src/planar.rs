@@ -1,4 +1,4 @@
-//! Movements in the plane, to put what a robot says in its own frames onto the map.
+//! Movements in the plane and upwards, to put what a robot says in its own frames onto the map. Frames are level.
 
 use cotorra_graph::Pose;
 
@@ -7,13 +7,14 @@ use cotorra_graph::Pose;
 pub(crate) struct Planar {
     pub x: f64,
     pub y: f64,
+    pub z: f64,
     /// Radians.
     pub heading: f64,
 }
 
 impl Planar {
     pub fn of(pose: &Pose) -> Self {
-        Self { x: pose.x, y: pose.y, heading: pose.heading }
+        Self { x: pose.x, y: pose.y, z: pose.z, heading: pose.heading }
     }
 
     /// Where `inner`, which is in this frame, is in the frame that this one is in.
@@ -22,6 +23,7 @@ impl Planar {
         Self {
             x: self.x + inner.x * cos - inner.y * sin,
             y: self.y + inner.x * sin + inner.y * cos,
+            z: self.z + inner.z,
             heading: normalised(self.heading + inner.heading),
         }
     }
@@ -32,6 +34,7 @@ impl Planar {
         Self {
             x: -self.x * cos - self.y * sin,
             y: self.x * sin - self.y * cos,
+            z: -self.z,
             heading: normalised(-self.heading),
         }
     }
@@ -47,7 +50,7 @@ impl Planar {
             let term = |i: usize, j: usize| turn[row][i] * pose.covariance[3 * i + j] * turn[column][j];
             (0..3).flat_map(|i| (0..3).map(move |j| term(i, j))).sum()
         });
-        Pose { x: placed.x, y: placed.y, heading: placed.heading, covariance, source: pose.source }
+        Pose { x: placed.x, y: placed.y, z: placed.z, heading: placed.heading, covariance, ..*pose }
     }
 }
 
@@ -68,17 +71,18 @@ mod tests {
     use super::*;
 
     fn planar() -> impl Strategy<Value = Planar> {
-        (-1e3..1e3, -1e3..1e3, -PI..PI).prop_map(|(x, y, heading)| Planar { x, y, heading })
+        (-1e3..1e3, -1e3..1e3, -1e2..1e2, -PI..PI).prop_map(|(x, y, z, heading)| Planar { x, y, z, heading })
     }
 
     fn near(a: Planar, b: Planar) -> bool {
-        (a.x - b.x).abs() < 1e-6 && (a.y - b.y).abs() < 1e-6 && normalised(a.heading - b.heading).abs() < 1e-9
+        let apart = (a.x - b.x).abs().max((a.y - b.y).abs()).max((a.z - b.z).abs());
+        apart < 1e-6 && normalised(a.heading - b.heading).abs() < 1e-9
     }
 
     proptest! {
         #[test]
         fn there_and_back_is_nowhere(a in planar(), b in planar()) {
-            let nowhere = Planar { x: 0.0, y: 0.0, heading: 0.0 };
+            let nowhere = Planar { x: 0.0, y: 0.0, z: 0.0, heading: 0.0 };
             prop_assert!(near(a.then(a.inverse()), nowhere));
             prop_assert!(near(a.inverse().then(a.then(b)), b));
         }
@@ -86,9 +90,9 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_swaps_the_axes_of_a_covariance() {
-        let quarter = Planar { x: 1.0, y: 2.0, heading: PI / 2.0 };
+        let quarter = Planar { x: 1.0, y: 2.0, z: 0.0, heading: PI / 2.0 };
         let covariance = [4.0, 0.5, 0.2, 0.5, 1.0, 0.1, 0.2, 0.1, 9.0];
-        let pose = Pose { x: 3.0, y: 0.0, heading: 0.0, covariance, source: PoseSource::Odometry };
+        let pose = Pose::planar(3.0, 0.0, 0.0, covariance, PoseSource::Odometry);
         let placed = quarter.place(&pose);
         assert!((placed.x - 1.0).abs() < 1e-12 && (placed.y - 5.0).abs() < 1e-12);
         for (found, expected) in

@@ -52,19 +52,19 @@ pub fn localized(at: Timestamp, sensors: &SensorData) -> PoseWithCovarianceStamp
 
 /// `tf2_msgs/TFMessage` of all frames: the map's, odometry's, the base's and the lidar's.
 pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
-    let frame = |parent: &str, child: &str, Planar { x, y, heading }| TransformStamped {
+    let frame = |parent: &str, child: &str, Planar { x, y, z, heading }, roll, pitch| TransformStamped {
         header: Header::new(at, parent),
         child_frame_id: child.to_owned(),
         transform: Transform {
-            translation: Vector3 { x, y, z: 0.0 },
-            rotation: Quaternion::from_heading(heading),
+            translation: Vector3 { x, y, z },
+            rotation: Quaternion::from_angles(roll, pitch, heading),
         },
     };
     let base = Planar::of(&sensors.odometry);
     let transforms = vec![
-        frame(MAP_FRAME, ODOMETRY_FRAME, Planar::of(&sensors.pose).then(base.inverse())),
-        frame(ODOMETRY_FRAME, BASE_FRAME, base),
-        frame(BASE_FRAME, LASER_FRAME, Planar { x: 0.0, y: 0.0, heading: 0.0 }),
+        frame(MAP_FRAME, ODOMETRY_FRAME, Planar::of(&sensors.pose).then(base.inverse()), 0.0, 0.0),
+        frame(ODOMETRY_FRAME, BASE_FRAME, base, sensors.odometry.roll, sensors.odometry.pitch),
+        frame(BASE_FRAME, LASER_FRAME, Planar { x: 0.0, y: 0.0, z: 0.0, heading: 0.0 }, 0.0, 0.0),
     ];
     TFMessage { transforms }
 }

@@ -3,14 +3,16 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotFault, SensorData, Timestamp, Velocity, Walk};
+use cotorra_graph::{
+    NodeId, Pose, PoseSource, Position, RobotFault, RobotModel, SensorData, Timestamp, Velocity, Walk,
+};
 use cotorra_plugin::messages::{
     Header, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
 };
 
 use crate::{
-    driver::CommandRefused,
-    kobuki::{COMMAND_TIMEOUT, MAX_SPEED, limited},
+    driver::{CommandRefused, limited},
+    kobuki::COMMAND_TIMEOUT,
     lidar::Scan,
     planar::Planar,
     ros::MAP_FRAME,
@@ -37,6 +39,7 @@ const GREATEST_VARIANCE: f64 = 1e12;
 #[derive(Debug, Clone)]
 pub struct RosRobot {
     id: NodeId,
+    model: RobotModel,
     speed_limit: f64,
     start: Planar,
     watch: Watch,
@@ -82,13 +85,15 @@ impl RosRobot {
     pub const COMMAND_TIMEOUT: Duration = COMMAND_TIMEOUT;
 
     /// A robot that was not heard yet. It starts at that place and heading on the map, and goes no faster than its
-    /// walk's speed limit, where there is one.
-    pub fn new(id: NodeId, start: Position, heading: f64, walk: Option<&Walk>) -> Self {
+    /// model and its walk's speed limit allow.
+    pub fn new(id: NodeId, model: RobotModel, start: Position, heading: f64, walk: Option<&Walk>) -> Self {
         let watch = Watch::default();
+        let fastest = model.max_speed();
         Self {
             id,
-            speed_limit: walk.map_or(MAX_SPEED, |walk| walk.speed_limit.clamp(0.0, MAX_SPEED)),
-            start: Planar { x: start.x, y: start.y, heading },
+            model,
+            speed_limit: walk.map_or(fastest, |walk| walk.speed_limit.clamp(0.0, fastest)),
+            start: Planar { x: start.x, y: start.y, z: start.z, heading },
             health: watch.faults(Timestamp::ZERO),
             watch,
             odometry: None,
@@ -117,13 +122,8 @@ impl RosRobot {
 
     /// σ.
     pub fn sensors(&self) -> SensorData {
-        let at_start = Pose {
-            x: self.start.x,
-            y: self.start.y,
-            heading: self.start.heading,
-            covariance: [0.0; 9],
-            source: PoseSource::Odometry,
-        };
+        let Planar { x, y, z, heading } = self.start;
+        let at_start = Pose { z, ..Pose::planar(x, y, heading, [0.0; 9], PoseSource::Odometry) };
         let odometry =
             self.odometry.as_ref().map_or(at_start, |odometer| odometer.origin.place(&odometer.pose));
         let pose = match (&self.correction, &self.odometry) {
@@ -148,7 +148,7 @@ impl RosRobot {
         self.watch.count(now, Topic::Odometry, 1);
         let twist = &message.twist.twist;
         let velocity = Velocity::from(twist);
-        let all = [velocity.linear, velocity.angular, twist.linear.y];
+        let all = [velocity.linear, velocity.vertical, velocity.angular, twist.linear.y];
         if let Some(pose) = self.pose(now, &message.pose, PoseSource::Odometry)
             && self.is_finite(now, &all)
             && self.makes_sense(now, all.iter().all(|speed| speed.abs() <= FASTEST))
@@ -268,14 +268,14 @@ impl RosRobot {
     /// # Errors
     /// [`CommandRefused`]; the one before goes on, unless the robot is not well: then it stands still.
     pub fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
-        if !(velocity.linear.is_finite() && velocity.angular.is_finite()) {
+        if !velocity.is_finite() {
             return Err(CommandRefused::NotFinite(velocity));
         }
         self.advance(now);
         if let Some(fault) = self.health.first() {
             return Err(CommandRefused::Unwell(*fault));
         }
-        let velocity = limited(velocity, self.speed_limit);
+        let velocity = limited(self.model, velocity, self.speed_limit);
         self.motion = Motion::Driving { velocity, until: now + Self::COMMAND_TIMEOUT, next: now };
         Ok(velocity)
     }
@@ -340,19 +340,18 @@ impl RosRobot {
         sense
     }
 
-    /// The part of a pose that lies in the plane, if it is one; else that is noted.
+    /// A pose, if it is one; else that is noted.
     fn pose(&mut self, now: Timestamp, message: &PoseWithCovariance, source: PoseSource) -> Option<Pose> {
         let position = &message.pose.position;
-        let Planar { x, y, heading } =
-            self.planar(now, [position.x, position.y, position.z], &message.pose.orientation)?;
+        self.planar(now, [position.x, position.y, position.z], &message.pose.orientation)?;
         let covariance = message.covariance.planar();
         let finite = self.is_finite(now, &covariance);
         let covariance = covariance.map(|c| c.clamp(-GREATEST_VARIANCE, GREATEST_VARIANCE));
-        finite.then_some(Pose { x, y, heading, covariance, source })
+        finite.then_some(Pose { covariance, ..message.pose.from_source(source) })
     }
 
     fn planar(&mut self, now: Timestamp, place: [f64; 3], rotation: &Quaternion) -> Option<Planar> {
-        let [x, y, _] = place;
+        let [x, y, z] = place;
         let turned = [rotation.x, rotation.y, rotation.z, rotation.w];
         // Of a rotation, the squares add up to one; senders round.
         let is_rotation = (turned.iter().map(|q| q * q).sum::<f64>() - 1.0).abs() < 0.1;
@@ -360,7 +359,7 @@ impl RosRobot {
         let is_pose = self.is_finite(now, &place)
             && self.is_finite(now, &turned)
             && self.makes_sense(now, is_rotation && is_near);
-        is_pose.then(|| Planar { x, y, heading: rotation.heading() })
+        is_pose.then(|| Planar { x, y, z, heading: rotation.heading() })
     }
 }
 

@@ -1,18 +1,18 @@
-//! A simulated TurtleBot 2: a Kobuki base with an RPLIDAR A2, moving through a [`World`].
+//! A simulated robot that moves through a [`World`]: a TurtleBot 2, which is a Kobuki base with an RPLIDAR A2, or a
+//! quadrotor with the same lidar.
 //!
 //! It is a function of time, seed and commands alone. Physics goes in fixed steps of [`SimulatedRobot::STEP`], so
 //! that it does not matter how often or how late it is asked to advance.
 
 use std::{sync::Arc, time::Duration};
 
-use cotorra_graph::{
-    Node, NodeId, NodeKind, Pose, PoseSource, RobotModel, SensorData, Timestamp, Velocity, Walk,
-};
+use cotorra_graph::{Node, NodeId, NodeKind, Pose, RobotModel, SensorData, Timestamp, Velocity, Walk};
 
 use crate::{
-    driver::{CommandRefused, RobotDriver},
-    kobuki::{self, Base, COMMAND_TIMEOUT, MAX_SPEED, Odometer},
+    driver::{CommandRefused, RobotDriver, limited},
+    kobuki::{Base, COMMAND_TIMEOUT, Odometer},
     lidar::{Lidar, RAYS, Scan},
+    quadrotor::{Airframe, FlightOdometer},
     world::World,
 };
 
@@ -27,16 +27,52 @@ pub enum SimulationError {
     NoStart(NodeId),
 }
 
-/// A simulated TurtleBot 2.
+/// What moves, and where its own sensors say that it is.
+#[derive(Debug, Clone)]
+enum Body {
+    Turtlebot2(Base, Odometer),
+    Quadrotor(Airframe, FlightOdometer),
+}
+
+impl Body {
+    fn command(&mut self, now: Timestamp, wanted: Velocity) {
+        match self {
+            Self::Turtlebot2(base, _) => base.command(now, wanted),
+            Self::Quadrotor(airframe, _) => airframe.command(now, wanted),
+        }
+    }
+
+    fn advance(&mut self, at: Timestamp, step: Duration, world: &World) {
+        match self {
+            Self::Turtlebot2(base, odometer) => {
+                let motion = base.advance(at, step, world);
+                odometer.advance(motion, step);
+            }
+            Self::Quadrotor(airframe, odometer) => {
+                let flown = airframe.advance(at, step, world);
+                odometer.advance(airframe, flown, step);
+            }
+        }
+    }
+
+    fn pose(&self) -> Pose {
+        match self {
+            Self::Turtlebot2(base, _) => base.pose(),
+            Self::Quadrotor(airframe, _) => airframe.pose(),
+        }
+    }
+}
+
+/// A simulated robot.
 #[derive(Debug, Clone)]
 pub struct SimulatedRobot {
     id: NodeId,
+    model: RobotModel,
     world: Arc<World>,
     speed_limit: f64,
     /// Up to when physics was computed.
     at: Timestamp,
-    base: Base,
-    odometer: Odometer,
+    body: Body,
     lidar: Lidar,
 }
 
@@ -61,33 +97,40 @@ impl SimulatedRobot {
         let NodeKind::Robot(robot) = &node.kind else {
             return Err(SimulationError::NotARobot(node.id.clone()));
         };
-        // One model so far; another one makes this match grow.
-        match robot.model {
-            RobotModel::Turtlebot2 => {}
-        }
         let start = walk.and_then(|walk| walk.waypoints.first().copied()).or(node.position);
         let start = start.ok_or_else(|| SimulationError::NoStart(node.id.clone()))?;
-        let base = Base::new(start, robot.heading);
+        let body = match robot.model {
+            RobotModel::Turtlebot2 => {
+                let base = Base::new(start, robot.heading);
+                let odometer = Odometer::new(seed, &node.id, &base);
+                Body::Turtlebot2(base, odometer)
+            }
+            RobotModel::Quadrotor => {
+                let airframe = Airframe::new(start, robot.heading);
+                let odometer = FlightOdometer::new(seed, &node.id, &airframe);
+                Body::Quadrotor(airframe, odometer)
+            }
+        };
+        let fastest = robot.model.max_speed();
         Ok(Self {
-            speed_limit: walk.map_or(MAX_SPEED, |walk| walk.speed_limit.clamp(0.0, MAX_SPEED)),
+            speed_limit: walk.map_or(fastest, |walk| walk.speed_limit.clamp(0.0, fastest)),
             at: Timestamp::ZERO,
-            odometer: Odometer::new(seed, &node.id, &base),
             lidar: Lidar::new(seed, &node.id),
-            base,
+            body,
             world,
             id: node.id.clone(),
+            model: robot.model,
         })
+    }
+
+    /// What it simulates.
+    pub fn model(&self) -> RobotModel {
+        self.model
     }
 
     /// Where it is: exactly known to the simulator, so with no covariance.
     pub fn pose(&self) -> Pose {
-        Pose {
-            x: self.base.position.x,
-            y: self.base.position.y,
-            heading: self.base.heading,
-            covariance: [0.0; 9],
-            source: PoseSource::Simulator,
-        }
+        self.body.pose()
     }
 }
 
@@ -102,37 +145,36 @@ impl RobotDriver for SimulatedRobot {
 
     fn advance(&mut self, now: Timestamp) {
         while self.at + Self::STEP <= now {
-            let motion = self.base.advance(self.at, Self::STEP, &self.world);
-            self.odometer.advance(motion, Self::STEP);
+            self.body.advance(self.at, Self::STEP, &self.world);
             self.at = self.at + Self::STEP;
             let rays = RAYS / Self::STEPS_A_TURN;
-            self.lidar.sweep(self.at, rays, &self.world, self.base.position, self.base.heading);
+            let pose = self.pose();
+            self.lidar.sweep(self.at, rays, &self.world, pose.position(), pose.heading);
         }
     }
 
     fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
-        if !(velocity.linear.is_finite() && velocity.angular.is_finite()) {
+        if !velocity.is_finite() {
             return Err(CommandRefused::NotFinite(velocity));
         }
         self.advance(now);
-        let limited = kobuki::limited(velocity, self.speed_limit);
-        self.base.command(now, limited);
+        let limited = limited(self.model, velocity, self.speed_limit);
+        self.body.command(now, limited);
         Ok(limited)
     }
 
     fn stop(&mut self, now: Timestamp) {
         self.advance(now);
-        self.base.command(now, Velocity::default());
+        self.body.command(now, Velocity::default());
     }
 
     fn sensors(&self) -> SensorData {
-        SensorData {
-            pose: self.pose(),
-            odometry: self.odometer.pose(),
-            velocity: self.odometer.velocity(),
-            bumper: self.base.bumper,
-            nearest_obstacle_m: self.lidar.scan().and_then(Scan::nearest),
-        }
+        let (odometry, velocity, bumper) = match &self.body {
+            Body::Turtlebot2(base, odometer) => (odometer.pose(), odometer.velocity(), base.bumper),
+            Body::Quadrotor(airframe, odometer) => (odometer.pose(), odometer.velocity(), airframe.bumper),
+        };
+        let nearest_obstacle_m = self.lidar.scan().and_then(Scan::nearest);
+        SensorData { pose: self.pose(), odometry, velocity, bumper, nearest_obstacle_m }
     }
 
     fn scan(&self) -> Option<&Scan> {

@@ -87,7 +87,13 @@ fn driver(port: u16, clock: &Clock) -> RosDriver<Ros1Link> {
         host: Some("127.0.0.1".to_owned()),
         ..NodeConfig::new("cotorra")
     };
-    let robot = RosRobot::new(NodeId::new("tb").unwrap(), Position::new(1.0, 1.0), 0.0, None);
+    let robot = RosRobot::new(
+        NodeId::new("tb").unwrap(),
+        cotorra_graph::RobotModel::Turtlebot2,
+        Position::new(1.0, 1.0),
+        0.0,
+        None,
+    );
     let connect = move || Ros1Link::connect(config.clone(), &RosTopics::default());
     RosDriver::start(robot, Arc::clone(clock), connect).unwrap()
 }
@@ -99,7 +105,7 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
     let mut robot = driver(ros.port(), &clock);
     robot.advance(clock());
     assert_eq!(robot.health(), [RobotFault::Absent]);
-    let forward = Velocity { linear: 0.2, angular: 0.0 };
+    let forward = Velocity::planar(0.2, 0.0);
     assert_eq!(robot.command(clock(), forward), Err(CommandRefused::Unwell(RobotFault::Absent)));
 
     let observer: Node = ros.node("observer", "/");

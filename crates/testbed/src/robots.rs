@@ -168,7 +168,8 @@ impl Robots {
     /// A robot that begins where a simulated one would.
     fn out_there(&self, node: &Node, simulated: &SimulatedRobot) -> RosRobot {
         let pose = simulated.pose();
-        RosRobot::new(node.id.clone(), pose.position(), pose.heading, self.testbed.walk(&node.id))
+        let walk = self.testbed.walk(&node.id);
+        RosRobot::new(node.id.clone(), simulated.model(), pose.position(), pose.heading, walk)
     }
 
     /// Starts something in the network in which the robot speaks ROS.

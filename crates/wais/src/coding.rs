@@ -61,7 +61,16 @@ pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
         // At a pole every longitude is as good.
         long: fixed_point(if longitude.is_finite() { longitude.clamp(-180.0, 180.0) } else { 0.0 }),
         datum: 1,
+        altitude_type: origin.altitude.map(|_| 1),
+        altitude_uncertainty: origin.altitude.map(|_| 0),
+        altitude: origin.altitude.map(|altitude| height(altitude + place.z)),
     }
+}
+
+/// RFC 6225, 2.4.1: two's complement in 30 bits, 8 of them fraction.
+fn height(metres: f64) -> u32 {
+    let most = f64::from((1 << 29) - 1);
+    ((metres * 256.0).round().clamp(-most, most) as i32).cast_unsigned() & ((1 << 30) - 1)
 }
 
 /// RFC 6225, 2.3: two's complement in 34 bits, 25 of them fraction.
@@ -98,7 +107,7 @@ mod tests {
 
     #[test]
     fn places_on_the_map_are_places_on_earth() {
-        let origin = GeoOrigin { latitude: -33.5, longitude: 151.25, bearing: 0.0 };
+        let origin = GeoOrigin { latitude: -33.5, longitude: 151.25, bearing: 0.0, altitude: None };
         let there = geolocation(&origin, Position::new(0.0, 0.0));
         assert_eq!((degrees(there.lat), degrees(there.long), there.datum), (-33.5, 151.25, 1));
         let north = geolocation(&origin, Position::new(0.0, METRES_A_DEGREE / 100.0));
@@ -107,6 +116,10 @@ mod tests {
         let turned = GeoOrigin { bearing: std::f64::consts::FRAC_PI_2, ..origin };
         let east = geolocation(&turned, Position::new(0.0, 1000.0));
         assert!((degrees(east.lat) + 33.5).abs() < 1e-6 && degrees(east.long) > 151.26);
+        assert_eq!((there.altitude_type, there.altitude), (None, None));
+        let below = GeoOrigin { altitude: Some(-5.0), ..origin };
+        let flying = geolocation(&below, Position::new(0.0, 0.0).at_height(2.5));
+        assert_eq!((flying.altitude_type, flying.altitude), (Some(1), Some((1 << 30) - 640)));
         let pole = GeoOrigin { latitude: 90.0, ..origin };
         assert!(degrees(geolocation(&pole, Position::new(5.0, 5.0)).lat) <= 90.0);
     }

@@ -54,7 +54,7 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
         });
         (id(unit), RadioContext { radio_unit: id(unit), channel, load, stations: stations.collect() })
     });
-    let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
     let robots = places.iter().map(|(robot, place, _)| {
         let attachments = units.iter().enumerate().map(|(i, (unit, ..))| Attachment {
             radio_unit: id(unit),

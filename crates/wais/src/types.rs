@@ -226,6 +226,15 @@ pub struct GeoLocation {
     pub long: u64,
     /// 1: WGS 84.
     pub datum: u8,
+    /// 1: metres; left out where the altitude of the map's floor is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub altitude_type: Option<u8>,
+    /// 0: unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub altitude_uncertainty: Option<u8>,
+    /// Metres above the ellipsoid: fixed point with 8 bits of fraction, two's complement in 30 bits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub altitude: Option<u32>,
 }
 
 /// A station and what is known of it (6.2.3).

@@ -60,7 +60,7 @@ impl Plugin for Brain {
             let grid = testbed.map.as_ref()?;
             let known = maps.iter().find(|(known, _)| *known == model).map(|(_, map)| map.clone());
             Some(known.unwrap_or_else(|| {
-                let map = Arc::new(Costmap::new(grid, radius(model)));
+                let map = Arc::new(Costmap::new(grid, model.radius()));
                 maps.push((model, map.clone()));
                 map
             }))
@@ -87,12 +87,5 @@ impl Plugin for Brain {
             None => actions.instruct(instruction),
             Some(reason) => actions.instruct_because(instruction, reason.to_string()),
         }
-    }
-}
-
-/// Radius of a robot's outline, metres: half the diameter of a Kobuki base, 351.5 mm, rounded up.
-fn radius(model: RobotModel) -> f64 {
-    match model {
-        RobotModel::Turtlebot2 => 0.177,
     }
 }

@@ -21,6 +21,9 @@ const ARRIVED: f64 = 0.15;
 /// Further than this from its path, a robot gets a new one from where it is; metres.
 const OFF_PATH: f64 = 0.5;
 
+/// Detours begin at heights that are so far apart, metres.
+const HEIGHT_STEP: f64 = 0.25;
+
 /// How to move now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
@@ -64,7 +67,7 @@ impl Navigation {
 
     /// How to move from `pose` when `waypoint` is the next one.
     pub fn step(&mut self, pose: &Pose, waypoint: u32) -> Step {
-        if ![pose.x, pose.y, pose.heading].into_iter().all(f64::is_finite) {
+        if !pose.is_finite() {
             return Step { velocity: Velocity::default(), waypoint, blocked: Some(Unreachable::NoPose) };
         }
         let next = self.next_waypoint(pose.position(), waypoint as usize);
@@ -98,6 +101,7 @@ impl Navigation {
         }
         // The same place gives the same detour, whoever plans it and whatever was planned before.
         let from = map.and_then(|map| map.cell_at(here).map(|cell| map.centre(cell))).unwrap_or(here);
+        let from = from.at_height((here.z / HEIGHT_STEP).round() * HEIGHT_STEP);
         let known = self.detour.take().filter(|detour| detour.waypoint == next && detour.from == from);
         let detour = self.detour.insert(known.unwrap_or_else(|| Detour {
             waypoint: next,
@@ -116,7 +120,7 @@ fn way(
     to: Position,
 ) -> Result<Path, Unreachable> {
     match map {
-        Some(map) => planner.plan(map, from, to),
+        Some(map) => Ok(planner.plan(map, from.on_floor(), to.on_floor())?.rising(from.z, to.z)),
         None => Ok(Path::straight(from, to)),
     }
 }

@@ -1,4 +1,4 @@
-//! A way over the floor as points in order, with what following it needs: where one is on it, and what lies ahead.
+//! A way as points in order, with what following it needs: where one is on it, and what lies ahead.
 
 use cotorra_graph::Position;
 
@@ -25,7 +25,7 @@ impl Path {
         let mut points = vec![corners[0]];
         for pair in corners.windows(2) {
             let steps = (pair[0].distance(pair[1]) / spacing).ceil().max(1.0);
-            points.extend((1..=steps as usize).map(|i| between(pair[0], pair[1], i as f64 / steps)));
+            points.extend((1..=steps as usize).map(|i| pair[0].towards(pair[1], i as f64 / steps)));
         }
         Self { points }
     }
@@ -41,6 +41,19 @@ impl Path {
         &self.points
     }
 
+    /// The way above it that begins at one height and ends at another, and rises evenly in between.
+    pub fn rising(mut self, from: f64, to: f64) -> Self {
+        let length = |pair: &[Position]| pair[0].distance(pair[1]);
+        let whole: f64 = self.points.windows(2).map(length).sum();
+        let mut gone = 0.0;
+        for i in 0..self.points.len() {
+            let share = if i + 1 == self.points.len() { 1.0 } else { gone / whole };
+            gone += self.points.get(i..i + 2).map_or(0.0, length);
+            self.points[i].z = from * (1.0 - share) + to * share;
+        }
+        self
+    }
+
     /// Its points, to be moved.
     pub(crate) fn points_mut(&mut self) -> &mut [Position] {
         &mut self.points
@@ -53,11 +66,11 @@ impl Path {
             Projection { place: end, distance: place.distance(end), stretch: self.points.len() - 1 };
         for (stretch, pair) in self.points.windows(2).enumerate().rev() {
             let (a, b) = (pair[0], pair[1]);
-            let (dx, dy) = (b.x - a.x, b.y - a.y);
-            let square = dx * dx + dy * dy;
-            let along = ((place.x - a.x) * dx + (place.y - a.y) * dy) / square;
+            let (dx, dy, dz) = (b.x - a.x, b.y - a.y, b.z - a.z);
+            let square = dx * dx + dy * dy + dz * dz;
+            let along = ((place.x - a.x) * dx + (place.y - a.y) * dy + (place.z - a.z) * dz) / square;
             let t = if square > 0.0 { along.clamp(0.0, 1.0) } else { 0.0 };
-            let on = between(a, b, t);
+            let on = a.towards(b, t);
             let distance = place.distance(on);
             if distance < nearest.distance {
                 nearest = Projection { place: on, distance, stretch };
@@ -73,7 +86,7 @@ impl Path {
         for &point in self.points.iter().skip(from.stretch + 1) {
             let length = here.distance(point);
             if length >= left && length > 0.0 {
-                return between(here, point, left / length);
+                return here.towards(point, left / length);
             }
             left -= length;
             here = point;
@@ -87,11 +100,6 @@ impl Path {
         let rest = self.points.iter().skip(from.stretch + 1);
         rest.map(|&point| std::mem::replace(&mut here, point).distance(point)).sum()
     }
-}
-
-/// From `a` at 0 to `b` at 1, exactly so at both.
-fn between(a: Position, b: Position, t: f64) -> Position {
-    Position::new(a.x * (1.0 - t) + b.x * t, a.y * (1.0 - t) + b.y * t)
 }
 
 #[cfg(test)]
@@ -121,6 +129,25 @@ mod tests {
         assert!(near(path.ahead(&on, 0.5), Position::new(2.0, 0.25)));
         assert!(near(path.ahead(&on, 50.0), Position::new(2.0, 2.0)));
         assert!(near(path.ahead(&on, 0.0), on.place));
+    }
+
+    #[test]
+    fn a_rising_path_rises_evenly_with_its_length() {
+        let path = corner().rising(1.0, 3.0);
+        let points = path.points();
+        assert_eq!((points[0].z, points[points.len() - 1].z), (1.0, 3.0));
+        let half_way = path.project(Position::new(2.0, 0.0).at_height(2.0));
+        assert!(near(half_way.place, Position::new(2.0, 0.0).at_height(2.0)), "{half_way:?}");
+        assert!((path.ahead(&half_way, 0.5).z - 2.22).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_path_straight_up_is_followed_by_height() {
+        let (low, high) = (Position::new(1.0, 1.0), Position::new(1.0, 1.0).at_height(4.0));
+        let path = Path::straight(low, high);
+        let on = path.project(Position::new(1.3, 1.0).at_height(1.0));
+        assert!((on.place.z - 1.0).abs() < 1e-9 && (on.distance - 0.3).abs() < 1e-9);
+        assert!((path.remaining(&on) - 3.0).abs() < 1e-9);
     }
 
     #[test]

@@ -31,6 +31,11 @@ const APPROACH_FLOOR: f64 = 0.05;
 const TURN_THRESHOLD: f64 = FRAC_PI_4;
 /// Rate of a turn on the spot per radian that is left, 1/s: an answer may be 0.5 s old without overshoot.
 const TURN_GAIN: f64 = 1.0;
+/// Highest rate of a climb per metre to the height of the place to steer for, 1/s: an answer may be 0.2 s old without
+/// overshoot.
+const CLIMB_GAIN: f64 = 2.0;
+/// A rise of more metres for each metre ahead is flown straight up or down.
+const STEEP: f64 = 2.0;
 /// Fastest turn, rad/s; the Kobuki base is good for 1.9.
 pub const TURN_LIMIT: f64 = 1.0;
 
@@ -43,13 +48,18 @@ pub fn follow(
     speed_limit: f64,
 ) -> Velocity {
     let carrot = carrot(map, path, on, pose.position(), speed_limit);
-    let distance = pose.position().distance(carrot);
-    if distance == 0.0 {
-        return Velocity::default();
+    let (distance, rise) = ((carrot.x - pose.x).hypot(carrot.y - pose.y), carrot.z - pose.z);
+    // On a steady slope, as fast as the slope needs; straight up, at the limit.
+    let gain = (speed_limit / lookahead(speed_limit)).min(CLIMB_GAIN);
+    let vertical = (rise * gain).clamp(-speed_limit, speed_limit);
+    // What rises steeply does not turn towards what is above it.
+    if distance == 0.0 || rise.abs() > STEEP * distance {
+        return Velocity { vertical, ..Velocity::default() };
     }
     let bearing = wrapped((carrot.y - pose.y).atan2(carrot.x - pose.x) - pose.heading);
     if bearing.abs() > TURN_THRESHOLD {
-        return Velocity { linear: 0.0, angular: (TURN_GAIN * bearing).clamp(-TURN_LIMIT, TURN_LIMIT) };
+        let angular = (TURN_GAIN * bearing).clamp(-TURN_LIMIT, TURN_LIMIT);
+        return Velocity { vertical, ..Velocity::planar(0.0, angular) };
     }
     // The arc through the carrot that begins along the robot's heading.
     let curvature = 2.0 * bearing.sin() / distance;
@@ -61,12 +71,17 @@ pub fn follow(
     let speed = regulated.min(approach.max(APPROACH_FLOOR)).min(speed_limit);
     // Rather slower than off the arc.
     let linear = if curvature == 0.0 { speed } else { speed.min(TURN_LIMIT / curvature.abs()) };
-    Velocity { linear, angular: linear * curvature }
+    Velocity { linear, vertical, angular: linear * curvature }
+}
+
+/// How far ahead a robot of that speed limit, m/s, looks on its path, metres.
+fn lookahead(speed_limit: f64) -> f64 {
+    (speed_limit * LOOKAHEAD_TIME).clamp(LOOKAHEAD.0, LOOKAHEAD.1)
 }
 
 /// The place on the path to steer for: the lookahead distance ahead, or less where a wall hides it.
 fn carrot(map: Option<&Costmap>, path: &Path, on: &Projection, here: Position, speed_limit: f64) -> Position {
-    let furthest = (speed_limit * LOOKAHEAD_TIME).clamp(LOOKAHEAD.0, LOOKAHEAD.1);
+    let furthest = lookahead(speed_limit);
     let hidden = |place: &Position| map.is_some_and(|map| !map.sees(here, *place));
     let shares = [1.0, 0.75, 0.5, 0.25];
     let ahead = shares.map(|share| path.ahead(on, share * furthest));
@@ -88,7 +103,7 @@ mod tests {
     use crate::testing::grid;
 
     fn pose(x: f64, y: f64, heading: f64) -> Pose {
-        Pose { x, y, heading, covariance: [0.0; 9], source: PoseSource::Simulator }
+        Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator)
     }
 
     fn on_straight(x: f64, y: f64, heading: f64) -> Velocity {
@@ -99,7 +114,7 @@ mod tests {
 
     #[test]
     fn on_its_path_it_drives_on_at_the_limit() {
-        assert_eq!(on_straight(2.0, 0.0, 0.0), Velocity { linear: 0.3, angular: 0.0 });
+        assert_eq!(on_straight(2.0, 0.0, 0.0), Velocity::planar(0.3, 0.0));
     }
 
     #[test]
@@ -143,6 +158,19 @@ mod tests {
         let pose = pose(2.0, 1.2, 0.0);
         let velocity = follow(Some(&narrow), &path, &path.project(pose.position()), &pose, 0.3);
         assert!((velocity.linear - 0.3 * 0.4 / REGULATED_CLEARANCE).abs() < 1e-6, "{velocity:?}");
+    }
+
+    #[test]
+    fn a_slope_is_climbed_as_fast_as_it_rises_and_a_shaft_at_the_limit() {
+        let (low, high) = (Position::new(0.0, 0.0), Position::new(10.0, 0.0).at_height(2.0));
+        let path = Path::straight(low, high);
+        let pose = Pose { z: 1.0, ..pose(5.0, 0.0, 0.0) };
+        let velocity = follow(None, &path, &path.project(pose.position()), &pose, 0.3);
+        assert!((velocity.vertical / velocity.linear - 0.2).abs() < 0.01, "{velocity:?}");
+        let shaft = Path::straight(high.on_floor(), high);
+        let below = Pose { x: 10.0, z: 0.5, ..pose };
+        let velocity = follow(None, &shaft, &shaft.project(below.position()), &below, 0.3);
+        assert_eq!(velocity, Velocity { vertical: 0.3, ..Velocity::default() });
     }
 
     proptest! {

@@ -90,7 +90,7 @@ impl NavigationVnf {
 
 /// κ(r) as far as a position packet tells it.
 fn context(packet: &PositionPacket) -> RobotContext {
-    let pose = packet.pose.planar(PoseSource::Localization);
+    let pose = packet.pose.from_source(PoseSource::Localization);
     RobotContext {
         robot: packet.robot.clone(),
         attachments: Vec::new(),
@@ -138,7 +138,7 @@ mod tests {
 
     fn position(name: &str, sequence: u32, x: f64) -> Vec<u8> {
         let stamp = Timestamp::from_nanos(5_000 + u64::from(sequence));
-        let pose = Pose { x, y: 2.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let pose = Pose::planar(x, 2.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let mut bytes = Vec::new();
         PositionPacket {
             sequence,
@@ -162,7 +162,7 @@ mod tests {
             assert_eq!((packet.sequence, packet.waypoint), (sequence, 1));
             assert_eq!(packet.emitted, Timestamp::from_nanos(5_000 + u64::from(sequence)));
             assert_eq!(packet.nonce, 5);
-            assert_eq!(Velocity::from(&packet.velocity), Velocity { linear: 0.3, angular: 0.0 });
+            assert_eq!(Velocity::from(&packet.velocity), Velocity::planar(0.3, 0.0));
             assert_eq!(vnf.standstill(), None);
         }
     }

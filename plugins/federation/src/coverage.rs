@@ -93,7 +93,9 @@ impl Coverage {
             let steps = (leg / STEP_M).ceil().max(1.0);
             for step in 1..=steps as u32 {
                 let share = f64::from(step) / steps;
-                let place = Position::new(at.x + share * (next.x - at.x), at.y + share * (next.y - at.y));
+                let between = |from: f64, to: f64| from + share * (to - from);
+                let place =
+                    Position { x: between(at.x, next.x), y: between(at.y, next.y), z: between(at.z, next.z) };
                 let distance = walked + share * leg;
                 if distance > horizon_m + uncertain {
                     return None;
@@ -153,7 +155,7 @@ walks:
     fn pose(x: f64, deviation: f64) -> Pose {
         let mut covariance = [0.0; 9];
         (covariance[0], covariance[4]) = (deviation * deviation, deviation * deviation / 4.0);
-        Pose { x, y: 0.0, heading: 0.0, covariance, source: PoseSource::Localization }
+        Pose::planar(x, 0.0, 0.0, covariance, PoseSource::Localization)
     }
 
     #[test]

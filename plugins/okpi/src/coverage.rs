@@ -57,7 +57,7 @@ impl Coverage {
     }
 }
 
-/// How far a place is inside a polygon, metres; negative outside.
+/// How far a place is inside a polygon on the floor, whatever its height, metres; negative outside.
 fn depth(polygon: &[Position], place: Position) -> f64 {
     let edges = || polygon.iter().zip(polygon.iter().cycle().skip(1));
     let distance = edges().map(|(&a, &b)| distance_to(a, b, place)).fold(f64::INFINITY, f64::min);
@@ -69,7 +69,7 @@ fn distance_to(a: Position, b: Position, place: Position) -> f64 {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let along = ((place.x - a.x) * dx + (place.y - a.y) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
     let along = along.clamp(0.0, 1.0);
-    place.distance(Position::new(a.x + along * dx, a.y + along * dy))
+    place.on_floor().distance(Position::new(a.x + along * dx, a.y + along * dy))
 }
 
 #[cfg(test)]

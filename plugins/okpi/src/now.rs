@@ -464,7 +464,7 @@ walks:
     #[test]
     fn an_attachment_is_asked_for_once_until_its_end_is_told() {
         let (robot, unit, other) = (node_id("r"), node_id("R"), node_id("P"));
-        let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let sensors = SensorData {
             pose,
             odometry: pose,

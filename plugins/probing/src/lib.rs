@@ -178,7 +178,7 @@ links:
 
     /// κ with these radio units: name, whether attached, signal.
     fn context(robot: &str, attachments: &[(&str, bool, Option<f64>)]) -> Event {
-        let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+        let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
         Event::Robot(RobotContext {
             robot: id(robot),
             attachments: attachments

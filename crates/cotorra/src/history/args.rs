@@ -209,8 +209,8 @@ pub struct StateArgs {
 /// Each point says what the samples of its stretch of time were; the picture shows their range. `!` marks where events
 /// were lost.
 ///
-/// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y (m), heading (rad), speed
-/// (m/s), turn (rad/s) and obstacle (m) of a robot; load of a radio unit; service_time and handover_gap (ms),
+/// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y, z (m), heading (rad), speed
+/// and climb (m/s), turn (rad/s) and obstacle (m) of a robot; load of a radio unit; service_time and handover_gap (ms),
 /// lateness_p50, lateness_p99 and lateness_max (µs) of `service`, and signal of ROBOT:RADIO_UNIT (dBm).
 #[derive(Debug, Args)]
 pub struct SeriesArgs {

@@ -42,7 +42,8 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         Event::Robot(context) => {
             let pose = &context.sensors.pose;
             let attached = or_none(&context.attached_to().cloned());
-            format!("{} at ({:.2}, {:.2}), attached to {attached}", context.robot, pose.x, pose.y)
+            let height = if pose.z == 0.0 { String::new() } else { format!(", {:.2}", pose.z) };
+            format!("{} at ({:.2}, {:.2}{height}), attached to {attached}", context.robot, pose.x, pose.y)
         }
         Event::Radio(context) => format!(
             "{} on channel {}: {:.1} % busy",

@@ -252,3 +252,22 @@ fn tools_talk_to_the_run_and_to_nobody_who_listens_on_a_port() {
     let nobody = squatter.accept().map_err(|error| error.kind());
     assert!(matches!(nobody, Err(ErrorKind::WouldBlock)), "{nobody:?}");
 }
+
+#[test]
+fn a_quadrotor_takes_off_with_real_packets() {
+    let mut run = Run::start(&project_file("testbeds/hall.yaml"), &["--seed", "7"]);
+    run.wait_for_service();
+    let height = || run.get("/api/v1/robots/uav")["sensors"]["pose"]["z"].as_f64();
+    wait_until(|| height().is_some_and(|height| height > 1.0));
+    run.signal("INT");
+    let (summary, _) = run.report();
+    assert!(summary["samples"].as_u64().unwrap() > 5, "{summary:#}");
+    let series =
+        cotorra(["history", "series"]).arg(&run.folder).args(["uav", "--figure", "z"]).output().unwrap();
+    assert!(
+        series.status.success() && stdout(&series).contains(" m"),
+        "{}{}",
+        stdout(&series),
+        stderr(&series)
+    );
+}

@@ -119,6 +119,8 @@ fn is_host(record: &NodeRecord) -> bool {
 
 /// Characters of the longest name of a variable.
 const LONGEST_VARIABLE: usize = 255;
+/// Metres from the ellipsoid beyond which the map's floor is surely elsewhere.
+const HIGHEST_M: f64 = 1e5;
 
 /// Applies `f` to all before any that failed ends it, so that each one's mistakes show.
 fn each<T, U, C: FromIterator<U>>(items: &[T], mut f: impl FnMut(&T) -> Option<U>) -> Option<C> {
@@ -807,7 +809,17 @@ impl Builder<'_> {
         let callbacks = record.callbacks.clone();
         let Some(origin) = &record.origin else { return Some(WaisSettings { callbacks, origin: None }) };
         let (latitude, longitude) = (degrees(&origin.latitude, 90.0), degrees(&origin.longitude, 180.0));
-        let origin = GeoOrigin { latitude: latitude?, longitude: longitude?, bearing: origin.bearing.0 };
+        let altitude = match &origin.altitude {
+            Some(altitude) if altitude.value.abs() > HIGHEST_M => {
+                self.sink
+                    .error(&altitude.span, format!("{} m above the ellipsoid", altitude.value))
+                    .help(format!("write metres from -{HIGHEST_M} to {HIGHEST_M}"));
+                return None;
+            }
+            altitude => altitude.as_ref().map(|altitude| altitude.value),
+        };
+        let bearing = origin.bearing.0;
+        let origin = GeoOrigin { latitude: latitude?, longitude: longitude?, bearing, altitude };
         Some(WaisSettings { callbacks, origin: Some(origin) })
     }
 

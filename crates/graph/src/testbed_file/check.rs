@@ -303,20 +303,33 @@ fn driven(what: &str, place: &Span, service: &Service, sink: &mut Sink) {
     }
 }
 
-/// Fastest that a Kobuki base drives, m/s.
-const FASTEST: f64 = 0.7;
-
 /// Walks stay where a robot can be.
 fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
-    for (_, walk) in &record.walks.0 {
+    for (robot, walk) in &record.walks.0 {
+        let robots = testbed.graph.robots();
+        let model = robots.filter(|(node, _)| node.id == robot.value).map(|(_, robot)| robot.model).next();
+        let model = model.unwrap_or_default();
         if walk.waypoints.value.len() < 2 {
             sink.error(&walk.waypoints.span, "a walk of fewer than 2 waypoints")
                 .help("write where it begins and where it leads, such as `[[0, 0], [5, 0]]`");
         }
         let speed = walk.speed_limit.value.0;
-        if speed == 0.0 || speed > FASTEST {
-            sink.error(&walk.speed_limit.span, format!("a walk at {speed} m/s"))
-                .help(format!("a TurtleBot 2 drives above 0 and up to {FASTEST} m/s"));
+        if speed == 0.0 || speed > model.max_speed() {
+            sink.error(&walk.speed_limit.span, format!("a walk at {speed} m/s")).help(format!(
+                "a {} moves above 0 and up to {} m/s",
+                model.name(),
+                model.max_speed()
+            ));
+        }
+        let start = walk.waypoints.value.first().map_or(0.0, |at| at.value.z);
+        for at in &walk.waypoints.value {
+            if at.value.z < 0.0 {
+                sink.error(&at.span, format!("the waypoint {} is below the floor", at.value))
+                    .help("write a height of 0 or more");
+            } else if at.value.z != start && !model.flies() {
+                sink.error(&at.span, format!("a {} cannot go to the height of {}", model.name(), at.value))
+                    .help("keep all heights of its walk equal, or write `model: quadrotor`");
+            }
         }
         if walk.position_interval.value.is_zero() {
             sink.error(&walk.position_interval.span, "position packets without a pause")

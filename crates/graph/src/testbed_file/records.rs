@@ -660,6 +660,8 @@ record! {
         longitude: Spanned<f64>,
         /// Where the map's y axis points, clockwise from north.
         bearing: Angle = "0 deg",
+        /// Of the map's floor, metres above the ellipsoid. Without it, no altitude is reported.
+        altitude: Option<Spanned<f64>>,
     }
 }
 
@@ -687,6 +689,7 @@ choice!(GapPolicy, "gap policy", {
 });
 choice!(RobotModel, "robot model", {
     "turtlebot2" => Self::Turtlebot2, "TurtleBot 2: Kobuki base with an RPLIDAR A2";
+    "quadrotor" => Self::Quadrotor, "A quadrotor with the same lidar: its walk may rise and descend";
 });
 choice!(Roaming, "way of roaming", {
     "instructed" => Self::Instructed, "plug-ins decide; alone it only joins the strongest";

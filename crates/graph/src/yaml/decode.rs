@@ -612,9 +612,9 @@ impl Decode for Position {
             "type": "array",
             "items": { "type": "number" },
             "minItems": 2,
-            "maxItems": 2,
-            "examples": [[2.5, -1]],
-            "description": "A place `[x, y]` on the map, in metres.",
+            "maxItems": 3,
+            "examples": [[2.5, -1], [2.5, -1, 1.8]],
+            "description": "A place `[x, y]` on the map, in metres, or `[x, y, z]` above its floor.",
         })
     }
     fn decode(node: &Node, sink: &mut Sink) -> Option<Self> {
@@ -623,14 +623,17 @@ impl Decode for Position {
             _ => None,
         };
         match numbers.as_deref() {
-            Some(&[x, y]) if x.abs() <= FARTHEST_M && y.abs() <= FARTHEST_M => Some(Self::new(x, y)),
-            Some(&[_, _]) => {
+            Some(place @ (&[x, y] | &[x, y, _])) => {
+                if place.iter().all(|metres| metres.abs() <= FARTHEST_M) {
+                    return Some(Self { x, y, z: place.get(2).copied().unwrap_or_default() });
+                }
                 sink.error(&node.span, "this place is more than 1000 km from the map's origin")
-                    .help("write x and y in metres");
+                    .help("write x, y and z in metres");
                 None
             }
             _ => {
-                expected(node, "a place", "write `[x, y]` in metres, such as `[2.5, -1]`", sink);
+                let help = "write `[x, y]` in metres, such as `[2.5, -1]`, or `[x, y, z]` above the floor";
+                expected(node, "a place", help, sink);
                 None
             }
         }

@@ -132,6 +132,18 @@ impl Columns<'_> {
         Ok(self.duration()?.map(|age| Tested { throughput_bps, offered_bps, age }))
     }
 
+    /// A figure that older histories do not have, and that is 0 in the plane.
+    fn later(&mut self) -> Result<f64> {
+        Ok(self.0.real()?.unwrap_or_default())
+    }
+
+    /// What a pose has beside that in the plane.
+    fn height(&mut self, pose: &mut Pose) -> Result<()> {
+        (pose.z, pose.roll, pose.pitch) = (self.later()?, self.later()?, self.later()?);
+        Ok(())
+    }
+
+    /// Of a pose, what is in the plane.
     fn pose(&mut self) -> Result<Pose> {
         let (x, y, heading) = (self.real()?, self.real()?, self.real()?);
         let mut covariance = [0.0; 9];
@@ -144,7 +156,7 @@ impl Columns<'_> {
             2 => PoseSource::Localization,
             code => return Err(unreadable(format_args!("{code} is not a source of a pose"))),
         };
-        Ok(Pose { x, y, heading, covariance, source })
+        Ok(Pose::planar(x, y, heading, covariance, source))
     }
 }
 
@@ -155,14 +167,17 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         Kind::Robot => {
             let robot: NodeId = row.name()?;
             let waypoint = row.small()?;
-            let sensors = SensorData {
+            let mut sensors = SensorData {
                 pose: row.pose()?,
                 odometry: row.pose()?,
-                velocity: Velocity { linear: row.real()?, angular: row.real()? },
+                velocity: Velocity::planar(row.real()?, row.real()?),
                 bumper: row.boolean()?,
                 nearest_obstacle_m: row.0.real()?,
             };
             let health = row.faults()?;
+            row.height(&mut sensors.pose)?;
+            row.height(&mut sensors.odometry)?;
+            sensors.velocity.vertical = row.later()?;
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
@@ -248,12 +263,14 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             },
             detail: row.0.text()?,
         }),
-        Kind::Decision => Event::Decision(Decision {
-            plugin: row.name::<PluginId>()?,
-            instruction: decode_instruction(&mut row)?,
-            reason: row.0.text()?,
-            refused: row.0.text()?,
-        }),
+        Kind::Decision => {
+            let (plugin, mut instruction) = (row.name::<PluginId>()?, decode_instruction(&mut row)?);
+            let (reason, refused, vertical) = (row.0.text()?, row.0.text()?, row.later()?);
+            if let Instruction::Move { velocity, .. } = &mut instruction {
+                velocity.vertical = vertical;
+            }
+            Event::Decision(Decision { plugin, instruction, reason, refused })
+        }
         Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
         Kind::Lateness => Event::Lateness(Lateness {
             frames: row.unsigned()?,
@@ -269,7 +286,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     let instruction = row.text()?;
     let subject: Arc<str> = required(row.0.name()?)?;
     let object: Option<Arc<str>> = row.0.name()?;
-    let velocity = Velocity { linear: row.real()?, angular: row.real()? };
+    let velocity = Velocity::planar(row.real()?, row.real()?);
     let waypoint = row.0.integer()?.and_then(|n| u32::try_from(n).ok());
     let direction = row.optional_direction()?;
     let change = row.0.text()?;

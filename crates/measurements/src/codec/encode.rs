@@ -56,6 +56,12 @@ impl<'a> Fields<'a> {
         }
     }
 
+    /// What a pose has beside that in the plane.
+    fn height(&mut self, pose: &Pose) -> &mut Self {
+        self.real(pose.z).real(pose.roll).real(pose.pitch)
+    }
+
+    /// Of a pose, what is in the plane.
     fn pose(&mut self, pose: &Pose) -> &mut Self {
         self.real(pose.x).real(pose.y).real(pose.heading);
         for c in pose.covariance {
@@ -82,7 +88,10 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .real(sensors.velocity.angular)
                 .integer(sensors.bumper.into())
                 .optional(sensors.nearest_obstacle_m, Fields::real)
-                .optional(faults(&context.health), Fields::text);
+                .optional(faults(&context.health), Fields::text)
+                .height(&sensors.pose)
+                .height(&sensors.odometry)
+                .real(sensors.velocity.vertical);
             for attachment in &context.attachments {
                 children
                     .name(attachment.radio_unit.as_str())
@@ -173,6 +182,11 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             encode_instruction(&decision.instruction, row);
             row.optional(decision.reason.as_deref(), Fields::text)
                 .optional(decision.refused.as_deref(), Fields::text);
+            let moved = match &decision.instruction {
+                Instruction::Move { velocity, .. } => Some(velocity.vertical),
+                _ => None,
+            };
+            row.optional(moved, Fields::real);
         }
         Event::PluginFault { plugin, reason } => {
             row.name(plugin.as_str()).text(reason.as_str());

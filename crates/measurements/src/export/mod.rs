@@ -24,7 +24,7 @@ use table::TableWriter;
 
 /// Says what the folder is; written last, so that half an export is none.
 const NOTE: &str = "run.json";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// What the tables of an export are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

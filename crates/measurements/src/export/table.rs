@@ -48,6 +48,7 @@ impl Shape {
         let newer = |name: &str| {
             version < 2 && name == "health"
                 || version < 3 && (name.starts_with("probed_") || name.starts_with("tested_"))
+                || version < 4 && HEIGHTS.contains(&name)
         };
         self.columns.retain(|(name, _)| !newer(name));
         self
@@ -69,6 +70,12 @@ impl Shape {
         Self::new("gap", &["t_ns", "until_ns", "events"], &[])
     }
 }
+
+/// What moves in the plane has none of it.
+#[rustfmt::skip]
+const HEIGHTS: &[&str] = &[
+    "z_m", "roll_rad", "pitch_rad", "odom_z_m", "odom_roll_rad", "odom_pitch_rad", "vertical_mps",
+];
 
 #[rustfmt::skip]
 const TEXTS: &[&str] = &[

@@ -147,7 +147,7 @@ fn what_is_no_export_or_a_broken_one_is_refused_in_its_place() {
         assert!(said.contains(problem), "{text:?}: {said}");
     }
     let note = fs::read_to_string(out.join(NOTE)).unwrap();
-    fs::write(out.join(NOTE), note.replace("\"version\": 3", "\"version\": 9")).unwrap();
+    fs::write(out.join(NOTE), note.replace("\"version\": 4", "\"version\": 9")).unwrap();
     assert!(refusal(&out).contains("by a newer cotorra"));
     fs::remove_file(out.join(NOTE)).unwrap();
     assert!(refusal(&out).contains("has no run.json"));

@@ -125,6 +125,13 @@ CREATE TABLE robot (
     bumper             INTEGER NOT NULL,
     nearest_obstacle_m REAL,              -- NULL: nothing in range
     health             TEXT,              -- faults, spaces between: as `absent`, `silent` or `flood`; NULL: none
+    z_m                REAL,              -- above the floor
+    roll_rad           REAL,
+    pitch_rad          REAL,
+    odom_z_m           REAL,
+    odom_roll_rad      REAL,
+    odom_pitch_rad     REAL,
+    vertical_mps       REAL,              -- upward
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
@@ -313,6 +320,7 @@ CREATE TABLE decision (
     "change"      TEXT,                   -- JSON: the wished change of conditions
     reason        TEXT,
     refused       TEXT,                   -- NULL: it was done
+    vertical_mps  REAL,                   -- of a move
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 

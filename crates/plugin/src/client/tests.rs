@@ -83,11 +83,8 @@ fn testbed() -> Value {
 fn an_instruction_goes_out_with_its_reason_and_who_gives_it() {
     let (client, asked) = server(vec![ok(&json!({ "done": true }))]);
     let client = client.with_token("secret").named(PluginId::new("mine").unwrap());
-    let instruction = Instruction::Move {
-        robot: id("robot"),
-        velocity: Velocity { linear: 0.5, angular: -0.25 },
-        waypoint: 3,
-    };
+    let instruction =
+        Instruction::Move { robot: id("robot"), velocity: Velocity::planar(0.5, -0.25), waypoint: 3 };
     client.instruct(&instruction, Some("why not")).unwrap();
     let request = asked.recv().unwrap();
     assert_eq!(request.line, "POST /api/v1/instructions");

@@ -1,4 +1,4 @@
-//! Between ROS's messages, which are three-dimensional, and the plane of the hardware graph's poses and velocities.
+//! Between ROS's messages and the hardware graph's poses and velocities.
 
 use cotorra_graph::{self as graph, PoseSource, Timestamp, Velocity};
 
@@ -15,6 +15,25 @@ impl Quaternion {
     pub fn heading(&self) -> f64 {
         let Self { x, y, z, w } = self;
         (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
+
+    /// The rotation about x by `roll`, then about y by `pitch`, then about z by `heading`, radians, about the axes at rest (ROS's
+    /// order, REP 103).
+    pub fn from_angles(roll: f64, pitch: f64, heading: f64) -> Self {
+        let [(sr, cr), (sp, cp), (sh, ch)] = [roll, pitch, heading].map(|angle| (angle / 2.0).sin_cos());
+        Self {
+            x: sr * cp * ch - cr * sp * sh,
+            y: cr * sp * ch + sr * cp * sh,
+            z: cr * cp * sh - sr * sp * ch,
+            w: cr * cp * ch + sr * sp * sh,
+        }
+    }
+
+    /// Roll in (-π, π] and pitch in [-π/2, π/2] of the rotation, radians.
+    pub fn tilt(&self) -> (f64, f64) {
+        let Self { x, y, z, w } = self;
+        let roll = (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y));
+        (roll, (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin())
     }
 }
 
@@ -60,33 +79,39 @@ impl Header {
 impl From<Velocity> for Twist {
     fn from(velocity: Velocity) -> Self {
         Self {
-            linear: Vector3 { x: velocity.linear, ..Vector3::default() },
+            linear: Vector3 { x: velocity.linear, y: 0.0, z: velocity.vertical },
             angular: Vector3 { z: velocity.angular, ..Vector3::default() },
         }
     }
 }
 
 impl From<&Twist> for Velocity {
-    /// What a ground robot can do of it: forward, and about z.
+    /// Of it, what is forward, upward, and about z.
     fn from(twist: &Twist) -> Self {
-        Self { linear: twist.linear.x, angular: twist.angular.z }
+        Self { linear: twist.linear.x, vertical: twist.linear.z, angular: twist.angular.z }
     }
 }
 
 impl From<&graph::Pose> for Pose {
     fn from(pose: &graph::Pose) -> Self {
         Self {
-            position: Point { x: pose.x, y: pose.y, z: 0.0 },
-            orientation: Quaternion::from_heading(pose.heading),
+            position: Point { x: pose.x, y: pose.y, z: pose.z },
+            orientation: Quaternion::from_angles(pose.roll, pose.pitch, pose.heading),
         }
     }
 }
 
 impl Pose {
-    /// The part of it in the plane, exactly known, said to come from `source`, which ROS does not carry.
-    pub fn planar(&self, source: PoseSource) -> graph::Pose {
-        let heading = self.orientation.heading();
-        graph::Pose { x: self.position.x, y: self.position.y, heading, covariance: [0.0; 9], source }
+    /// The same, exactly known, from `source`, which ROS does not carry.
+    pub fn from_source(&self, source: PoseSource) -> graph::Pose {
+        let Point { x, y, z } = self.position;
+        let (roll, pitch) = self.orientation.tilt();
+        graph::Pose {
+            z,
+            roll,
+            pitch,
+            ..graph::Pose::planar(x, y, self.orientation.heading(), [0.0; 9], source)
+        }
     }
 }
 
@@ -97,8 +122,8 @@ impl From<&graph::Pose> for PoseWithCovariance {
 }
 
 impl PoseWithCovariance {
-    /// The part of it in the plane, said to come from `source`, which ROS does not carry.
-    pub fn planar(&self, source: PoseSource) -> graph::Pose {
-        graph::Pose { covariance: self.covariance.planar(), ..self.pose.planar(source) }
+    /// The same, with the covariance of the plane, from `source`, which ROS does not carry.
+    pub fn from_source(&self, source: PoseSource) -> graph::Pose {
+        graph::Pose { covariance: self.covariance.planar(), ..self.pose.from_source(source) }
     }
 }

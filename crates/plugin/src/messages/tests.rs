@@ -16,7 +16,7 @@ fn stamped(frame: &str) -> Header {
 }
 
 fn twist() -> Twist {
-    Velocity { linear: 0.3, angular: -0.1 }.into()
+    Velocity::planar(0.3, -0.1).into()
 }
 
 fn counting() -> Covariance {
@@ -255,8 +255,8 @@ proptest! {
 
     #[test]
     fn planar_poses_come_back(x in -1e6f64..1e6, y in -1e6f64..1e6, heading in -3.0f64..3.0) {
-        let pose = graph::Pose { x, y, heading, covariance: [0.25; 9], source: PoseSource::Simulator };
-        let back = PoseWithCovariance::from(&pose).planar(PoseSource::Simulator);
+        let pose = graph::Pose::planar(x, y, heading, [0.25; 9], PoseSource::Simulator);
+        let back = PoseWithCovariance::from(&pose).from_source(PoseSource::Simulator);
         prop_assert_eq!((back.x, back.y, back.covariance), (x, y, pose.covariance));
         prop_assert!((back.heading - heading).abs() < 1e-12);
     }

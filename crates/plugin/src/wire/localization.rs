@@ -213,7 +213,7 @@ impl Fields<'_> {
         let [x, y, heading] = self.numbers()?;
         let [xx, xy, xh, yy, yh, hh] = self.numbers()?;
         let covariance = [xx, xy, xh, xy, yy, yh, xh, yh, hh];
-        Ok(Pose { x, y, heading, covariance, source: PoseSource::Localization })
+        Ok(Pose::planar(x, y, heading, covariance, PoseSource::Localization))
     }
 }
 
@@ -225,7 +225,7 @@ mod tests {
 
     fn pose() -> Pose {
         let covariance = [0.04, 0.01, -0.002, 0.01, 0.03, 0.001, -0.002, 0.001, 0.005];
-        Pose { x: 25.5, y: -27.8, heading: 1.5, covariance, source: PoseSource::Localization }
+        Pose::planar(25.5, -27.8, 1.5, covariance, PoseSource::Localization)
     }
 
     fn scan() -> ScanPacket {

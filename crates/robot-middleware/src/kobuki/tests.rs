@@ -18,7 +18,7 @@ fn drive(base: &mut Base, velocity: Velocity, steps: u32, world: &World) {
 }
 
 fn velocity(linear: f64, angular: f64) -> Velocity {
-    Velocity { linear, angular }
+    Velocity::planar(linear, angular)
 }
 
 #[test]

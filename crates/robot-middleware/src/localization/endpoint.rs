@@ -76,9 +76,10 @@ impl LocalizationEndpoint {
         }
     }
 
-    /// Where the robot believes to be, with odometry as it is now.
+    /// Where the robot believes to be, with odometry as it is now, which alone knows the height and the tilt.
     pub fn pose(&self, odometry: &Pose) -> Pose {
-        told(&self.belief(planar(odometry)))
+        let Pose { z, roll, pitch, .. } = *odometry;
+        Pose { z, roll, pitch, ..told(&self.belief(planar(odometry))) }
     }
 
     fn belief(&self, odometry: Pose2) -> Belief {

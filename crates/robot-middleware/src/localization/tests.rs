@@ -54,7 +54,7 @@ impl Drive {
 
     /// Goes on to the next look, and gives the scan that is then sent.
     fn look(&mut self) -> Option<ScanPacket> {
-        let circle = Velocity { linear: 0.3, angular: 0.3 };
+        let circle = Velocity::planar(0.3, 0.3);
         self.robot.command(at(self.ms), circle).unwrap();
         self.ms += 100;
         self.robot.advance(at(self.ms));

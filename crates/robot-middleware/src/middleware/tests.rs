@@ -89,7 +89,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
         }
         middleware.advance(now, attached);
         while let Some(packet) = middleware.poll_position(now, route) {
-            let pose = packet.pose.planar(PoseSource::Simulator);
+            let pose = packet.pose.from_source(PoseSource::Simulator);
             let waypoint = if pose.x > 4.9 {
                 3
             } else if pose.x > 2.9 {
@@ -97,7 +97,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
             } else {
                 1
             };
-            let velocity = Velocity { linear: 0.3, angular: 0.0 };
+            let velocity = Velocity::planar(0.3, 0.0);
             answers.push_back((now + delay, NavigationPacket::answering(&packet, waypoint, velocity.into())));
         }
         while let Some((_, answer)) = answers.pop_front_if(|(arrival, _)| *arrival <= now) {
@@ -163,7 +163,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
     let robot = id("robot1");
     middleware.advance(at(900), attached);
     let packet = middleware.poll_position(at(900), route).unwrap();
-    let answer = NavigationPacket::answering(&packet, 1, Velocity { linear: 0.3, angular: 0.0 }.into());
+    let answer = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
     middleware.receive(at(901), &robot, SERVER, &NavigationPacket { nonce: !packet.nonce, ..answer.clone() });
     middleware.receive(at(902), &robot, SERVER, &answer);
     middleware.receive(at(903), &robot, SERVER, &answer);
@@ -173,7 +173,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
         sequence: 0,
         emitted: at(0),
         nonce: 0,
-        pose: packet.pose.planar(PoseSource::Localization),
+        pose: packet.pose.from_source(PoseSource::Localization),
     };
     middleware.localized(at(905), &robot, SERVER, &pose);
     middleware.advance(at(1000), attached);
@@ -195,7 +195,7 @@ fn without_answers_the_robot_stops() {
             break packet;
         }
     };
-    let answer = NavigationPacket::answering(&packet, 1, Velocity { linear: 0.3, angular: 0.0 }.into());
+    let answer = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
     let received = packet.emitted + ms(10);
     middleware.receive(received, &id("robot1"), SERVER, &answer);
     middleware.advance(received + ms(590), attached);
@@ -241,7 +241,7 @@ fn contexts_that_were_missed_are_not_made_up_for() {
 #[test]
 fn instructions_move_a_robot_and_say_why_not() {
     let mut middleware = middleware();
-    let drive = |linear| Velocity { linear, angular: 0.0 };
+    let drive = |linear| Velocity::planar(linear, 0.0);
     middleware.instruct(at(0), &id("idle"), drive(0.2), 0).unwrap();
     middleware.advance(at(600), attached);
     assert!(middleware.sensors(&id("idle")).unwrap().pose.x > 1.05);
@@ -267,7 +267,7 @@ fn instructions_move_a_robot_and_say_why_not() {
 fn a_refused_instruction_leaves_the_waypoint() {
     let mut middleware = middleware();
     middleware.instruct(at(0), &id("robot1"), Velocity::default(), 1).unwrap();
-    let wrong = Velocity { linear: f64::NAN, angular: 0.0 };
+    let wrong = Velocity::planar(f64::NAN, 0.0);
     assert!(middleware.instruct(at(0), &id("robot1"), wrong, 2).is_err());
     middleware.advance(at(0), attached);
     let told = events(&mut middleware);
@@ -280,7 +280,7 @@ fn a_refused_instruction_leaves_the_waypoint() {
 fn an_instruction_to_the_end_of_the_walk_ends_it_once() {
     let mut middleware = middleware();
     for _ in 0..2 {
-        middleware.instruct(at(0), &id("robot1"), Velocity { linear: 0.3, angular: 0.0 }, 3).unwrap();
+        middleware.instruct(at(0), &id("robot1"), Velocity::planar(0.3, 0.0), 3).unwrap();
     }
     let ends =
         events(&mut middleware).iter().filter(|s| matches!(s.event, Event::WalkFinished { .. })).count();
@@ -292,7 +292,7 @@ fn an_instruction_to_the_end_of_the_walk_ends_it_once() {
 fn what_a_robot_cannot_do_is_told_once_until_it_can_again() {
     let mut middleware = middleware();
     let mut told = |linear| {
-        let _ = middleware.instruct(at(0), &id("idle"), Velocity { linear, angular: 0.0 }, 0);
+        let _ = middleware.instruct(at(0), &id("idle"), Velocity::planar(linear, 0.0), 0);
         events(&mut middleware).len()
     };
     assert_eq!(told(0.5), 0);
@@ -338,7 +338,7 @@ fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
 fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     let mut middleware = middleware();
     let robot = id("robot1");
-    let forward = Velocity { linear: 0.3, angular: 0.0 };
+    let forward = Velocity::planar(0.3, 0.0);
     middleware.advance(at(0), attached);
     middleware.instruct(at(0), &robot, forward, 1).unwrap();
     middleware.advance(at(500), attached);
@@ -388,7 +388,7 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
         middleware.advance(at(now), attached);
         while let Some(position) = middleware.poll_position(at(now), route) {
             assert_eq!(position.pose, (&middleware.sensors(&id("robot1")).unwrap().pose).into());
-            let velocity = Velocity { linear: 0.3, angular: 0.1 };
+            let velocity = Velocity::planar(0.3, 0.1);
             let answer = NavigationPacket::answering(&position, 1, velocity.into());
             assert_eq!(
                 middleware.poll_localization(at(now), |_| Some(SERVER)),

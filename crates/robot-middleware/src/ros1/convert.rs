@@ -172,11 +172,11 @@ mod tests {
     fn there_and_back_is_the_same_message() {
         let at = Timestamp::from_nanos(1_700_000_000_250_000_000);
         let covariance = [0.04, 0.01, 0.02, 0.01, 0.03, 0.0, 0.02, 0.0, 0.05];
-        let pose = Pose { x: 1.5, y: -2.0, heading: 0.7, covariance, source: PoseSource::Simulator };
+        let pose = Pose::planar(1.5, -2.0, 0.7, covariance, PoseSource::Simulator);
         let sensors = SensorData {
             pose,
             odometry: Pose { x: 1.4, source: PoseSource::Odometry, ..pose },
-            velocity: Velocity { linear: 0.25, angular: -0.5 },
+            velocity: Velocity::planar(0.25, -0.5),
             bumper: false,
             nearest_obstacle_m: None,
         };

@@ -66,7 +66,7 @@ impl Ros1Offer {
 impl RosOffer for Ros1Offer {
     fn asked(&mut self) -> Option<Velocity> {
         let Twist { linear, angular } = self.velocities.try_recv()?;
-        Some(Velocity { linear: linear.x, angular: angular.z })
+        Some(Velocity::planar(linear.x, angular.z))
     }
 
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {

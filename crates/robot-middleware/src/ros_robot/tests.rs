@@ -58,7 +58,13 @@ fn frame(ms: u64, frame_id: &str, child: &str, (x, y, heading): (f64, f64, f64))
 
 /// At (10, 5) and facing north, if nobody knows better.
 fn absent() -> RosRobot {
-    RosRobot::new(id("tb"), Position::new(10.0, 5.0), std::f64::consts::FRAC_PI_2, None)
+    RosRobot::new(
+        id("tb"),
+        RobotModel::Turtlebot2,
+        Position::new(10.0, 5.0),
+        std::f64::consts::FRAC_PI_2,
+        None,
+    )
 }
 
 fn well() -> RosRobot {
@@ -68,7 +74,7 @@ fn well() -> RosRobot {
 }
 
 fn forward(linear: f64) -> Velocity {
-    Velocity { linear, angular: 0.0 }
+    Velocity::planar(linear, 0.0)
 }
 
 fn place(robot: &RosRobot) -> (f64, f64, f64, PoseSource) {
@@ -161,15 +167,17 @@ fn a_velocity_is_repeated_until_its_timeout_and_then_the_robot_is_stopped() {
 
 #[test]
 fn what_is_over_its_limits_is_scaled_and_what_is_no_number_refused() {
-    let mut robot =
-        RosRobot::new(id("robot1"), Position::default(), 0.0, Some(&walk("robot1", &[(0.0, 0.0)])));
-    robot.odometry(at(0), &odometry(0, 0.0));
-    assert_eq!(
-        robot.command(at(1), Velocity { linear: 0.6, angular: 1.0 }),
-        Ok(Velocity { linear: 0.3, angular: 0.5 })
+    let mut robot = RosRobot::new(
+        id("robot1"),
+        RobotModel::Turtlebot2,
+        Position::default(),
+        0.0,
+        Some(&walk("robot1", &[(0.0, 0.0)])),
     );
+    robot.odometry(at(0), &odometry(0, 0.0));
+    assert_eq!(robot.command(at(1), Velocity::planar(0.6, 1.0)), Ok(Velocity::planar(0.3, 0.5)));
     assert!(matches!(robot.command(at(2), forward(f64::NAN)), Err(CommandRefused::NotFinite(_))));
-    assert_eq!(robot.poll_velocity(at(3)), Some(Velocity { linear: 0.3, angular: 0.5 }));
+    assert_eq!(robot.poll_velocity(at(3)), Some(Velocity::planar(0.3, 0.5)));
 }
 
 #[test]
@@ -296,7 +304,7 @@ proptest! {
                 Saying::Malformed => robot.malformed(at(now)),
                 Saying::Missed(count) => robot.missed(at(now), Topic::Scan, count),
                 Saying::Command(linear, angular) => {
-                    if robot.command(at(now), Velocity { linear, angular }).is_ok() {
+                    if robot.command(at(now), Velocity::planar(linear, angular)).is_ok() {
                         prop_assert_eq!(robot.health(), []);
                         commanded = Some(now);
                     }

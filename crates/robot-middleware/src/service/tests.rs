@@ -16,7 +16,7 @@ fn route() -> Route {
 }
 
 fn pose() -> Pose {
-    Pose { x: 1.0, y: 2.0, heading: 0.5, covariance: [0.0; 9], source: PoseSource::Simulator }
+    Pose::planar(1.0, 2.0, 0.5, [0.0; 9], PoseSource::Simulator)
 }
 
 fn ms(ms: u64) -> Duration {
@@ -30,7 +30,7 @@ fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
 }
 
 fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
-    NavigationPacket::answering(position, waypoint, Velocity { linear: 0.3, angular: 0.1 }.into())
+    NavigationPacket::answering(position, waypoint, Velocity::planar(0.3, 0.1).into())
 }
 
 #[test]
@@ -52,7 +52,7 @@ fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
 fn a_packet_says_who_where_when_and_what_is_next() {
     let packet = emit(&mut endpoint(1));
     assert_eq!((packet.robot.as_str(), packet.waypoint), ("robot1", 0));
-    assert_eq!(packet.pose.planar(PoseSource::Simulator), pose());
+    assert_eq!(packet.pose.from_source(PoseSource::Simulator), pose());
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn an_answer_is_measured_on_the_route_of_its_packet_and_followed() {
     let measured = answer.service_time;
     assert_eq!((measured.sequence, measured.emitted, measured.took), (0, packet.emitted, Some(ms(11))));
     assert_eq!((measured.attachment, measured.server), (Some(id("R1")), NodeId::new("cloud").unwrap()));
-    assert_eq!(answer.velocity, Some(Velocity { linear: 0.3, angular: 0.1 }));
+    assert_eq!(answer.velocity, Some(Velocity::planar(0.3, 0.1)));
     assert_eq!(endpoint.waypoint(), 2);
     assert!(endpoint.expire(packet.emitted + ms(5000)).is_none());
 }

@@ -1,4 +1,4 @@
-use cotorra_graph::Position;
+use cotorra_graph::{PoseSource, Position};
 use proptest::prelude::*;
 
 use super::*;
@@ -15,8 +15,15 @@ fn in_room(seed: u64) -> SimulatedRobot {
     SimulatedRobot::new(&robot("robot1", None), Some(&walk), world, seed).unwrap()
 }
 
+fn base(robot: &SimulatedRobot) -> &Base {
+    match &robot.body {
+        Body::Turtlebot2(base, _) => base,
+        Body::Quadrotor(..) => panic!("it flies"),
+    }
+}
+
 fn forward(linear: f64) -> Velocity {
-    Velocity { linear, angular: 0.0 }
+    Velocity::planar(linear, 0.0)
 }
 
 #[test]
@@ -54,7 +61,7 @@ fn what_it_does_depends_on_time_and_not_on_how_often_it_is_asked() {
         for ms in (0..3000).filter(|ms| ms % every == 0 || ms % 500 == 0) {
             robot.advance(millis(ms));
             if ms % 500 == 0 {
-                robot.command(millis(ms), Velocity { linear: 0.25, angular: 0.3 }).unwrap();
+                robot.command(millis(ms), Velocity::planar(0.25, 0.3)).unwrap();
             }
         }
         robot.advance(millis(3000));
@@ -72,22 +79,23 @@ fn what_is_no_number_is_refused_and_the_command_before_goes_on() {
     let mut robot = in_room(1);
     robot.command(Timestamp::ZERO, forward(0.2)).unwrap();
     for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-        let turn = Velocity { linear: 0.1, angular: wrong };
+        let turn = Velocity::planar(0.1, wrong);
         assert!(matches!(robot.command(millis(100), forward(wrong)), Err(CommandRefused::NotFinite(_))));
         assert!(matches!(robot.command(millis(100), turn), Err(CommandRefused::NotFinite(_))));
     }
     robot.advance(millis(590));
-    assert!((robot.base.velocity.linear - 0.2).abs() < 1e-12);
+    assert!((base(&robot).velocity.linear - 0.2).abs() < 1e-12);
     robot.advance(millis(2000));
-    assert_eq!(robot.base.velocity, Velocity::default(), "a refused command is no sign of life");
+    assert_eq!(base(&robot).velocity, Velocity::default(), "a refused command is no sign of life");
 }
 
 #[test]
 fn what_is_over_a_limit_is_scaled_on_the_same_curve() {
     let mut robot = in_room(1);
-    let mut done = |linear, angular| robot.command(Timestamp::ZERO, Velocity { linear, angular }).unwrap();
-    assert_eq!(done(0.3, 1.0), Velocity { linear: 0.3, angular: 1.0 });
-    assert_eq!(done(0.6, 1.0), Velocity { linear: 0.3, angular: 0.5 });
+    let mut done =
+        |linear, angular| robot.command(Timestamp::ZERO, Velocity::planar(linear, angular)).unwrap();
+    assert_eq!(done(0.3, 1.0), Velocity::planar(0.3, 1.0));
+    assert_eq!(done(0.6, 1.0), Velocity::planar(0.3, 0.5));
     let turn = done(-0.2, 4.0 * MAX_ANGULAR_SPEED);
     assert!((turn.linear + 0.05).abs() < 1e-12 && (turn.angular - MAX_ANGULAR_SPEED).abs() < 1e-12);
     assert_eq!(done(0.0, 0.0), Velocity::default());
@@ -160,7 +168,7 @@ proptest! {
         let mut robot = in_room(seed);
         let mut now = 0;
         for (linear, angular, wait) in commands {
-            let _ = robot.command(millis(now), Velocity { linear, angular });
+            let _ = robot.command(millis(now), Velocity::planar(linear, angular));
             now += wait;
             robot.advance(millis(now));
             let sensors = robot.sensors();
@@ -170,7 +178,7 @@ proptest! {
             }
             prop_assert!(sensors.velocity.linear.is_finite() && sensors.velocity.angular.is_finite());
             prop_assert!((0.0..=6.0).contains(&sensors.pose.x) && (0.0..=4.0).contains(&sensors.pose.y));
-            prop_assert!(robot.base.velocity.linear.abs() <= 0.3 + 1e-12);
+            prop_assert!(base(&robot).velocity.linear.abs() <= 0.3 + 1e-12);
             prop_assert!(robot.scan().is_none_or(|scan| scan.ranges.iter().all(|range| !range.is_nan())));
         }
     }

@@ -106,7 +106,7 @@ fn decision(plugin: &str, instruction: Instruction) -> Event {
 
 #[test]
 fn of_other_domains_radio_units_a_robot_has_what_it_hears() {
-    let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
     let attachment = |radio_unit: &str, attached, signal: Option<f64>| Attachment {
         radio_unit: id(radio_unit),
         attached,

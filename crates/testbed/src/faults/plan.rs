@@ -236,7 +236,7 @@ impl Names {
             0 | 1 => Instruction::Attach { robot, radio_unit },
             2 => Instruction::Scan { robot },
             3 => {
-                let velocity = Velocity { linear: draw.number(-1.0, 1.0), angular: draw.number(-2.0, 2.0) };
+                let velocity = Velocity::planar(draw.number(-1.0, 1.0), draw.number(-2.0, 2.0));
                 Instruction::Move { robot, velocity, waypoint: draw.whole(0..=2) as u32 }
             }
             4 => Instruction::Halt { robot },

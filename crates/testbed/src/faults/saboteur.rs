@@ -69,7 +69,7 @@ impl Plugin for Misbehaving {
     fn expire(&mut self, now: Timestamp, actions: &mut Actions) {
         if now < self.at {
             self.next = Some(self.at);
-            let velocity = Velocity { linear: 0.3, angular: 0.2 };
+            let velocity = Velocity::planar(0.3, 0.2);
             let robot = self.saboteur.robot.clone();
             return self.ask(Instruction::Move { robot, velocity, waypoint: 0 }, actions);
         }

@@ -140,11 +140,11 @@ fn a_run_that_is_kept_has_its_testbed_plan_and_history() {
 }
 
 fn context(linear: f64, angular: f64) -> Event {
-    let pose = Pose { x: 0.0, y: 0.0, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
     let sensors = SensorData {
         pose,
         odometry: pose,
-        velocity: Velocity { linear, angular },
+        velocity: Velocity::planar(linear, angular),
         bumper: false,
         nearest_obstacle_m: None,
     };

@@ -64,7 +64,7 @@ struct Misbehaving {
 impl Plugin for Misbehaving {
     fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions) {
         let Event::Robot(context) = event else { return };
-        let forward = Velocity { linear: 0.2, angular: 0.0 };
+        let forward = Velocity::planar(0.2, 0.0);
         let go = Instruction::Move { robot: context.robot.clone(), velocity: forward, waypoint: 0 };
         let moved = self.moved.map(|moved| now.since(moved));
         if context.sensors.velocity.linear == 0.0 {

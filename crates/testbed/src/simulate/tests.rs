@@ -1,6 +1,8 @@
 use std::path::Path;
 
-use cotorra_graph::{ConditionChange, Event, Instruction, LinkId, PoseSource, Velocity};
+use cotorra_graph::{
+    ConditionChange, Event, Instruction, LinkId, PoseSource, Position, RobotContext, Velocity,
+};
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
 use super::*;
@@ -11,7 +13,11 @@ use crate::{
 };
 
 fn corridor() -> Arc<Testbed> {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    loaded("corridor.yaml")
+}
+
+fn loaded(name: &str) -> Arc<Testbed> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
     Arc::new(cotorra_graph::testbed_file::load(file).unwrap())
 }
 
@@ -60,6 +66,41 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
     assert!(spikes.iter().all(|s| s.took.unwrap().as_millis() <= 180));
     assert_eq!(summary.unanswered, 0);
     assert_eq!(summary.pose_source, Some(PoseSource::Localization));
+}
+
+#[test]
+fn a_quadrotor_flies_its_walk_and_hears_radio_units_by_its_height() {
+    let testbed = loaded("hall.yaml");
+    let uav = testbed.graph.robots().next().unwrap().0.id.clone();
+    let walk = testbed.walk(&uav).unwrap().clone();
+    let events = events_of(&testbed, 1, 200.0);
+    assert!(events.last().unwrap().at.as_secs_f64() < 100.0, "the walk ends");
+    let contexts: Vec<_> = events
+        .iter()
+        .filter_map(|stamped| match &stamped.event {
+            Event::Robot(context) => Some(context),
+            _ => None,
+        })
+        .collect();
+    let place = |context: &RobotContext| context.sensors.pose.position();
+    for waypoint in &walk.waypoints {
+        let nearest = contexts.iter().map(|context| place(context).distance(*waypoint));
+        assert!(nearest.fold(f64::INFINITY, f64::min) < 0.4, "never at {waypoint}");
+    }
+    assert!(contexts.iter().any(|context| context.sensors.pose.pitch.abs() > 0.1), "it never tilts");
+    assert!(contexts.iter().any(|context| context.sensors.velocity.vertical > 1.0), "it never climbs");
+    let heard_at = |waypoint: Position, unit: &str| {
+        let near = contexts.iter().filter(|context| place(context).distance(waypoint) < 0.5);
+        let attachment =
+            near.flat_map(|context| &context.attachments).find(|a| a.radio_unit.as_str() == unit);
+        attachment.unwrap().signal.unwrap().0
+    };
+    // From the same spot of the floor, 10.9 m and 16.4 m from the lower one, 9.2 m and 2.8 m from the upper one.
+    let [low, high] = [walk.waypoints[2], walk.waypoints[3]];
+    assert!(heard_at(high, "high") > heard_at(low, "high") + 10.0);
+    let attached: Vec<_> = contexts.iter().filter_map(|context| context.attached_to()).collect();
+    assert!(attached.first().is_some_and(|unit| unit.as_str() == "low"));
+    assert!(attached.iter().any(|unit| unit.as_str() == "high"));
 }
 
 #[test]

@@ -68,7 +68,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
 }
 
 pub fn pose(x: f64, y: f64, heading: f64) -> Pose {
-    Pose { x, y, heading, covariance: [0.0; 9], source: PoseSource::Simulator }
+    Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator)
 }
 
 /// κ of the robot at that pose.

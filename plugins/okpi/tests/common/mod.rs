@@ -37,7 +37,7 @@ pub fn survey() -> Map<String, Value> {
 
 /// κ at a place, attached to a radio unit.
 pub fn context((x, y): (f64, f64), attached: &str) -> Event {
-    let pose = Pose { x, y, heading: 0.0, covariance: [0.0; 9], source: PoseSource::Simulator };
+    let pose = Pose::planar(x, y, 0.0, [0.0; 9], PoseSource::Simulator);
     Event::Robot(RobotContext {
         robot: node_id("robot"),
         attachments: ["R1", "R2", "R3", "R4", "R5", "R6"]

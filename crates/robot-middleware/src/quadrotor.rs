@@ -1,0 +1,222 @@
+//! A quadrotor that flies by velocities: how it answers commands, and what it measures of its own motion.
+//!
+//! Each velocity approaches what is commanded as a first-order lag does, within limits of speed and acceleration. Limits are
+//! the defaults of PX4's position control (`MPC_XY_CRUISE`, `MPC_ACC_HOR`, `MPC_Z_VEL_MAX_UP`, `MPC_Z_VEL_MAX_DN`).
+//! Roll and pitch are those that the horizontal acceleration needs: a = g tan(tilt).
+
+use std::time::Duration;
+
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Timestamp, Velocity};
+
+use crate::{kobuki::COMMAND_TIMEOUT, planar::normalised, random::Stream, world::World};
+
+/// Of the outline with its propellers, metres.
+const RADIUS: f64 = RobotModel::Quadrotor.radius();
+/// Upward and downward, m/s.
+const CLIMB: (f64, f64) = (3.0, 1.5);
+/// rad/s.
+const MAX_TURN: f64 = 1.0;
+/// Time constant of each velocity, seconds.
+const LAG: f64 = 0.25;
+/// Horizontal acceleration at most, m/s².
+const ACCELERATION: f64 = 3.0;
+/// Vertical acceleration at most, m/s².
+const LIFT: f64 = 3.0;
+/// m/s².
+const GRAVITY: f64 = 9.81;
+/// Slower than this is standing still, m/s or rad/s: a lag alone never ends.
+const STILL: f64 = 1e-3;
+
+/// The part of a velocity that it may fly at that speed limit, m/s, on the same curve.
+pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
+    let climb = if wanted.vertical > 0.0 { CLIMB.0 } else { CLIMB.1 };
+    let shares = [
+        wanted.linear.abs() / speed_limit.min(RobotModel::Quadrotor.max_speed()),
+        wanted.vertical.abs() / climb,
+        wanted.angular.abs() / MAX_TURN,
+    ];
+    let over = shares.into_iter().fold(1.0, f64::max);
+    if over > 1.0 { wanted.scaled(1.0 / over) } else { wanted }
+}
+
+/// What flies: pose and velocity, without error.
+#[derive(Debug, Clone)]
+pub(crate) struct Airframe {
+    pub position: Position,
+    /// In (-π, π].
+    pub heading: f64,
+    roll: f64,
+    pitch: f64,
+    /// On the map, m/s.
+    velocity: [f64; 3],
+    turn: f64,
+    pub bumper: bool,
+    wanted: Velocity,
+    wanted_until: Timestamp,
+}
+
+/// How a step changed the pose: metres on the map, and radians turned.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Flown {
+    way: [f64; 2],
+    turned: f64,
+}
+
+impl Airframe {
+    pub fn new(position: Position, heading: f64) -> Self {
+        Self {
+            position,
+            heading: normalised(heading),
+            roll: 0.0,
+            pitch: 0.0,
+            velocity: [0.0; 3],
+            turn: 0.0,
+            bumper: false,
+            wanted: Velocity::default(),
+            wanted_until: Timestamp::ZERO,
+        }
+    }
+
+    /// Wants that velocity until the command timeout.
+    pub fn command(&mut self, now: Timestamp, velocity: Velocity) {
+        self.wanted = velocity;
+        self.wanted_until = now + COMMAND_TIMEOUT;
+    }
+
+    pub fn pose(&self) -> Pose {
+        let Position { x, y, z } = self.position;
+        let level = Pose::planar(x, y, self.heading, [0.0; 9], PoseSource::Simulator);
+        Pose { z, roll: self.roll, pitch: self.pitch, ..level }
+    }
+
+    /// Flies on from `at` by `step`. On the floor it does nothing but take off; without commands, it hovers.
+    pub fn advance(&mut self, at: Timestamp, step: Duration, world: &World) -> Flown {
+        let commanded = if at < self.wanted_until { self.wanted } else { Velocity::default() };
+        let lands = self.position.z <= 0.0 && commanded.vertical <= 0.0;
+        let wanted = if lands { Velocity::default() } else { commanded };
+        let seconds = step.as_secs_f64();
+        let (sin, cos) = self.heading.sin_cos();
+
+        let [ax, ay] = [wanted.linear * cos - self.velocity[0], wanted.linear * sin - self.velocity[1]];
+        let share = (ACCELERATION * LAG / ax.hypot(ay)).min(1.0) / LAG;
+        let [ax, ay] = [ax * share, ay * share];
+        let az = ((wanted.vertical - self.velocity[2]) / LAG).clamp(-LIFT, LIFT);
+        let [vx, vy, vz] = [
+            self.velocity[0] + ax * seconds,
+            self.velocity[1] + ay * seconds,
+            self.velocity[2] + az * seconds,
+        ];
+        let turn = self.turn + (wanted.angular - self.turn) * (seconds / LAG).min(1.0);
+        let stops = wanted.linear == 0.0 && vx.hypot(vy) < STILL;
+        let ends =
+            |velocity: f64, wanted: f64| if wanted == 0.0 && velocity.abs() < STILL { 0.0 } else { velocity };
+        let [vx, vy] = if stops { [0.0; 2] } else { [vx, vy] };
+        self.velocity = [vx, vy, ends(vz, wanted.vertical)];
+        self.turn = ends(turn, wanted.angular);
+        // Ahead of the nose, and to its left.
+        let [ahead, left] = if stops { [0.0; 2] } else { [ax * cos + ay * sin, ay * cos - ax * sin] };
+        [self.pitch, self.roll] = [(ahead / GRAVITY).atan(), -(left / GRAVITY).atan()];
+
+        let way = [self.velocity[0] * seconds, self.velocity[1] * seconds];
+        let there = Position { x: self.position.x + way[0], y: self.position.y + way[1], ..self.position };
+        // Inside something it may only leave.
+        let (clear, before) = (world.distance(there, RADIUS), world.distance(self.position, RADIUS));
+        self.bumper = way != [0.0; 2] && clear < RADIUS && clear <= before;
+        let way = if self.bumper { [0.0; 2] } else { way };
+        if self.bumper {
+            (self.velocity[0], self.velocity[1]) = (0.0, 0.0);
+        }
+        let z = self.position.z + self.velocity[2] * seconds;
+        if z <= 0.0 {
+            self.velocity = [0.0; 3];
+        }
+        self.position = Position { x: self.position.x + way[0], y: self.position.y + way[1], z: z.max(0.0) };
+        let turned = self.turn * seconds;
+        self.heading = normalised(self.heading + turned);
+        Flown { way, turned }
+    }
+
+    /// Along its heading, upwards, and about the vertical axis.
+    pub fn velocity(&self) -> Velocity {
+        let (sin, cos) = self.heading.sin_cos();
+        let [x, y, vertical] = self.velocity;
+        Velocity { linear: x * cos + y * sin, vertical, angular: self.turn }
+    }
+}
+
+/// Deviation between airframes of what they measure of a metre.
+const SCALE: f64 = 0.01;
+/// Position random walk, metres per √metre.
+const DRIFT: f64 = 0.01;
+/// Heading random walk, rad/√s.
+const TURN_WALK: f64 = 5.2e-4;
+/// Deviation of the height, metres.
+const HEIGHT: f64 = 0.01;
+
+/// Where its own sensors say that it is: visual-inertial odometry, which drifts in the plane, and a range finder, which
+/// measures the height.
+#[derive(Debug, Clone)]
+pub(crate) struct FlightOdometer {
+    noise: Stream,
+    scale: f64,
+    /// How far the measured heading is off.
+    off: f64,
+    pose: Pose,
+    velocity: Velocity,
+    way: f64,
+    elapsed: f64,
+}
+
+impl FlightOdometer {
+    pub fn new(seed: u64, robot: &NodeId, start: &Airframe) -> Self {
+        let mut noise = Stream::new(seed, &format!("{robot}/odometry"));
+        Self {
+            scale: 1.0 + SCALE * noise.bell(),
+            noise,
+            off: 0.0,
+            pose: Pose { source: PoseSource::Odometry, ..start.pose() },
+            velocity: Velocity::default(),
+            way: 0.0,
+            elapsed: 0.0,
+        }
+    }
+
+    /// Measures after a step.
+    pub fn advance(&mut self, truth: &Airframe, flown: Flown, step: Duration) {
+        let seconds = step.as_secs_f64();
+        let length = flown.way[0].hypot(flown.way[1]);
+        self.way += length;
+        self.elapsed += seconds;
+        self.off += TURN_WALK * seconds.sqrt() * self.noise.bell();
+        let (sin, cos) = self.off.sin_cos();
+        let mut drift = || DRIFT * length.sqrt() * self.noise.bell();
+        let [x, y] = flown.way.map(|metres| metres * self.scale);
+        let (x, y) = (x * cos - y * sin + drift(), x * sin + y * cos + drift());
+        let height = if truth.position.z > 0.0 { HEIGHT * self.noise.bell() } else { 0.0 };
+        let Pose { roll, pitch, .. } = truth.pose();
+        self.pose = Pose {
+            x: self.pose.x + x,
+            y: self.pose.y + y,
+            z: (truth.position.z + height).max(0.0),
+            roll,
+            pitch,
+            heading: normalised(truth.heading + self.off),
+            ..self.pose
+        };
+        self.velocity = Velocity { angular: flown.turned / seconds, ..truth.velocity() };
+    }
+
+    pub fn velocity(&self) -> Velocity {
+        self.velocity
+    }
+
+    /// The pose, with a covariance that bounds its error from above, as that of wheels does.
+    pub fn pose(&self) -> Pose {
+        let heading = TURN_WALK.powi(2) * self.elapsed;
+        let position = (SCALE.powi(2) + heading) * self.way.powi(2) + DRIFT.powi(2) * self.way;
+        Pose { covariance: [position, 0.0, 0.0, 0.0, position, 0.0, 0.0, 0.0, heading], ..self.pose }
+    }
+}
+
+#[cfg(test)]
+mod tests;
