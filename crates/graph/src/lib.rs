@@ -15,6 +15,8 @@ pub mod id;
 pub mod map;
 pub mod map_server;
 pub mod medium;
+#[cfg(feature = "openapi")]
+pub mod openapi;
 mod propagation;
 mod routing;
 pub mod schedule;
@@ -48,7 +50,7 @@ pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
-pub use service::{Kpis, LinuxCapability, Program, Rights, Service, VirtualLink, Vnf};
+pub use service::{Granted, Kpis, LinuxCapability, Program, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };

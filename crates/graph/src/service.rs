@@ -56,17 +56,22 @@ pub struct Vnf {
 #[serde(rename_all = "snake_case")]
 pub enum Rights {
     /// It is kept from the machine, and has this besides.
-    Confined {
-        /// Capabilities over its node's network and its own threads.
-        #[serde(default)]
-        capabilities: Vec<LinuxCapability>,
-        /// Files and folders that it may read beside programs, libraries and the testbed file's folder; from that folder.
-        #[serde(default)]
-        #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
-        readable: Vec<PathBuf>,
-    },
+    Confined(Granted),
     /// It may do what cotorra may.
     Trusted,
+}
+
+/// What a confined VNF has beside its own node and folder.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Granted {
+    /// Capabilities over its node's network and its own threads.
+    #[serde(default)]
+    pub capabilities: Vec<LinuxCapability>,
+    /// Files and folders that it may read beside programs, libraries and the testbed file's folder; from that folder.
+    #[serde(default)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
+    pub readable: Vec<PathBuf>,
 }
 
 impl Rights {
@@ -77,7 +82,7 @@ impl Rights {
 
 impl Default for Rights {
     fn default() -> Self {
-        Self::Confined { capabilities: Vec::new(), readable: Vec::new() }
+        Self::Confined(Granted::default())
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 };
 
 use cotorra_datapath::Confinement;
-use cotorra_graph::{Program, Rights, Testbed, Vnf};
+use cotorra_graph::{Granted, Program, Rights, Testbed, Vnf};
 use cotorra_measurements::Location;
 
 use crate::{
@@ -71,7 +71,8 @@ impl Confined {
 
     /// What confines a VNF, if anything does.
     pub(crate) fn of(&self, vnf: &Vnf) -> io::Result<Option<Confinement>> {
-        let (Program::Command(_), Rights::Confined { capabilities, readable }) = (&vnf.program, &vnf.rights)
+        let (Program::Command(_), Rights::Confined(Granted { capabilities, readable })) =
+            (&vnf.program, &vnf.rights)
         else {
             return Ok(None);
         };

@@ -3,6 +3,7 @@
 mod api;
 #[cfg(feature = "ethereum")]
 mod chain;
+mod clients;
 mod command_line;
 mod confinement;
 mod disk;

@@ -29,7 +29,7 @@ use crate::{
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId},
     map::OccupancyGrid,
     map_server,
-    service::{Kpis, Program, Rights, Service, VirtualLink, Vnf},
+    service::{Granted, Kpis, Program, Rights, Service, VirtualLink, Vnf},
     testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk},
     units::{BitRate, Position, Probability},
     yaml::{
@@ -756,7 +756,7 @@ impl Builder<'_> {
             well = false;
         }
         let readable = readable.value.iter().map(PathBuf::from).collect();
-        let confined = Rights::Confined { capabilities: capabilities.value.clone(), readable };
+        let confined = Rights::Confined(Granted { capabilities: capabilities.value.clone(), readable });
         well.then_some(if trusted.value { Rights::Trusted } else { confined })
     }
 

@@ -28,7 +28,7 @@ use super::{measurements, routes, stream};
         measurements::link_history,
         measurements::service_times,
         measurements::handovers,
-        measurements::events,
+        measurements::event_history,
         measurements::state,
         measurements::series,
         measurements::gaps,
@@ -45,13 +45,17 @@ struct Document;
 /// The OpenAPI document of the API.
 pub fn openapi() -> String {
     let mut document = Document::openapi();
-    document_failures(&mut document);
-    document.to_pretty_json().expect("the document holds only what JSON can") + "\n"
+    describe_answers(&mut document);
+    let expected = "the document holds only what JSON can";
+    let mut document = serde_json::to_value(document).expect(expected);
+    cotorra_graph::openapi::simplify(&mut document);
+    serde_json::to_string_pretty(&document).expect(expected) + "\n"
 }
 
-/// Adds to every operation of a document what can go wrong with any: a request that cannot be, a caller who is not let
-/// in, something that is not there, a body that cannot be read, an API whose run has ended.
-fn document_failures(document: &mut utoipa::openapi::OpenApi) {
+/// Describes all answers of every operation. One that succeeds is what the operation's first sentence says. What can go wrong
+/// with any is added: a request that cannot be, a caller who is not let in, something that is not there, a body that cannot
+/// be read, an API whose run has ended.
+fn describe_answers(document: &mut utoipa::openapi::OpenApi) {
     use utoipa::openapi::{Ref, RefOr, ResponseBuilder, content::ContentBuilder};
     let always = [
         ("400", "the request cannot be"),
@@ -70,6 +74,15 @@ fn document_failures(document: &mut utoipa::openapi::OpenApi) {
             [&mut item.get, &mut item.post, &mut item.put, &mut item.delete, &mut item.patch]
         });
     for operation in operations.flatten() {
+        let summary = operation.summary.as_deref().unwrap_or_default();
+        let first = summary.split_inclusive(". ").next().unwrap_or_default().trim_end().trim_end_matches('.');
+        for answer in operation.responses.responses.values_mut() {
+            if let RefOr::T(answer) = answer
+                && answer.description.is_empty()
+            {
+                answer.description = first.replace('\n', " ");
+            }
+        }
         let bodies = with_body.into_iter().filter(|_| operation.request_body.is_some());
         for (status, description) in always.into_iter().chain(bodies) {
             let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("FailureBody"))).build();

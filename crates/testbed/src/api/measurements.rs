@@ -108,7 +108,7 @@ fn this_run(caller: &Caller, run: Option<RunId>) -> Result<(), Failure> {
 /// κ of a robot over time.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<RobotContext>>), (status = 404, body = FailureBody))))]
+    responses((status = 200, body = Page<Sample<RobotContext>>))))]
 pub(super) async fn robot_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -135,7 +135,7 @@ pub(super) async fn robot_history(
 /// d, λ and conditions of one direction of a link over time.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
-    responses((status = 200, body = Page<Sample<LinkContext>>), (status = 404, body = FailureBody))))]
+    responses((status = 200, body = Page<Sample<LinkContext>>))))]
 pub(super) async fn link_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -179,7 +179,7 @@ pub(super) async fn service_times(
 /// are of all that there were. None if all are as they were recorded.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
     params(OfRun),
-    responses((status = 200, body = Vec<Retained>), (status = 404, body = FailureBody))))]
+    responses((status = 200, body = Vec<Retained>))))]
 pub(super) async fn retained(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -220,8 +220,8 @@ pub(super) async fn handovers(
 /// not the domain's.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
     params(Part),
-    responses((status = 200, body = Page<Stamped>), (status = 400, body = FailureBody))))]
-pub(super) async fn events(
+    responses((status = 200, body = Page<Stamped>))))]
+pub(super) async fn event_history(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
     Query(part): Query<Part>,
@@ -286,7 +286,7 @@ pub(super) struct Which {
 /// samples, and whether events were lost.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
     params(Which),
-    responses((status = 200, body = Curve), (status = 400, body = FailureBody))))]
+    responses((status = 200, body = Curve))))]
 pub(super) async fn series(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -356,7 +356,7 @@ pub(super) struct Pair {
 /// Two runs of this run's history side by side.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
     params(Pair),
-    responses((status = 200, body = Difference), (status = 404, body = FailureBody), (status = 409, body = FailureBody))))]
+    responses((status = 200, body = Difference), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
 pub(super) async fn difference(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -113,7 +113,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 22] {
         ("/api/v1/measurements/links/{id}", get(measurements::link_history)),
         ("/api/v1/measurements/service-times", get(measurements::service_times)),
         ("/api/v1/measurements/handovers", get(measurements::handovers)),
-        ("/api/v1/measurements/events", get(measurements::events)),
+        ("/api/v1/measurements/events", get(measurements::event_history)),
         ("/api/v1/measurements/state", get(measurements::state)),
         ("/api/v1/measurements/series", get(measurements::series)),
         ("/api/v1/measurements/gaps", get(measurements::gaps)),

@@ -29,7 +29,7 @@ pub(super) async fn testbed(
 /// A node, its addresses and its namespace.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network",
     params(("id" = String, Path)),
-    responses((status = 200, body = NodeBody), (status = 404, body = FailureBody))))]
+    responses((status = 200, body = NodeBody))))]
 pub(super) async fn node(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -59,7 +59,7 @@ pub(super) async fn robots(
 /// κ of a robot.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots",
     params(("id" = String, Path)),
-    responses((status = 200, body = RobotContext), (status = 404, body = FailureBody))))]
+    responses((status = 200, body = RobotContext))))]
 pub(super) async fn robot(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -96,7 +96,7 @@ pub(super) async fn links(
 /// afterwards. What came of it is in the link's `tested` a second after the last packet.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
     params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
-    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
 pub(super) async fn test_throughput(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -155,7 +155,7 @@ pub(super) fn plugin(
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
     request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
-    responses((status = 200, body = Done), (status = 400, body = FailureBody), (status = 409, body = FailureBody))))]
+    responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
 pub(super) async fn instruct(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

@@ -17,8 +17,6 @@ use tokio_stream::{
     wrappers::{BroadcastStream, UnboundedReceiverStream, errors::BroadcastStreamRecvError},
 };
 
-#[cfg(feature = "openapi")]
-use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
@@ -92,7 +90,7 @@ pub(super) struct Which {
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/events", tag = "events",
     params(Which, ("X-Cotorra-Plugin" = Option<String>, Header)),
     responses((status = 200, body = String, content_type = "text/event-stream",
-        description = "each `data:` is a Stamped event"), (status = 400, body = FailureBody))))]
+        description = "each `data:` is a Stamped event"))))]
 pub(super) async fn events(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,
@@ -138,7 +136,7 @@ pub(super) struct Wake {
 /// goes on. In real time, which waits for nobody, it does nothing.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
     params(("number" = u64, Path), ("X-Cotorra-Plugin" = Option<String>, Header), Wake),
-    responses((status = 200, body = Done), (status = 400, body = FailureBody))))]
+    responses((status = 200, body = Done))))]
 pub(super) async fn done(
     State(context): State<Context>,
     Extension(caller): Extension<Caller>,

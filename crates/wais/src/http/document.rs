@@ -35,5 +35,8 @@ struct Document;
 
 /// The OpenAPI document of the service.
 pub fn openapi() -> String {
-    Document::openapi().to_pretty_json().expect("the document holds only what JSON can") + "\n"
+    let expected = "the document holds only what JSON can";
+    let mut document = serde_json::to_value(Document::openapi()).expect(expected);
+    cotorra_graph::openapi::simplify(&mut document);
+    serde_json::to_string_pretty(&document).expect(expected) + "\n"
 }

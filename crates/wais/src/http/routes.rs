@@ -87,7 +87,7 @@ fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
 /// Access points and what is known of them.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked)))]
+    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -99,7 +99,7 @@ pub(super) async fn ap_information(
 /// Stations that are associated, and what is known of them.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked)))]
+    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -118,7 +118,7 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 /// Links to subscriptions.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, body = SubscriptionLinkList), Asked)))]
+    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), Asked)))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -141,7 +141,7 @@ pub(super) async fn subscriptions(
 /// Subscribe to notifications.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
     request_body = Subscription,
-    responses((status = 201, body = Subscription, headers(("Location" = String), ("ETag" = String))),
+    responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
         Asked, Changing)))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
@@ -155,7 +155,7 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 /// A subscription.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = Subscription, headers(("ETag" = String))),
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
         (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn subscription(
     State(service): State<Service>,
@@ -170,7 +170,7 @@ pub(super) async fn subscription(
 #[cfg_attr(feature = "openapi", utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, body = Subscription, headers(("ETag" = String))), Asked, Changing)))]
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), Asked, Changing)))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -201,7 +201,7 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 
 /// Links to measurement configurations.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, body = MeasurementConfigLinkList), Asked)))]
+    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), Asked)))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -217,7 +217,7 @@ pub(super) async fn measurements(
 /// Configure a measurement, whose reports are told with stations' information from then on.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/measurements", tag = "measurements",
     request_body = MeasurementConfig,
-    responses((status = 201, body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
+    responses((status = 201, description = "the configuration", body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
         Asked, Changing)))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
@@ -228,7 +228,7 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 /// A measurement configuration.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))),
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))),
         (status = 304, description = "as known already"), Asked)))]
 pub(super) async fn measurement(
     State(service): State<Service>,
@@ -243,7 +243,7 @@ pub(super) async fn measurement(
 #[cfg_attr(feature = "openapi", utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing)))]
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing)))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,

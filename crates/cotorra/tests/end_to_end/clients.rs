@@ -1,0 +1,50 @@
+//! Clients that a generator makes of the OpenAPI documents, against a live run.
+
+use std::{env, ffi::OsStr, fs, path::Path, process::Command};
+
+use tempfile::TempDir;
+
+use crate::harness::{Run, output, project_file, stderr, stdout};
+
+/// Runs a program of the peers; gives what it printed.
+#[allow(clippy::unwrap_used, reason = "clippy knows helpers of integration tests for no tests")]
+fn run<S: AsRef<OsStr>>(program: &Path, arguments: impl IntoIterator<Item = S>, packages: &OsStr) -> String {
+    let done = Command::new(program).args(arguments).env("PYTHONPATH", packages).output().unwrap();
+    assert!(done.status.success(), "{}:\n{}{}", program.display(), stdout(&done), stderr(&done));
+    stdout(&done)
+}
+
+#[test]
+fn generated_clients_talk_to_a_run() {
+    let Some(python) = env::var_os("COTORRA_PEERS") else {
+        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
+        return eprintln!("skipped: openapi-python-client is not installed; scripts/test installs it");
+    };
+    let program = |name: &str| Path::new(&python).with_file_name(name);
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name).into_os_string();
+    fs::write(path("settings.yaml"), "post_hooks: []\n").unwrap();
+    for (name, document) in [("operator", &["openapi"][..]), ("wais", &["openapi", "--wais"])] {
+        let file = path(&format!("{name}.json"));
+        fs::write(&file, stdout(&output(document))).unwrap();
+        run(&program("openapi-spec-validator"), [&file], OsStr::new(""));
+        let [out, settings] = [name, "settings.yaml"].map(path);
+        let arguments: [&OsStr; 7] = [
+            "generate".as_ref(),
+            "--path".as_ref(),
+            &file,
+            "--output-path".as_ref(),
+            &out,
+            "--config".as_ref(),
+            &settings,
+        ];
+        let told = run(&program("openapi-python-client"), arguments, OsStr::new(""));
+        assert!(!told.contains("Warning"), "all of the document becomes a client:\n{told}");
+    }
+    let run_of_hall = Run::start(&project_file("testbeds/hall.yaml"), &[]);
+    run_of_hall.wait_for_service();
+    let packages = env::join_paths([path("operator"), path("wais")]).unwrap();
+    let script = project_file("crates/cotorra/tests/end_to_end/generated_client.py");
+    let told = run(Path::new(&python), [script.as_os_str(), run_of_hall.address().as_ref()], &packages);
+    assert!(told.contains("all clients work"), "{told}");
+}
