@@ -1,7 +1,12 @@
 //! The fabric itself: it takes frames from hosts, leads them over links, switches and radio units, and hands them
 //! out where and when they are due.
 
-use std::collections::{HashMap, VecDeque};
+mod paths;
+
+use std::{
+    collections::{HashMap, VecDeque},
+    sync::Arc,
+};
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
@@ -18,11 +23,13 @@ use crate::{
     probes::{Over, Probes},
     radio::{Arrival, Path, Radio},
     random::stream,
-    routes::{Routes, Target, Vertex},
+    routes::{Path as Pinned, Routes, Target, Vertex},
     settings::{Refusal, Settings},
     timers::Timers,
     trial::Trials,
 };
+
+pub use self::paths::{Carries, NoPath};
 
 /// A host's place in [`HardwareGraph::hosts`], from 0; its interface has the addresses [`HostAddress::of`] that.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -85,6 +92,8 @@ pub struct Fabric {
     vertices: HashMap<NodeId, usize>,
     port_of_vertex: Vec<Option<PortId>>,
     routes: Routes,
+    /// By where a frame comes from and where it goes.
+    pinned: HashMap<[PortId; 2], Arc<Pinned>>,
     links: Vec<LinkId>,
     link_by_name: HashMap<LinkId, usize>,
     /// By edge of the routes: forward and backward of each link in turn.
@@ -189,6 +198,7 @@ impl Fabric {
             vertices,
             port_of_vertex,
             routes,
+            pinned: HashMap::new(),
             links: graph.links.iter().map(|l| l.id.clone()).collect(),
             link_by_name,
             timers: Timers::new(pipes.len()),
@@ -452,18 +462,6 @@ impl Fabric {
         self.radio.provision(robot, radio_unit, access_point)
     }
 
-    /// The links that a frame between two nodes would take now; `None` if no path is there.
-    pub fn route(&self, from: &NodeId, to: &NodeId) -> Option<Vec<LinkId>> {
-        let (from, to) = (*self.vertices.get(from)?, *self.vertices.get(to)?);
-        if from == to {
-            return Some(Vec::new());
-        }
-        let ((start, up), (end, down)) = (self.on_wire(from)?, self.on_wire(to)?);
-        let edges = self.routes.path(start, end)?;
-        let wired = edges.into_iter().map(|edge| self.links[edge / 2].clone());
-        Some(up.into_iter().chain(wired).chain(down).collect())
-    }
-
     /// How late frames were handed out.
     pub fn lateness(&self) -> Lateness {
         self.lateness.summary()
@@ -625,11 +623,11 @@ impl Fabric {
         while let Some((vertex, frame, target)) = self.pending.pop() {
             let here = self.port_of_vertex[vertex];
             match &target {
-                Target::Port(port) if here == Some(*port) => {
+                Target::Port { port, .. } if here == Some(*port) => {
                     self.outbox.push_back((now, *port, frame));
                     continue;
                 }
-                Target::Port(_) => {}
+                Target::Port { .. } => {}
                 Target::All { source, .. } => {
                     if let Some(port) = here.filter(|port| port != source) {
                         let copy = self.pool.copy(&frame);
@@ -649,14 +647,24 @@ impl Fabric {
     fn leave(&mut self, now: Timestamp, vertex: usize, frame: Frame, target: Target) {
         let to = |frame, target| Packet { frame, purpose: Purpose::Target(target), entered: now };
         match &target {
-            &Target::Port(port) => match self.hop(vertex, port) {
-                Some(Hop::Edge(edge)) => self.cross(now, edge, to(frame, target)),
-                Some(Hop::Air) => {
-                    let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
-                    self.on_air(frame, |radio, frame| radio.push_down(now, unit, port, frame));
+            Target::Port { port, along } => {
+                let pinned = along.as_ref().and_then(|path| self.routes.along(path, vertex));
+                if let Some(edge) = pinned {
+                    return self.cross(now, edge, to(frame, target));
                 }
-                None => self.drop_unroutable(frame),
-            },
+                // Its path ends here. The robot may be elsewhere by now; the way there may cross that path again.
+                let port = *port;
+                match self.hop(vertex, port) {
+                    Some(Hop::Edge(edge)) => {
+                        self.cross(now, edge, to(frame, Target::Port { port, along: None }));
+                    }
+                    Some(Hop::Air) => {
+                        let unit = self.port_of_vertex[vertex].expect("only a radio unit has stations");
+                        self.on_air(frame, |radio, frame| radio.push_down(now, unit, port, frame));
+                    }
+                    None => self.drop_unroutable(frame),
+                }
+            }
             Target::All { tree, source } => {
                 for edge in tree.branches(vertex) {
                     let copy = self.pool.copy(&frame);
@@ -708,7 +716,8 @@ impl Fabric {
             return Some(to_all(self));
         }
         match self.owner(destination) {
-            Some(port) => (port != source).then_some(Target::Port(port)),
+            Some(port) => (port != source)
+                .then(|| Target::Port { port, along: self.pinned(source, port, vertex).cloned() }),
             None => Some(to_all(self)),
         }
     }
@@ -739,17 +748,6 @@ impl Fabric {
         self.drops.unroutable += 1;
         self.balance.stranded += u64::from(frame.wire_packets());
         self.pool.put(frame);
-    }
-
-    /// Where a node is on the wired network: a robot at its radio unit, behind the wireless link there.
-    fn on_wire(&self, vertex: usize) -> Option<(usize, Option<LinkId>)> {
-        match self.port_of_vertex[vertex] {
-            Some(port) if self.ports[port.0].is_robot => {
-                let unit = &self.ports[self.radio.attached_to(port)?.0];
-                Some((unit.vertex, Some(LinkId::wireless(&self.ports[port.0].node, &unit.node))))
-            }
-            _ => Some((vertex, None)),
-        }
     }
 }
 

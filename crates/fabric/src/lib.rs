@@ -65,6 +65,7 @@
 //!   behind the transmitter come loss, corruption, duplication, and delay with jitter that keeps order.
 //! - **The air.** A robot's frames cross it to and from the radio unit that it is attached to, which takes airtime,
 //!   retries, and a handover's gap.
+//! - **Paths.** Frames take the path of least delay, or one that they are [pinned](Fabric::pin) to.
 //! - **Measurements.** [Probes](Fabric::probe_links) and [tests](Fabric::test_throughput) of wired links are packets
 //!   like others on the way, are for no host, and in no counter.
 //! - **Offloads.** A super-packet stays whole where nothing on its way needs packets, and counts as its packets
@@ -95,7 +96,7 @@ mod trial;
 mod wire_probes;
 
 pub use balance::Balance;
-pub use fabric::{Drops, Fabric, FabricError, PortId};
+pub use fabric::{Carries, Drops, Fabric, FabricError, NoPath, PortId};
 pub use frame::{Checksum, Frame, MEASURING_ETHERTYPE, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
 pub use probes::Crossing;

@@ -1,5 +1,6 @@
 //! Which way frames go: shortest paths by delay over the wired links, towards each destination, and spanning trees
 //! away from each sender for what goes to all. Both are worked out when first needed, and again after a delay changed.
+//! Frames from one host to another can be pinned to a path of their own.
 
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc, time::Duration};
 
@@ -8,8 +9,8 @@ use crate::PortId;
 /// Where a frame goes.
 #[derive(Debug, Clone)]
 pub(crate) enum Target {
-    /// To one host.
-    Port(PortId),
+    /// To one host, along the path that it set out on while that goes on.
+    Port { port: PortId, along: Option<Arc<Path>> },
     /// To all hosts but the one at the source port, along a tree that stays the one it set out on.
     All { tree: Arc<Tree>, source: PortId },
 }
@@ -42,6 +43,16 @@ impl Tree {
             .take_while(move |(from, _)| *from as usize == vertex)
             .map(|(_, edge)| *edge as usize)
     }
+}
+
+/// The wired part of a path that frames are pinned to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Path {
+    /// The vertices at its ends.
+    pub(crate) begin: usize,
+    pub(crate) end: usize,
+    /// In order.
+    pub(crate) edges: Vec<usize>,
 }
 
 /// What a vertex is to the routes.
@@ -124,6 +135,11 @@ impl Routes {
         }
     }
 
+    /// Where an edge leaves.
+    pub(crate) fn start(&self, edge: usize) -> usize {
+        self.edges[edge].ends[0] as usize
+    }
+
     /// Where an edge leads.
     pub(crate) fn end(&self, edge: usize) -> usize {
         self.edges[edge].ends[1] as usize
@@ -143,7 +159,12 @@ impl Routes {
         taken(steps[from])
     }
 
-    /// The edges of the path from a vertex to another; `None` if no wired path leads there.
+    /// The edge of a path that leaves a vertex.
+    pub(crate) fn along(&self, path: &Path, vertex: usize) -> Option<usize> {
+        path.edges.iter().copied().find(|edge| self.start(*edge) == vertex)
+    }
+
+    /// The edges of the shortest path from a vertex to another; `None` if no wired path leads there.
     pub(crate) fn path(&self, from: usize, to: usize) -> Option<Vec<usize>> {
         let (steps, _) = self.shortest(to, Sense::Towards);
         let mut path = Vec::new();

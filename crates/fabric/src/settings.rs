@@ -197,6 +197,16 @@ impl Settings {
     pub(crate) fn effective(&self) -> &Conditions {
         &self.effective
     }
+
+    /// What it carries at most, bit/s.
+    pub(crate) fn capacity_bps(&self) -> f64 {
+        rate_bps(&self.effective.rate).min(self.medium.rate.bits_per_second() as f64)
+    }
+
+    /// Whether nothing crosses it.
+    pub(crate) fn is_cut(&self) -> bool {
+        matches!(self.effective.loss, Loss::Independent { rate } if rate == Probability::ONE)
+    }
 }
 
 /// What a rate comes to, bit/s.

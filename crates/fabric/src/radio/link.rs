@@ -95,6 +95,10 @@ impl WirelessLink {
         &mut self.lanes[direction as usize]
     }
 
+    pub(super) fn settings(&self, direction: Direction) -> &Settings {
+        &self.lanes[direction as usize].settings
+    }
+
     /// What the receiver makes of the sender, if that is known for the robot at this place.
     pub(super) fn reception(&self, direction: Direction, place: Position) -> Option<Reception> {
         self.receptions.filter(|(at, _)| *at == place).map(|(_, receptions)| receptions[direction as usize])

@@ -45,7 +45,7 @@ use self::{
 };
 use crate::{
     balance::Balance,
-    fabric::{FabricError, PortId},
+    fabric::{Carries, FabricError, PortId},
     frame::Frame,
     pool::Pool,
     random::stream,
@@ -530,6 +530,23 @@ impl Radio {
         };
         let links = self.links.iter().enumerate().filter_map(|(pair, link)| Some((pair, link.as_deref()?)));
         links.flat_map(both).collect()
+    }
+
+    /// What one direction of a wireless link carries; `None` if there is no such link.
+    pub(crate) fn carries(&self, link: &LinkId, direction: Direction) -> Option<Carries> {
+        let (robot, unit) = self.ends(link)?;
+        let settings = match &self.links[self.pair(robot, unit)] {
+            Some(link) => link.settings(direction),
+            None => &self.networks[self.robots[robot].network].settings,
+        };
+        let is_there = self.robots[robot].station.attached() == Some(unit);
+        Some(Carries { is_there, ..Carries::of(settings) })
+    }
+
+    /// The robot and the radio unit of a wireless link; `None` if there is no such link.
+    pub(crate) fn ends_of(&self, link: &LinkId) -> Option<[PortId; 2]> {
+        let (robot, unit) = self.ends(link)?;
+        Some([self.robots[robot].port, self.units[unit].port])
     }
 
     /// Whether there is such a wireless link.

@@ -6,4 +6,5 @@ mod forwarding;
 mod invariants;
 mod links;
 mod offloads;
+mod paths;
 mod wireless;

@@ -1,0 +1,199 @@
+//! Paths of one's own choice: frames from one host to another can be pinned to any path between them, in that direction
+//! alone. All others take the shortest.
+
+use std::sync::Arc;
+
+use cotorra_graph::{Direction, LinkId, NodeId};
+
+use super::{Fabric, PortId, edge};
+use crate::{routes::Path, settings::Settings};
+
+/// Why links make no path between two hosts.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NoPath {
+    /// Switches and machines neither send nor receive.
+    #[error("`{0}` is no host of the emulated network")]
+    NotAHost(NodeId),
+    /// No link of that name.
+    #[error("there is no link `{0}`")]
+    UnknownLink(LinkId),
+    /// A link does not go on where the one before it ended.
+    #[error("the link `{link}` does not go on from `{at}`")]
+    Apart {
+        /// The link.
+        link: LinkId,
+        /// Where the path has come to.
+        at: NodeId,
+    },
+    /// Servers and robots send on nothing that is for others.
+    #[error("the path leads through `{0}`, which forwards nothing")]
+    NotForwarding(NodeId),
+    /// A node is passed twice.
+    #[error("the path comes to `{0}` twice")]
+    Loop(NodeId),
+    /// It ends elsewhere.
+    #[error("the path ends at `{at}`, not at `{to}`")]
+    WrongEnd {
+        /// Where it ends.
+        at: NodeId,
+        /// Where it should.
+        to: NodeId,
+    },
+}
+
+/// What one direction of a link carries.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Carries {
+    /// Its rate, bit/s.
+    pub rate_bps: f64,
+    /// It loses every packet.
+    pub is_cut: bool,
+    /// A wireless link is there while the robot is attached by it, a wired one always.
+    pub is_there: bool,
+}
+
+impl Carries {
+    pub(crate) fn of(settings: &Settings) -> Self {
+        Self { rate_bps: settings.capacity_bps(), is_cut: settings.is_cut(), is_there: true }
+    }
+}
+
+/// A path as it was walked.
+struct Walked {
+    hops: Vec<(LinkId, Direction)>,
+    ends: [PortId; 2],
+    wired: Path,
+}
+
+impl Fabric {
+    /// Returns the directions in which a path from one host to another crosses these links.
+    ///
+    /// # Errors
+    /// [`NoPath`].
+    pub fn check_path(
+        &self,
+        from: &NodeId,
+        to: &NodeId,
+        links: &[LinkId],
+    ) -> Result<Vec<(LinkId, Direction)>, NoPath> {
+        self.walk(from, to, links).map(|walked| walked.hops)
+    }
+
+    /// Pins frames from one host to another to paths, in place of all that were pinned before. A path to or from a robot
+    /// holds while the robot is attached where that path says. Frames under way stay on theirs.
+    ///
+    /// # Errors
+    /// [`NoPath`] for one that is none; nothing has changed then.
+    pub fn pin<'a>(
+        &mut self,
+        paths: impl IntoIterator<Item = (&'a NodeId, &'a NodeId, &'a [LinkId])>,
+    ) -> Result<(), NoPath> {
+        let walk = |(from, to, links)| self.walk(from, to, links);
+        let walked = paths.into_iter().map(walk).collect::<Result<Vec<_>, _>>()?;
+        self.pinned = walked.into_iter().map(|walked| (walked.ends, Arc::new(walked.wired))).collect();
+        Ok(())
+    }
+
+    /// What one direction of a link carries now; `None` if there is no such link.
+    pub fn carries(&self, link: &LinkId, direction: Direction) -> Option<Carries> {
+        match self.link_by_name.get(link) {
+            Some(&index) => Some(Carries::of(self.pipes[edge(index, direction)].settings())),
+            None => self.radio.carries(link, direction),
+        }
+    }
+
+    /// The links that a frame between two nodes would take now; `None` if no path is there.
+    pub fn route(&self, from: &NodeId, to: &NodeId) -> Option<Vec<LinkId>> {
+        let (from, to) = (*self.vertices.get(from)?, *self.vertices.get(to)?);
+        if from == to {
+            return Some(Vec::new());
+        }
+        let (start, end) = (self.on_wire(from)?, self.on_wire(to)?);
+        let ports = self.port_of_vertex[from].zip(self.port_of_vertex[to]);
+        let edges = match ports.and_then(|(from, to)| self.pinned(from, to, start)) {
+            Some(path) => path.edges.clone(),
+            None => self.routes.path(start, end)?,
+        };
+        let node = |vertex: usize| self.port_of_vertex[vertex].map(|port| &self.ports[port.0].node);
+        let air = |robot: usize, unit: usize| {
+            (robot != unit).then(|| Some(LinkId::wireless(node(robot)?, node(unit)?))).flatten()
+        };
+        let wired = edges.into_iter().map(|edge| self.links[edge / 2].clone());
+        Some(air(from, start).into_iter().chain(wired).chain(air(to, end)).collect())
+    }
+
+    /// The path that a frame is pinned to which enters the wired network at a vertex.
+    pub(super) fn pinned(&self, from: PortId, to: PortId, vertex: usize) -> Option<&Arc<Path>> {
+        if self.pinned.is_empty() {
+            return None;
+        }
+        let path = self.pinned.get(&[from, to])?;
+        let end = self.on_wire(self.ports[to.0].vertex)?;
+        (path.begin == vertex && path.end == end).then_some(path)
+    }
+
+    /// Where a node is on the wired network: a robot at its radio unit.
+    fn on_wire(&self, vertex: usize) -> Option<usize> {
+        match self.port_of_vertex[vertex] {
+            Some(port) if self.ports[port.0].is_robot => {
+                self.radio.attached_to(port).map(|unit| self.ports[unit.0].vertex)
+            }
+            _ => Some(vertex),
+        }
+    }
+
+    fn walk(&self, from: &NodeId, to: &NodeId, links: &[LinkId]) -> Result<Walked, NoPath> {
+        let host = |node: &NodeId| {
+            let found =
+                self.vertices.get(node).and_then(|vertex| Some((*vertex, self.port_of_vertex[*vertex]?)));
+            found.ok_or_else(|| NoPath::NotAHost(node.clone()))
+        };
+        let ((start, source), (goal, sink)) = (host(from)?, host(to)?);
+        let name = |vertex: usize| {
+            let (node, _) = self.vertices.iter().find(|(_, at)| **at == vertex).expect("each is a node");
+            node.clone()
+        };
+        let mut visited = vec![start];
+        let (mut hops, mut edges) = (Vec::new(), Vec::new());
+        // Where the wired part begins and ends: with a robot that is its radio unit.
+        let (mut begin, mut end) = (start, goal);
+        let mut at = start;
+        for link in links {
+            if at != start && !self.routes.vertex(at).forwards {
+                return Err(NoPath::NotForwarding(name(at)));
+            }
+            let next = if let Some(&index) = self.link_by_name.get(link) {
+                let ways = [Direction::Forward, Direction::Backward].map(|way| (edge(index, way), way));
+                let leaves = |(edge, _): &(usize, Direction)| self.routes.start(*edge) == at;
+                let found = ways.into_iter().find(leaves);
+                let (edge, way) = found.ok_or_else(|| NoPath::Apart { link: link.clone(), at: name(at) })?;
+                edges.push(edge);
+                hops.push((link.clone(), way));
+                self.routes.end(edge)
+            } else {
+                let ends = self.radio.ends_of(link).ok_or_else(|| NoPath::UnknownLink(link.clone()))?;
+                let [robot, unit] = ends.map(|port| self.ports[port.0].vertex);
+                let (way, next) = match at {
+                    at if at == robot => (Direction::Forward, unit),
+                    at if at == unit => (Direction::Backward, robot),
+                    _ => return Err(NoPath::Apart { link: link.clone(), at: name(at) }),
+                };
+                match way {
+                    Direction::Forward => begin = unit,
+                    Direction::Backward => end = unit,
+                }
+                hops.push((link.clone(), way));
+                next
+            };
+            if visited.contains(&next) {
+                return Err(NoPath::Loop(name(next)));
+            }
+            visited.push(next);
+            at = next;
+        }
+        if at != goal {
+            return Err(NoPath::WrongEnd { at: name(at), to: to.clone() });
+        }
+        Ok(Walked { hops, ends: [source, sink], wired: Path { begin, end, edges } })
+    }
+}
