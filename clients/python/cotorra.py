@@ -98,6 +98,10 @@ class Client:
         """a(n): where every VNF runs."""
         return self._ask("network/placements")
 
+    def virtual_links(self) -> list[JSON]:
+        """a(n1,n2): which links carry each direction of every virtual link, and why: `path`."""
+        return self._ask("network/virtual-links")
+
     # What was; of this run, or of another (`run`, a number) that shares its history.
 
     def runs(self) -> Iterator[JSON]:

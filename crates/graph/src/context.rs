@@ -335,7 +335,7 @@ pub struct Placement {
     pub node: NodeId,
 }
 
-/// a(n1,n2): which hardware links carry a virtual link.
+/// a(n1,n2): which hardware links carry one direction of a virtual link.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct VirtualLinkMapping {
@@ -345,6 +345,37 @@ pub struct VirtualLinkMapping {
     pub to: VnfId,
     /// … over these links.
     pub links: Vec<LinkId>,
+    /// Why these.
+    #[serde(default)]
+    pub path: PathKind,
+}
+
+/// Why packets take a path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PathKind {
+    /// It has the least delay, and nobody mapped another.
+    #[default]
+    Shortest,
+    /// An instruction mapped it.
+    Mapped,
+    /// Another is mapped, which cannot be used now; this one has the least delay.
+    Fallback,
+}
+
+impl PathKind {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Shortest, Self::Mapped, Self::Fallback];
+
+    /// Its name, as in JSON.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Shortest => "shortest",
+            Self::Mapped => "mapped",
+            Self::Fallback => "fallback",
+        }
+    }
 }
 
 /// One measured service time: from the emission of a robot's position packet to the reception of the navigation

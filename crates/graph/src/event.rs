@@ -42,7 +42,7 @@ pub enum Event {
     Link(LinkContext),
     /// A VNF runs on another node now; a(n) changed.
     Placement(Placement),
-    /// A virtual link is carried by other links now; a(n1,n2) changed.
+    /// One direction of a virtual link is carried by other links now; a(n1,n2) changed.
     VirtualLink(VirtualLinkMapping),
     /// A service time was measured.
     ServiceTime(ServiceTime),
@@ -166,6 +166,16 @@ pub enum Instruction {
         /// The node.
         node: NodeId,
     },
+    /// Map the virtual links between two nodes, a(n1,n2): packets from one node to the other take this path, and the rate
+    /// of these virtual links is reserved on it in that direction. It stays for these nodes, whatever runs on them.
+    Map {
+        /// The node at which the path begins.
+        from: NodeId,
+        /// The node at which it ends.
+        to: NodeId,
+        /// The path's links, in order; none takes the mapping back.
+        links: Vec<LinkId>,
+    },
     /// Change what a link does.
     Condition {
         /// The link.
@@ -244,6 +254,7 @@ impl Instruction {
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
             Self::Place { .. } => "place",
+            Self::Map { .. } => "map",
             Self::Condition { .. } => "condition",
             Self::Deploy { .. } => "deploy",
             Self::Remove { .. } => "remove",

@@ -33,8 +33,8 @@ pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
 };
 pub use context::{
-    AnswersRejected, Attachment, Handover, Lateness, LinkContext, LinkCounters, Placement, Pose, PoseSource,
-    RadioContext, RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity,
+    AnswersRejected, Attachment, Handover, Lateness, LinkContext, LinkCounters, PathKind, Placement, Pose,
+    PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity,
     VirtualLinkMapping,
 };
 pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};

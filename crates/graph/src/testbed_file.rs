@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn shipped_files_fit_the_schema() {
         let schema = schema();
-        for name in ["corridor.yaml", "two-hosts.yaml"] {
+        for name in ["corridor.yaml", "two-hosts.yaml", "two-paths.yaml"] {
             let text = std::fs::read_to_string(testbeds().join(name)).unwrap();
             assert_eq!(violation(&json_of(&text), &schema, name), None);
         }

@@ -67,7 +67,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         },
         Kind::Placement => Table { columns: &["vnf", "node"], series: &["vnf"], children: None },
         Kind::VirtualLink => Table {
-            columns: &["from_vnf", "to_vnf"],
+            columns: &["from_vnf", "to_vnf", "path"],
             series: &["from_vnf", "to_vnf"],
             children: Some(("hop", &["link"])),
         },

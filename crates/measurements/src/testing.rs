@@ -8,9 +8,10 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction,
     Event, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId,
-    Loss, NodeId, Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate,
-    RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Tested,
-    ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit,
+    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped,
+    StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
+    VnfState,
 };
 use proptest::{
     collection::vec,
@@ -256,6 +257,11 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
         (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
+        (node(), node(), vec(link(), 0..4)).prop_map(|(from, to, links)| Instruction::Map {
+            from,
+            to,
+            links
+        }),
         (link(), of(direction()), change()).prop_map(|(link, direction, change)| Instruction::Condition {
             link,
             direction,
@@ -314,8 +320,9 @@ pub fn event() -> impl Strategy<Value = Event> {
         radio_context().prop_map(Event::Radio),
         link_context().prop_map(Event::Link),
         (vnf(), node()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
-        (vnf(), vnf(), vec(link(), 0..4))
-            .prop_map(|(from, to, links)| Event::VirtualLink(VirtualLinkMapping { from, to, links })),
+        (vnf(), vnf(), vec(link(), 0..4), select(PathKind::ALL.to_vec())).prop_map(
+            |(from, to, links, path)| Event::VirtualLink(VirtualLinkMapping { from, to, links, path })
+        ),
         service_time().prop_map(Event::ServiceTime),
         (node(), of(node()), node(), any::<bool>(), duration()).prop_map(|(robot, from, to, fast, gap)| {
             Event::Handover(Handover { robot, from, to, fast, gap })

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     Attachment, ConditionChange, Direction, Event, Instruction, Lateness, LinkContext, LinkId, NodeId,
-    Placement, Position, Service, Testbed, ThroughputTest, Timestamp, VirtualLinkMapping, VnfId,
+    PathKind, Placement, Position, Testbed, ThroughputTest, Timestamp, VirtualLink, VirtualLinkMapping,
+    VnfId,
 };
 
 use crate::{
     access::AccessPoints,
+    mappings::{Mapping, Mappings},
     vim::{Engine, Managed, Vim},
 };
 
@@ -116,9 +118,16 @@ pub struct NetworkControl<N, E> {
     network: N,
     vim: Vim<E>,
     access_points: AccessPoints,
-    services: Vec<Service>,
-    mappings: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
+    virtual_links: Vec<VirtualLink>,
+    mappings: Mappings,
+    /// The paths that the fabric was told.
+    pinned: Vec<Path>,
+    /// a(n1,n2) as it was told last.
+    told: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
 }
+
+/// From one node to another, over these links.
+type Path = (NodeId, NodeId, Vec<LinkId>);
 
 impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// Controls this network; nothing runs before [`NetworkControl::start`].
@@ -127,8 +136,14 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             network,
             vim: Vim::new(testbed.graph.clone(), &testbed.services, engine),
             access_points: AccessPoints::new(&testbed.graph),
-            services: testbed.services.clone(),
-            mappings: BTreeMap::new(),
+            virtual_links: testbed
+                .services
+                .iter()
+                .flat_map(|service| service.virtual_links.clone())
+                .collect(),
+            mappings: Mappings::default(),
+            pinned: Vec::new(),
+            told: BTreeMap::new(),
         }
     }
 
@@ -193,42 +208,151 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// # Errors
     /// [`NetworkGone`].
     pub fn observe(&mut self) -> Result<Vec<Event>, NetworkGone> {
-        let wanted: Vec<_> = self
-            .services
-            .iter()
-            .flat_map(|service| &service.virtual_links)
-            .filter_map(|link| {
-                let ends = (self.vim.node(&link.from)?.clone(), self.vim.node(&link.to)?.clone());
-                Some(((link.from.clone(), link.to.clone()), ends))
-            })
-            .collect();
-        let (now, radios, links, lateness, routes) = self.network.with(move |fabric, now| {
-            let (radios, links) = (fabric.radio_contexts(now), fabric.link_contexts(now));
-            let routes: Vec<_> = wanted
-                .into_iter()
-                .map(|(key, (from, to))| (key, fabric.route(&from, &to).unwrap_or_default()))
-                .collect();
-            (now, radios, links, fabric.lateness(), routes)
+        let (now, radios, links, lateness) = self.network.with(|fabric, now| {
+            (now, fabric.radio_contexts(now), fabric.link_contexts(now), fabric.lateness())
         })?;
         let (links, lateness) = (self.network.complete(now, links), self.network.lateness(lateness));
         let radios = radios.into_iter().map(Event::Radio);
         let mut events: Vec<_> =
             radios.chain(links.into_iter().map(Event::Link)).chain([Event::Lateness(lateness)]).collect();
-        for ((from, to), links) in routes {
-            let mapping = VirtualLinkMapping { from: from.clone(), to: to.clone(), links };
-            if self.mappings.get(&(from.clone(), to.clone())) != Some(&mapping) {
-                self.mappings.insert((from, to), mapping.clone());
+        events.extend(self.settle()?);
+        events.extend(self.changed_virtual_links()?);
+        Ok(events)
+    }
+
+    /// Attachments, links or placements changed: works out which mappings are used, and gives the virtual links that
+    /// other hardware links carry now. Does nothing where nothing is mapped, nor was.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn remap(&mut self) -> Result<Vec<Event>, NetworkGone> {
+        if self.mappings.is_empty() && self.pinned.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut events = self.settle()?;
+        events.extend(self.changed_virtual_links()?);
+        Ok(events)
+    }
+
+    /// What mappings reserve of each direction of a link, bit/s.
+    pub fn reserved(&self) -> impl Iterator<Item = (&LinkId, Direction, f64)> {
+        self.mappings.reserved().into_iter().map(|((link, direction), bps)| (link, *direction, bps))
+    }
+
+    /// Works out what mappings reserve and whether they are used, and tells the fabric.
+    fn settle(&mut self) -> Result<Vec<Event>, NetworkGone> {
+        let mut mappings = std::mem::take(&mut self.mappings);
+        let changes = self.work_out(&mut mappings);
+        self.mappings = mappings;
+        let told = changes?.into_iter().map(|message| Event::Notice { message }).collect();
+        let path = |mapping: &Mapping| (mapping.from.clone(), mapping.to.clone(), mapping.links.clone());
+        let pinned: Vec<Path> = self.mappings.pinned().map(path).collect();
+        if pinned != self.pinned {
+            self.pinned = pinned.clone();
+            let pin = move |fabric: &mut Fabric, _| {
+                fabric.pin(pinned.iter().map(|(from, to, links)| (from, to, links.as_slice())))
+            };
+            self.network.with(pin)?.expect("it was a path when it was mapped, and the graph stays");
+        }
+        Ok(told)
+    }
+
+    /// Works out what these mappings reserve and whether they are used; gives what changed, for people.
+    fn work_out(&self, mappings: &mut Mappings) -> Result<Vec<String>, NetworkGone> {
+        if mappings.is_empty() {
+            return Ok(Vec::new());
+        }
+        let hops: Vec<_> = mappings.hops().cloned().collect();
+        let carries = self.network.with(move |fabric, _| {
+            let carries = hops.into_iter().map(|hop| (fabric.carries(&hop.0, hop.1), hop));
+            carries.filter_map(|(carries, hop)| Some((hop, carries?))).collect()
+        })?;
+        Ok(mappings.settle(|a, b| self.rate_between(a, b).unwrap_or(0.0), &carries))
+    }
+
+    /// Both directions of those virtual links that other hardware links carry than at the last call.
+    fn changed_virtual_links(&mut self) -> Result<Vec<Event>, NetworkGone> {
+        let both =
+            self.virtual_links.iter().flat_map(|link| [(&link.from, &link.to), (&link.to, &link.from)]);
+        let wanted: BTreeMap<_, _> = both
+            .filter_map(|(from, to)| {
+                let ends = (self.vim.node(from)?.clone(), self.vim.node(to)?.clone());
+                Some(((from.clone(), to.clone()), ends))
+            })
+            .collect();
+        let routes: Vec<_> = self.network.with(move |fabric, _| {
+            let route = |(key, ends): (_, (NodeId, NodeId))| {
+                (key, fabric.route(&ends.0, &ends.1).unwrap_or_default(), ends)
+            };
+            wanted.into_iter().map(route).collect()
+        })?;
+        let mut events = Vec::new();
+        for (key, links, (from, to)) in routes {
+            let path = match self.mappings.get(&from, &to) {
+                None => PathKind::Shortest,
+                Some(mapping) if mapping.is_used() && mapping.links == links => PathKind::Mapped,
+                Some(_) => PathKind::Fallback,
+            };
+            let mapping = VirtualLinkMapping { from: key.0.clone(), to: key.1.clone(), links, path };
+            if self.told.get(&key) != Some(&mapping) {
+                self.told.insert(key, mapping.clone());
                 events.push(Event::VirtualLink(mapping));
             }
         }
         Ok(events)
     }
 
-    /// Does what was asked: scans, attachments, placements, conditions and tests. Movements are the Robot Middleware's.
+    /// Maps the virtual links between two nodes to a path, or takes that back.
+    fn map(&mut self, from: NodeId, to: NodeId, links: Vec<LinkId>) -> Result<(), Refused> {
+        if links.is_empty() {
+            let removed = self.mappings.remove(&from, &to);
+            return if removed {
+                Ok(())
+            } else {
+                Err(Refused(format!("nothing is mapped from `{from}` to `{to}`")))
+            };
+        }
+        let path = (from.clone(), to.clone(), links.clone());
+        let check = move |fabric: &mut Fabric, _| fabric.check_path(&path.0, &path.1, &path.2);
+        let hops = self.network.with(check).map_err(refused)?.map_err(refused)?;
+        if self.rate_between(&from, &to).is_none() {
+            return Err(Refused(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
+        }
+        let mapping = Mapping::new(from, to, links, hops);
+        let mut tried = self.mappings.clone();
+        tried.insert(mapping.clone());
+        self.work_out(&mut tried).map_err(refused)?;
+        if let Some(shortage) = tried.get(&mapping.from, &mapping.to).and_then(Mapping::shortage) {
+            return Err(refused(shortage));
+        }
+        self.mappings.insert(mapping);
+        Ok(())
+    }
+
+    /// The sum of the rates of virtual links between VNFs on two nodes, or on their way there, bit/s; `None` if there is
+    /// none. A virtual link has its rate in either direction.
+    fn rate_between(&self, a: &NodeId, b: &NodeId) -> Option<f64> {
+        let joins = |link: &&VirtualLink| {
+            let lies = |from, to| self.vim.is_on(&link.from, from) && self.vim.is_on(&link.to, to);
+            lies(a, b) || lies(b, a)
+        };
+        let rates = self.virtual_links.iter().filter(joins).map(|link| link.rate.bits_per_second() as f64);
+        rates.reduce(|sum, rate| sum + rate)
+    }
+
+    /// Does what was asked: scans, attachments, placements, mappings, conditions and tests. Movements are the Robot
+    /// Middleware's.
     ///
     /// # Errors
     /// [`Refused`] with the reason; then nothing changed.
     pub fn instruct(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, Refused> {
+        let mut events = self.follow(now, instruction)?;
+        // It is done, even if the network is stopped right now.
+        events.extend(self.remap().unwrap_or_default());
+        Ok(events)
+    }
+
+    fn follow(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, Refused> {
         match instruction.clone() {
             Instruction::Scan { robot } => {
                 self.network
@@ -243,6 +367,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 Ok(Vec::new())
             }
             Instruction::Place { vnf, node } => self.vim.place(now, &vnf, &node).map_err(refused),
+            Instruction::Map { from, to, links } => self.map(from, to, links).map(|()| Vec::new()),
             Instruction::Condition { link, direction, change } => {
                 let contexts = self.network.change(&link, direction, &change)?;
                 Ok(self.network.complete(now, contexts).into_iter().map(Event::Link).collect())
@@ -283,3 +408,6 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.shut_down();
     }
 }
+
+#[cfg(test)]
+mod tests;

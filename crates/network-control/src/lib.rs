@@ -8,6 +8,9 @@
 mod access;
 mod control;
 mod environment;
+mod mappings;
+#[cfg(test)]
+mod testing;
 pub mod vim;
 
 pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric, test_fabric_throughput};

@@ -330,6 +330,14 @@ impl Client {
         self.get("network/placements", &[])
     }
 
+    /// a(n1,n2): which links carry each direction of every virtual link.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub fn virtual_links(&self) -> Result<Vec<VirtualLinkMapping>, ClientError> {
+        self.get("network/virtual-links", &[])
+    }
+
     /// κ of a robot over time.
     ///
     /// # Errors

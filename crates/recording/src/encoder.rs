@@ -94,6 +94,7 @@ impl Encoder {
                     from_vnf: mapping.from.to_string(),
                     to_vnf: mapping.to.to_string(),
                     links: mapping.links.iter().map(ToString::to_string).collect(),
+                    path: mapping.path.as_str().to_owned(),
                 };
                 self.tell("/virtual_links", at, &message, out);
             }

@@ -6,9 +6,9 @@ use std::{env, path::Path, process::Command, sync::Arc, time::Duration};
 
 use cotorra_graph::{
     Attachment, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Lateness, LinkContext,
-    LinkCounters, LinkId, NodeId, Placement, PluginId, Pose, PoseSource, RadioContext, RobotContext,
-    RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed, Timestamp,
-    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, testbed_file,
+    LinkCounters, LinkId, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, RadioContext,
+    RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed,
+    Timestamp, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, testbed_file,
 };
 use cotorra_recording::{About, Pace, Recording, RecordingPlace, Wanted};
 use cotorra_robot_middleware::{Scan, SensedScan};
@@ -58,6 +58,7 @@ fn events() -> Vec<Event> {
             from: vnf("driver"),
             to: vnf("navigation"),
             links: vec![LinkId::new("tb2~R-1").unwrap(), LinkId::new("R-1-edge").unwrap()],
+            path: PathKind::Mapped,
         }),
         Event::Vnf(VnfEvent {
             vnf: vnf("navigation"),

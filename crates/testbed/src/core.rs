@@ -67,6 +67,8 @@ pub(crate) struct Core<N, E> {
     script: Script,
     next_context: Timestamp,
     next_observation: Timestamp,
+    /// An attachment changed, and mappings with it.
+    remaps: bool,
     /// Robots stand until everything that they need serves.
     begun: bool,
 }
@@ -104,6 +106,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             script,
             next_context: Timestamp::ZERO,
             next_observation: Timestamp::ZERO,
+            remaps: false,
             begun: false,
         })
     }
@@ -118,6 +121,10 @@ impl<N: Network, E: Engine> Core<N, E> {
     pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let events = self.control.poll(now)?;
         self.tell(now, events);
+        if std::mem::take(&mut self.remaps) {
+            let events = self.control.remap()?;
+            self.tell(now, events);
+        }
         while let Some(change) = self.script.poll(now) {
             self.change(now, change);
         }
@@ -230,6 +237,7 @@ impl<N: Network, E: Engine> Core<N, E> {
         if let Event::Handover(_) | Event::Detached { .. } | Event::Scanned { .. } = event.event {
             // φ changed, or signals are fresh: learnt now, so that the next κ has them.
             self.next_context = Timestamp::ZERO;
+            self.remaps = true;
         }
         self.events.push_back(event);
     }

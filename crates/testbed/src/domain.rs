@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, PluginId, RobotContext,
-    Stamped, Testbed, VnfId,
+    Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 
 /// All domains of a testbed, and the plug-ins that are bound to one.
@@ -144,6 +144,17 @@ impl DomainView {
         Some(context)
     }
 
+    /// a(n1,n2) of a virtual link to or from one of its VNFs, without links of others.
+    pub(crate) fn virtual_link(&self, mapping: &VirtualLinkMapping) -> Option<VirtualLinkMapping> {
+        let own = self.vnfs.contains(&mapping.from) || self.vnfs.contains(&mapping.to);
+        let seen = || {
+            let mut mapping = mapping.clone();
+            mapping.links.retain(|link| self.sees_link(link));
+            mapping
+        };
+        own.then(seen)
+    }
+
     /// What the domain is told of an event; `None`: nothing.
     pub(crate) fn event<'a>(&self, stamped: &'a Stamped) -> Option<Cow<'a, Stamped>> {
         let changed = |event| Some(Cow::Owned(Stamped { at: stamped.at, event }));
@@ -153,10 +164,7 @@ impl DomainView {
                 return changed(self.visitor(handover)?);
             }
             Event::VirtualLink(mapping) => {
-                let mut mapping = mapping.clone();
-                mapping.links.retain(|link| self.sees_link(link));
-                let own = self.vnfs.contains(&mapping.from) || self.vnfs.contains(&mapping.to);
-                return own.then_some(mapping).and_then(|mapping| changed(Event::VirtualLink(mapping)));
+                return changed(Event::VirtualLink(self.virtual_link(mapping)?));
             }
             // A radio unit knows its stations, whosever they are.
             Event::Radio(context) => self.owns(&context.radio_unit),
@@ -194,6 +202,10 @@ impl DomainView {
     pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwn> {
         let not_own = |what: String| Err(NotOwn { what, domain: self.domain.clone() });
         let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };
+        let own_link = |link: &LinkId| {
+            let own = self.ends(link).is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
+            if own { Ok(()) } else { not_own(format!("the link `{link}`")) }
+        };
         match instruction {
             Instruction::Move { robot, .. }
             | Instruction::Scan { robot }
@@ -204,11 +216,12 @@ impl DomainView {
             Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
             Instruction::Place { vnf, .. } if !self.vnfs.contains(vnf) => not_own(format!("the VNF `{vnf}`")),
             Instruction::Place { node: to, .. } => node(to),
-            Instruction::Condition { link, .. } | Instruction::TestThroughput { link, .. } => {
-                let ends = self.ends(link);
-                let own = ends.is_some_and(|ends| ends.iter().all(|end| self.owns(end)));
-                if own { Ok(()) } else { not_own(format!("the link `{link}`")) }
+            Instruction::Map { from, to, links } => {
+                node(from)?;
+                node(to)?;
+                links.iter().try_for_each(own_link)
             }
+            Instruction::Condition { link, .. } | Instruction::TestThroughput { link, .. } => own_link(link),
             Instruction::Note { .. } => Ok(()),
         }
     }

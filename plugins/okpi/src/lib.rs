@@ -13,9 +13,11 @@ mod paths;
 mod placement;
 mod settings;
 
+use std::collections::BTreeMap;
+
 use cotorra_graph::{
-    Event, Instruction, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service, Testbed,
-    Timestamp,
+    Event, Instruction, LinkId, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service,
+    Testbed, Timestamp, VirtualLink,
 };
 use cotorra_plugin::{Actions, Plugin, client::Client};
 
@@ -169,10 +171,14 @@ fn decide(
     };
     decision.warned = false;
     let reason = reason(service, &placed, location);
+    let paths = paths(service, &placed);
     for Placement { vnf, node } in placed.placement {
         if now.wants_place(&vnf, &node) {
             actions.instruct_because(Instruction::Place { vnf, node }, &reason);
         }
+    }
+    for (from, to, links) in now.wants_paths(service, paths) {
+        actions.instruct_because(Instruction::Map { from, to, links }, &reason);
     }
     // A robot that lost its radio unit, or took another by itself, is told again.
     if let Some(unit) = &placed.attachment
@@ -183,6 +189,23 @@ fn decide(
         actions.instruct_because(Instruction::Attach { robot, radio_unit }, &reason);
     }
     decision.attachment = placed.attachment;
+}
+
+/// The paths of the virtual links between VNFs that follow each other, there and back.
+fn paths(service: &Service, placed: &Placed) -> BTreeMap<(NodeId, NodeId), Vec<LinkId>> {
+    let mut paths = BTreeMap::new();
+    for (pair, links) in placed.placement.windows(2).zip(&placed.paths) {
+        let [a, b] = [&pair[0], &pair[1]];
+        let ends =
+            |link: &&VirtualLink| [(&a.vnf, &b.vnf), (&b.vnf, &a.vnf)].contains(&(&link.from, &link.to));
+        if links.is_empty() || service.virtual_links.iter().find(ends).is_none() {
+            continue;
+        }
+        paths.entry((a.node.clone(), b.node.clone())).or_insert_with(|| links.clone());
+        let back = || links.iter().rev().cloned().collect();
+        paths.entry((b.node.clone(), a.node.clone())).or_insert_with(back);
+    }
+    paths
 }
 
 /// Why a placement is what it is, for people.

@@ -1,11 +1,15 @@
 //! What the plug-in knows of the testbed now, kept up with its events, as the infrastructure that a service sees; and
 //! what it asked for itself and waits for, so that it neither asks again nor takes its own doing for another's.
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::Arc,
+    time::Duration,
+};
 
 use cotorra_graph::{
     Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Rate,
-    Scale, Service, Testbed, Trace, VnfEvent, VnfId, VnfState,
+    Scale, Service, ServiceId, Testbed, Trace, VnfEvent, VnfId, VnfState,
 };
 
 use crate::model::{self, Infrastructure, Queue};
@@ -46,8 +50,10 @@ pub(crate) struct Now {
     moves: BTreeMap<VnfId, NodeId>,
     /// The radio units that robots were asked to attach to and are not with yet.
     handovers: BTreeMap<NodeId, NodeId>,
-    /// a(n1,n2).
+    /// a(n1,n2), in both directions of each virtual link.
     mappings: BTreeMap<(VnfId, VnfId), Vec<LinkId>>,
+    /// The paths between nodes that were asked for, and for which service.
+    paths: BTreeMap<(NodeId, NodeId), (ServiceId, Vec<LinkId>)>,
     /// What the directions of links do.
     carriage: BTreeMap<(LinkId, Direction), Carriage>,
 }
@@ -69,6 +75,7 @@ impl Now {
             moves: BTreeMap::new(),
             handovers: BTreeMap::new(),
             mappings: BTreeMap::new(),
+            paths: BTreeMap::new(),
             graph: testbed.graph.clone(),
             services: testbed.services.as_slice().into(),
         }
@@ -124,6 +131,12 @@ impl Now {
                 match &decision.instruction {
                     Instruction::Place { vnf, node } => drop(self.end_move(vnf, node)),
                     Instruction::Attach { robot, radio_unit } => self.end_handover(robot, radio_unit),
+                    Instruction::Map { from, to, links } => {
+                        let ends = (from.clone(), to.clone());
+                        if self.paths.get(&ends).is_some_and(|(_, asked)| asked == links) {
+                            self.paths.remove(&ends);
+                        }
+                    }
                     _ => {}
                 }
                 Concerned::Nobody
@@ -174,6 +187,32 @@ impl Now {
         }
     }
 
+    /// Wants these paths for a service, and no others: returns what has to be asked for, which is noted. What other
+    /// services have mapped between two nodes stays. While a VNF of the service moves, packets still go to where it was.
+    pub(crate) fn wants_paths(
+        &mut self,
+        service: &Service,
+        wanted: BTreeMap<(NodeId, NodeId), Vec<LinkId>>,
+    ) -> Vec<(NodeId, NodeId, Vec<LinkId>)> {
+        let mut asked = Vec::new();
+        if !service.vnfs.iter().any(|vnf| self.moves.contains_key(&vnf.id)) {
+            let needless = |ends: &_, (owner, _): &mut (ServiceId, _)| {
+                *owner == service.id && !wanted.contains_key(ends)
+            };
+            let taken_back = self.paths.extract_if(.., needless);
+            asked.extend(taken_back.map(|((from, to), _)| (from, to, Vec::new())));
+        }
+        for (ends, links) in wanted {
+            let own = (service.id.clone(), links);
+            let known = self.paths.get(&ends);
+            if known.is_none_or(|known| known.0 == own.0 && known.1 != own.1) {
+                asked.push((ends.0.clone(), ends.1.clone(), own.1.clone()));
+                self.paths.insert(ends, own);
+            }
+        }
+        asked
+    }
+
     /// Wants a robot with a radio unit: whether that has to be asked for, which is noted.
     pub(crate) fn wants_attachment(
         &mut self,
@@ -209,8 +248,11 @@ impl Now {
                 }
             }
             for link in &other.virtual_links {
-                for carrier in self.mappings.get(&(link.from.clone(), link.to.clone())).into_iter().flatten()
-                {
+                let there = self.mappings.get(&(link.from.clone(), link.to.clone()));
+                let back = self.mappings.get(&(link.to.clone(), link.from.clone()));
+                // The decision counts a link once for both directions.
+                let carriers: BTreeSet<_> = there.into_iter().chain(back).flatten().collect();
+                for carrier in carriers {
                     *taken.entry(carrier).or_default() += link.rate.bits_per_second() as f64;
                 }
             }
@@ -327,8 +369,8 @@ mod tests {
     use std::path::Path;
 
     use cotorra_graph::{
-        Attachment, Decision, Handover, LinkContext, Placement, Pose, PoseSource, RobotContext, SensorData,
-        Velocity, VirtualLinkMapping, testbed_file,
+        Attachment, Decision, Handover, LinkContext, PathKind, Placement, Pose, PoseSource, RobotContext,
+        SensorData, Velocity, VirtualLinkMapping, testbed_file,
     };
 
     use super::*;
@@ -414,7 +456,8 @@ walks:
         assert_eq!(concerned(&mut now, &placed("r-brain", "far")), ["second"], "it was asked to");
         let mapping = |link: &str| {
             let links = vec![LinkId::new(link).unwrap()];
-            Event::VirtualLink(VirtualLinkMapping { from: vnf_id("q-driver"), to: vnf_id("q-brain"), links })
+            let (from, to) = (vnf_id("q-driver"), vnf_id("q-brain"));
+            Event::VirtualLink(VirtualLinkMapping { from, to, links, path: PathKind::Shortest })
         };
         assert_eq!(concerned(&mut now, &mapping("lan-far")), ["first"]);
         assert!(concerned(&mut now, &mapping("lan-far")).is_empty());
@@ -517,6 +560,27 @@ walks:
     }
 
     #[test]
+    fn paths_are_asked_for_once_and_taken_back_when_the_vnf_has_moved() {
+        let testbed = testbed();
+        let (service, other) = (&testbed.services[0], &testbed.services[1]);
+        let ends = |server: &str| (node_id("r"), node_id(server));
+        let over = |server: &str| vec![LinkId::new("r~R").unwrap(), LinkId::new(server).unwrap()];
+        let to = |server: &str| BTreeMap::from([(ends(server), over(server))]);
+        let asked = |server: &str, links| vec![(node_id("r"), node_id(server), links)];
+        let mut now = Now::new(&testbed);
+        assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")));
+        assert_eq!(now.wants_paths(service, to("far")), [], "it was asked for");
+        assert_eq!(now.wants_paths(other, BTreeMap::from([(ends("far"), over("near"))])), [], "it is taken");
+        now.learn(&refused(Instruction::Map { from: node_id("r"), to: node_id("far"), links: over("far") }));
+        assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")), "it was refused");
+        assert!(now.wants_place(&vnf_id("r-brain"), &node_id("near")));
+        assert_eq!(now.wants_paths(service, to("near")), asked("near", over("near")), "it is under way");
+        now.learn(&placed("r-brain", "near"));
+        assert_eq!(now.wants_paths(service, to("near")), asked("far", Vec::new()));
+        assert_eq!(now.wants_paths(service, to("near")), []);
+    }
+
+    #[test]
     fn what_others_take_is_not_offered() {
         let testbed = testbed();
         let mut now = Now::new(&testbed);
@@ -532,7 +596,7 @@ walks:
         assert_eq!((free(&now, "far"), free(&now, "near")), ((4.0, 8), (3.0, 6)));
         let links = vec![LinkId::new("lan-near").unwrap()];
         let (from, to) = (vnf_id("q-driver"), vnf_id("q-brain"));
-        now.learn(&Event::VirtualLink(VirtualLinkMapping { from, to, links }));
+        now.learn(&Event::VirtualLink(VirtualLinkMapping { from, to, links, path: PathKind::Mapped }));
         let seen = now.infrastructure(&testbed.services[0], &[]);
         let free = |name: &str| seen.links.iter().find(|l| l.id == name).unwrap().free_bps;
         assert_eq!((free("lan-near"), free("lan-far")), (8e6, 10e6));

@@ -7,8 +7,8 @@ use std::{sync::LazyLock, time::Duration};
 
 use common::{context, corridor, exact, survey};
 use cotorra_graph::{
-    Conditions, Decision, Event, Handover, Instruction, LinkId, NodeId, NodeKind, Placement, PluginId,
-    Position, Rate, Testbed, Timestamp, VirtualLinkMapping, VnfId,
+    Conditions, Decision, Event, Handover, Instruction, LinkId, NodeId, NodeKind, PathKind, Placement,
+    PluginId, Position, Rate, Testbed, Timestamp, VirtualLinkMapping, VnfId,
 };
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Okpi, Search, Vnf};
 use cotorra_plugin::{Actions, Plugin};
@@ -57,6 +57,9 @@ fn walk(settings: &Map<String, Value>) -> Vec<Change> {
                         attached = true;
                         done.push(handover(&unit, radio_unit.as_str()));
                         unit = radio_unit.to_string();
+                    }
+                    Instruction::Map { .. } => {
+                        assert!(!attached, "paths are mapped before the robot takes them")
                     }
                     other => panic!("{other:?}"),
                 }
@@ -267,7 +270,7 @@ fn what_cannot_be_kept_changes_nothing_unless_relaxed() {
     };
     assert!(asked(&survey()).is_empty());
     let relaxed = asked(&with("relax", json!(true)));
-    assert_eq!(relaxed.len(), 2);
+    assert_eq!(relaxed.len(), 4);
     let reason = relaxed[0].1.as_ref().unwrap();
     assert!(reason.ends_with("11.0 ms, 2.0 ms too much"), "{reason}");
 }
@@ -281,11 +284,12 @@ fn instructed() -> (Okpi, [Instruction; 2]) {
     (okpi, asked.try_into().unwrap())
 }
 
-/// What an event makes it ask for.
+/// What an event makes it ask for, without mappings.
 fn told(okpi: &mut Okpi, event: &Event) -> Vec<Instruction> {
     let mut actions = Actions::default();
     okpi.handle(Timestamp::ZERO, event, &mut actions);
-    actions.drain().map(|(instruction, _)| instruction).collect()
+    let asked = actions.drain().map(|(instruction, _)| instruction);
+    asked.filter(|instruction| !matches!(instruction, Instruction::Map { .. })).collect()
 }
 
 fn handover(from: &str, to: &str) -> Event {
@@ -304,6 +308,7 @@ fn a_handover_under_way_is_not_asked_for_again() {
         from: "robot-driver".parse().unwrap(),
         to: vnf.clone(),
         links: vec![LinkId::new("R3-edge").unwrap()],
+        path: PathKind::Shortest,
     };
     for event in [
         Event::Placement(Placement { vnf, node }),
@@ -317,6 +322,23 @@ fn a_handover_under_way_is_not_asked_for_again() {
     ] {
         assert_eq!(told(&mut okpi, &event), [], "{event:?}");
     }
+}
+
+#[test]
+fn the_path_of_a_decision_is_mapped_there_and_back() {
+    let mut okpi = Okpi::from_settings(&survey()).unwrap();
+    let mut actions = Actions::default();
+    okpi.start(Timestamp::ZERO, &corridor(), &mut actions);
+    okpi.handle(Timestamp::ZERO, &context((27.2, -10.0), "R3"), &mut actions);
+    let asked: Vec<_> = actions.drain().map(|(instruction, _)| instruction).collect();
+    let map = |from: &str, to: &str, links: [&str; 2]| Instruction::Map {
+        from: from.parse().unwrap(),
+        to: to.parse().unwrap(),
+        links: links.map(|link| link.parse().unwrap()).to_vec(),
+    };
+    let there = map("robot", "edge", ["robot~R2", "R2-edge"]);
+    let back = map("edge", "robot", ["R2-edge", "robot~R2"]);
+    assert_eq!(asked[1..3], [back, there]);
 }
 
 #[test]
@@ -377,7 +399,8 @@ proptest! {
         let mut actions = Actions::default();
         okpi.start(Timestamp::ZERO, &TESTBED, &mut actions);
         okpi.handle(Timestamp::ZERO, &context((x, y), "R4"), &mut actions);
-        prop_assert!(actions.len() <= 2);
+        // A place, a path there and one back, an attachment.
+        prop_assert!(actions.len() <= 4);
         actions.drain().for_each(drop);
         okpi.handle(Timestamp::ZERO, &context((x, y), "R4"), &mut actions);
         prop_assert!(actions.is_empty());

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Event, Instruction, Stamped};
+use cotorra_graph::{Event, Instruction, LinkId, Stamped, VirtualLinkMapping};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::args::EventsArgs;
@@ -66,8 +66,8 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         }
         Event::Placement(placement) => format!("{} on {}", placement.vnf, placement.node),
         Event::VirtualLink(mapping) => {
-            let over: Vec<_> = mapping.links.iter().map(|link| link.as_str()).collect();
-            format!("{} to {} over {}", mapping.from, mapping.to, over.join(", "))
+            let VirtualLinkMapping { from, to, links, path } = mapping;
+            format!("{from} to {to} over {}, {}", over(links), path.as_str())
         }
         Event::ServiceTime(sample) => {
             let took =
@@ -109,6 +109,11 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
     }
 }
 
+/// Links of a path, for people.
+pub(super) fn over(links: &[LinkId]) -> String {
+    links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
+}
+
 fn instruction(instruction: &Instruction) -> String {
     match instruction {
         Instruction::Move { robot, velocity, .. } => {
@@ -117,6 +122,8 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
         Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),
+        Instruction::Map { from, to, links } if links.is_empty() => format!("unmap {from} to {to}"),
+        Instruction::Map { from, to, links } => format!("map {from} to {to} over {}", over(links)),
         Instruction::Condition { link, direction, .. } => {
             let direction = direction.map(|d| format!(" {d:?}").to_lowercase()).unwrap_or_default();
             format!("change {link}{direction}")

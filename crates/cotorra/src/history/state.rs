@@ -1,9 +1,9 @@
 //! `cotorra history state`: the whole graph at a time.
 
-use cotorra_graph::{LinkContext, RobotContext, Timestamp};
+use cotorra_graph::{LinkContext, RobotContext, Timestamp, VirtualLinkMapping};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
-use super::{Error, Source, args::StateArgs, first_of, seconds};
+use super::{Error, Source, args::StateArgs, events::over, first_of, seconds};
 use crate::{
     link::{conditions, probed},
     output,
@@ -70,11 +70,13 @@ fn describe(state: &GraphState) -> String {
     }
     section("Placements", placements, state.placements.len());
 
-    let mut virtual_links = Table::new("<<<>");
-    virtual_links.row(["from", "to", "over", "since, s"]);
-    for Sample { at, value } in state.virtual_links.iter().take(ROWS) {
-        let over = value.links.iter().map(|link| link.as_str()).collect::<Vec<_>>().join(", ");
-        virtual_links.row([value.from.to_string(), value.to.to_string(), over, seconds(*at)]);
+    let mut virtual_links = Table::new("<<<<>");
+    virtual_links.row(["from", "to", "over", "path", "since, s"]);
+    for Sample { at, value: VirtualLinkMapping { from, to, links, path } } in
+        state.virtual_links.iter().take(ROWS)
+    {
+        let path = path.as_str().to_owned();
+        virtual_links.row([from.to_string(), to.to_string(), over(links), path, seconds(*at)]);
     }
     section("Virtual links", virtual_links, state.virtual_links.len());
     if text.is_empty() { "nothing was known yet\n".to_owned() } else { text }

@@ -17,6 +17,7 @@ mod interruption;
 mod kill_cycles;
 mod link;
 mod localize;
+mod map;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 #[path = "../../../measurements/src/testing/mariadb.rs"]
 mod mariadb;

@@ -4,8 +4,8 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AnswersRejected, Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
-    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Placement,
-    PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
+    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, PathKind,
+    Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
     RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace,
     Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
@@ -221,8 +221,15 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         Kind::Placement => Event::Placement(Placement { vnf: row.name()?, node: row.name()? }),
         Kind::VirtualLink => {
             let (from, to): (VnfId, VnfId) = (row.name()?, row.name()?);
+            let path = match row.0.text()? {
+                None => PathKind::default(),
+                Some(path) => PathKind::ALL
+                    .into_iter()
+                    .find(|kind| kind.as_str() == path)
+                    .ok_or_else(|| unreadable(format_args!("`{path}` is not a kind of path")))?,
+            };
             let links = children(source, |mut row| row.name::<LinkId>())?;
-            Event::VirtualLink(VirtualLinkMapping { from, to, links })
+            Event::VirtualLink(VirtualLinkMapping { from, to, links, path })
         }
         Kind::ServiceTime => Event::ServiceTime(ServiceTime {
             service: row.name::<ServiceId>()?,
@@ -298,6 +305,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },
+        "map" => Instruction::Map { from: robot()?, to: node()?, links: json(&required(change)?)? },
         "test_throughput" => Instruction::TestThroughput {
             link: subject.parse().map_err(unreadable)?,
             direction: required(direction)?,

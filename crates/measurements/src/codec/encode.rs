@@ -139,7 +139,7 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             row.name(placement.vnf.as_str()).name(placement.node.as_str());
         }
         Event::VirtualLink(mapping) => {
-            row.name(mapping.from.as_str()).name(mapping.to.as_str());
+            row.name(mapping.from.as_str()).name(mapping.to.as_str()).text(mapping.path.as_str());
             for link in &mapping.links {
                 children.name(link.as_str());
             }
@@ -235,6 +235,11 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
         Instruction::Place { vnf, node } => {
             put("place", vnf.as_str(), Some(node.as_str()));
             row.0.extend([const { Value::Null }; 5]);
+        }
+        Instruction::Map { from, to, links } => {
+            put("map", from.as_str(), Some(to.as_str()));
+            row.0.extend([const { Value::Null }; 4]);
+            row.text(serde_json::to_string(links).expect("names are JSON"));
         }
         Instruction::TestThroughput { link, direction, test } => {
             put("test_throughput", link.as_str(), None);

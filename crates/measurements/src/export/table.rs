@@ -48,7 +48,7 @@ impl Shape {
         let newer = |name: &str| {
             version < 2 && name == "health"
                 || version < 3 && (name.starts_with("probed_") || name.starts_with("tested_"))
-                || version < 4 && HEIGHTS.contains(&name)
+                || version < 4 && (name == "path" || HEIGHTS.contains(&name))
         };
         self.columns.retain(|(name, _)| !newer(name));
         self
@@ -81,7 +81,7 @@ const HEIGHTS: &[&str] = &[
 const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
-    "reason", "refused", "message", "health", "jitter_distribution", "loss", "trace_ms",
+    "reason", "refused", "message", "health", "path", "jitter_distribution", "loss", "trace_ms",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[

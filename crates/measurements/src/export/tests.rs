@@ -1,3 +1,4 @@
+use cotorra_graph::{Event, PathKind, Stamped, VirtualLinkMapping};
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
@@ -122,6 +123,35 @@ fn a_table_is_what_other_programs_read() {
         text,
         "n,t_ns,message\n0,1,\"with, \"\"quotes\"\"\nand lines\"\n1,2,\"with, \"\"quotes\"\"\nand lines\"\n"
     );
+}
+
+#[test]
+fn an_export_from_before_paths_were_mapped_has_the_shortest() {
+    let history = History::in_memory().unwrap();
+    let run = history.begin_run(&run_info("out")).unwrap();
+    let mapping = |path| {
+        let [from, to] = ["driver", "brain"].map(|name| name.parse().unwrap());
+        Event::VirtualLink(VirtualLinkMapping { from, to, links: vec!["a-b".parse().unwrap()], path })
+    };
+    let stamped = Stamped { at: Timestamp::from_nanos(1), event: mapping(PathKind::Mapped) };
+    history.store.append(&[Entry { run, stamped }], &[]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("exported");
+    history.export(run, Format::Csv, &out, |_| true).unwrap();
+    let imported = || {
+        let run = history.import(&out, |_| true).unwrap().0;
+        history.events(run, &[], .., PageRequest::default()).unwrap().items.remove(0).event
+    };
+    assert_eq!(imported(), mapping(PathKind::Mapped));
+    let replace = |file: &str, from: &str, to: &str| {
+        let text = fs::read_to_string(out.join(file)).unwrap();
+        assert!(text.contains(from), "{text}");
+        fs::write(out.join(file), text.replace(from, to)).unwrap();
+    };
+    replace(NOTE, "\"version\": 4", "\"version\": 3");
+    replace("virtual_link.csv", ",path", "");
+    replace("virtual_link.csv", ",mapped", "");
+    assert_eq!(imported(), mapping(PathKind::Shortest));
 }
 
 #[test]

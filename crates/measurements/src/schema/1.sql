@@ -237,6 +237,7 @@ CREATE TABLE virtual_link (
     seq      INTEGER NOT NULL,
     from_vnf INTEGER NOT NULL,
     to_vnf   INTEGER NOT NULL,
+    path     TEXT    NOT NULL,            -- shortest, mapped, fallback
     PRIMARY KEY (run, t_ns, seq)
 ) WITHOUT ROWID;
 
@@ -310,7 +311,7 @@ CREATE TABLE decision (
     t_ns          INTEGER NOT NULL,
     seq           INTEGER NOT NULL,
     plugin        INTEGER NOT NULL,
-    instruction   TEXT    NOT NULL,       -- move, scan, attach, place, condition
+    instruction   TEXT    NOT NULL,       -- move, scan, attach, place, map, condition
     subject       INTEGER NOT NULL,
     object        INTEGER,
     linear_mps    REAL,

@@ -1,22 +1,9 @@
-use std::{cell::RefCell, path::Path};
+use std::path::Path;
 
-use cotorra_fabric::Fabric;
 use cotorra_graph::{HardwareGraph, Timestamp, VnfId, testbed_file};
 
 use super::*;
-use crate::vim::InMemoryEngine;
-
-/// A fabric within reach.
-struct Here(RefCell<Fabric>);
-
-impl Network for Here {
-    fn with<R: Send + 'static>(
-        &self,
-        action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
-    ) -> Result<R, NetworkGone> {
-        Ok(action(&mut self.0.borrow_mut(), Timestamp::ZERO))
-    }
-}
+use crate::{testing::Here, vim::InMemoryEngine};
 
 const TESTBED: &str = "
 name: off
@@ -32,7 +19,7 @@ links:
 fn world() -> (HardwareGraph, Here, Vim<InMemoryEngine>, AccessPoints) {
     let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
     let graph = testbed.graph;
-    let network = Here(RefCell::new(Fabric::new(&graph, 1).unwrap()));
+    let network = Here::new(&graph);
     let vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());
     let access_points = AccessPoints::new(&graph);
     (graph, network, vim, access_points)

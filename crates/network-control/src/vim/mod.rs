@@ -114,6 +114,11 @@ struct Slot {
 }
 
 impl Slot {
+    /// Whether it runs on a node, or is on its way there.
+    fn is_on(&self, node: &NodeId) -> bool {
+        self.node == *node || self.next.as_ref().is_some_and(|next| next.node == *node)
+    }
+
     /// From now on packets go to this instance.
     fn switch(&mut self, now: Timestamp, to: Instance, events: &mut Vec<Event>) {
         self.node = to.node.clone();
@@ -172,6 +177,11 @@ impl<E: Engine> Vim<E> {
     /// Where a VNF runs, or is about to for the first time.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
         self.index(vnf).map(|index| &self.slots[index].node)
+    }
+
+    /// Whether a VNF runs on a node, or is on its way there.
+    pub fn is_on(&self, vnf: &VnfId, node: &NodeId) -> bool {
+        self.index(vnf).is_some_and(|index| self.slots[index].is_on(node))
     }
 
     /// Where every VNF runs.
@@ -311,9 +321,8 @@ impl<E: Engine> Vim<E> {
     ) -> Result<(), VimError> {
         let node = self.graph.node(id).ok_or_else(|| VimError::UnknownNode(id.clone()))?;
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
-        let is_here = |s: &&Slot| s.node == *id || s.next.as_ref().is_some_and(|next| next.node == *id);
         let others = || {
-            let slots = self.slots.iter().filter(|s| s.vnf.id != *vnf).filter(is_here);
+            let slots = self.slots.iter().filter(|s| s.vnf.id != *vnf && s.is_on(id));
             let reserved = self.reserved.iter().filter(|(other, (node, ..))| *other != vnf && node == id);
             slots
                 .map(|s| (s.vnf.cpus, s.vnf.memory_bytes))

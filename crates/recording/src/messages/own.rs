@@ -177,7 +177,7 @@ message! {
 }
 
 message! {
-    /// a(n1,n2): these hardware links carry a virtual link from now on.
+    /// a(n1,n2): these hardware links carry one direction of a virtual link from now on.
     #[derive(Default)]
     pub struct VirtualLink = "cotorra_msgs/msg/VirtualLink" {
         /// When.
@@ -188,6 +188,8 @@ message! {
         to_vnf: String,
         /// … over these links.
         links: Vec<String>,
+        /// Why these: `shortest`, `mapped` or `fallback`.
+        path: String,
     }
 }
 

@@ -23,6 +23,7 @@ use super::{measurements, routes, stream};
         routes::test_throughput,
         routes::radio_units,
         routes::placements,
+        routes::virtual_links,
         routes::instruct,
         measurements::robot_history,
         measurements::link_history,

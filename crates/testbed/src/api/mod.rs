@@ -98,7 +98,7 @@ pub enum ApiError {
 }
 
 /// Every path, and what answers there: [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 22] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 23] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
@@ -108,6 +108,7 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 22] {
         ("/api/v1/network/links/{id}/throughput-test", post(routes::test_throughput)),
         ("/api/v1/network/radio-units", get(routes::radio_units)),
         ("/api/v1/network/placements", get(routes::placements)),
+        ("/api/v1/network/virtual-links", get(routes::virtual_links)),
         ("/api/v1/instructions", post(routes::instruct)),
         ("/api/v1/measurements/robots/{id}", get(measurements::robot_history)),
         ("/api/v1/measurements/links/{id}", get(measurements::link_history)),

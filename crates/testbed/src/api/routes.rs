@@ -3,6 +3,7 @@
 use axum::{Extension, Json, extract::State, http::HeaderMap};
 use cotorra_graph::{
     Instruction, LinkId, NodeId, Placement, PluginId, RadioContext, RobotContext, ThroughputTest,
+    VirtualLinkMapping,
 };
 
 #[cfg(feature = "openapi")]
@@ -137,6 +138,20 @@ pub(super) async fn placements(
     Json(context.live.read(|now| now.placements.values().filter(seen).cloned().collect()))
 }
 
+/// a(n1,n2): which links carry each direction of every virtual link, and why these.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/virtual-links", tag = "network",
+    responses((status = 200, body = Vec<VirtualLinkMapping>))))]
+pub(super) async fn virtual_links(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+) -> Json<Vec<VirtualLinkMapping>> {
+    let seen = |one: &VirtualLinkMapping| match &caller.view {
+        Some(view) => view.virtual_link(one),
+        None => Some(one.clone()),
+    };
+    Json(context.live.read(|now| now.virtual_links.iter().filter_map(seen).collect()))
+}
+
 /// Who asks: as the caller's secret says, or the header.
 pub(super) fn plugin(
     context: &Context,
@@ -148,7 +163,7 @@ pub(super) fn plugin(
     caller.name(named, &context.hosted)
 }
 
-/// Give an instruction: move, halt or scan with a robot, attach it, place a VNF, deploy a vAP, change or test a link.
+/// Give an instruction: move, halt, scan with or attach a robot, place a VNF, map a path, deploy a vAP, change or test a link.
 ///
 /// The decision is recorded under the name of who asks. A plug-in that the run started is known by its secret; anybody else
 /// chooses a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.

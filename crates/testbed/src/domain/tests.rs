@@ -168,6 +168,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
             Instruction::Deploy { radio_unit: id(radio_unit), access_point: deployed },
             Instruction::Remove { radio_unit: id(radio_unit) },
             Instruction::Place { vnf: id(&format!("nav{n}")), node: id(&format!("s{n}")) },
+            Instruction::Map { from: robot(), to: id(&format!("s{n}")), links: vec![id(link)] },
             Instruction::Condition { link: id(link), direction: None, change: ConditionChange::default() },
         ]
     };
@@ -184,6 +185,8 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         Instruction::Condition { link: id("A-B"), direction: None, change: ConditionChange::default() },
         Instruction::Condition { link: id("r1~B"), direction: None, change: ConditionChange::default() },
         Instruction::Place { vnf: id("nav1"), node: id("s2") },
+        Instruction::Map { from: id("r1"), to: id("s2"), links: Vec::new() },
+        Instruction::Map { from: id("r1"), to: id("s1"), links: vec![id("r1~A"), id("A-B")] },
     ] {
         one.check(&instruction).unwrap_err();
     }

@@ -363,6 +363,104 @@ fn okpi_keeps_the_target_with_the_published_placements() {
     assert!(over * 200 < report.samples().len(), "{over} of {} over the target", report.samples().len());
 }
 
+/// The two paths, with its plug-in or without.
+fn two_paths(with_okpi: bool) -> Testbed {
+    let text = include_str!("../../../../testbeds/two-paths.yaml");
+    let text = text.replace("enabled: false", &format!("enabled: {with_okpi}"));
+    cotorra_graph::testbed_file::parse("two-paths.yaml", &text, Path::new("")).unwrap()
+}
+
+/// Service times that were measured from a time on, sorted, and the packets that the first link of each path carried
+/// from the robot since.
+struct Window {
+    took: Vec<Duration>,
+    narrow: u64,
+    wide: u64,
+}
+
+/// Goes on for ten seconds, with what instructions change.
+fn ten_seconds(simulation: &mut Simulation, instructions: &[Instruction]) -> Window {
+    for instruction in instructions {
+        simulation.instruct("test".parse().unwrap(), instruction.clone(), None).unwrap();
+    }
+    let began = simulation.now();
+    let carried = |simulation: &Simulation, link: &str| {
+        let contexts = simulation.network.fabric().link_contexts(simulation.now());
+        contexts.into_iter().find(|context| context.link == *link).unwrap().counters.packets
+    };
+    let before = ["unit-narrow", "unit-wide"].map(|link| carried(simulation, link));
+    let mut took = Vec::new();
+    while simulation.step() < began + Duration::from_secs(10) {
+        while let Some(stamped) = simulation.poll_event() {
+            // What was emitted before is still under way as it was.
+            if let Event::ServiceTime(sample) = stamped.event
+                && sample.emitted > began
+            {
+                took.push(sample.took.unwrap_or(Duration::MAX));
+            }
+        }
+    }
+    took.sort_unstable();
+    let [narrow, wide] = ["unit-narrow", "unit-wide"].map(|link| carried(simulation, link));
+    Window { took, narrow: narrow - before[0], wide: wide - before[1] }
+}
+
+#[test]
+fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
+    let testbed = Arc::new(two_paths(false));
+    let target = testbed.services[0].kpis.service_time;
+    let map = |from: &str, to: &str, links: &[&str]| Instruction::Map {
+        from: from.parse().unwrap(),
+        to: to.parse().unwrap(),
+        links: links.iter().map(|link| link.parse().unwrap()).collect(),
+    };
+    let there = map("robot", "edge", &["robot~unit", "unit-wide", "edge-wide"]);
+    let back = map("edge", "robot", &["edge-wide", "unit-wide", "robot~unit"]);
+    let lose = |share| Instruction::Condition {
+        link: "edge-wide".parse().unwrap(),
+        direction: None,
+        change: ConditionChange {
+            loss: Some(cotorra_graph::Loss::Independent {
+                rate: cotorra_graph::Probability::new(share).unwrap(),
+            }),
+            ..ConditionChange::default()
+        },
+    };
+    let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
+    let misses = |window: Window| {
+        assert!(window.took.len() > 20 && window.took[0] > target, "{:?}", window.took);
+        assert!(window.narrow > 20 && window.wide == 0, "{} and {}", window.narrow, window.wide);
+    };
+    let keeps = |window: Window| {
+        let most = window.took.last().unwrap();
+        assert!(window.took.len() > 20 && *most < target / 2, "{:?}", window.took);
+        assert!(window.narrow == 0 && window.wide > 20, "{} and {}", window.narrow, window.wide);
+    };
+    misses(ten_seconds(&mut simulation, &[]));
+    // One direction alone is not enough.
+    let half = ten_seconds(&mut simulation, std::slice::from_ref(&there));
+    assert!(half.took[0] > target && half.narrow == 0 && half.wide > 20);
+    keeps(ten_seconds(&mut simulation, std::slice::from_ref(&back)));
+    misses(ten_seconds(&mut simulation, &[lose(1.0)]));
+    keeps(ten_seconds(&mut simulation, &[lose(0.0)]));
+    let unmap = [map("robot", "edge", &[]), map("edge", "robot", &[])];
+    misses(ten_seconds(&mut simulation, &unmap));
+
+    let narrow = map("robot", "edge", &["robot~unit", "unit-narrow", "narrow-edge"]);
+    let refused = simulation.instruct("test".parse().unwrap(), narrow, None).unwrap_err();
+    assert!(refused.0.contains("`unit-narrow` has 0.01 Mbit/s left"), "{refused}");
+}
+
+#[test]
+fn okpi_maps_the_path_that_it_chose() {
+    let testbed = two_paths(true);
+    let target = testbed.services[0].kpis.service_time;
+    let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
+    ten_seconds(&mut simulation, &[]);
+    let Window { took, narrow, .. } = ten_seconds(&mut simulation, &[]);
+    assert!(took.len() > 20 && *took.last().unwrap() < target / 2 && narrow == 0, "{took:?}");
+}
+
 /// A run of the first seconds with the plug-in `probing` replaced by a program.
 fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Duration) -> (Finished, String) {
     let out = tempfile::tempdir().unwrap();

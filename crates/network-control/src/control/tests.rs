@@ -1,0 +1,248 @@
+use std::path::Path as FilePath;
+
+use cotorra_graph::{Loss, Probability, testbed_file};
+
+use super::*;
+use crate::{testing::Here, vim::InMemoryEngine};
+
+/// Two robots with a service each, and two switches between their radio unit and the servers: past `fast` the path is
+/// shorter, past `wide` there is more room.
+const TESTBED: &str = "
+name: two
+wireless: { lab: { rate: 10 Mbit/s } }
+nodes:
+  r: { kind: robot, position: [1, 0] }
+  q: { kind: robot, position: [2, 0] }
+  R: { kind: radio_unit, position: [0, 0], channel: 1 }
+  S: { kind: radio_unit, position: [9, 0], channel: 6 }
+  fast: { kind: switch }
+  wide: { kind: switch }
+  one: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+  two: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
+links:
+  - { ends: [R, fast], delay: 1 ms, rate: 3 Mbit/s }
+  - { ends: [fast, [one, two]], delay: 1 ms }
+  - { ends: [R, wide], delay: 5 ms, rate: 5 Mbit/s }
+  - { ends: [wide, [one, two, S]], delay: 5 ms }
+services:
+  of-r:
+    robot: r
+    kpis: { service_time: 500 ms }
+    vnfs:
+      r-driver: { program: robot_driver, pinned_to: r }
+      r-brain: { program: navigation, node: one }
+    virtual_links: [{ from: r-driver, to: r-brain, rate: 3 Mbit/s }]
+  of-q:
+    robot: q
+    kpis: { service_time: 500 ms }
+    vnfs:
+      q-driver: { program: robot_driver, pinned_to: q }
+      q-brain: { program: navigation, node: one }
+    virtual_links: [{ from: q-driver, to: q-brain, rate: 3 Mbit/s }]
+walks:
+  r: { waypoints: [[1, 0], [2, 0]] }
+  q: { waypoints: [[2, 0], [1, 0]] }
+";
+
+struct Lab(NetworkControl<Here, InMemoryEngine>);
+
+impl Lab {
+    fn new() -> Self {
+        let testbed = testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
+        let network = Here::new(&testbed.graph);
+        let mut lab = Self(NetworkControl::new(&testbed, network, InMemoryEngine::default()));
+        lab.0.start(Timestamp::ZERO);
+        lab.0.poll(Timestamp::ZERO).unwrap();
+        lab.0.observe().unwrap();
+        lab
+    }
+
+    fn instruct(&mut self, instruction: &Instruction) -> Result<Told, String> {
+        let events = self.0.instruct(Timestamp::ZERO, instruction).map_err(|refused| refused.0)?;
+        Ok(told(events))
+    }
+
+    /// Asks for a path; links are named by spaces between.
+    fn map(&mut self, from: &str, to: &str, links: &str) -> Result<Told, String> {
+        let links = links.split_whitespace().map(|link| link.parse().unwrap()).collect();
+        self.instruct(&Instruction::Map { from: node(from), to: node(to), links })
+    }
+
+    fn change(&mut self, link: &str, change: ConditionChange) -> Told {
+        let condition = Instruction::Condition { link: link.parse().unwrap(), direction: None, change };
+        self.instruct(&condition).unwrap()
+    }
+
+    fn lose(&mut self, link: &str, share: f64) -> Told {
+        let loss = Some(Loss::Independent { rate: Probability::new(share).unwrap() });
+        self.change(link, ConditionChange { loss, ..ConditionChange::default() })
+    }
+
+    /// Moves a brain, up to its first packets there.
+    fn place(&mut self, vnf: &str, on: &str) -> Told {
+        let place = Instruction::Place { vnf: vnf.parse().unwrap(), node: node(on) };
+        let mut events = self.0.instruct(Timestamp::ZERO, &place).unwrap();
+        events.extend(self.0.poll(Timestamp::ZERO).unwrap());
+        events.extend(self.0.remap().unwrap());
+        told(events)
+    }
+
+    fn route(&self, from: &str, to: &str) -> String {
+        let links = self.0.network.0.borrow().route(&node(from), &node(to)).unwrap();
+        links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(" ")
+    }
+
+    /// What is reserved, Mbit/s.
+    fn reserved(&self) -> Vec<String> {
+        let all = self.0.reserved().filter(|(.., bps)| *bps > 0.0);
+        all.map(|(link, way, bps)| format!("{link} {way:?} {}", bps / 1e6)).collect()
+    }
+}
+
+/// What is told of mappings: virtual links, and notices.
+type Told = (Vec<String>, Vec<String>);
+
+fn told(events: Vec<Event>) -> Told {
+    let (mut mapped, mut notices) = (Vec::new(), Vec::new());
+    for event in events {
+        match event {
+            Event::VirtualLink(VirtualLinkMapping { from, to, path, .. }) => {
+                mapped.push(format!("{from} {to} {}", path.as_str()));
+            }
+            Event::Notice { message } => notices.push(message),
+            _ => {}
+        }
+    }
+    (mapped, notices)
+}
+
+fn node(name: &str) -> NodeId {
+    name.parse().unwrap()
+}
+
+const FAST: &str = "r~R R-fast fast-one";
+const WIDE: &str = "r~R R-wide wide-one";
+
+#[test]
+fn a_mapping_is_of_one_direction_and_reserves_the_rate_there() {
+    let mut lab = Lab::new();
+    assert_eq!(lab.route("r", "one"), FAST);
+    let (mapped, notices) = lab.map("r", "one", WIDE).unwrap();
+    assert_eq!((mapped, notices.len()), (vec!["r-driver r-brain mapped".to_owned()], 0));
+    assert_eq!(
+        (lab.route("r", "one"), lab.route("one", "r")),
+        (WIDE.to_owned(), "fast-one R-fast r~R".to_owned())
+    );
+    assert_eq!(lab.reserved(), ["R-wide Forward 3", "r~R Forward 3", "wide-one Forward 3"]);
+    assert_eq!(lab.route("q", "one"), "q~R R-fast fast-one");
+
+    let (mapped, _) = lab.map("r", "one", "").unwrap();
+    assert_eq!(mapped, ["r-driver r-brain shortest"]);
+    assert_eq!((lab.route("r", "one"), lab.reserved().len()), (FAST.to_owned(), 0));
+    let (mapped, _) = lab.map("one", "r", "wide-one R-wide r~R").unwrap();
+    assert_eq!(mapped, ["r-brain r-driver mapped"]);
+    assert_eq!(lab.reserved(), ["R-wide Backward 3", "r~R Backward 3", "wide-one Backward 3"]);
+}
+
+#[test]
+fn what_cannot_be_mapped_is_refused_and_changes_nothing() {
+    let mut lab = Lab::new();
+    lab.map("r", "one", WIDE).unwrap();
+    let full = "the link `R-wide` has 2 Mbit/s left forward, and 3 Mbit/s are needed";
+    for (from, to, links, reason) in [
+        ("q", "one", "q~R R-wide wide-one", full),
+        ("q", "one", "q~R wide-one", "the link `wide-one` does not go on from `R`"),
+        ("q", "two", "q~R R-fast fast-two", "no virtual link is between VNFs on `q` and `two`"),
+        ("q", "one", "", "nothing is mapped from `q` to `one`"),
+        ("r", "one", "r~R R-fast", "the path ends at `fast`, not at `one`"),
+    ] {
+        assert_eq!(lab.map(from, to, links).unwrap_err(), reason);
+    }
+    assert_eq!(
+        (lab.route("q", "one"), lab.route("r", "one")),
+        ("q~R R-fast fast-one".to_owned(), WIDE.to_owned())
+    );
+    // There is room the other way, on the other path, and where the first leaves it.
+    lab.map("one", "q", "wide-one R-wide q~R").unwrap();
+    lab.map("q", "one", "q~R R-fast fast-one").unwrap();
+    assert!(lab.map("r", "one", FAST).unwrap_err().contains("`R-fast` has 0 Mbit/s left"));
+    lab.map("q", "one", "").unwrap();
+    lab.map("r", "one", FAST).unwrap();
+    lab.map("q", "one", "q~R R-wide wide-one").unwrap();
+}
+
+#[test]
+fn a_path_that_is_cut_falls_back_and_is_used_again_when_it_is_mended() {
+    let mut lab = Lab::new();
+    lab.map("r", "one", WIDE).unwrap();
+    assert_eq!(lab.lose("R-wide", 0.9), Told::default());
+    let (mapped, notices) = lab.lose("R-wide", 1.0);
+    assert_eq!(mapped, ["r-driver r-brain fallback"]);
+    let cut =
+        "the path from `r` to `one` over r~R, R-wide, wide-one is cut at `R-wide`: packets take the shortest";
+    assert_eq!(notices, [cut]);
+    assert_eq!(lab.route("r", "one"), FAST);
+    // Nobody else gets its room.
+    assert!(lab.map("q", "one", "q~R R-wide wide-one").unwrap_err().contains("2 Mbit/s left"));
+    let (mapped, notices) = lab.lose("R-wide", 0.0);
+    assert_eq!(mapped, ["r-driver r-brain mapped"]);
+    assert!(notices.len() == 1 && notices[0].ends_with("can be used again"), "{notices:?}");
+    assert_eq!(lab.route("r", "one"), WIDE);
+}
+
+#[test]
+fn a_mapping_loses_its_reservation_where_a_link_carries_less_than_that() {
+    let mut lab = Lab::new();
+    lab.map("r", "one", WIDE).unwrap();
+    let scale = |by| ConditionChange { drop_scale: Some(by), ..ConditionChange::default() };
+    let (mapped, notices) = lab.change("R-wide", scale(2.0));
+    assert_eq!((mapped, lab.reserved().len()), (vec!["r-driver r-brain fallback".to_owned()], 0));
+    assert!(
+        notices[0].contains("`R-wide` has 2.5 Mbit/s left forward, and 3 Mbit/s are needed"),
+        "{notices:?}"
+    );
+    assert_eq!(lab.change("R-wide", scale(1.0)).0, ["r-driver r-brain mapped"]);
+}
+
+#[test]
+fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
+    let mut lab = Lab::new();
+    lab.map("r", "one", WIDE).unwrap();
+    assert_eq!(lab.place("r-brain", "two").0, ["r-brain r-driver shortest", "r-driver r-brain shortest"]);
+    assert_eq!(
+        (lab.route("r", "one"), lab.route("r", "two")),
+        (WIDE.to_owned(), "r~R R-fast fast-two".to_owned())
+    );
+    assert_eq!(lab.reserved().len(), 0, "there is no virtual link between them");
+    // What is mapped before a VNF is there holds once it is.
+    lab.0
+        .instruct(Timestamp::ZERO, &Instruction::Place { vnf: "q-brain".parse().unwrap(), node: node("two") })
+        .unwrap();
+    assert_eq!(lab.map("q", "two", "q~R R-wide wide-two").unwrap(), Told::default());
+    assert_eq!(lab.place("q-brain", "two").0, ["q-brain q-driver shortest", "q-driver q-brain mapped"]);
+    // It comes back, and there is no room for both any more: the later one loses its reservation.
+    let (mapped, notices) = lab.place("r-brain", "one");
+    assert!(mapped.contains(&"r-driver r-brain mapped".to_owned()), "{mapped:?}");
+    assert!(notices.len() == 1 && notices[0].contains("from `q` to `two`"), "{notices:?}");
+    assert_eq!(lab.route("q", "two"), "q~R R-fast fast-two");
+}
+
+#[test]
+fn a_path_to_where_a_robot_is_not_attached_waits_for_it() {
+    let mut lab = Lab::new();
+    lab.0
+        .instruct(Timestamp::ZERO, &Instruction::Place { vnf: "r-brain".parse().unwrap(), node: node("two") })
+        .unwrap();
+    let (mapped, notices) = lab.map("r", "one", "r~S wide-S wide-one").unwrap();
+    assert_eq!((mapped, notices.len()), (vec!["r-driver r-brain fallback".to_owned()], 0));
+    assert_eq!(lab.route("r", "one"), FAST);
+    {
+        let mut fabric = lab.0.network.0.borrow_mut();
+        fabric.attach(Timestamp::ZERO, &node("r"), &node("S")).unwrap();
+        fabric.poll(Timestamp::from_secs_f64(1.0), &mut |_, _| {});
+        assert_eq!(fabric.attached_to(&node("r")), Some(&node("S")));
+    }
+    // The fabric does not wait for anybody to look.
+    assert_eq!(lab.route("r", "one"), "r~S wide-S wide-one");
+    assert_eq!(told(lab.0.remap().unwrap()).0, ["r-brain r-driver shortest", "r-driver r-brain mapped"]);
+}

@@ -1,0 +1,266 @@
+//! Mappings of virtual links to paths, a(n1,n2), and what they reserve of links.
+//!
+//! A mapping is of two nodes, in one direction. It carries all virtual links between VNFs on these nodes, and reserves the
+//! sum of their rates on each link of its path. It keeps that while its path is cut, so that nothing stands against using
+//! it again. Only where a link no longer has room for all does a mapping lose its reservation, the latest first; it has
+//! it again once there is room.
+
+use std::{collections::BTreeMap, fmt};
+
+use cotorra_fabric::Carries;
+use cotorra_graph::{Direction, LinkId, NodeId};
+
+/// One direction of a link.
+pub(crate) type Hop = (LinkId, Direction);
+
+/// A path for packets from one node to another.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Mapping {
+    pub(crate) from: NodeId,
+    pub(crate) to: NodeId,
+    pub(crate) links: Vec<LinkId>,
+    pub(crate) hops: Vec<Hop>,
+    /// What it reserves, or would.
+    rate_bps: f64,
+    state: State,
+}
+
+/// Whether packets take a path.
+#[derive(Debug, Clone, PartialEq)]
+enum State {
+    Used,
+    /// The robot is attached elsewhere.
+    Away,
+    /// This link loses every packet.
+    Cut(LinkId),
+    Full(Shortage),
+}
+
+/// A link without the room that a mapping needs.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Shortage {
+    hop: Hop,
+    left_bps: f64,
+    needed_bps: f64,
+}
+
+impl fmt::Display for Shortage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { hop: (link, direction), left_bps, needed_bps } = self;
+        let way = format!("{direction:?}").to_lowercase();
+        let (left, needed) = (left_bps / 1e6, needed_bps / 1e6);
+        write!(f, "the link `{link}` has {left} Mbit/s left {way}, and {needed} Mbit/s are needed")
+    }
+}
+
+impl Mapping {
+    pub(crate) fn new(from: NodeId, to: NodeId, links: Vec<LinkId>, hops: Vec<Hop>) -> Self {
+        Self { from, to, links, hops, rate_bps: 0.0, state: State::Used }
+    }
+
+    /// Whether packets take its path.
+    pub(crate) fn is_used(&self) -> bool {
+        self.state == State::Used
+    }
+
+    /// What it lacks to reserve its rate.
+    pub(crate) fn shortage(&self) -> Option<&Shortage> {
+        match &self.state {
+            State::Full(shortage) => Some(shortage),
+            _ => None,
+        }
+    }
+
+    /// Returns what to tell of a change of its state; handovers are told already.
+    fn told(&self, before: &State) -> Option<String> {
+        let why = match &self.state {
+            State::Cut(link) => format!("is cut at `{link}`: packets take the shortest"),
+            State::Full(shortage) => format!("lost its reservation: {shortage}; packets take the shortest"),
+            State::Used | State::Away => match before {
+                State::Cut(_) | State::Full(_) => "can be used again".to_owned(),
+                State::Used | State::Away => return None,
+            },
+        };
+        let over: Vec<_> = self.links.iter().map(LinkId::as_str).collect();
+        Some(format!("the path from `{}` to `{}` over {} {why}", self.from, self.to, over.join(", ")))
+    }
+}
+
+/// All mappings, in the order in which they were made.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Mappings(Vec<Mapping>);
+
+impl Mappings {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    pub(crate) fn get(&self, from: &NodeId, to: &NodeId) -> Option<&Mapping> {
+        self.0.iter().find(|mapping| mapping.from == *from && mapping.to == *to)
+    }
+
+    /// Adds a mapping, in place of the one of the same nodes.
+    pub(crate) fn insert(&mut self, mapping: Mapping) {
+        self.remove(&mapping.from, &mapping.to);
+        self.0.push(mapping);
+    }
+
+    /// Takes a mapping back; false if there is none.
+    pub(crate) fn remove(&mut self, from: &NodeId, to: &NodeId) -> bool {
+        let before = self.0.len();
+        self.0.retain(|mapping| mapping.from != *from || mapping.to != *to);
+        self.0.len() < before
+    }
+
+    /// All that they cross.
+    pub(crate) fn hops(&self) -> impl Iterator<Item = &Hop> {
+        self.0.iter().flat_map(|mapping| &mapping.hops)
+    }
+
+    /// Those that packets take, or will once the robot is attached there.
+    pub(crate) fn pinned(&self) -> impl Iterator<Item = &Mapping> {
+        self.0.iter().filter(|mapping| matches!(mapping.state, State::Used | State::Away))
+    }
+
+    /// What is reserved of each direction of a link, bit/s.
+    pub(crate) fn reserved(&self) -> BTreeMap<&Hop, f64> {
+        let mut reserved = BTreeMap::new();
+        for mapping in self.0.iter().filter(|mapping| mapping.shortage().is_none()) {
+            for hop in &mapping.hops {
+                *reserved.entry(hop).or_default() += mapping.rate_bps;
+            }
+        }
+        reserved
+    }
+
+    /// Works out what they reserve and whether they are used, by the rates between nodes and by what links carry. Returns
+    /// what changed, for people.
+    pub(crate) fn settle(
+        &mut self,
+        rate_bps: impl Fn(&NodeId, &NodeId) -> f64,
+        carries: &BTreeMap<Hop, Carries>,
+    ) -> Vec<String> {
+        let mut left: BTreeMap<&Hop, f64> =
+            carries.iter().map(|(hop, carries)| (hop, carries.rate_bps)).collect();
+        // Those that have a reservation keep it before others get one.
+        let mut order: Vec<_> = self.0.iter_mut().collect();
+        order.sort_by_key(|mapping| mapping.shortage().is_some());
+        let mut changes = Vec::new();
+        for mapping in order {
+            mapping.rate_bps = rate_bps(&mapping.from, &mapping.to);
+            let needed_bps = mapping.rate_bps;
+            let left_on = |hop: &Hop| left.get(hop).copied().unwrap_or(0.0);
+            let short = mapping.hops.iter().find(|hop| left_on(hop) < needed_bps);
+            let shortage = short.map(|hop| Shortage { hop: hop.clone(), left_bps: left_on(hop), needed_bps });
+            let state = match shortage {
+                Some(shortage) => State::Full(shortage),
+                None => {
+                    for hop in &mapping.hops {
+                        left.entry(hop).and_modify(|left| *left -= needed_bps);
+                    }
+                    state(&mapping.hops, carries)
+                }
+            };
+            let before = std::mem::replace(&mut mapping.state, state);
+            if std::mem::discriminant(&before) != std::mem::discriminant(&mapping.state) {
+                changes.extend(mapping.told(&before));
+            }
+        }
+        changes
+    }
+}
+
+/// Whether packets can take a path that has room.
+fn state(hops: &[Hop], carries: &BTreeMap<Hop, Carries>) -> State {
+    let first = |lacks: fn(&Carries) -> bool| hops.iter().find(|hop| carries.get(hop).is_none_or(lacks));
+    match (first(|carries| carries.is_cut), first(|carries| !carries.is_there)) {
+        (Some((link, _)), _) => State::Cut(link.clone()),
+        (None, Some(_)) => State::Away,
+        (None, None) => State::Used,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hop(link: &str) -> Hop {
+        (link.parse().unwrap(), Direction::Forward)
+    }
+
+    /// A mapping of the nodes `<name>` and `z`, over these links.
+    fn mapping(name: &str, links: &[&str]) -> Mapping {
+        let hops: Vec<_> = links.iter().map(|link| hop(link)).collect();
+        let links = hops.iter().map(|(link, _)| link.clone()).collect();
+        Mapping::new(name.parse().unwrap(), "z".parse().unwrap(), links, hops)
+    }
+
+    fn carries(links: &[(&str, f64)]) -> BTreeMap<Hop, Carries> {
+        let all = |&(link, rate_bps)| (hop(link), Carries { rate_bps, is_cut: false, is_there: true });
+        links.iter().map(all).collect()
+    }
+
+    /// All need 4 bit/s.
+    fn settle(mappings: &mut Mappings, carries: &BTreeMap<Hop, Carries>) -> Vec<String> {
+        mappings.settle(|_, _| 4.0, carries)
+    }
+
+    fn used(mappings: &Mappings) -> Vec<&str> {
+        let used = mappings.0.iter().filter(|mapping| mapping.is_used());
+        used.map(|mapping| mapping.from.as_str()).collect()
+    }
+
+    #[test]
+    fn a_link_that_becomes_narrow_takes_the_latest_reservation_and_gives_it_back() {
+        let mut mappings = Mappings::default();
+        ["a", "b"].iter().for_each(|name| mappings.insert(mapping(name, &["x", "y"])));
+        let wide = carries(&[("x", 8.0), ("y", 8.0)]);
+        assert!(settle(&mut mappings, &wide).is_empty());
+        assert_eq!(used(&mappings), ["a", "b"]);
+        assert_eq!(mappings.reserved().into_values().collect::<Vec<_>>(), [8.0, 8.0]);
+
+        let narrow = carries(&[("x", 8.0), ("y", 7.0)]);
+        let told = settle(&mut mappings, &narrow);
+        assert_eq!(used(&mappings), ["a"]);
+        assert_eq!(mappings.reserved().into_values().collect::<Vec<_>>(), [4.0, 4.0]);
+        assert!(told.len() == 1 && told[0].contains("from `b` to `z`"), "{told:?}");
+        assert!(settle(&mut mappings, &narrow).is_empty());
+
+        let told = settle(&mut mappings, &wide);
+        assert_eq!(used(&mappings), ["a", "b"]);
+        assert!(told.len() == 1 && told[0].ends_with("can be used again"), "{told:?}");
+    }
+
+    #[test]
+    fn who_has_a_reservation_keeps_it_before_an_older_mapping_that_lost_its_own() {
+        let mut mappings = Mappings::default();
+        mappings.insert(mapping("old", &["x"]));
+        settle(&mut mappings, &carries(&[("x", 3.0)]));
+        mappings.insert(mapping("new", &["y"]));
+        settle(&mut mappings, &carries(&[("x", 3.0), ("y", 4.0)]));
+        mappings.insert(mapping("new", &["x"]));
+        settle(&mut mappings, &carries(&[("x", 5.0)]));
+        assert_eq!(used(&mappings), ["new"]);
+    }
+
+    #[test]
+    fn a_path_that_is_cut_keeps_its_reservation_and_is_used_again() {
+        let mut mappings = Mappings::default();
+        mappings.insert(mapping("a", &["x", "y"]));
+        let whole = carries(&[("x", 4.0), ("y", 4.0)]);
+        let with = |is_cut, is_there| {
+            let mut carries = whole.clone();
+            carries.insert(hop("y"), Carries { rate_bps: 4.0, is_cut, is_there });
+            carries
+        };
+        let told = settle(&mut mappings, &with(true, false));
+        assert!(told.len() == 1 && told[0].contains("over x, y is cut at `y`"), "{told:?}");
+        assert_eq!((used(&mappings).len(), mappings.pinned().count()), (0, 0));
+        assert_eq!(mappings.reserved().len(), 2);
+        // The fabric looks itself where a robot is attached.
+        settle(&mut mappings, &with(false, false));
+        assert_eq!((used(&mappings).len(), mappings.pinned().count()), (0, 1));
+        assert!(settle(&mut mappings, &whole).is_empty());
+        assert_eq!(used(&mappings), ["a"]);
+    }
+}
