@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Decision, Event, Instruction, Node, NodeId, PluginId, Program, Stamped, Testbed, Timestamp,
-    VnfId,
+    Attachment, Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, Stamped,
+    Testbed, Timestamp, VnfId,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{
@@ -213,6 +213,11 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Returns every VNF with its instances, by name.
     pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.control.managed()
+    }
+
+    /// What mappings reserve of each direction of a link, bit/s.
+    pub(crate) fn reserved(&self) -> impl Iterator<Item = (&LinkId, Direction, f64)> {
+        self.control.reserved()
     }
 
     /// A datagram arrived at a robot from this address.

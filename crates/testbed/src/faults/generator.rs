@@ -116,6 +116,8 @@ pub(super) fn testbed(seed: u64) -> Generated {
         line(format_args!("  - {{ ends: [switch-1, switch-2]{} }}", conditions(&mut draw)));
     }
 
+    // Each less than the narrowest link carries, several more.
+    let mut rates = Draw::new(seed, "rates");
     line(format_args!("services:"));
     for (robot, cpus) in (1..=robots).zip(&cpus) {
         line(format_args!("  navigation-{robot}:"));
@@ -130,7 +132,10 @@ pub(super) fn testbed(seed: u64) -> Generated {
             draw.whole(100..=900)
         ));
         line(format_args!("    virtual_links:"));
-        line(format_args!("      - {{ from: driver-{robot}, to: brain-{robot}, rate: 0.1 Mbit/s }}"));
+        line(format_args!(
+            "      - {{ from: driver-{robot}, to: brain-{robot}, rate: {} Mbit/s }}",
+            rates.number(0.1, 0.9)
+        ));
     }
     if localized {
         line(format_args!(

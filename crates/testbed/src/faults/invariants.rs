@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 use cotorra_fabric::Balance;
 use cotorra_graph::{
-    AccessPoint, Decision, Event, HardwareGraph, Instruction, NodeId, PluginId, Program, Stamped, Testbed,
-    Timestamp, VnfEvent, VnfId, VnfState,
+    AccessPoint, Decision, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, PluginId, Program,
+    Stamped, Testbed, Timestamp, VnfEvent, VnfId, VnfState,
 };
 use cotorra_network_control::vim::{InstanceId, Managed, Stage};
 use cotorra_robot_middleware::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, SimulatedRobot};
@@ -22,7 +22,7 @@ pub enum Invariant {
     Served,
     /// A VNF without an instance is started again.
     Restarted,
-    /// No node carries more than it has.
+    /// No node carries more than it has, and no link has more reserved than it carries.
     Fits,
     /// Packets neither vanish nor come from nowhere.
     Conserved,
@@ -88,6 +88,8 @@ pub(super) struct View<'a> {
     /// Instances that really run.
     pub(super) running: Vec<InstanceId>,
     pub(super) packets: Balance,
+    /// Directions of links of which mappings reserve something: so much, of so much, bit/s.
+    pub(super) reserved: Vec<(LinkId, Direction, [f64; 2])>,
 }
 
 /// The base's deceleration, m/s² and rad/s².
@@ -256,6 +258,14 @@ impl Fits {
                     memory / 1_000_000,
                     vnfs.join(", ")
                 );
+                return Err(Broken(Invariant::Fits, what));
+            }
+        }
+        for (link, direction, [reserved, carries]) in &view.reserved {
+            several |= *reserved > 0.0;
+            if reserved > carries {
+                let what =
+                    format!("{link} carries {carries} bit/s {direction:?}, and {reserved} are reserved");
                 return Err(Broken(Invariant::Fits, what));
             }
         }

@@ -3,8 +3,8 @@
 use std::{fmt, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, PluginId, Probability,
-    Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
+    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, PluginId,
+    Probability, Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
 };
 
 use super::{draw::Draw, invariants::SABOTEUR};
@@ -163,6 +163,12 @@ impl Plan {
             let at = Timestamp::ZERO + draw.duration(0.2, until.as_secs_f64() - 0.2);
             names.fault(&mut draw, at).into_iter().for_each(|fault| insert(&mut faults, fault));
         }
+        let mut mappings = Draw::new(seed, "mappings");
+        for _ in 0..mappings.whole(0..=6) {
+            let at = Timestamp::ZERO + mappings.duration(0.2, until.as_secs_f64() - 0.2);
+            let instruction = mapping(&mut mappings, testbed);
+            insert(&mut faults, (at, Fault::Instruct { kind: "path mapped", instruction }));
+        }
         for number in 1..=draw.whole(0..=2) {
             let how = *draw.one(&[Sabotage::Panic, Sabotage::Hang, Sabotage::Flood]);
             let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("it is a name");
@@ -177,6 +183,32 @@ impl Plan {
 /// Inserts a fault behind those that come before it or at once.
 fn insert(faults: &mut Vec<(Timestamp, Fault)>, fault: (Timestamp, Fault)) {
     faults.insert(faults.partition_point(|(at, _)| *at <= fault.0), fault);
+}
+
+/// Draws a mapping between a robot and a server: mostly the path that is there, else one with a gap, or none.
+fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
+    let graph = &testbed.graph;
+    let all = |is_one: fn(&NodeKind) -> bool| {
+        graph.nodes.iter().filter(|node| is_one(&node.kind)).map(|node| node.id.clone()).collect::<Vec<_>>()
+    };
+    let robot = draw.one(&all(|kind| matches!(kind, NodeKind::Robot(_)))).clone();
+    let unit = draw.one(&all(|kind| matches!(kind, NodeKind::RadioUnit(_)))).clone();
+    let servers = all(|kind| matches!(kind, NodeKind::Server(_)));
+    // Navigation begins on the first.
+    let server = if draw.chance(0.6) { &servers[0] } else { draw.one(&servers) }.clone();
+    let route = graph.route(&robot, &server, |_| Some(&unit));
+    let mut links = route.map_or_else(Vec::new, |route| route.links);
+    let (mut from, mut to) = (robot, server);
+    if draw.chance(0.5) {
+        (from, to) = (to, from);
+        links.reverse();
+    }
+    if draw.chance(0.1) {
+        links.clear();
+    } else if draw.chance(0.1) && !links.is_empty() {
+        links.remove(draw.whole(0..=links.len() - 1));
+    }
+    Instruction::Map { from, to, links }
 }
 
 impl Names {

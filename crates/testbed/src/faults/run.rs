@@ -194,6 +194,7 @@ impl<'a> Run<'a> {
             managed: self.simulation.managed().collect(),
             running: self.simulation.serving().running(),
             packets: self.simulation.packets(),
+            reserved: self.simulation.reserved(),
         })
     }
 

@@ -2,8 +2,8 @@ use std::{path::Path, time::Duration};
 
 use cotorra_fabric::Balance;
 use cotorra_graph::{
-    Decision, Event, Instruction, NodeId, PluginId, Pose, PoseSource, RobotContext, SensorData, ServiceTime,
-    Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState, testbed_file,
+    Decision, Direction, Event, Instruction, NodeId, PluginId, Pose, PoseSource, RobotContext, SensorData,
+    ServiceTime, Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState, testbed_file,
 };
 use cotorra_network_control::vim::{InstanceId, Managed, Stage};
 
@@ -64,7 +64,14 @@ fn managed<'a>(vnf: &'a Vnf, instances: &[(u64, &'a NodeId, Stage)]) -> Managed<
 /// What the core looks like with these VNFs; all their instances run.
 fn view<'a>(testbed: &'a Testbed, managed: Vec<Managed<'a>>) -> View<'a> {
     let running = managed.iter().flat_map(|managed| managed.instances.iter().map(|(id, ..)| *id)).collect();
-    View { now: at(5.0), graph: &testbed.graph, managed, running, packets: Balance::default() }
+    View {
+        now: at(5.0),
+        graph: &testbed.graph,
+        managed,
+        running,
+        packets: Balance::default(),
+        reserved: Vec::new(),
+    }
 }
 
 fn found<T>(result: Result<T, Broken>) -> Option<String> {
@@ -110,7 +117,7 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
         assert!(sizes.contains(&size), "{size:?} is not among {sizes:?}");
     }
     assert!((20..80).contains(&federated), "{federated} of 300 have several domains");
-    assert_eq!(kinds.len(), 21, "{kinds:?}");
+    assert_eq!(kinds.len(), 22, "{kinds:?}");
 }
 
 /// The sum of all runs, whoever did them.
@@ -286,6 +293,20 @@ fn a_node_that_carries_more_than_it_has_is_found() {
 }
 
 #[test]
+fn a_link_of_which_more_is_reserved_than_it_carries_is_found() {
+    let testbed = lab();
+    let mut checked = Checked::default();
+    let mut check = |reserved| {
+        let reserved = vec![("one-unit".parse().unwrap(), Direction::Forward, [reserved, 4.0])];
+        let view = View { reserved, ..view(&testbed, Vec::new()) };
+        found(Fits::new(&testbed.graph).state(&view, &mut checked))
+    };
+    assert_eq!((check(4.0), check(0.0)), (None, None));
+    assert!(check(4.5).unwrap().contains("carries 4 bit/s Forward, and 4.5 are reserved"));
+    assert_eq!((checked.checks, checked.exercised), (2, 1));
+}
+
+#[test]
 fn a_packet_that_vanishes_or_comes_from_nowhere_is_found() {
     let testbed = lab();
     let even =
@@ -390,7 +411,7 @@ fn whatever_goes_wrong_no_promise_is_broken() {
         let Checked { checks, exercised } = tested.checked[invariant as usize];
         assert!(exercised > 0, "{invariant:?} was checked {checks} times, and never exercised");
     }
-    assert_eq!(tested.faults.len(), 21, "{:?}", tested.faults);
+    assert_eq!(tested.faults.len(), 22, "{:?}", tested.faults);
 }
 
 /// Faults leave the ledger something to do.

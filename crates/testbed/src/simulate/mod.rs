@@ -16,7 +16,9 @@ use std::{
 
 use cotorra_fabric::{Balance, Fabric, PortId};
 use cotorra_federation::Ledgers;
-use cotorra_graph::{HostAddress, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
+use cotorra_graph::{
+    Direction, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
+};
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Refused, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedScan};
@@ -255,6 +257,16 @@ impl Simulation {
     /// Returns every VNF with its instances, by name.
     pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.core.managed()
+    }
+
+    /// Returns what mappings reserve of each direction of a link, and what that carries, bit/s.
+    pub(crate) fn reserved(&self) -> Vec<(LinkId, Direction, [f64; 2])> {
+        let fabric = self.network.fabric();
+        let both = |(link, direction, reserved): (&LinkId, _, f64)| {
+            let carries = fabric.carries(link, direction).map_or(0.0, |carries| carries.rate_bps);
+            (link.clone(), direction, [reserved, carries])
+        };
+        self.core.reserved().map(both).collect()
     }
 
     /// Returns what became of all packets that hosts sent.
