@@ -75,7 +75,7 @@ def place(testbed, service, radio_unit):
     graph, robot = testbed["graph"], service["robot"]
     network = next(node["network"] for node in graph["nodes"] if node["id"] == robot)
     air_ms = 2 * graph["wireless"][network]["delay_ms"]
-    target_ms = service["kpis"]["service_time_ms"]
+    target_ms = service["kpis"]["service_time_target_ms"]
     took_ms = {node: air_ms + way for node, way in round_trips_ms(graph, radio_unit).items()}
     servers = [node for node in graph["nodes"] if node["kind"] == "server" and node["id"] in took_ms]
     in_time = [s for s in servers if took_ms[s["id"]] + MARGIN_MS <= target_ms]
@@ -89,15 +89,15 @@ def place(testbed, service, radio_unit):
 def main():
     testbed, last_scan_s, scanned = ask("testbed"), {}, set()
     for event in events("robot", "scanned"):
-        robot, now_s = event["robot"], event["at"] / 1e9  # Times are nanoseconds since the run began.
+        robot, now_s = event["robot"], event["at_ns"] / 1e9  # Times are nanoseconds since the run began.
         if event["event"] == "scanned":
             scanned.add(robot)  # The next context has what it heard.
         elif robot in scanned:
             scanned.remove(robot)
-            heard = [a for a in event["attachments"] if a["signal"] is not None]  # Signals in dBm.
+            heard = [a for a in event["attachments"] if a["signal_dbm"] is not None]  # Signals in dBm.
             present = next((a for a in heard if a["attached"]), None)
-            best = max(heard, key=lambda a: a["signal"], default=None)
-            if best and (not present or best["signal"] > present["signal"] + HYSTERESIS_DB):
+            best = max(heard, key=lambda a: a["signal_dbm"], default=None)
+            if best and (not present or best["signal_dbm"] > present["signal_dbm"] + HYSTERESIS_DB):
                 reason = f"{best['radio_unit']} is received with {best['signal']:.1f} dBm"
                 instruct(reason, instruction="attach", robot=robot, radio_unit=best["radio_unit"])
                 present = best

@@ -42,11 +42,11 @@ def instruct(reason, **instruction):
 def main():
     last_scan_s = {}
     for context in robot_contexts():
-        robot, now_s = context["robot"], context["at"] / 1e9  # Times are nanoseconds since the run began.
-        heard = [a for a in context["attachments"] if a["signal"] is not None]  # Signals in dBm.
-        present = next((a["signal"] for a in heard if a["attached"]), float("-inf"))
-        best = max(heard, key=lambda a: a["signal"], default=None)
-        if best and best["signal"] > present + HYSTERESIS_DB:
+        robot, now_s = context["robot"], context["at_ns"] / 1e9  # Times are nanoseconds since the run began.
+        heard = [a for a in context["attachments"] if a["signal_dbm"] is not None]  # Signals in dBm.
+        present = next((a["signal_dbm"] for a in heard if a["attached"]), float("-inf"))
+        best = max(heard, key=lambda a: a["signal_dbm"], default=None)
+        if best and best["signal_dbm"] > present + HYSTERESIS_DB:
             reason = f"{best['radio_unit']} is received with {best['signal']:.1f} dBm"
             instruct(reason, instruction="attach", robot=robot, radio_unit=best["radio_unit"])
         elif now_s - last_scan_s.get(robot, 0.0) >= SCAN_EVERY_S:

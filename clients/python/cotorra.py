@@ -6,7 +6,7 @@ One file, nothing but the standard library (Python 3.9 or newer): copy it, or pu
 
     testbed = Client()                      # COTORRA_API, or else your only run on this machine
     for event in testbed.stream("robot"):   # What happens, as it happens, until the run ends.
-        if event["at"] / 1e9 > 10:
+        if event["at_ns"] / 1e9 > 10:
             testbed.instruct("a look around", instruction="scan", robot=event["robot"])
             break
     worst = max(p["max"] for p in testbed.series("service_time", points=100)["points"] if "max" in p)
@@ -14,7 +14,7 @@ One file, nothing but the standard library (Python 3.9 or newer): copy it, or pu
 The same program runs beside a run, as a plug-in that a testbed file names, in virtual time, and against
 `cotorra replay`: in virtual time the run waits until the body of a `for` over `stream()` is done with each moment.
 
-Times are seconds since the run began in arguments, and nanoseconds in answers, as the API has them
+Times are nanoseconds since the run began, as the API has them
 (docs/openapi.json says what each answer holds).
 """
 from __future__ import annotations
@@ -111,15 +111,15 @@ class Client:
             yield from page
             after = page[-1]["run"]
 
-    def state(self, at_s: Optional[float] = None, run: Optional[int] = None) -> JSON:
+    def state(self, at_ns: Optional[int] = None, run: Optional[int] = None) -> JSON:
         """The whole graph at a time; if that is left out, now."""
-        return self._ask("measurements/state", at_s=at_s, run=run)
+        return self._ask("measurements/state", at_ns=at_ns, run=run)
 
     def series(
         self,
         figure: str,
-        from_s: float = 0.0,
-        to_s: Optional[float] = None,
+        from_ns: int = 0,
+        until_ns: Optional[int] = None,
         points: int = 1000,
         quantiles: Sequence[float] = (0.5,),
         run: Optional[int] = None,
@@ -127,25 +127,25 @@ class Client:
         """A figure over time, such as `service_time`, `delay:LINK:backward` or `x:ROBOT`, in at most so many points.
         Each has `from`, `until` and `gap`, and where there are samples `count`, `min`, `max`, `mean`, `last`, `quantiles`."""
         shares = ",".join(map(str, quantiles))
-        part = {"from_s": from_s, "to_s": to_s, "points": points, "quantiles": shares, "run": run}
+        part = {"from_ns": from_ns, "until_ns": until_ns, "points": points, "quantiles": shares, "run": run}
         return self._ask("measurements/series", figure=figure, **part)
 
     def events(
-        self, *kinds: str, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None
+        self, *kinds: str, from_ns: int = 0, until_ns: Optional[int] = None, run: Optional[int] = None
     ) -> Iterator[JSON]:
         """What happened, of these kinds or of all; one page after the other is asked for as it is needed."""
-        part = {"kinds": ",".join(kinds) or None, "from_s": from_s, "to_s": to_s, "run": run}
+        part = {"kinds": ",".join(kinds) or None, "from_ns": from_ns, "until_ns": until_ns, "run": run}
         return self._pages("measurements/events", part)
 
     def service_times(
-        self, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None
+        self, from_ns: int = 0, until_ns: Optional[int] = None, run: Optional[int] = None
     ) -> Iterator[JSON]:
         """Every measured service time."""
-        return self._pages("measurements/service-times", {"from_s": from_s, "to_s": to_s, "run": run})
+        return self._pages("measurements/service-times", {"from_ns": from_ns, "until_ns": until_ns, "run": run})
 
-    def gaps(self, from_s: float = 0.0, to_s: Optional[float] = None, run: Optional[int] = None) -> Iterator[JSON]:
+    def gaps(self, from_ns: int = 0, until_ns: Optional[int] = None, run: Optional[int] = None) -> Iterator[JSON]:
         """Where events were lost."""
-        return self._pages("measurements/gaps", {"from_s": from_s, "to_s": to_s, "run": run})
+        return self._pages("measurements/gaps", {"from_ns": from_ns, "until_ns": until_ns, "run": run})
 
     def retained(self, run: Optional[int] = None) -> list[JSON]:
         """How far samples were rolled up, by kind; none if all are as they were recorded."""
@@ -162,7 +162,7 @@ class Client:
 
         Who reads too slowly loses the oldest events; `missed` counts them. In virtual time nothing is lost: time stands
         still until the body of the loop is done. There, and only there, `wake_every_s` has the run stop at least so
-        often, for an event `{"event": "wake", "at": …}` of the client's own."""
+        often, for an event `{"event": "wake", "at_ns": …}` of the client's own."""
         which = parse.urlencode({"kinds": ",".join(kinds)} if kinds else {})
         name = mark = ""
         stream = self._open(f"events?{which}")
@@ -179,7 +179,7 @@ class Client:
                     elif field == "data" and name == "mark":
                         wake: JSON = {}
                         if wake_every_s is not None:
-                            yield {"event": "wake", "at": int(value)}
+                            yield {"event": "wake", "at_ns": int(value)}
                             wake["wake_at_ns"] = int(value) + round(wake_every_s * 1e9)
                         self._ask(f"marks/{mark}", {}, **wake)
                     elif field == "data":

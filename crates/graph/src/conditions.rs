@@ -91,12 +91,14 @@ pub enum Loss {
     /// Each with the same probability, whatever happened to the one before.
     Independent {
         /// Long-run share that is lost.
+        #[serde(rename = "share")]
         rate: Probability,
     },
     /// Gilbert-Elliott in Gilbert's simple form: a good state that loses nothing and a bad one that loses all.
     /// From bad to good with r = 1/mean_burst, from good to bad with p = r·rate/(1-rate).
     Bursty {
         /// Long-run share that is lost; below 1.
+        #[serde(rename = "share")]
         rate: Probability,
         /// Mean number of packets lost in a row; 1 or more.
         mean_burst: f64,
@@ -114,11 +116,13 @@ pub enum Rate {
     /// At a fixed rate. What is counted is the Ethernet frame without preamble, FCS and gap.
     Fixed {
         /// bit/s.
+        #[serde(rename = "rate_bps")]
         bits_per_second: BitRate,
     },
     /// When a trace says so.
     Trace {
         /// The delivery opportunities.
+        #[serde(rename = "trace_ms")]
         trace: Arc<Trace>,
     },
 }

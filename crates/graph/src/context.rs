@@ -126,6 +126,7 @@ pub struct Attachment {
     /// φ(r,R) = 1.
     pub attached: bool,
     /// Received signal at the last scan or frame; `None` before the first.
+    #[serde(rename = "signal_dbm")]
     pub signal: Option<Dbm>,
 }
 
@@ -250,11 +251,12 @@ pub struct StationContext {
     /// The robot.
     pub robot: NodeId,
     /// Signal received from it.
+    #[serde(rename = "signal_dbm")]
     pub signal: Dbm,
-    /// PHY rate to it, Mbit/s.
-    pub downlink_mbps: f64,
-    /// PHY rate from it, Mbit/s.
-    pub uplink_mbps: f64,
+    /// PHY rate to it, bit/s.
+    pub downlink_bps: f64,
+    /// PHY rate from it, bit/s.
+    pub uplink_bps: f64,
 }
 
 /// d, λ and the effective conditions of one direction of a link, with what it did since the run began.
@@ -390,9 +392,10 @@ pub struct ServiceTime {
     /// Number of the position packet, from 0.
     pub sequence: u32,
     /// When it was emitted.
+    #[serde(rename = "emitted_ns")]
     pub emitted: Timestamp,
     /// How long it took; `None` if no answer came within the robot's command timeout.
-    #[serde(rename = "took_ms", with = "millis::option")]
+    #[serde(rename = "service_time_ms", with = "millis::option")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
     pub took: Option<Duration>,
     /// The radio unit that the robot was attached to when it was emitted.

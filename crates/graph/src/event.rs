@@ -23,6 +23,7 @@ use crate::{
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Stamped {
     /// Nanoseconds since the run began.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// What happened.
     #[serde(flatten)]

@@ -181,6 +181,7 @@ pub struct Robot {
     /// SSID of the wireless network that it joins.
     pub network: String,
     /// Transmission power of its radio.
+    #[serde(rename = "tx_power_dbm")]
     pub tx_power: Dbm,
     /// Heading at the start, radians from the x axis, counter-clockwise.
     pub heading: f64,
@@ -259,6 +260,7 @@ pub struct RadioUnit {
     /// Channel number; radio units on one channel share its airtime.
     pub channel: u8,
     /// Transmission power.
+    #[serde(rename = "tx_power_dbm")]
     pub tx_power: Dbm,
     /// Whether it serves its network from the start: a(R) = {vAP}. One that does not is off until a vAP is deployed on it.
     #[serde(default = "yes")]
@@ -351,6 +353,7 @@ pub struct Link {
     #[serde(default)]
     pub scales: [Scale; 2],
     /// What the medium itself can carry; no condition may ask for more.
+    #[serde(rename = "medium_bps")]
     pub medium: BitRate,
     /// How long the medium itself takes, one way, before anything is emulated on it: see [`Medium`]. None at all where the
     /// whole link is emulated.
@@ -391,6 +394,7 @@ pub struct WirelessNetwork {
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub delay: Duration,
     /// What one station gets at most, whatever its signal; the airtime of a frame is at least its bits over this.
+    #[serde(rename = "rate_bps")]
     pub rate: Option<BitRate>,
     /// Fast transition (IEEE 802.11r) within the mobility domain.
     pub fast_transition: bool,
@@ -402,6 +406,7 @@ pub struct WirelessNetwork {
     /// How it varies around that.
     pub shadowing: Shadowing,
     /// Noise floor of a receiver, thermal noise over 20 MHz and noise figure together.
+    #[serde(rename = "noise_floor_dbm")]
     pub noise_floor: Dbm,
     /// A station that decides by signal changes when another radio unit is stronger by so many dB …
     pub hysteresis_db: f64,

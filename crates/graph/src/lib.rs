@@ -54,5 +54,5 @@ pub use service::{Granted, Kpis, LinuxCapability, Program, Rights, Service, Virt
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };
-pub use units::{BitRate, Dbm, Position, Probability, Timestamp};
+pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
 pub use yaml::{Diagnostic, Diagnostics};

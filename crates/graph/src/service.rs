@@ -129,6 +129,7 @@ pub struct VirtualLink {
     /// … to this one.
     pub to: VnfId,
     /// What it needs at most.
+    #[serde(rename = "rate_bps")]
     pub rate: BitRate,
 }
 
@@ -138,7 +139,7 @@ pub struct VirtualLink {
 pub struct Kpis {
     /// Target of the service time: from the emission of a position packet to the reception of the navigation
     /// packet that answers it. Of a service that localizes, from a scan to the pose.
-    #[serde(rename = "service_time_ms", with = "millis")]
+    #[serde(rename = "service_time_target_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub service_time: Duration,
     /// Probability that all nodes and links in use work; 0 to 1.

@@ -105,6 +105,7 @@ pub struct Walk {
     /// The waypoints, in order, the way back included when the file asks for it. The robot starts at the first.
     pub waypoints: Vec<Position>,
     /// Speed that it does not exceed, m/s.
+    #[serde(rename = "speed_limit_mps")]
     pub speed_limit: f64,
     /// How often the robot emits a position packet.
     #[serde(rename = "position_interval_ms", with = "millis")]

@@ -258,15 +258,24 @@ pub mod millis {
 
     /// Writes milliseconds with a fraction.
     pub fn serialize<S: Serializer>(duration: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_f64(duration.as_secs_f64() * 1e3)
+        serializer.serialize_f64(of(*duration))
     }
 
     /// Reads milliseconds; negative, infinite and NaN are errors.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
-        from_ms(f64::deserialize(deserializer)?).map_err(D::Error::custom)
+        duration(f64::deserialize(deserializer)?).map_err(D::Error::custom)
     }
 
-    fn from_ms(ms: f64) -> Result<Duration, String> {
+    /// Milliseconds of a duration: what [`duration`] makes the same of again, if it is less than 26 days.
+    pub fn of(duration: Duration) -> f64 {
+        duration.as_nanos() as f64 / 1e6
+    }
+
+    /// The duration of so many milliseconds, to the nearest nanosecond.
+    ///
+    /// # Errors
+    /// In words, for a number that is negative, infinite or NaN.
+    pub fn duration(ms: f64) -> Result<Duration, String> {
         // Whole nanoseconds, rounded: 0.001 ms is 1000 ns, not 999.
         if ms.is_finite() && (0.0..1e15).contains(&ms) {
             Ok(Duration::from_nanos((ms * 1e6).round() as u64))
@@ -282,13 +291,13 @@ pub mod millis {
 
         /// Writes milliseconds, or null.
         pub fn serialize<S: Serializer>(value: &Option<Duration>, serializer: S) -> Result<S::Ok, S::Error> {
-            value.map(|d| d.as_secs_f64() * 1e3).serialize(serializer)
+            value.map(super::of).serialize(serializer)
         }
 
         /// Reads milliseconds, or null.
         pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Duration>, D::Error> {
             Option::<f64>::deserialize(deserializer)?
-                .map(super::from_ms)
+                .map(super::duration)
                 .transpose()
                 .map_err(D::Error::custom)
         }

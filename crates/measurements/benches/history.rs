@@ -187,9 +187,9 @@ fn through_a_recorder_of(history: &History, samples: u64, sample: impl Fn(u64) -
     took
 }
 
-const COLUMNS: &str = "run, t_ns, seq, link, direction, delay_ns, throughput_bps, delay_scale, drop_scale, asked, \
-     effective, packets, bytes, lost, overflowed, duplicated, corrupted, probed_delay_ns, probed_jitter_ns, \
-     probed_delay_age_ns, probed_loss, probed_loss_age_ns, tested_bps, tested_offered_bps, tested_age_ns";
+const COLUMNS: &str = "run, at_ns, seq, link, direction, delay_ms, throughput_bps, delay_scale, drop_scale, asked, \
+     effective, packets, bytes, lost, overflowed, duplicated, corrupted, probed_delay_ms, probed_jitter_ms, \
+     probed_delay_age_ms, probed_loss, probed_loss_age_ms, tested_throughput_bps, tested_offered_bps, tested_age_ms";
 const WIDTH: usize = 25;
 
 fn sqlite() {

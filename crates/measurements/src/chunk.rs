@@ -4,9 +4,9 @@
 //!
 //! The count, the times, each column, then figures of child rows by what they are of: the signals that a robot hears; and
 //! last, columns that older chunks do not have.
-//! Times are differences of differences; figures are the bits of 64-bit
-//! floats, those equal to the figure before taken away (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1)
-//! and the rest, trailing zeros first, a varint.
+//! Times are differences of differences; figures are the bits of 64-bit floats, those equal to the figure before taken away
+//! (the idea is Gorilla's: Pelkonen et al., VLDB 2015, section 4.1) and the rest, trailing zeros first, a varint.
+//! Durations are whole nanoseconds here, because the bits of whole numbers end in zeros.
 
 use std::collections::BTreeMap;
 
@@ -52,9 +52,9 @@ pub(crate) const fn has_chunks(kind: Kind) -> bool {
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Part {
     /// A column of its rows, by its place.
-    Column(usize),
+    Column { place: usize, is_duration: bool },
     /// One of those behind so many and the figures of child rows, of which its kind has none.
-    LateColumn { early: usize, place: usize },
+    LateColumn { early: usize, place: usize, is_duration: bool },
     /// The figures of child rows that are of what has this id.
     Children(i64),
 }
@@ -63,7 +63,7 @@ impl Part {
     /// The place of the column among all that chunks of its kind hold.
     pub fn column(self) -> Option<usize> {
         match self {
-            Self::Column(place) | Self::LateColumn { place, .. } => Some(place),
+            Self::Column { place, .. } | Self::LateColumn { place, .. } => Some(place),
             Self::Children(_) => None,
         }
     }
@@ -72,14 +72,23 @@ impl Part {
 /// The place of a column in the chunks of a kind.
 pub(crate) fn column(kind: Kind, column: &str) -> Option<Part> {
     let place = places(kind).iter().position(|place| table(kind).columns[*place] == column)?;
-    let early = early(kind);
-    Some(if place < early { Part::Column(place) } else { Part::LateColumn { early, place } })
+    let (early, is_duration) = (early(kind), is_duration(kind, place));
+    Some(match place < early {
+        true => Part::Column { place, is_duration },
+        false => Part::LateColumn { early, place, is_duration },
+    })
+}
+
+const NS_IN_MS: f64 = 1e6;
+
+/// Whether a column, by its place among those of chunks, holds durations.
+fn is_duration(kind: Kind, place: usize) -> bool {
+    table(kind).columns[places(kind)[place]].ends_with("_ms")
 }
 
 /// The figures of a row that chunks hold; NaN for what is no number.
 pub(crate) fn figures(kind: Kind, row: &[Value<'_>]) -> impl Iterator<Item = f64> {
     places(kind).iter().map(|place| match row[*place] {
-        Value::Integer(n) => n as f64,
         Value::Real(x) => x,
         _ => f64::NAN,
     })
@@ -141,9 +150,10 @@ impl Chunk {
         }
         let width = places(kind).len();
         let write_column = |column: usize, bytes: &mut Vec<u8>| {
-            let mut before = 0_u64;
+            let (mut before, is_duration) = (0_u64, is_duration(kind, column));
             for i in &order {
-                let figure = figures[i * width + column].to_bits();
+                let figure = figures[i * width + column];
+                let figure = if is_duration { (figure * NS_IN_MS).round() } else { figure }.to_bits();
                 write_unsigned((figure ^ before).swap_bytes(), bytes);
                 before = figure;
             }
@@ -195,12 +205,14 @@ fn read_unsigned(bytes: &mut Bytes<'_>) -> Result<u64, ReadError> {
 fn read_column(
     bytes: &mut Bytes<'_>,
     times: &[i64],
+    is_duration: bool,
     mut each: impl FnMut(i64, f64),
 ) -> Result<(), ReadError> {
     let mut bits = 0_u64;
     for t in times {
         bits ^= read_unsigned(bytes)?.swap_bytes();
-        each(*t, f64::from_bits(bits));
+        let figure = f64::from_bits(bits);
+        each(*t, if is_duration { figure / NS_IN_MS } else { figure });
     }
     Ok(())
 }
@@ -221,11 +233,11 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
         times.push(before);
     }
     match part {
-        Part::Column(place) => {
+        Part::Column { place, is_duration } => {
             bytes.skip(place * count)?;
-            read_column(&mut bytes, &times, each)?;
+            read_column(&mut bytes, &times, is_duration, each)?;
         }
-        Part::LateColumn { early, place } => {
+        Part::LateColumn { early, place, is_duration } => {
             bytes.skip(early * count)?;
             if bytes.plain_integer()? != 0 {
                 return Err(ReadError::Unreadable("a chunk has child rows where there are none".to_owned()));
@@ -234,7 +246,7 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
                 return Ok(false);
             }
             bytes.skip((place - early) * count)?;
-            read_column(&mut bytes, &times, each)?;
+            read_column(&mut bytes, &times, is_duration, each)?;
         }
         Part::Children(wanted) => {
             bytes.skip(WIDTH_WITH_CHILDREN * count)?;
@@ -273,14 +285,22 @@ mod tests {
 
     use super::*;
 
+    /// A figure of a link that a column can hold, from any bits: durations are whole nanoseconds, for less than 26 days.
+    fn figure(column: usize, bits: u64) -> f64 {
+        match is_duration(Kind::Link, column) {
+            true => (bits >> 13) as f64 / NS_IN_MS,
+            false => f64::from_bits(bits),
+        }
+    }
+
     proptest! {
         #[test]
         fn what_is_packed_is_read(samples in vec((any::<i64>(), any::<[u64; 7]>()), 0..50)) {
             let mut chunk = Chunk::default();
             for (t, bits) in &samples {
                 let mut row = vec![Value::Null; 22];
-                for (place, bits) in places(Kind::Link).iter().zip(bits) {
-                    row[*place] = Value::Real(f64::from_bits(*bits));
+                for (column, (place, bits)) in places(Kind::Link).iter().zip(bits).enumerate() {
+                    row[*place] = Value::Real(figure(column, *bits));
                 }
                 chunk.push(Kind::Link, *t, &row);
             }
@@ -293,18 +313,18 @@ mod tests {
                 let said = read(&bytes, part, |t, x| found.push((t, x.to_bits()))).unwrap();
                 prop_assert!(said || column >= early(Kind::Link));
                 if !said {
-                    let late = |bits: &[u64; 7]| bits[early(Kind::Link)..].iter().all(|b| f64::from_bits(*b).is_nan());
-                    prop_assert!(samples.iter().all(|(_, bits)| late(bits)));
+                    prop_assert!(samples.is_empty());
                     continue;
                 }
-                prop_assert_eq!(found, sorted.iter().map(|(t, bits)| (*t, bits[column])).collect::<Vec<_>>());
+                let wanted = sorted.iter().map(|(t, bits)| (*t, figure(column, bits[column]).to_bits()));
+                prop_assert_eq!(found, wanted.collect::<Vec<_>>());
             }
         }
 
         #[test]
         fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
-            let _ = read(&bytes, Part::Column(place), |_, _| ());
-            let _ = read(&bytes, Part::LateColumn { early: 4, place: 4 + place }, |_, _| ());
+            let _ = read(&bytes, Part::Column { place, is_duration: false }, |_, _| ());
+            let _ = read(&bytes, Part::LateColumn { early: 4, place: 4 + place, is_duration: true }, |_, _| ());
             let _ = read(&bytes, Part::Children(place as i64), |_, _| ());
         }
 
@@ -333,12 +353,12 @@ mod tests {
     #[test]
     fn knows_its_columns() {
         let place = |kind, name| column(kind, name).and_then(Part::column);
-        assert_eq!(place(Kind::Link, "delay_ns"), Some(0));
+        assert_eq!(place(Kind::Link, "delay_ms"), Some(0));
         assert_eq!(place(Kind::Link, "drop_scale"), Some(3));
-        assert_eq!(place(Kind::Link, "probed_delay_ns"), Some(4));
+        assert_eq!(place(Kind::Link, "probed_delay_ms"), Some(4));
         assert_eq!(place(Kind::Link, "probed_loss"), Some(6));
-        assert_eq!(place(Kind::Robot, "heading_rad"), Some(2));
-        assert_eq!(place(Kind::Robot, "linear_mps"), Some(3));
+        assert_eq!(place(Kind::Robot, "heading"), Some(2));
+        assert_eq!(place(Kind::Robot, "linear"), Some(3));
         assert_eq!(place(Kind::Robot, "nearest_obstacle_m"), Some(5));
         assert_eq!(place(Kind::Radio, "load"), Some(0));
         assert_eq!(place(Kind::Link, "packets"), None);
@@ -359,8 +379,12 @@ mod tests {
         let mut chunk = Chunk::default();
         for n in 0..50_i64 {
             let mut row = vec![Value::Null; 22];
-            let figures =
-                [Value::Integer(10_000_000 + n * 137), Value::Real(1e6), Value::Real(1.0), Value::Real(1.0)];
+            let figures = [
+                Value::Real((10_000_000 + n * 137) as f64 / NS_IN_MS),
+                Value::Real(1e6),
+                Value::Real(1.0),
+                Value::Real(1.0),
+            ];
             row[2..6].clone_from_slice(&figures);
             chunk.push(Kind::Link, n * 100_000_000, &row);
         }

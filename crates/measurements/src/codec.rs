@@ -15,7 +15,7 @@ pub(crate) use self::{
 };
 use crate::Kind;
 
-/// A table of events, beside the key (run, t_ns, seq) that all of them have.
+/// A table of events, beside the key (run, at_ns, seq) that all of them have.
 pub(crate) struct Table {
     /// Columns, in order.
     pub columns: &'static [&'static str],
@@ -36,15 +36,15 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Robot => Table {
             columns: &[
                 "robot", "waypoint",
-                "x_m", "y_m", "heading_rad",
+                "x", "y", "heading",
                 "cov_xx", "cov_xy", "cov_xh", "cov_yx", "cov_yy", "cov_yh", "cov_hx", "cov_hy", "cov_hh",
                 "source",
-                "odom_x_m", "odom_y_m", "odom_heading_rad",
-                "odom_cov_xx", "odom_cov_xy", "odom_cov_xh", "odom_cov_yx", "odom_cov_yy", "odom_cov_yh",
-                "odom_cov_hx", "odom_cov_hy", "odom_cov_hh",
-                "odom_source",
-                "linear_mps", "angular_radps", "bumper", "nearest_obstacle_m", "health",
-                "z_m", "roll_rad", "pitch_rad", "odom_z_m", "odom_roll_rad", "odom_pitch_rad", "vertical_mps",
+                "odometry_x", "odometry_y", "odometry_heading",
+                "odometry_cov_xx", "odometry_cov_xy", "odometry_cov_xh", "odometry_cov_yx", "odometry_cov_yy", "odometry_cov_yh",
+                "odometry_cov_hx", "odometry_cov_hy", "odometry_cov_hh",
+                "odometry_source",
+                "linear", "angular", "bumper", "nearest_obstacle_m", "health",
+                "z", "roll", "pitch", "odometry_z", "odometry_roll", "odometry_pitch", "vertical",
             ],
             series: &["robot"],
             children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),
@@ -52,15 +52,15 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Radio => Table {
             columns: &["radio_unit", "channel", "load"],
             series: &["radio_unit"],
-            children: Some(("station", &["robot", "signal_dbm", "downlink_mbps", "uplink_mbps"])),
+            children: Some(("station", &["robot", "signal_dbm", "downlink_bps", "uplink_bps"])),
         },
         Kind::Link => Table {
             columns: &[
-                "link", "direction", "delay_ns", "throughput_bps", "delay_scale", "drop_scale",
+                "link", "direction", "delay_ms", "throughput_bps", "delay_scale", "drop_scale",
                 "asked", "effective",
                 "packets", "bytes", "lost", "overflowed", "duplicated", "corrupted",
-                "probed_delay_ns", "probed_jitter_ns", "probed_delay_age_ns", "probed_loss", "probed_loss_age_ns",
-                "tested_bps", "tested_offered_bps", "tested_age_ns",
+                "probed_delay_ms", "probed_jitter_ms", "probed_delay_age_ms", "probed_loss", "probed_loss_age_ms",
+                "tested_throughput_bps", "tested_offered_bps", "tested_age_ms",
             ],
             series: &["link", "direction"],
             children: None,
@@ -72,15 +72,15 @@ pub(crate) const fn table(kind: Kind) -> Table {
             children: Some(("hop", &["link"])),
         },
         Kind::ServiceTime => {
-            plain(&["service", "robot", "sequence", "emitted_ns", "took_ns", "attachment", "server"])
+            plain(&["service", "robot", "sequence", "emitted_ns", "service_time_ms", "attachment", "server"])
         }
-        Kind::Handover => plain(&["robot", "from_radio_unit", "to_radio_unit", "fast", "gap_ns"]),
+        Kind::Handover => plain(&["robot", "from_radio_unit", "to_radio_unit", "fast", "gap_ms"]),
         Kind::Detached => plain(&["robot", "from_radio_unit"]),
         Kind::Scanned | Kind::WalkFinished => plain(&["robot"]),
         Kind::Vnf => plain(&["vnf", "node", "state", "detail"]),
         Kind::Decision => plain(&[
-            "plugin", "instruction", "subject", "object", "linear_mps", "angular_radps", "waypoint",
-            "direction", "change", "reason", "refused", "vertical_mps",
+            "plugin", "instruction", "subject", "object", "linear", "angular", "waypoint",
+            "direction", "change", "reason", "refused", "vertical",
         ]),
         Kind::PluginFault => plain(&["plugin", "reason"]),
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),
@@ -92,7 +92,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
 /// Columns of `conditions`, behind its id.
 #[rustfmt::skip]
 pub(crate) const CONDITIONS: &[&str] = &[
-    "delay_ns", "jitter_ns", "jitter_distribution", "loss", "loss_rate", "loss_mean_burst",
+    "delay_ms", "jitter_deviation_ms", "jitter_distribution", "loss", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "rate_bps", "trace_ms", "queue_packets", "queue_bytes",
 ];
 

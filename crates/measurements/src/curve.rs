@@ -54,8 +54,10 @@ pub struct Curve {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Point {
     /// From here on, nanoseconds since the run began.
+    #[serde(rename = "from_ns")]
     pub from: Timestamp,
     /// Up to here, this excluded.
+    #[serde(rename = "until_ns")]
     pub until: Timestamp,
     /// Whether events were lost in this time, or around it.
     pub gap: bool,

@@ -3,7 +3,9 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
-use cotorra_graph::{Direction, Event, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState};
+use cotorra_graph::{
+    Direction, Event, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState, millis,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -83,7 +85,7 @@ pub struct Services {
     /// Position packets that were not answered in time.
     pub unanswered: u64,
     /// Service times of those that were, ms, with quantiles 0.5, 0.95 and 0.99.
-    pub took_ms: Option<Values>,
+    pub service_time_ms: Option<Values>,
 }
 
 /// A direction of a link.
@@ -119,9 +121,10 @@ pub struct Placements {
     /// How often it came there.
     pub count: u64,
     /// When it did first.
+    #[serde(rename = "first_ns")]
     pub first: Timestamp,
-    /// How long it was there in all, s, to the run's end or its last event.
-    pub seconds: f64,
+    /// How long it was there in all, ms, to the run's end or its last event.
+    pub duration_ms: f64,
 }
 
 /// Decisions.
@@ -133,6 +136,7 @@ pub struct Decisions {
     /// How many of them were refused.
     pub refused: u64,
     /// When the first was.
+    #[serde(rename = "first_ns")]
     pub first: Timestamp,
 }
 
@@ -184,8 +188,10 @@ struct Side {
 pub(crate) fn difference(a: (&dyn Store, RunId), b: (&dyn Store, RunId)) -> Result<Difference> {
     let [(x, a), (y, b)] = [(a.0, a.0.run(a.1)?), (b.0, b.0.run(b.1)?)];
     let [x, y] = [Side::of(x, &a)?, Side::of(y, &b)?];
-    let services =
-        |(unanswered, mut took): (u64, Gathered)| Services { unanswered, took_ms: took.finish(&QUANTILES) };
+    let services = |(unanswered, mut took): (u64, Gathered)| Services {
+        unanswered,
+        service_time_ms: took.finish(&QUANTILES),
+    };
     let handovers = |(count, fast, mut gap): (u64, u64, Gathered)| Handovers {
         count,
         fast,
@@ -262,7 +268,7 @@ impl Side {
 
     fn stayed(&mut self, vnf: VnfId, node: NodeId, since: Timestamp, until: Timestamp) {
         if let Some(placements) = self.placements.get_mut(&PlacementOf { vnf, node }) {
-            placements.seconds += until.since(since).as_secs_f64();
+            placements.duration_ms += millis::of(until.since(since));
         }
     }
 
@@ -274,7 +280,7 @@ impl Side {
                 if let Some((before, since)) = self.placed.insert(vnf.clone(), (node.clone(), at)) {
                     self.stayed(vnf.clone(), before, since, at);
                 }
-                let new = Placements { count: 0, first: at, seconds: 0.0 };
+                let new = Placements { count: 0, first: at, duration_ms: 0.0 };
                 self.placements.entry(PlacementOf { vnf, node }).or_insert(new).count += 1;
             }
             Event::ServiceTime(time) => {

@@ -1,8 +1,8 @@
 //! Figures: what of an embedding is a number, and so can be drawn over time and compared.
 
-use std::{fmt, str::FromStr, time::Duration};
+use std::{fmt, str::FromStr};
 
-use cotorra_graph::{Direction, Event, LinkId, NodeId, ServiceId};
+use cotorra_graph::{Direction, Event, LinkId, NodeId, ServiceId, millis};
 use serde::{Deserialize, Serialize};
 
 use crate::kind::{Kind, Series};
@@ -41,7 +41,7 @@ quantities! {
     /// Figures of one direction of a link.
     LinkQuantity {
         /// d, ms.
-        Delay = "delay", "ms", "delay_ns";
+        Delay = "delay", "ms", "delay_ms";
         /// λ, bit/s.
         Throughput = "throughput", "bit/s", "throughput_bps";
         /// ψ.
@@ -49,9 +49,9 @@ quantities! {
         /// δ.
         DropScale = "drop_scale", "", "drop_scale";
         /// Delay by probes, ms.
-        ProbedDelay = "probed_delay", "ms", "probed_delay_ns";
+        ProbedDelay = "probed_delay", "ms", "probed_delay_ms";
         /// Jitter by probes, ms.
-        ProbedJitter = "probed_jitter", "ms", "probed_jitter_ns";
+        ProbedJitter = "probed_jitter", "ms", "probed_jitter_ms";
         /// Loss by probes, a share.
         ProbedLoss = "probed_loss", "", "probed_loss";
     }
@@ -61,21 +61,21 @@ quantities! {
     /// Figures of a robot.
     RobotQuantity {
         /// Its position, m.
-        X = "x", "m", "x_m";
+        X = "x", "m", "x";
         /// Its position, m.
-        Y = "y", "m", "y_m";
+        Y = "y", "m", "y";
         /// Its height above the floor, m.
-        Z = "z", "m", "z_m";
+        Z = "z", "m", "z";
         /// Its heading, rad.
-        Heading = "heading", "rad", "heading_rad";
+        Heading = "heading", "rad", "heading";
         /// Its speed ahead, m/s.
-        Speed = "speed", "m/s", "linear_mps";
+        Linear = "linear", "m/s", "linear";
         /// Its speed upwards, m/s.
-        Climb = "climb", "m/s", "vertical_mps";
+        Vertical = "vertical", "m/s", "vertical";
         /// Its turning rate, rad/s.
-        Turn = "turn", "rad/s", "angular_radps";
+        Angular = "angular", "rad/s", "angular";
         /// How far the nearest obstacle is, m.
-        Obstacle = "obstacle", "m", "nearest_obstacle_m";
+        NearestObstacle = "nearest_obstacle", "m", "nearest_obstacle_m";
     }
 }
 
@@ -92,8 +92,8 @@ quantities! {
 }
 
 /// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
-/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `speed:…`,
-/// `climb:…`, `turn:…`, `obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
+/// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
+/// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
 /// services if they are not said); `handover_gap:ROBOT` (likewise); `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -137,12 +137,7 @@ pub(crate) struct Kept<'a> {
     /// If it is in the child rows: the column of these that must have this name.
     pub child: Option<(&'static str, &'a str)>,
     pub column: &'static str,
-    /// What makes the column the figure.
-    pub factor: f64,
 }
-
-/// Columns have nanoseconds.
-const MS: f64 = 1e-6;
 
 impl Figure {
     /// Its unit; empty for a bare number.
@@ -158,63 +153,53 @@ impl Figure {
     }
 
     pub(crate) fn kept(&self) -> Kept<'_> {
-        let plain = |kind, column, factor| Kept {
-            kind,
-            series: None,
-            named: Vec::new(),
-            child: None,
-            column,
-            factor,
-        };
+        let plain = |kind, column| Kept { kind, series: None, named: Vec::new(), child: None, column };
         match self {
             Self::Link(link, direction, quantity) => {
-                let factor = if quantity.unit() == "ms" { MS } else { 1.0 };
                 let series = Some(Series::Link(link.clone(), *direction));
-                Kept { series, ..plain(Kind::Link, quantity.column(), factor) }
+                Kept { series, ..plain(Kind::Link, quantity.column()) }
             }
-            Self::Robot(robot, quantity) => Kept {
-                series: Some(Series::Robot(robot.clone())),
-                ..plain(Kind::Robot, quantity.column(), 1.0)
-            },
+            Self::Robot(robot, quantity) => {
+                Kept { series: Some(Series::Robot(robot.clone())), ..plain(Kind::Robot, quantity.column()) }
+            }
             Self::Signal { robot, radio_unit } => Kept {
                 series: Some(Series::Robot(robot.clone())),
                 child: Some(("radio_unit", radio_unit.as_str())),
-                ..plain(Kind::Robot, "signal_dbm", 1.0)
+                ..plain(Kind::Robot, "signal_dbm")
             },
             Self::Load(unit) => {
-                Kept { series: Some(Series::Radio(unit.clone())), ..plain(Kind::Radio, "load", 1.0) }
+                Kept { series: Some(Series::Radio(unit.clone())), ..plain(Kind::Radio, "load") }
             }
             Self::ServiceTime { service, robot } => {
                 let service = service.iter().map(|service| ("service", service.as_str()));
                 let robot = robot.iter().map(|robot| ("robot", robot.as_str()));
-                Kept { named: service.chain(robot).collect(), ..plain(Kind::ServiceTime, "took_ns", MS) }
+                Kept { named: service.chain(robot).collect(), ..plain(Kind::ServiceTime, "service_time_ms") }
             }
             Self::HandoverGap { robot } => {
                 let named = robot.iter().map(|robot| ("robot", robot.as_str())).collect();
-                Kept { named, ..plain(Kind::Handover, "gap_ns", MS) }
+                Kept { named, ..plain(Kind::Handover, "gap_ms") }
             }
-            Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column(), 1.0),
+            Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column()),
         }
     }
 
     /// Calls `each` with the figure's values in an event, be they numbers or not.
     pub(crate) fn of(&self, event: &Event, mut each: impl FnMut(f64)) {
-        let ms = |d: Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX) as f64 * MS;
         match (self, event) {
             (Self::Link(link, direction, quantity), Event::Link(context))
                 if context.link == *link && context.direction == *direction =>
             {
                 let probed = context.probed;
                 match quantity {
-                    LinkQuantity::Delay => context.delay.map(ms).into_iter().for_each(each),
+                    LinkQuantity::Delay => context.delay.map(millis::of).into_iter().for_each(each),
                     LinkQuantity::Throughput => each(context.throughput_bps),
                     LinkQuantity::DelayScale => each(context.scale.delay_scale),
                     LinkQuantity::DropScale => each(context.scale.drop_scale),
                     LinkQuantity::ProbedDelay => {
-                        probed.and_then(|p| p.delay).map(ms).into_iter().for_each(each)
+                        probed.and_then(|p| p.delay).map(millis::of).into_iter().for_each(each)
                     }
                     LinkQuantity::ProbedJitter => {
-                        probed.and_then(|p| p.jitter).map(ms).into_iter().for_each(each)
+                        probed.and_then(|p| p.jitter).map(millis::of).into_iter().for_each(each)
                     }
                     LinkQuantity::ProbedLoss => probed.and_then(|p| p.loss).into_iter().for_each(each),
                 }
@@ -226,10 +211,10 @@ impl Figure {
                     RobotQuantity::Y => each(sensors.pose.y),
                     RobotQuantity::Z => each(sensors.pose.z),
                     RobotQuantity::Heading => each(sensors.pose.heading),
-                    RobotQuantity::Speed => each(sensors.velocity.linear),
-                    RobotQuantity::Climb => each(sensors.velocity.vertical),
-                    RobotQuantity::Turn => each(sensors.velocity.angular),
-                    RobotQuantity::Obstacle => sensors.nearest_obstacle_m.into_iter().for_each(each),
+                    RobotQuantity::Linear => each(sensors.velocity.linear),
+                    RobotQuantity::Vertical => each(sensors.velocity.vertical),
+                    RobotQuantity::Angular => each(sensors.velocity.angular),
+                    RobotQuantity::NearestObstacle => sensors.nearest_obstacle_m.into_iter().for_each(each),
                 }
             }
             (Self::Signal { robot, radio_unit }, Event::Robot(context)) if context.robot == *robot => {
@@ -241,12 +226,12 @@ impl Figure {
                 if service.as_ref().is_none_or(|service| time.service == *service)
                     && robot.as_ref().is_none_or(|robot| time.robot == *robot) =>
             {
-                time.took.map(ms).into_iter().for_each(each);
+                time.took.map(millis::of).into_iter().for_each(each);
             }
             (Self::HandoverGap { robot }, Event::Handover(handover))
                 if robot.as_ref().is_none_or(|robot| handover.robot == *robot) =>
             {
-                each(ms(handover.gap));
+                each(millis::of(handover.gap));
             }
             (Self::Lateness(quantity), Event::Lateness(lateness)) => each(match quantity {
                 LatenessQuantity::P50 => lateness.p50_us,
@@ -266,13 +251,15 @@ impl Kept<'_> {
         let table = crate::codec::table(self.kind);
         let child = self.child.and(table.children);
         let of = if child.is_some() { "c" } else { "e" };
-        let mut sql = format!("SELECT e.t_ns, {of}.\"{}\" FROM \"{}\" e", self.column, self.kind.as_str());
+        let mut sql = format!("SELECT e.at_ns, {of}.\"{}\" FROM \"{}\" e", self.column, self.kind.as_str());
         let mut add =
             |text: fmt::Arguments<'_>| sql.write_fmt(text).expect("writing to a string never fails");
         if let Some((child, _)) = child {
-            add(format_args!(" {join} \"{child}\" c ON c.run = e.run AND c.t_ns = e.t_ns AND c.seq = e.seq"));
+            add(format_args!(
+                " {join} \"{child}\" c ON c.run = e.run AND c.at_ns = e.at_ns AND c.seq = e.seq"
+            ));
         }
-        add(format_args!(" WHERE e.run = ? AND e.t_ns >= ? AND e.t_ns <= ? AND e.seq >= ?"));
+        add(format_args!(" WHERE e.run = ? AND e.at_ns >= ? AND e.at_ns <= ? AND e.seq >= ?"));
         let series = if self.series.is_some() { table.series } else { &[] };
         for column in series.iter().copied().chain(self.named.iter().map(|(column, _)| *column)) {
             add(format_args!(" AND e.{column} = ?"));
@@ -280,7 +267,7 @@ impl Kept<'_> {
         if let (Some(_), Some((column, _))) = (child, self.child) {
             add(format_args!(" AND c.{column} = ?"));
         }
-        add(format_args!(" AND {of}.\"{}\" IS NOT NULL ORDER BY e.t_ns, e.seq", self.column));
+        add(format_args!(" AND {of}.\"{}\" IS NOT NULL ORDER BY e.at_ns, e.seq", self.column));
         if child.is_some() {
             add(format_args!(", c.place"));
         }

@@ -45,6 +45,7 @@ pub struct History {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Sample<T> {
     /// Nanoseconds since the run began.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// What.
     #[serde(flatten)]
@@ -56,6 +57,7 @@ pub struct Sample<T> {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GraphState {
     /// When.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ(r), by robot.
     pub robots: Vec<Sample<RobotContext>>,
@@ -332,8 +334,8 @@ impl History {
         let (mut first, last) = samples.unwrap_or((asked.from, asked.until));
         // What was rolled up began with its step, of which the last sample is left.
         let thinned = self.store.retained(run)?.into_iter().find(|its| its.kind == figure.kept().kind);
-        if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && its.step_ns > 0) {
-            first -= first % its.step_ns.cast_signed();
+        if let Some(its) = thinned.filter(|its| first < nanos(its.rolled_up_to) && !its.step.is_zero()) {
+            first -= first % i64::try_from(its.step.as_nanos()).unwrap_or(i64::MAX);
         }
         let from = if asked.from == 0 { first } else { asked.from };
         let until = if asked.until >= i64::MAX - 1 { last } else { asked.until };
@@ -490,8 +492,8 @@ mod tests {
         let state = history.state_at(run, Timestamp::from_nanos(9)).unwrap();
         let json = serde_json::to_value(&state).unwrap();
         let placements = serde_json::json!([
-            { "at": 3, "vnf": "brain", "node": "edge" },
-            { "at": 1, "vnf": "map", "node": "fog" },
+            { "at_ns": 3, "vnf": "brain", "node": "edge" },
+            { "at_ns": 1, "vnf": "map", "node": "fog" },
         ]);
         assert_eq!(json["placements"], placements);
         assert_eq!(serde_json::from_value::<GraphState>(json).unwrap(), state);
@@ -595,7 +597,8 @@ mod tests {
         assert_eq!(told.runs.each_ref().map(|run| run.id), [a, b]);
         let services = |entry: &[Option<crate::difference::Services>; 2]| {
             entry.each_ref().map(|side| {
-                side.as_ref().map(|s| (s.unanswered, s.took_ms.as_ref().map(|took| took.quantiles[0])))
+                side.as_ref()
+                    .map(|s| (s.unanswered, s.service_time_ms.as_ref().map(|took| took.quantiles[0])))
             })
         };
         assert_eq!(services(&told.services[0].runs), [Some((1, Some(10.0))), Some((0, Some(20.0)))]);
@@ -604,14 +607,14 @@ mod tests {
         let handovers = told.handovers[0].runs[0].as_ref().unwrap();
         assert_eq!((handovers.count, handovers.fast, handovers.gap_ms.as_ref().unwrap().max), (1, 1, 40.0));
         assert_eq!(told.handovers[0].runs[1], None);
-        let seconds: Vec<_> = told
+        let stays: Vec<_> = told
             .placements
             .iter()
             .map(|entry| {
-                (entry.of.node.as_str(), entry.runs.each_ref().map(|p| p.as_ref().map(|p| p.seconds)))
+                (entry.of.node.as_str(), entry.runs.each_ref().map(|p| p.as_ref().map(|p| p.duration_ms)))
             })
             .collect();
-        assert_eq!(seconds, [("edge", [None, Some(7.0)]), ("fog", [Some(10.0), Some(3.0)])]);
+        assert_eq!(stays, [("edge", [None, Some(7e3)]), ("fog", [Some(10e3), Some(3e3)])]);
         assert_eq!(told.decisions[0].of.instruction, "place");
         assert_eq!(told.decisions[0].runs[1].as_ref().unwrap().count, 1);
         assert_eq!(told.doubts[0].lateness_p99_us, Some(7.0));

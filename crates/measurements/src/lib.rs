@@ -45,9 +45,11 @@ pub use store::{Gap, Run, RunId, RunInfo};
 /// Reads bytes as chunks of a history and as entries of a spool, for fuzzing.
 #[doc(hidden)]
 pub fn read_anything(bytes: &[u8]) {
-    for part in
-        [chunk::Part::Column(2), chunk::Part::LateColumn { early: 4, place: 5 }, chunk::Part::Children(1)]
-    {
+    for part in [
+        chunk::Part::Column { place: 2, is_duration: true },
+        chunk::Part::LateColumn { early: 4, place: 5, is_duration: false },
+        chunk::Part::Children(1),
+    ] {
         let _ = chunk::read(bytes, part, |_, _| {});
     }
     let mut entries = codec::binary::Bytes(bytes);

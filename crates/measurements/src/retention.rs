@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Retention, Timestamp};
+use cotorra_graph::{Retention, Timestamp, millis};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -31,10 +31,14 @@ pub struct Retained {
     #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub kind: Kind,
     /// Samples before this time are rolled up, nanoseconds since the run began.
+    #[serde(rename = "rolled_up_to_ns")]
     pub rolled_up_to: Timestamp,
-    /// Into points so far apart, nanoseconds.
-    pub step_ns: u64,
+    /// Into points so far apart.
+    #[serde(rename = "step_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub step: Duration,
     /// Before this time there is nothing left.
+    #[serde(rename = "dropped_to_ns")]
     pub dropped_to: Timestamp,
 }
 
@@ -70,15 +74,21 @@ const AT_ONCE: usize = 5_000;
 const READ: usize = 10_000;
 
 impl Retained {
-    /// From a row; `None` of a kind that there is not.
-    pub(crate) fn of([kind, rolled_up_to, step, dropped_to]: [i64; 4]) -> Option<Self> {
+    /// From the columns of a row; `None` if they are none.
+    pub(crate) fn of((kind, rolled_up_to, step_ms, dropped_to): (i64, i64, f64, i64)) -> Option<Self> {
         let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
         Some(Self {
             kind: *Kind::ALL.get(usize::try_from(kind).ok()?)?,
             rolled_up_to: time(rolled_up_to),
-            step_ns: step.cast_unsigned(),
+            step: millis::duration(step_ms).ok()?,
             dropped_to: time(dropped_to),
         })
+    }
+
+    /// The columns of its row.
+    pub(crate) fn columns(&self) -> (i64, i64, f64, i64) {
+        let nanos = |t: Timestamp| t.as_nanos().cast_signed();
+        (self.kind as i64, nanos(self.rolled_up_to), millis::of(self.step), nanos(self.dropped_to))
     }
 }
 
@@ -127,7 +137,7 @@ impl History {
         let mut told = known.unwrap_or(Retained {
             kind,
             rolled_up_to: Timestamp::ZERO,
-            step_ns: 0,
+            step: Duration::ZERO,
             dropped_to: Timestamp::ZERO,
         });
         let time = |t: i64| Timestamp::from_nanos(t.cast_unsigned());
@@ -153,7 +163,7 @@ impl History {
             pruned.rolled_up += gone + points;
             pruned.points += points;
             at = until;
-            (told.rolled_up_to, told.step_ns) = (time(at), step.cast_unsigned());
+            (told.rolled_up_to, told.step) = (time(at), retention.step);
             if !dry {
                 self.store.note_retained(run, &told)?;
             }

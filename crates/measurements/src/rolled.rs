@@ -37,12 +37,6 @@ impl Summary {
         self.sum += figure;
         self.last = figure;
     }
-
-    /// In another unit.
-    pub fn scaled(self, factor: f64) -> Self {
-        let Self { count, min, max, sum, last } = self;
-        Self { count, min: min * factor, max: max * factor, sum: sum * factor, last: last * factor }
-    }
 }
 
 /// What a figure is told with: as it was recorded, or what is left of some.
@@ -150,14 +144,6 @@ pub(crate) fn merged(
 }
 
 impl Reading {
-    /// In another unit.
-    pub fn scaled(self, factor: f64) -> Self {
-        match self {
-            Self::Sample(value) => Self::Sample(value * factor),
-            Self::RolledUp(summary) => Self::RolledUp(summary.scaled(factor)),
-        }
-    }
-
     /// Whether it says a number.
     pub fn is_number(self) -> bool {
         !matches!(self, Self::Sample(value) if value.is_nan())

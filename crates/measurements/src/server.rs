@@ -324,7 +324,7 @@ impl Drop for Remote {
     }
 }
 
-const RUN: &str = "SELECT id, name, seed, started_unix_ns, testbed, ended_ns FROM run";
+const RUN: &str = "SELECT id, name, seed, started_at_unix_ns, testbed, ended_ns FROM run";
 
 fn run_of(row: &Row) -> std::result::Result<Run, ReadError> {
     let ended = if row.as_ref(5) == Some(&mysql::Value::NULL) { None } else { Some(integer(row, 5)?) };
@@ -348,7 +348,7 @@ impl Store for Remote {
             return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
         };
         let begun = writer.connection.exec_drop(
-            "INSERT INTO run (name, seed, started_unix_ns, testbed, next_seq) VALUES (?, ?, ?, ?, 0)",
+            "INSERT INTO run (name, seed, started_at_unix_ns, testbed, next_seq) VALUES (?, ?, ?, ?, 0)",
             (&info.name, info.seed.cast_signed(), info.started_at_unix_ns, &info.testbed),
         );
         match begun {

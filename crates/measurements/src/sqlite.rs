@@ -212,7 +212,7 @@ fn engine_error(history: &Arc<str>, error: rusqlite::Error) -> Error {
     }
 }
 
-const RUN: &str = "SELECT id, name, seed, started_unix_ns, testbed, ended_ns FROM run";
+const RUN: &str = "SELECT id, name, seed, started_at_unix_ns, testbed, ended_ns FROM run";
 
 fn run_of(row: &rusqlite::Row<'_>) -> Fallible<Run> {
     Ok(Run {
@@ -231,7 +231,7 @@ impl Store for Sqlite {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
         self.write(|writer| {
             writer.connection.execute(
-                "INSERT INTO run (name, seed, started_unix_ns, testbed, next_seq) VALUES (?1, ?2, ?3, ?4, 0)",
+                "INSERT INTO run (name, seed, started_at_unix_ns, testbed, next_seq) VALUES (?1, ?2, ?3, ?4, 0)",
                 params![info.name, info.seed.cast_signed(), info.started_at_unix_ns, info.testbed],
             )?;
             Ok(RunId(writer.connection.last_insert_rowid()))

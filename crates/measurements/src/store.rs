@@ -56,6 +56,7 @@ pub struct Run {
     #[serde(flatten)]
     pub info: RunInfo,
     /// When it ended; `None` while it goes on, and for good when it was killed.
+    #[serde(rename = "ended_ns")]
     pub ended: Option<Timestamp>,
 }
 
@@ -64,8 +65,10 @@ pub struct Run {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
     /// Time of the earliest that is missing.
+    #[serde(rename = "from_ns")]
     pub from: Timestamp,
     /// Time of the latest that is missing.
+    #[serde(rename = "until_ns")]
     pub until: Timestamp,
     /// How many are.
     pub events: u64,
@@ -97,7 +100,7 @@ pub(crate) fn not_rolled_up(kind: Kind, over: &str) -> String {
     let b = series.get(1).map_or("0".to_owned(), |column| format!("e.{column}"));
     format!(
         " AND NOT EXISTS (SELECT 1 FROM rolled_up u WHERE u.run = e.run AND u.kind = {} AND u.a = e.{} AND u.b = {b}
-          AND u.stretch = e.t_ns {over} {STRETCH} AND u.next_seq > e.seq)",
+          AND u.stretch = e.at_ns {over} {STRETCH} AND u.next_seq > e.seq)",
         kind as i64, series[0],
     )
 }

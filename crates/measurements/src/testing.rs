@@ -55,7 +55,7 @@ fn share() -> impl Strategy<Value = Probability> {
 }
 
 fn duration() -> impl Strategy<Value = Duration> {
-    (0..=i64::MAX.cast_unsigned()).prop_map(Duration::from_nanos)
+    (0..=1_u64 << 51).prop_map(Duration::from_nanos)
 }
 
 /// What survives the milliseconds of a [`ConditionChange`]'s JSON.
@@ -117,9 +117,9 @@ prop_compose! {
 
 prop_compose! {
     fn station()(
-        robot in node(), signal in real().prop_map(Dbm), downlink_mbps in real(), uplink_mbps in real(),
+        robot in node(), signal in real().prop_map(Dbm), downlink_bps in real(), uplink_bps in real(),
     ) -> StationContext {
-        StationContext { robot, signal, downlink_mbps, uplink_mbps }
+        StationContext { robot, signal, downlink_bps, uplink_bps }
     }
 }
 

@@ -158,8 +158,8 @@ fn figures_are_the_same_before_and_after() {
         let kept = history.events(run, &[Kind::Link], .., PageRequest::first(10_000)).unwrap().items;
         assert_eq!(kept.len(), 2 * (90 + 300));
         let retained = history.retained(run).unwrap();
-        let told_of: Vec<_> = retained.iter().map(|r| (r.kind, r.rolled_up_to, r.step_ns)).collect();
-        assert_eq!(told_of, [Kind::Robot, Kind::Link].map(|kind| (kind, at(900), 1_000_000_000)));
+        let told_of: Vec<_> = retained.iter().map(|r| (r.kind, r.rolled_up_to, r.step)).collect();
+        assert_eq!(told_of, [Kind::Robot, Kind::Link].map(|kind| (kind, at(900), Duration::from_secs(1))));
         let difference = history.difference(run, other).unwrap();
         for entry in &difference.links {
             let [a, b] = entry.runs.each_ref().map(|its| its.as_ref().unwrap().delay_ms.as_ref().unwrap());

@@ -141,6 +141,7 @@ pub struct Page<T> {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Sample<T> {
     /// When.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// What.
     #[serde(flatten)]
@@ -151,6 +152,7 @@ pub struct Sample<T> {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct GraphState {
     /// When.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ(r).
     pub robots: Vec<Sample<RobotContext>>,
@@ -371,7 +373,7 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub fn state(&self, at: Option<Timestamp>) -> Result<GraphState, ClientError> {
-        let query = at.map(|at| ("at_s", at.as_secs_f64().to_string()));
+        let query = at.map(|at| ("at_ns", at.as_nanos().to_string()));
         self.get("measurements/state", query.as_slice())
     }
 
@@ -474,8 +476,8 @@ fn read<T: DeserializeOwned>(url: &str, mut response: Response) -> Result<T, Cli
 
 impl Part {
     fn query(&self) -> Vec<(&'static str, String)> {
-        let from = Some(("from_s", self.from.as_secs_f64().to_string()));
-        let to = self.to.map(|to| ("to_s", to.as_secs_f64().to_string()));
+        let from = Some(("from_ns", self.from.as_nanos().to_string()));
+        let to = self.to.map(|to| ("until_ns", to.as_nanos().to_string()));
         let limit = self.limit.map(|limit| ("limit", limit.to_string()));
         let after = self.after.clone().map(|after| ("after", after));
         [from, to, limit, after].into_iter().flatten().collect()

@@ -197,7 +197,7 @@ impl Encoder {
             service: sample.service.to_string(),
             robot: sample.robot.to_string(),
             sequence: sample.sequence,
-            took_ms: sample.took.map_or(f64::NAN, |took| took.as_secs_f64() * 1e3),
+            service_time_ms: sample.took.map_or(f64::NAN, |took| took.as_secs_f64() * 1e3),
             attached_to: text(sample.attachment.as_ref()),
             server: sample.server.to_string(),
         };
@@ -221,8 +221,8 @@ impl Encoder {
         let station = |station: &cotorra_graph::StationContext| messages::Station {
             robot: station.robot.to_string(),
             signal_dbm: station.signal.0,
-            downlink_mbps: station.downlink_mbps,
-            uplink_mbps: station.uplink_mbps,
+            downlink_bps: station.downlink_bps,
+            uplink_bps: station.uplink_bps,
         };
         let message = messages::RadioContext {
             header: Header::new(at, ""),
@@ -254,7 +254,7 @@ impl Encoder {
             probed_delay_age_ms: probed.and_then(|probed| probed.delay_age).map_or(f64::NAN, ms),
             probed_loss: probed.and_then(|probed| probed.loss).unwrap_or(f64::NAN),
             probed_loss_age_ms: probed.map_or(f64::NAN, |probed| ms(probed.loss_age)),
-            tested_bps: tested.map_or(f64::NAN, |tested| tested.throughput_bps),
+            tested_throughput_bps: tested.map_or(f64::NAN, |tested| tested.throughput_bps),
             tested_offered_bps: tested.map_or(f64::NAN, |tested| tested.offered_bps),
             tested_age_ms: tested.map_or(f64::NAN, |tested| ms(tested.age)),
             delay_scale: context.scale.delay_scale,

@@ -69,7 +69,7 @@ fn radio(context: &RadioContext) -> DiagnosticStatus {
     let mut values =
         vec![value("channel", context.channel.to_string()), value("load", format!("{:.3}", context.load))];
     values.extend(context.stations.iter().map(|station| {
-        let rates = (station.downlink_mbps, station.uplink_mbps);
+        let rates = (station.downlink_bps / 1e6, station.uplink_bps / 1e6);
         let told = format!("{:.0} dBm, {} Mbit/s down, {} Mbit/s up", station.signal.0, rates.0, rates.1);
         value(station.robot.as_str(), told)
     }));

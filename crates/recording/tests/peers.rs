@@ -90,8 +90,8 @@ fn events() -> Vec<Event> {
             stations: vec![StationContext {
                 robot: node("tb2"),
                 signal: Dbm(-60.0),
-                downlink_mbps: 65.0,
-                uplink_mbps: 58.5,
+                downlink_bps: 65e6,
+                uplink_bps: 58.5e6,
             }],
         }),
         Event::Link(LinkContext {
@@ -232,13 +232,13 @@ fn two_independent_readers_see_what_happened() {
     );
     assert_eq!(context["health"], json!(["its time jumps"]));
     let service = one("/tb2/service_time");
-    assert_eq!((&service["took_ms"], &service["sequence"]), (&json!(11.25), &json!(42)));
+    assert_eq!((&service["service_time_ms"], &service["sequence"]), (&json!(11.25), &json!(42)));
     assert_eq!(service["header"]["stamp"], json!({"sec": 2, "nanosec": 500_000_001}));
     assert_eq!((&service["attached_to"], &service["server"]), (&json!("R-1"), &json!("edge")));
     let handover = one("/tb2/handover");
     assert_eq!((&handover["from_radio_unit"], &handover["gap_ms"]), (&json!(""), &json!(33.0)));
     let radio = one("/radio_units/R_1");
-    assert_eq!((&radio["channel"], &radio["stations"][0]["uplink_mbps"]), (&json!(11), &json!(58.5)));
+    assert_eq!((&radio["channel"], &radio["stations"][0]["uplink_bps"]), (&json!(11), &json!(58.5e6)));
     let link = one("/network/R_1_edge/backward");
     assert_eq!((&link["delay_ms"], &link["effective_delay_ms"]), (&json!(4.25), &json!(8.0)));
     assert_eq!((&link["packets"], &link["corrupted"]), (&json!(1u64 << 40), &json!(6)));

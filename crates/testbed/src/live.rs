@@ -14,12 +14,14 @@ use serde::Serialize;
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Snapshot {
     /// When the last event happened.
+    #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ of every robot.
     pub robots: BTreeMap<NodeId, RobotContext>,
     /// ι of every radio unit.
     pub radio_units: BTreeMap<NodeId, RadioContext>,
     /// When ι was told last.
+    #[serde(rename = "radio_units_at_ns")]
     pub radio_units_at: Timestamp,
     /// d, λ and conditions of every link and direction.
     #[serde(skip)]

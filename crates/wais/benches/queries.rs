@@ -72,8 +72,8 @@ fn serve() -> SocketAddr {
         let stations = (ap..STATIONS).step_by(ACCESS_POINTS).map(|station| StationContext {
             robot: NodeId::new(&format!("s{station}")).unwrap(),
             signal: Dbm(-40.0 - (station % 50) as f64),
-            downlink_mbps: 65.0,
-            uplink_mbps: 58.5,
+            downlink_bps: 65e6,
+            uplink_bps: 58.5e6,
         });
         let load = ap as f64 / ACCESS_POINTS as f64;
         let channel = 1 + ap as u8 % 3 * 5;

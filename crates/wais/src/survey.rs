@@ -165,8 +165,8 @@ impl Site {
         for (unit, context) in radio.values().filter_map(|c| Some((*places.get(&c.radio_unit)?, c))) {
             loads.insert(unit, context.load);
             for station in &context.stations {
-                let kbps = |mbps: f64| (mbps * 1e3).round() as u32;
-                let (downlink_kbps, uplink_kbps) = (kbps(station.downlink_mbps), kbps(station.uplink_mbps));
+                let kbps = |bps: f64| (bps / 1e3).round() as u32;
+                let (downlink_kbps, uplink_kbps) = (kbps(station.downlink_bps), kbps(station.uplink_bps));
                 let reception = Reception { signal: station.signal, downlink_kbps, uplink_kbps };
                 received.insert((&station.robot, unit), reception);
                 told.insert(&station.robot, unit);

@@ -49,8 +49,8 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
         let stations = there.map(|(robot, _, mbps)| StationContext {
             robot: id(robot),
             signal: Dbm(-60.0),
-            downlink_mbps: *mbps,
-            uplink_mbps: mbps / 2.0,
+            downlink_bps: mbps * 1e6,
+            uplink_bps: mbps / 2.0 * 1e6,
         });
         (id(unit), RadioContext { radio_unit: id(unit), channel, load, stations: stations.collect() })
     });

@@ -87,8 +87,9 @@ fn describe(difference: &Difference) -> String {
     let mut placements = Table::new("<>>");
     placements.row(["VNF on node", "s, first", "s, second"]);
     for Entry { of, runs } in difference.placements.iter().take(ROWS) {
-        let [a, b] =
-            runs.each_ref().map(|on| on.as_ref().map_or("-".to_owned(), |on| format!("{:.1}", on.seconds)));
+        let [a, b] = runs
+            .each_ref()
+            .map(|on| on.as_ref().map_or("-".to_owned(), |on| format!("{:.1}", on.duration_ms / 1e3)));
         placements.row([format!("{} on {}", of.vnf, of.node), a, b]);
     }
     section("Placements", placements, difference.placements.len());
@@ -112,7 +113,7 @@ fn delays(runs: &[Option<Links>; 2]) -> [Option<&Values>; 2] {
 }
 
 fn samples(runs: &[Option<Services>; 2]) -> [Option<&Values>; 2] {
-    runs.each_ref().map(|services| services.as_ref().and_then(|s| s.took_ms.as_ref()))
+    runs.each_ref().map(|services| services.as_ref().and_then(|s| s.service_time_ms.as_ref()))
 }
 
 /// Count, median and 99th percentile in both runs, and by how much the median differs.

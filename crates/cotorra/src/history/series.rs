@@ -65,7 +65,7 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
         None => {
             let of_what = |state: &cotorra_measurements::GraphState| {
                 let is = |id: &str| id == node;
-                let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some("speed");
+                let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some("linear");
                 let unit =
                     state.radio_units.iter().any(|s| is(s.value.radio_unit.as_str())).then_some("load");
                 let link = state.links.iter().any(|s| is(s.value.link.as_str())).then_some("delay");
@@ -102,9 +102,9 @@ fn names(source: &Source) -> String {
 }
 
 fn csv(curve: &Curve) -> String {
-    let mut text = String::from("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n");
+    let mut text = String::from("from_ns,until_ns,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n");
     for point in &curve.points {
-        let (from, until) = (point.from.as_secs_f64(), point.until.as_secs_f64());
+        let (from, until) = (point.from.as_nanos(), point.until.as_nanos());
         let values = match &point.values {
             Some(Values { count, min, max, mean, last, quantiles, rolled_up: _ }) => {
                 let quantiles = quantiles.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
@@ -113,7 +113,7 @@ fn csv(curve: &Curve) -> String {
             None => "0,,,,,,,".to_owned(),
         };
         let rolled_up = point.values.as_ref().map_or(0, |values| values.rolled_up);
-        writeln!(text, "{from:.9},{until:.9},{values},{},{rolled_up}", u8::from(point.gap))
+        writeln!(text, "{from},{until},{values},{},{rolled_up}", u8::from(point.gap))
             .expect("writing into a string cannot fail");
     }
     text

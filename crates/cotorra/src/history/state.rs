@@ -29,7 +29,7 @@ pub fn state(args: &StateArgs) -> miette::Result<()> {
 /// Of what the state is that of the last sample of a step.
 fn rolled_up(retained: &[Retained], at: Timestamp) -> String {
     let of = retained.iter().filter(|its| at < its.rolled_up_to).map(|its| {
-        let step = std::time::Duration::from_nanos(its.step_ns);
+        let step = its.step;
         let (kind, to) = (its.kind.as_str(), seconds(its.rolled_up_to));
         format!("samples of {kind} before {to} s were rolled up: there is one each {step:?}\n")
     });

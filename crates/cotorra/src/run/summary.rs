@@ -22,7 +22,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         "{}: {}{unanswered} in {}; {}\n",
         style(&summary.name).bold(),
         count(summary.samples, "sample"),
-        clock(summary.duration_s),
+        clock(summary.duration_ms / 1e3),
         summary.ended,
     );
     if !summary.regions.is_empty() {
@@ -80,10 +80,10 @@ fn regions(summary: &Summary) -> String {
         let cells = [
             region.attachment.as_ref().map_or("none".to_owned(), |id| id.to_string()),
             region.server.to_string(),
-            clock(region.from_s),
-            clock(region.to_s),
+            clock(region.from.as_secs_f64()),
+            clock(region.until.as_secs_f64()),
             region.samples.to_string(),
-            region.p50_ms.map_or("no answer".to_owned(), |ms| format!("{ms:.2} ms")),
+            region.service_time_p50_ms.map_or("no answer".to_owned(), |ms| format!("{ms:.2} ms")),
         ];
         table.row(robot(region.robot.as_str()).into_iter().chain(cells));
     }
@@ -96,7 +96,7 @@ fn figures(summary: &Summary) -> Table {
         let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
         table.row(["service time".to_owned(), text]);
     }
-    if let (Some(target), Some(above)) = (summary.target_ms, summary.above_target) {
+    if let (Some(target), Some(above)) = (summary.service_time_target_ms, summary.above_target) {
         table.row([
             "above target".to_owned(),
             format!("{:.1} % of the samples took more than {target} ms", above * 100.0),

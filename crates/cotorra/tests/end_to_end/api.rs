@@ -33,7 +33,7 @@ fn robots_network_and_measurements_are_told_and_mistakes_are_refused() {
 
     // More than the medium carries, and a delay below zero, cannot be.
     for change in
-        [json!({ "delay_ms": -1.0 }), json!({ "rate": { "kind": "fixed", "bits_per_second": 1e11 as u64 } })]
+        [json!({ "delay_ms": -1.0 }), json!({ "rate": { "kind": "fixed", "rate_bps": 1e11 as u64 } })]
     {
         let body =
             json!({ "instruction": { "instruction": "condition", "link": "R1-cloud", "change": change } });

@@ -63,7 +63,7 @@ mod on_a_ledger {
             let (decision, note) = (&event, &event["instruction"]);
             let process = text(&note["process"])?;
             let ago_s = note["ago_ms"].as_f64().unwrap_or_default() / 1e3;
-            let at_s = event["at"].as_f64().unwrap() / 1e9 - ago_s;
+            let at_s = event["at_ns"].as_f64().unwrap() / 1e9 - ago_s;
             Some((text(&decision["plugin"])?, process, text(&note["step"])?, text(&decision["reason"]), at_s))
         };
         stdout(&events).lines().filter_map(note).collect()

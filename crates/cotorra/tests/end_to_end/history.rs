@@ -118,7 +118,7 @@ fn a_state_a_series_and_events_are_told() {
         runs.answer(&["series", okpi, "R1-cloud", "--from", "2s", "--to", "12s", "--points", "5", "--csv"]);
     assert_eq!(table.lines().count(), 6, "{table}");
     assert!(
-        table.starts_with("from_s,to_s,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n2.000000000,4."),
+        table.starts_with("from_ns,until_ns,count,min,mean,p50,p95,p99,max,last,gap,rolled_up\n2000000000,4"),
         "{table}"
     );
     let named = ["series", okpi, "robot:R1", "--figure", "signal", "--points", "1", "--csv"];
@@ -254,7 +254,7 @@ fn an_exported_run_is_imported_with_the_same_answers() {
         assert!(said.contains("--features arrow"), "{said}");
     }
     let csv = fs::read_to_string(runs.place.path().join("csv/handover.csv")).unwrap();
-    assert!(csv.starts_with("n,t_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ns\n"), "{csv}");
+    assert!(csv.starts_with("n,at_ns,robot,from_radio_unit,to_radio_unit,fast,gap_ms\n"), "{csv}");
     let listed = runs.answer(&["runs", "--history", "imported.sqlite"]);
     assert!(
         listed.lines().skip(1).all(|line| line.contains("corridor") && line.ends_with("0:20")),
@@ -275,7 +275,7 @@ for event in testbed.stream("robot", "handover", "decision", wake_every_s=2.5):
     print(json.dumps(event, ensure_ascii=False, separators=(",", ":")))
     if event["event"] == "handover":
         past = testbed.series("service_time", points=1)["points"][0]
-        assert past["until"] <= event["at"] + 1 and testbed.state(at_s=1000)["at"] <= event["at"]
+        assert past["until_ns"] <= event["at_ns"] + 1 and testbed.state(at_ns=10**12)["at_ns"] <= event["at_ns"]
         try:
             testbed.instruct("it moved", instruction="scan", robot=event["robot"])
         except Refused as refused:

@@ -415,7 +415,8 @@ impl Site {
             told.unwrap_or_else(|| panic!("{vnf} has not {state}"));
         }
         // Whoever is navigated by it is again.
-        let answer = stream.find(|event| event["event"] == "service_time" && event["took_ms"].is_number());
+        let answer =
+            stream.find(|event| event["event"] == "service_time" && event["service_time_ms"].is_number());
         assert!(answer.is_some());
         let more = draw.events();
         pass(stream, more);

@@ -9,6 +9,7 @@ mod confinement;
 mod disk;
 mod documents;
 mod experiment;
+mod fields;
 mod going_on;
 mod harness;
 mod history;

@@ -12,7 +12,7 @@ fn service_times(run: &Run, from: u64, count: usize) -> Vec<f64> {
         let all = run.get("/api/v1/measurements/service-times?limit=1000")["items"].clone();
         let later =
             all.as_array().unwrap().iter().filter(|sample| sample["sequence"].as_u64().unwrap() >= from);
-        took = later.map(|sample| sample["took_ms"].as_f64().unwrap_or(f64::INFINITY)).collect();
+        took = later.map(|sample| sample["service_time_ms"].as_f64().unwrap_or(f64::INFINITY)).collect();
         took.len() >= count
     });
     took.sort_unstable_by(f64::total_cmp);

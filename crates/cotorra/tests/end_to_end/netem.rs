@@ -134,7 +134,7 @@ fn a_testbed_runs_on_netem_or_says_why_on_the_fabric() {
     assert_eq!(status, 200, "{body}");
     // Twice 20 ms and twice 1 ms.
     assert!(ping() >= 42.0);
-    let trace = json!({ "rate": { "kind": "trace", "trace": [1] } });
+    let trace = json!({ "rate": { "kind": "trace", "trace_ms": [1] } });
     let (status, body) = change(trace);
     if !has_netem() {
         assert_eq!(status, 200, "the fabric carries it: {body}");
@@ -189,7 +189,7 @@ fn a_schedule_and_its_replay_change_links_in_real_time() {
             stdout(&events).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         let changed: Vec<_> = events.iter().filter(|event| event["plugin"] == "schedule").collect();
         assert!(changed.iter().all(|event| event["refused"].is_null()), "{changed:?}");
-        assert!(changed[0]["at"].as_u64().unwrap() >= 1_500_000_000, "{changed:?}");
+        assert!(changed[0]["at_ns"].as_u64().unwrap() >= 1_500_000_000, "{changed:?}");
         (run, summary)
     };
     let (first, summary) = until_slow(&scripted);

@@ -27,7 +27,7 @@ fn the_python_example_runs_against_a_live_testbed() {
                 .as_array()
                 .unwrap()
                 .iter()
-                .filter(|attachment| attachment["signal"].is_number())
+                .filter(|attachment| attachment["signal_dbm"].is_number())
                 .count()
                 > 1
     });
@@ -111,15 +111,15 @@ assert testbed.testbed()["name"] == "corridor"
 asked = heard = 0
 for event in testbed.stream("robot", "service_time", wake_every_s=0.35):
     heard += event["event"] == "service_time"
-    if event["event"] != "wake" or event["at"] < 5e9 or asked:
+    if event["event"] != "wake" or event["at_ns"] < 5e9 or asked:
         continue
-    asked, now_s = 1, event["at"] / 1e9
+    asked, now_s = 1, event["at_ns"] / 1e9
     assert {r["robot"] for r in testbed.robots()} == {"robot"}
     assert testbed.node("cloud")["address"] and len(testbed.links()) > 30
     assert len(testbed.radio_units()) == 6 and len(testbed.placements()) == 4
     assert [run["this"] for run in testbed.runs()] == [True]
-    assert testbed.state(at_s=2.0)["at"] == 2e9 and testbed.state()["at"] > 4e9
-    told = list(testbed.events("service_time", to_s=now_s + 1))
+    assert testbed.state(at_ns=2 * 10**9)["at_ns"] == 2e9 and testbed.state()["at_ns"] > 4e9
+    told = list(testbed.events("service_time", until_ns=int((now_s + 1) * 1e9)))
     assert len(told) == heard == len(list(testbed.service_times())), (len(told), heard)
     points = testbed.series("service_time", points=10, quantiles=[0.5, 0.99])["points"]
     assert sum(point["count"] for point in points) == heard and len(points[0]["quantiles"]) == 2

@@ -61,9 +61,9 @@ fn a_run_in_virtual_time_is_recorded_to_the_same_bytes() {
     for (sample, line) in told.iter().zip(csv.lines().skip(1)) {
         let cells: Vec<_> = line.split(',').collect();
         assert_eq!(sample["sequence"].to_string(), cells[3]);
-        match sample["took_ms"].as_f64() {
+        match sample["service_time_ms"].as_f64() {
             Some(took) => assert!((took - cells[4].parse::<f64>().unwrap()).abs() < 1e-6, "{line}"),
-            None => assert_eq!((&sample["took_ms"], cells[4]), (&Value::from("nan"), "")),
+            None => assert_eq!((&sample["service_time_ms"], cells[4]), (&Value::from("nan"), "")),
         }
         assert_eq!(
             (&sample["attached_to"], &sample["server"]),

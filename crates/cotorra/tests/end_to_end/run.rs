@@ -12,7 +12,7 @@ fn the_corridor_is_walked_and_measured() {
     let (run, summary, printed) =
         valid_report(|| Run::start(&corridor(), &["--until", "20s", "--seed", "7"]));
     assert_eq!(summary["seed"], 7);
-    assert_eq!(summary["target_ms"], 15.0);
+    assert_eq!(summary["service_time_target_ms"], 15.0);
     assert_eq!(summary["pose_source"], "localization");
     let localization = &summary["localization"][0];
     assert_eq!(localization["robot"], "robot");
@@ -31,7 +31,7 @@ fn the_corridor_is_walked_and_measured() {
         summary["samples"]
     );
     // The model's part is exact; what comes on top is the machine's, which is not tested here.
-    let median = regions[0]["p50_ms"].as_f64().unwrap();
+    let median = regions[0]["service_time_p50_ms"].as_f64().unwrap();
     assert!((THEORY_MS..THEORY_MS + 50.0).contains(&median), "{median} ms");
     let placed = summary["placements"].as_array().unwrap();
     assert!(placed.iter().any(|p| p["vnf"] == "navigation" && p["node"] == "cloud"), "{placed:?}");
@@ -44,7 +44,7 @@ fn the_corridor_is_walked_and_measured() {
 
     let csv = fs::read_to_string(run.folder.join("service_time.csv")).unwrap();
     assert_eq!(csv.lines().count() as u64, summary["samples"].as_u64().unwrap() + 1);
-    assert!(csv.starts_with("emitted_s,"), "{csv:.100}");
+    assert!(csv.starts_with("emitted_ns,"), "{csv:.100}");
     assert!(fs::read_to_string(run.folder.join("service_time.svg")).unwrap().contains("<svg"));
     let as_run = fs::read_to_string(run.folder.join("testbed.yaml")).unwrap();
     assert_eq!(as_run, fs::read_to_string(corridor()).unwrap());
@@ -185,7 +185,7 @@ fn a_robot_counts_forged_answers_and_follows_none() {
     };
     exec("edge", &words);
     wait_until(|| rejected() > 1000);
-    let series = run.get("/api/v1/measurements/series?figure=speed:robot&points=1000");
+    let series = run.get("/api/v1/measurements/series?figure=linear:robot&points=1000");
     for point in series["points"].as_array().unwrap() {
         assert!(point["min"].as_f64().unwrap() >= 0.0, "it drove backwards: {point}");
     }

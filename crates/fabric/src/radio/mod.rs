@@ -503,8 +503,8 @@ impl Radio {
 
     fn station_context(&self, robot: StationIndex, unit: RadioUnitIndex) -> StationContext {
         let [signal, _] = self.signals(robot, unit);
-        let [uplink_mbps, downlink_mbps] = self.receptions(robot, unit).map(|r| r.mbps());
-        StationContext { robot: self.robots[robot].id.clone(), signal, downlink_mbps, uplink_mbps }
+        let [uplink_bps, downlink_bps] = self.receptions(robot, unit).map(|r| r.mbps() * 1e6);
+        StationContext { robot: self.robots[robot].id.clone(), signal, downlink_bps, uplink_bps }
     }
 
     /// Returns what became of all frames that came to the radio and do not only measure.

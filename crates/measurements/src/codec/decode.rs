@@ -7,7 +7,7 @@ use cotorra_graph::{
     Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, PathKind,
     Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
     RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace,
-    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::direction_of;
@@ -56,6 +56,10 @@ fn children<T>(source: &mut dyn Source, mut read: impl FnMut(Columns<'_>) -> Res
     Ok(all)
 }
 
+fn milliseconds(ms: f64) -> Result<Duration> {
+    millis::duration(ms).map_err(unreadable)
+}
+
 /// Typed columns on top of a [`Source`].
 struct Columns<'a>(&'a mut dyn Source);
 
@@ -87,9 +91,7 @@ impl Columns<'_> {
     }
 
     fn duration(&mut self) -> Result<Option<Duration>> {
-        let Some(n) = self.0.integer()? else { return Ok(None) };
-        let nanos = u64::try_from(n).map_err(|_| unreadable(format_args!("{n} ns is not a duration")))?;
-        Ok(Some(Duration::from_nanos(nanos)))
+        self.0.real()?.map(milliseconds).transpose()
     }
 
     fn text(&mut self) -> Result<String> {
@@ -132,14 +134,9 @@ impl Columns<'_> {
         Ok(self.duration()?.map(|age| Tested { throughput_bps, offered_bps, age }))
     }
 
-    /// A figure that older histories do not have, and that is 0 in the plane.
-    fn later(&mut self) -> Result<f64> {
-        Ok(self.0.real()?.unwrap_or_default())
-    }
-
     /// What a pose has beside that in the plane.
     fn height(&mut self, pose: &mut Pose) -> Result<()> {
-        (pose.z, pose.roll, pose.pitch) = (self.later()?, self.later()?, self.later()?);
+        (pose.z, pose.roll, pose.pitch) = (self.real()?, self.real()?, self.real()?);
         Ok(())
     }
 
@@ -177,7 +174,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             let health = row.faults()?;
             row.height(&mut sensors.pose)?;
             row.height(&mut sensors.odometry)?;
-            sensors.velocity.vertical = row.later()?;
+            sensors.velocity.vertical = row.real()?;
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
@@ -193,8 +190,8 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                 Ok(StationContext {
                     robot: row.name()?,
                     signal: Dbm(row.real()?),
-                    downlink_mbps: row.real()?,
-                    uplink_mbps: row.real()?,
+                    downlink_bps: row.real()?,
+                    uplink_bps: row.real()?,
                 })
             })?;
             Event::Radio(RadioContext { radio_unit, channel, load, stations })
@@ -272,9 +269,9 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         }),
         Kind::Decision => {
             let (plugin, mut instruction) = (row.name::<PluginId>()?, decode_instruction(&mut row)?);
-            let (reason, refused, vertical) = (row.0.text()?, row.0.text()?, row.later()?);
+            let (reason, refused, vertical) = (row.0.text()?, row.0.text()?, row.0.real()?);
             if let Instruction::Move { velocity, .. } = &mut instruction {
-                velocity.vertical = vertical;
+                velocity.vertical = vertical.unwrap_or(f64::NAN);
             }
             Event::Decision(Decision { plugin, instruction, reason, refused })
         }
@@ -328,7 +325,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         "note" => Instruction::Note {
             process: subject.to_string(),
             step: required(object)?.to_string(),
-            ago: change.as_deref().map(json).transpose()?.map(Duration::from_nanos),
+            ago: change.as_deref().map(json).transpose()?.map(milliseconds).transpose()?,
         },
         other => return Err(unreadable(format_args!("`{other}` is not an instruction"))),
     })

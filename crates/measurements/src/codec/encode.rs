@@ -4,7 +4,7 @@ use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose,
-    PoseSource, QueueLimit, Rate, RobotFault, VnfState,
+    PoseSource, QueueLimit, Rate, RobotFault, VnfState, millis,
 };
 
 use super::{Role, Value, direction_code};
@@ -39,7 +39,7 @@ impl<'a> Fields<'a> {
     }
 
     fn duration(&mut self, duration: Duration) -> &mut Self {
-        self.integer(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+        self.real(millis::of(duration))
     }
 
     fn direction(&mut self, direction: Direction) -> &mut Self {
@@ -105,8 +105,8 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 children
                     .name(station.robot.as_str())
                     .real(station.signal.0)
-                    .real(station.downlink_mbps)
-                    .real(station.uplink_mbps);
+                    .real(station.downlink_bps)
+                    .real(station.uplink_bps);
             }
         }
         Event::Link(context) => {
@@ -278,8 +278,7 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
         Instruction::Note { process, step, ago } => {
             put("note", process, Some(step));
             row.0.extend([const { Value::Null }; 4]);
-            // Nanoseconds.
-            row.optional(*ago, |row, ago| row.text(ago.as_nanos().to_string()));
+            row.optional(*ago, |row, ago| row.text(millis::of(ago).to_string()));
         }
     }
 }

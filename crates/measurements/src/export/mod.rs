@@ -24,7 +24,7 @@ use table::TableWriter;
 
 /// Says what the folder is; written last, so that half an export is none.
 const NOTE: &str = "run.json";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// What the tables of an export are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,9 +86,13 @@ pub enum ExportError {
     /// No export.
     #[error("{} is not the folder of an export: it has no {NOTE}", .0.display())]
     NotAnExport(PathBuf),
-    /// A newer cotorra wrote it.
-    #[error("{}: was written by a newer cotorra (version {found} of the format); use that", path.display())]
-    Newer {
+    /// A newer cotorra wrote it, or one from before the first release.
+    #[error(
+        "{}: has version {found} of the format, but this cotorra reads version {VERSION}; a newer cotorra wrote it, or one from \
+         before the first release: use that, or export the run again",
+        path.display()
+    )]
+    OtherVersion {
         /// Where it says so.
         path: PathBuf,
         /// Its version.
@@ -137,6 +141,7 @@ struct Note {
     format: Format,
     #[serde(flatten)]
     info: RunInfo,
+    #[serde(rename = "ended_ns")]
     ended: Option<Timestamp>,
     events: u64,
 }
@@ -209,10 +214,10 @@ impl History {
             _ => ExportError::File { path: path.clone(), source },
         })?;
         let note: Note = serde_json::from_str(&text).map_err(|e| ExportError::malformed(&path, e))?;
-        if note.version > VERSION {
-            return Err(ExportError::Newer { path, found: note.version });
+        if note.version != VERSION {
+            return Err(ExportError::OtherVersion { path, found: note.version });
         }
-        let mut tables = read::Tables::open(folder, note.format, note.version)?;
+        let mut tables = read::Tables::open(folder, note.format)?;
         // Nothing is begun for what cannot even be opened.
         let run = self.begin_run(&note.info)?;
         let taken = self.take_in(run, &mut tables, &note, &path, go_on);

@@ -22,12 +22,12 @@ pub struct Tables {
 }
 
 impl Tables {
-    /// Opens what that version of the format wrote.
-    pub fn open(folder: &Path, format: Format, version: u32) -> Result<Self> {
+    /// Opens the tables in a folder.
+    pub fn open(folder: &Path, format: Format) -> Result<Self> {
         let mut kinds = Vec::new();
         for kind in Kind::ALL {
             let children = Shape::children(kind).map(|shape| open(format, folder, &shape)).transpose()?;
-            kinds.push((kind, open(format, folder, &Shape::of(kind).in_version(version))?, children));
+            kinds.push((kind, open(format, folder, &Shape::of(kind))?, children));
         }
         let mut rows = open(format, folder, &Shape::conditions())?;
         let mut conditions = HashMap::new();

@@ -40,18 +40,7 @@ impl Shape {
 
     /// Of events of a kind: their place, time, and columns.
     pub fn of(kind: Kind) -> Self {
-        Self::new(kind.as_str(), &["n", "t_ns"], codec::table(kind).columns)
-    }
-
-    /// As that version of the format had it: without the columns that are newer, which are the last.
-    pub fn in_version(mut self, version: u32) -> Self {
-        let newer = |name: &str| {
-            version < 2 && name == "health"
-                || version < 3 && (name.starts_with("probed_") || name.starts_with("tested_"))
-                || version < 4 && (name == "path" || HEIGHTS.contains(&name))
-        };
-        self.columns.retain(|(name, _)| !newer(name));
-        self
+        Self::new(kind.as_str(), &["n", "at_ns"], codec::table(kind).columns)
     }
 
     /// Of what belongs to events of a kind, if that is a table of its own.
@@ -67,15 +56,9 @@ impl Shape {
 
     /// Of events that were lost.
     pub fn gaps() -> Self {
-        Self::new("gap", &["t_ns", "until_ns", "events"], &[])
+        Self::new("gap", &["at_ns", "until_ns", "events"], &[])
     }
 }
-
-/// What moves in the plane has none of it.
-#[rustfmt::skip]
-const HEIGHTS: &[&str] = &[
-    "z_m", "roll_rad", "pitch_rad", "odom_z_m", "odom_roll_rad", "odom_pitch_rad", "vertical_mps",
-];
 
 #[rustfmt::skip]
 const TEXTS: &[&str] = &[
@@ -85,19 +68,20 @@ const TEXTS: &[&str] = &[
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[
-    "load", "throughput_bps", "delay_scale", "drop_scale", "loss_rate", "loss_mean_burst", "duplication",
-    "corruption", "reordering", "probed_loss", "tested_bps", "tested_offered_bps",
+    "x", "y", "z", "heading", "roll", "pitch", "linear", "vertical", "angular",
+    "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst", "duplication",
+    "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
 ];
-const UNITS_OF_REALS: &[&str] = &["_m", "_rad", "_mps", "_radps", "_dbm", "_mbps", "_us"];
+const UNITS_OF_REALS: &[&str] = &["_m", "_dbm", "_ms", "_us"];
 
 /// What a column holds, as the schema says.
 fn type_of(column: &str) -> Type {
+    let of = column.strip_prefix("odometry_").unwrap_or(column);
     if TEXTS.contains(&column) {
         Type::Text
-    } else if REALS.contains(&column)
-        || UNITS_OF_REALS.iter().any(|unit| column.ends_with(unit))
-        || column.starts_with("cov_")
-        || column.starts_with("odom_cov_")
+    } else if REALS.contains(&of)
+        || UNITS_OF_REALS.iter().any(|unit| of.ends_with(unit))
+        || of.starts_with("cov_")
     {
         Type::Real
     } else {

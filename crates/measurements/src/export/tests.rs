@@ -1,4 +1,3 @@
-use cotorra_graph::{Event, PathKind, Stamped, VirtualLinkMapping};
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
@@ -121,37 +120,8 @@ fn a_table_is_what_other_programs_read() {
     let text = fs::read_to_string(out.join("notice.csv")).unwrap();
     assert_eq!(
         text,
-        "n,t_ns,message\n0,1,\"with, \"\"quotes\"\"\nand lines\"\n1,2,\"with, \"\"quotes\"\"\nand lines\"\n"
+        "n,at_ns,message\n0,1,\"with, \"\"quotes\"\"\nand lines\"\n1,2,\"with, \"\"quotes\"\"\nand lines\"\n"
     );
-}
-
-#[test]
-fn an_export_from_before_paths_were_mapped_has_the_shortest() {
-    let history = History::in_memory().unwrap();
-    let run = history.begin_run(&run_info("out")).unwrap();
-    let mapping = |path| {
-        let [from, to] = ["driver", "brain"].map(|name| name.parse().unwrap());
-        Event::VirtualLink(VirtualLinkMapping { from, to, links: vec!["a-b".parse().unwrap()], path })
-    };
-    let stamped = Stamped { at: Timestamp::from_nanos(1), event: mapping(PathKind::Mapped) };
-    history.store.append(&[Entry { run, stamped }], &[]).unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("exported");
-    history.export(run, Format::Csv, &out, |_| true).unwrap();
-    let imported = || {
-        let run = history.import(&out, |_| true).unwrap().0;
-        history.events(run, &[], .., PageRequest::default()).unwrap().items.remove(0).event
-    };
-    assert_eq!(imported(), mapping(PathKind::Mapped));
-    let replace = |file: &str, from: &str, to: &str| {
-        let text = fs::read_to_string(out.join(file)).unwrap();
-        assert!(text.contains(from), "{text}");
-        fs::write(out.join(file), text.replace(from, to)).unwrap();
-    };
-    replace(NOTE, "\"version\": 4", "\"version\": 3");
-    replace("virtual_link.csv", ",path", "");
-    replace("virtual_link.csv", ",mapped", "");
-    assert_eq!(imported(), mapping(PathKind::Shortest));
 }
 
 #[test]
@@ -163,22 +133,28 @@ fn what_is_no_export_or_a_broken_one_is_refused_in_its_place() {
     assert!(matches!(history.export(run, Format::Csv, &out, |_| true), Err(ExportError::Taken(_))));
     let table = out.join("notice.csv");
     for (text, problem) in [
-        ("n,t_ns\n", "line 1: its columns are not n,t_ns,message"),
-        ("n,t_ns,message\n0,1\n", "line 2: 2 fields, not 3"),
-        ("n,t_ns,message\n0,x,y\n", "line 2: a figure is none"),
-        ("n,t_ns,message\n0,1,\"y\n", "line 2: a quote is not closed"),
-        ("n,t_ns,message\n0,1,\"y\"z\n", "line 2: quotes are out of place"),
-        ("n,t_ns,message\n0,-1,y\n", "event 0 has no time"),
-        ("n,t_ns,message\n0,1,\n", "a column is NULL that never is"),
-        ("n,t_ns,message\n0,1,y\n", "says 2 events, but the tables have 1"),
+        ("n,at_ns\n", "line 1: its columns are not n,at_ns,message"),
+        ("n,at_ns,message\n0,1\n", "line 2: 2 fields, not 3"),
+        ("n,at_ns,message\n0,x,y\n", "line 2: a figure is none"),
+        ("n,at_ns,message\n0,1,\"y\n", "line 2: a quote is not closed"),
+        ("n,at_ns,message\n0,1,\"y\"z\n", "line 2: quotes are out of place"),
+        ("n,at_ns,message\n0,-1,y\n", "event 0 has no time"),
+        ("n,at_ns,message\n0,1,\n", "a column is NULL that never is"),
+        ("n,at_ns,message\n0,1,y\n", "says 2 events, but the tables have 1"),
     ] {
         fs::write(&table, text).unwrap();
         let said = refusal(&out);
         assert!(said.contains(problem), "{text:?}: {said}");
     }
     let note = fs::read_to_string(out.join(NOTE)).unwrap();
-    fs::write(out.join(NOTE), note.replace("\"version\": 4", "\"version\": 9")).unwrap();
-    assert!(refusal(&out).contains("by a newer cotorra"));
+    for other in [4, 9] {
+        fs::write(out.join(NOTE), note.replace("\"version\": 5", &format!("\"version\": {other}"))).unwrap();
+        let said = refusal(&out);
+        assert!(
+            said.contains(&format!("has version {other} of the format, but this cotorra reads version 5")),
+            "{said}"
+        );
+    }
     fs::remove_file(out.join(NOTE)).unwrap();
     assert!(refusal(&out).contains("has no run.json"));
 }

@@ -193,8 +193,8 @@ impl Reader {
         let after = page.after.max(Some(Cursor::before(span.from))).unwrap_or(Cursor::before(0));
         self.ask_of(run, || {
             let rows = self.rows(
-                "SELECT t_ns, seq, until_ns, events FROM gap WHERE run = ? AND t_ns >= ?
-                 AND (t_ns > ? OR seq > ?) AND t_ns <= ? ORDER BY t_ns, seq LIMIT ?",
+                "SELECT at_ns, seq, until_ns, events FROM gap WHERE run = ? AND at_ns >= ?
+                 AND (at_ns > ? OR seq > ?) AND at_ns <= ? ORDER BY at_ns, seq LIMIT ?",
                 (run.0, after.t, after.t, after.seq, span.until, page.size() + 1),
             )?;
             let gap = |row: &Row| {
@@ -222,7 +222,7 @@ impl Reader {
         let sql = kept.sql("STRAIGHT_JOIN");
         let mut each = |t: i64, reading: Reading| {
             if (span.from..=span.until).contains(&t) && reading.is_number() {
-                each(t, reading.scaled(kept.factor));
+                each(t, reading);
             }
         };
         self.ask_of(run, || {
@@ -313,8 +313,8 @@ impl Reader {
     ) -> Result<Vec<(Cursor, Event)>> {
         let names = codec::table(kind).columns.iter().map(|column| format!("e.{}", quoted(column)));
         let sql = format!(
-            "SELECT e.t_ns, e.seq, {} FROM {} e WHERE e.run = ? AND e.t_ns >= ? AND (e.t_ns > ? OR e.seq > ?)
-             AND e.t_ns <= ?{} ORDER BY e.t_ns, e.seq LIMIT ?",
+            "SELECT e.at_ns, e.seq, {} FROM {} e WHERE e.run = ? AND e.at_ns >= ? AND (e.at_ns > ? OR e.seq > ?)
+             AND e.at_ns <= ?{} ORDER BY e.at_ns, e.seq LIMIT ?",
             names.collect::<Vec<_>>().join(", "),
             quoted(kind.as_str()),
             if raw { not_rolled_up(kind, "DIV") } else { String::new() },
@@ -360,10 +360,11 @@ impl Reader {
     /// How far samples of a run were rolled up.
     pub fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
         let sql =
-            "SELECT kind, rolled_up_to_ns, step_ns, dropped_to_ns FROM retained WHERE run = ? ORDER BY kind";
+            "SELECT kind, rolled_up_to_ns, step_ms, dropped_to_ns FROM retained WHERE run = ? ORDER BY kind";
         self.ask_of(run, || {
             let of = |row: &Row| {
-                Ok(Retained::of([integer(row, 0)?, integer(row, 1)?, integer(row, 2)?, integer(row, 3)?]))
+                let step_ms = required(real(row, 2)?)?;
+                Ok(Retained::of((integer(row, 0)?, integer(row, 1)?, step_ms, integer(row, 3)?)))
             };
             self.rows(sql, (run.0,))?.iter().filter_map(|row| of(row).transpose()).collect()
         })
@@ -380,7 +381,7 @@ impl Reader {
             let one = |order: &str| {
                 let table = quoted(kind.as_str());
                 let sql = format!(
-                    "SELECT t_ns FROM {table} WHERE run = ? AND t_ns >= ? AND t_ns <= ? ORDER BY t_ns {order} LIMIT 1"
+                    "SELECT at_ns FROM {table} WHERE run = ? AND at_ns >= ? AND at_ns <= ? ORDER BY at_ns {order} LIMIT 1"
                 );
                 self.rows(sql, (run.0, span.from, span.until))?.first().map(|row| integer(row, 0)).transpose()
             };
@@ -434,8 +435,8 @@ impl Reader {
     ) -> Answer<BTreeSet<[i64; 2]>> {
         let table = codec::table(kind);
         let sql = format!(
-            "SELECT t_ns, seq, {} FROM {} WHERE run = ? AND t_ns >= ? AND t_ns <= ? AND (t_ns < ? OR seq < ?)
-             ORDER BY t_ns DESC, seq DESC LIMIT ?",
+            "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND at_ns >= ? AND at_ns <= ? AND (at_ns < ? OR seq < ?)
+             ORDER BY at_ns DESC, seq DESC LIMIT ?",
             columns(table.columns),
             quoted(kind.as_str()),
         );
@@ -489,10 +490,10 @@ impl Reader {
                 // A few sizes only, powers of two, as each is a statement that the session keeps prepared.
                 let places = parents.len().next_power_of_two();
                 let sql = format!(
-                    "SELECT t_ns, seq, {} FROM {} WHERE run = ? AND ({}) ORDER BY t_ns, seq, place",
+                    "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND ({}) ORDER BY at_ns, seq, place",
                     columns(its),
                     quoted(table),
-                    vec!["t_ns = ? AND seq = ?"; places].join(" OR "),
+                    vec!["at_ns = ? AND seq = ?"; places].join(" OR "),
                 );
                 let last = parents[parents.len() - 1];
                 let padding = std::iter::repeat_n(&last, places - parents.len());
@@ -569,8 +570,8 @@ impl Select {
             None => String::new(),
         };
         format!(
-            "SELECT t_ns, seq, {} FROM {} WHERE run = ? AND t_ns >= ? AND (t_ns > ? OR seq > ?) AND t_ns <= ?{same}
-             ORDER BY t_ns, seq LIMIT ?",
+            "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND at_ns >= ? AND (at_ns > ? OR seq > ?) AND at_ns <= ?{same}
+             ORDER BY at_ns, seq LIMIT ?",
             columns(table.columns),
             quoted(self.kind.as_str()),
         )

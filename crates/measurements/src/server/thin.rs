@@ -65,7 +65,7 @@ pub(super) fn thin(
 }
 
 fn deleting(table: &str, rows: usize) -> String {
-    let keys = vec!["(t_ns = ? AND seq = ?)"; rows].join(" OR ");
+    let keys = vec!["(at_ns = ? AND seq = ?)"; rows].join(" OR ");
     format!("DELETE FROM {} WHERE run = ? AND ({keys})", quoted(table))
 }
 
@@ -76,10 +76,7 @@ fn of(run: RunId, cursors: &[Cursor]) -> Params {
 
 /// Notes how far samples of a kind were rolled up.
 pub(super) fn note_retained(connection: &mut Conn, run: RunId, retained: &Retained) -> Fallible<()> {
-    let Retained { kind, rolled_up_to, step_ns, dropped_to } = *retained;
-    let figures = [rolled_up_to.as_nanos(), step_ns, dropped_to.as_nanos()].map(u64::cast_signed);
-    connection.exec_drop(
-        "REPLACE INTO retained VALUES (?, ?, ?, ?, ?)",
-        (run.0, kind as i64, figures[0], figures[1], figures[2]),
-    )
+    let (kind, rolled_up_to, step_ms, dropped_to) = retained.columns();
+    let row = (run.0, kind, rolled_up_to, step_ms, dropped_to);
+    connection.exec_drop("REPLACE INTO retained VALUES (?, ?, ?, ?, ?)", row)
 }

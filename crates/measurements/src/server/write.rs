@@ -161,14 +161,14 @@ impl Writer {
         }
         for kind in Kind::ALL {
             let table = codec::table(kind);
-            let key = [&["run", "t_ns", "seq"], table.columns].concat();
+            let key = [&["run", "at_ns", "seq"], table.columns].concat();
             insert(&mut transaction, kind.as_str(), &key, &mut self.rows[kind as usize], &counters)?;
             if let Some((name, its)) = table.children {
-                let key = [&["run", "t_ns", "seq", "place"], its].concat();
+                let key = [&["run", "at_ns", "seq", "place"], its].concat();
                 insert(&mut transaction, name, &key, &mut self.children[kind as usize], &counters)?;
             }
         }
-        let key = ["run", "t_ns", "seq", "until_ns", "events"];
+        let key = ["run", "at_ns", "seq", "until_ns", "events"];
         insert(&mut transaction, "gap", &key, &mut self.gaps, &counters)?;
         let key = ["run", "kind", "a", "b", "stretch"];
         let noted = self.presence.clone();

@@ -47,9 +47,9 @@ pub fn select(kind: Kind, series: bool) -> String {
     let columns = columns(kind, "e.");
     if !series {
         return format!(
-            "SELECT e.t_ns, e.seq, {columns} FROM {table} e
-             WHERE e.run = ?1 AND (e.t_ns, e.seq) > (?2, ?3) AND e.t_ns <= ?4
-             ORDER BY e.t_ns, e.seq LIMIT ?5"
+            "SELECT e.at_ns, e.seq, {columns} FROM {table} e
+             WHERE e.run = ?1 AND (e.at_ns, e.seq) > (?2, ?3) AND e.at_ns <= ?4
+             ORDER BY e.at_ns, e.seq LIMIT ?5"
         );
     }
     // CROSS JOIN: stretch by stretch, in order. The unary plus keeps SQLite from beginning each stretch at the
@@ -61,12 +61,12 @@ pub fn select(kind: Kind, series: bool) -> String {
         .map(|(column, id)| format!(" AND e.{column} = p.{id}"))
         .collect();
     format!(
-        "SELECT e.t_ns, e.seq, {columns} FROM presence p CROSS JOIN {table} e
+        "SELECT e.at_ns, e.seq, {columns} FROM presence p CROSS JOIN {table} e
          WHERE p.run = ?1 AND p.kind = ?6 AND p.a = ?7 AND p.b = ?8
            AND p.stretch >= ?2 / {STRETCH} AND p.stretch <= ?4 / {STRETCH}
-           AND e.run = ?1 AND e.t_ns >= max(?2, p.stretch * {STRETCH})
-           AND e.t_ns <= min(?4, p.stretch * {STRETCH} + {last}) AND (+e.t_ns, +e.seq) > (?2, ?3){same}
-         ORDER BY p.stretch, e.t_ns, e.seq LIMIT ?5",
+           AND e.run = ?1 AND e.at_ns >= max(?2, p.stretch * {STRETCH})
+           AND e.at_ns <= min(?4, p.stretch * {STRETCH} + {last}) AND (+e.at_ns, +e.seq) > (?2, ?3){same}
+         ORDER BY p.stretch, e.at_ns, e.seq LIMIT ?5",
         last = STRETCH - 1,
     )
 }
@@ -194,8 +194,8 @@ impl Reader {
         let start = page.after.max(Some(Cursor::before(span.from))).unwrap_or(Cursor::before(0));
         let ask = || -> Fallible<Page<Gap>> {
             let mut statement = self.connection.prepare_cached(
-                "SELECT t_ns, seq, until_ns, events FROM gap
-                 WHERE run = ?1 AND (t_ns, seq) > (?2, ?3) AND t_ns <= ?4 ORDER BY t_ns, seq LIMIT ?5",
+                "SELECT at_ns, seq, until_ns, events FROM gap
+                 WHERE run = ?1 AND (at_ns, seq) > (?2, ?3) AND at_ns <= ?4 ORDER BY at_ns, seq LIMIT ?5",
             )?;
             let limit = page.size() as i64 + 1;
             let mut rows = statement.query(params![run.0, start.t, start.seq, span.until, limit])?;
@@ -289,8 +289,8 @@ impl Reader {
         found: &mut Vec<Stamped>,
     ) -> std::result::Result<BTreeSet<[i64; 2]>, ReadError> {
         let sql = format!(
-            "SELECT t_ns, seq, {} FROM {} WHERE run = ?1 AND t_ns >= ?2 AND t_ns <= ?3
-             ORDER BY t_ns DESC, seq DESC",
+            "SELECT at_ns, seq, {} FROM {} WHERE run = ?1 AND at_ns >= ?2 AND at_ns <= ?3
+             ORDER BY at_ns DESC, seq DESC",
             columns(kind, ""),
             kind.as_str(),
         );
@@ -335,7 +335,7 @@ impl Reader {
         let sql = kept.sql("CROSS JOIN");
         let mut each = |t: i64, reading: Reading| {
             if (span.from..=span.until).contains(&t) && reading.is_number() {
-                each(t, reading.scaled(kept.factor));
+                each(t, reading);
             }
         };
         self.ask(run, || {
@@ -431,8 +431,8 @@ impl Reader {
         raw: bool,
     ) -> Result<Vec<(Cursor, Event)>> {
         let sql = format!(
-            "SELECT e.t_ns, e.seq, {} FROM {} e WHERE e.run = ?1 AND (e.t_ns, e.seq) > (?2, ?3) AND e.t_ns <= ?4{}
-             ORDER BY e.t_ns, e.seq LIMIT ?5",
+            "SELECT e.at_ns, e.seq, {} FROM {} e WHERE e.run = ?1 AND (e.at_ns, e.seq) > (?2, ?3) AND e.at_ns <= ?4{}
+             ORDER BY e.at_ns, e.seq LIMIT ?5",
             columns(kind, "e."),
             kind.as_str(),
             if raw { not_rolled_up(kind, "/") } else { String::new() },
@@ -459,7 +459,7 @@ impl Reader {
         self.ask(run, || {
             let one = |order: &str| {
                 let sql = format!(
-                    "SELECT t_ns FROM {} WHERE run = ?1 AND t_ns >= ?2 AND t_ns <= ?3 ORDER BY t_ns {order} LIMIT 1",
+                    "SELECT at_ns FROM {} WHERE run = ?1 AND at_ns >= ?2 AND at_ns <= ?3 ORDER BY at_ns {order} LIMIT 1",
                     kind.as_str(),
                 );
                 let ask = |mut statement: CachedStatement<'_>| {
@@ -578,7 +578,7 @@ impl Source for RowSource<'_> {
     ) -> std::result::Result<(), ReadError> {
         let Some((table, columns)) = codec::table(self.kind).children else { return Ok(()) };
         let sql = format!(
-            "SELECT {} FROM {table} WHERE run = ?1 AND t_ns = ?2 AND seq = ?3 ORDER BY place",
+            "SELECT {} FROM {table} WHERE run = ?1 AND at_ns = ?2 AND seq = ?3 ORDER BY place",
             columns.join(", "),
         );
         let reader = self.reader;

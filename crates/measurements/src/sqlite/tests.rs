@@ -351,8 +351,8 @@ fn odd_figures_come_back() {
         stations: vec![StationContext {
             robot: NodeId::new("r1").unwrap(),
             signal: Dbm(f64::NEG_INFINITY),
-            downlink_mbps: f64::NAN,
-            uplink_mbps: 0.1 + 0.2,
+            downlink_bps: f64::NAN,
+            uplink_bps: 0.1 + 0.2,
         }],
     };
     let recorder = history.recorder(run).unwrap();
@@ -405,7 +405,7 @@ fn brings_an_older_file_up_to_date() {
     for _ in 0..2 {
         prepare(&mut connection, &"a history".into(), &later).unwrap();
         let found: (i64, String, Option<String>) = connection
-            .query_row("SELECT t_ns, message, mood FROM notice", [], |row| {
+            .query_row("SELECT at_ns, message, mood FROM notice", [], |row| {
                 Ok((row.get(0)?, row.get(1)?, row.get(2)?))
             })
             .unwrap();

@@ -1,6 +1,5 @@
 //! Thins samples in SQLite, and notes how far.
 
-use cotorra_graph::Timestamp;
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 
 use super::Fallible;
@@ -16,7 +15,7 @@ use crate::{
 pub(super) fn thin(connection: &mut Connection, run: RunId, kind: Kind, thinned: &[Thinned]) -> Fallible<()> {
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let table = codec::table(kind);
-    let deleting = |table: &str| format!("DELETE FROM {table} WHERE run = ?1 AND t_ns = ?2 AND seq = ?3");
+    let deleting = |table: &str| format!("DELETE FROM {table} WHERE run = ?1 AND at_ns = ?2 AND seq = ?3");
     for its in thinned {
         let Some(ids) = ids(&transaction, &its.series)? else { return Ok(()) };
         let mut delete = transaction.prepare_cached(&deleting(kind.as_str()))?;
@@ -92,22 +91,16 @@ fn ids(transaction: &Transaction<'_>, series: &Series) -> Fallible<Option<[i64; 
 /// How far samples of a run were rolled up.
 pub(super) fn retained(connection: &Connection, run: RunId) -> Fallible<Vec<Retained>> {
     let mut ask = connection.prepare_cached(
-        "SELECT kind, rolled_up_to_ns, step_ns, dropped_to_ns FROM retained WHERE run = ?1 ORDER BY kind",
+        "SELECT kind, rolled_up_to_ns, step_ms, dropped_to_ns FROM retained WHERE run = ?1 ORDER BY kind",
     )?;
-    let rows = ask.query_map([run.0], |row| Ok([row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?]))?;
+    let rows = ask.query_map([run.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?)))?;
     rows.filter_map(|row| row.map(Retained::of).transpose()).collect()
 }
 
 /// Notes how far samples of a kind were rolled up.
 pub(super) fn note_retained(connection: &Connection, run: RunId, retained: &Retained) -> Fallible<()> {
-    let nanos = |t: Timestamp| t.as_nanos().cast_signed();
-    let Retained { kind, rolled_up_to, step_ns, dropped_to } = *retained;
-    connection.prepare_cached("REPLACE INTO retained VALUES (?1, ?2, ?3, ?4, ?5)")?.execute(params![
-        run.0,
-        kind as i64,
-        nanos(rolled_up_to),
-        step_ns.cast_signed(),
-        nanos(dropped_to)
-    ])?;
+    let (kind, rolled_up_to, step_ms, dropped_to) = retained.columns();
+    let mut note = connection.prepare_cached("REPLACE INTO retained VALUES (?1, ?2, ?3, ?4, ?5)")?;
+    note.execute(params![run.0, kind, rolled_up_to, step_ms, dropped_to])?;
     Ok(())
 }

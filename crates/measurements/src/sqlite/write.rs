@@ -141,7 +141,9 @@ impl<'t> Batch<'t> {
         let seq = self.seq(run)?;
         let clamp = |t: cotorra_graph::Timestamp| i64::try_from(t.as_nanos()).unwrap_or(i64::MAX);
         self.transaction
-            .prepare_cached("INSERT INTO gap (run, t_ns, seq, until_ns, events) VALUES (?1, ?2, ?3, ?4, ?5)")?
+            .prepare_cached(
+                "INSERT INTO gap (run, at_ns, seq, until_ns, events) VALUES (?1, ?2, ?3, ?4, ?5)",
+            )?
             .execute(params![run.0, clamp(gap.from), seq, clamp(gap.until), gap.events.cast_signed()])?;
         Ok(())
     }
@@ -179,9 +181,9 @@ impl<'t> Batch<'t> {
     }
 
     fn row(&mut self, kind: Kind, key: [i64; 3], series: Option<usize>, row: &[Value<'_>]) -> Fallible<()> {
-        let mut rows = self.rows[kind as usize]
-            .take()
-            .unwrap_or_else(|| Rows::new(kind.as_str(), &["run", "t_ns", "seq"], codec::table(kind).columns));
+        let mut rows = self.rows[kind as usize].take().unwrap_or_else(|| {
+            Rows::new(kind.as_str(), &["run", "at_ns", "seq"], codec::table(kind).columns)
+        });
         key.into_iter().for_each(|part| rows.push(part.into()));
         for value in row {
             rows.push(self.value(series, value)?);
@@ -201,7 +203,7 @@ impl<'t> Batch<'t> {
         let Some((table, columns)) = codec::table(kind).children else { return Ok(()) };
         let mut rows = self.children[kind as usize]
             .take()
-            .unwrap_or_else(|| Rows::new(table, &["run", "t_ns", "seq", "place"], columns));
+            .unwrap_or_else(|| Rows::new(table, &["run", "at_ns", "seq", "place"], columns));
         for (child, place) in children.chunks(columns.len()).zip(0_i64..) {
             key.into_iter().chain([place]).for_each(|part| rows.push(part.into()));
             for value in child {

@@ -237,7 +237,7 @@ fn tells_figures() {
             Event::Link(link) => {
                 Some(Figure::Link(link.link.clone(), link.direction, LinkQuantity::Throughput))
             }
-            Event::Robot(robot) => Some(Figure::Robot(robot.robot.clone(), RobotQuantity::Obstacle)),
+            Event::Robot(robot) => Some(Figure::Robot(robot.robot.clone(), RobotQuantity::NearestObstacle)),
             _ => None,
         });
         for figure in figures.iter().cloned().chain(own) {

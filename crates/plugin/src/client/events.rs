@@ -155,21 +155,21 @@ mod tests {
 
     #[test]
     fn reads_each_event_with_its_time() {
-        let stream = "data: {\"at\": 5, \"event\": \"notice\", \"message\": \"a\"}\n\n\
-                      data:{\"at\": 6, \"event\": \"notice\", \"message\": \"b\"}\r\n\r\n";
+        let stream = "data: {\"at_ns\": 5, \"event\": \"notice\", \"message\": \"a\"}\n\n\
+                      data:{\"at_ns\": 6, \"event\": \"notice\", \"message\": \"b\"}\r\n\r\n";
         assert_eq!(notices(stream), [(5, "a".to_owned()), (6, "b".to_owned())]);
     }
 
     #[test]
     fn skips_comments_and_unknown_fields_and_joins_lines_of_data() {
         let stream = ":\n\n: keep-alive\nid: 7\nretry: 100\nevent: message\n\
-                      data: {\"at\": 5,\ndata: \"event\": \"notice\", \"message\": \"a\"}\n\n";
+                      data: {\"at_ns\": 5,\ndata: \"event\": \"notice\", \"message\": \"a\"}\n\n";
         assert_eq!(notices(stream), [(5, "a".to_owned())]);
     }
 
     #[test]
     fn counts_what_it_missed() {
-        let stream = "event: missed\ndata: 3\n\ndata: {\"at\": 1, \"event\": \"notice\", \"message\": \"a\"}\n\n\
+        let stream = "event: missed\ndata: 3\n\ndata: {\"at_ns\": 1, \"event\": \"notice\", \"message\": \"a\"}\n\n\
                       event: missed\ndata: 4\n\n";
         let mut events = read(stream);
         assert_eq!(events.next().unwrap().unwrap().at, Timestamp::from_nanos(1));
@@ -180,13 +180,13 @@ mod tests {
 
     #[test]
     fn an_event_that_breaks_off_is_none() {
-        assert_eq!(notices("data: {\"at\": 5, \"event\": \"notice\", \"message\": \"a\"}\n"), []);
+        assert_eq!(notices("data: {\"at_ns\": 5, \"event\": \"notice\", \"message\": \"a\"}\n"), []);
     }
 
     #[test]
     fn an_unknown_event_is_an_error_and_the_next_is_read() {
         let mut events = read(
-            "data: {\"at\": 5, \"event\": \"miracle\"}\n\ndata: {\"at\": 6, \"event\": \"notice\", \"message\": \"\"}\n\n",
+            "data: {\"at_ns\": 5, \"event\": \"miracle\"}\n\ndata: {\"at_ns\": 6, \"event\": \"notice\", \"message\": \"\"}\n\n",
         );
         let error = events.next().unwrap().unwrap_err().to_string();
         assert!(error.contains("/api/v1/events") && error.contains("miracle"), "{error}");

@@ -139,7 +139,7 @@ fn what_is_no_address_is_refused_at_once() {
 
 #[test]
 fn histories_are_asked_for_by_time_and_page() {
-    let sample = json!({ "at": 7, "service": "s", "robot": "robot", "sequence": 1, "emitted": 5, "took_ms": 11.5,
+    let sample = json!({ "at_ns": 7, "service": "s", "robot": "robot", "sequence": 1, "emitted_ns": 5, "service_time_ms": 11.5,
         "attachment": "R1", "server": "cloud" });
     let (client, asked) = server(vec![
         ok(&json!({ "items": [sample], "next": "7-1" })),
@@ -148,7 +148,7 @@ fn histories_are_asked_for_by_time_and_page() {
     let page = client.service_times(&Part::default()).unwrap();
     assert_eq!(page.items[0].at, Timestamp::from_nanos(7));
     assert_eq!(page.items[0].value.took, Some(Duration::from_micros(11_500)));
-    assert_eq!(asked.recv().unwrap().line, "GET /api/v1/measurements/service-times?from_s=0");
+    assert_eq!(asked.recv().unwrap().line, "GET /api/v1/measurements/service-times?from_ns=0");
     let part = Part {
         from: Timestamp::from_secs_f64(1.5),
         to: Some(Timestamp::from_secs_f64(20.0)),
@@ -157,13 +157,16 @@ fn histories_are_asked_for_by_time_and_page() {
     };
     assert_eq!(client.robot_history(&id("robot"), &part).unwrap(), Page { items: Vec::new(), next: None });
     let line = asked.recv().unwrap().line;
-    assert_eq!(line, "GET /api/v1/measurements/robots/robot?from_s=1.5&to_s=20&limit=10&after=7-1");
+    assert_eq!(
+        line,
+        "GET /api/v1/measurements/robots/robot?from_ns=1500000000&until_ns=20000000000&limit=10&after=7-1"
+    );
 }
 
 #[test]
 fn events_are_filtered_by_the_server() {
     let (client, asked) =
-        server(vec![stream("data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n")]);
+        server(vec![stream("data: {\"at_ns\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n")]);
     let events: Vec<_> = client.events(&["robot", "scanned"]).unwrap().map(Result::unwrap).collect();
     assert_eq!(
         events,
@@ -208,8 +211,8 @@ impl Plugin for Scanner {
 
 #[test]
 fn a_plug_in_runs_apart_until_the_run_ends() {
-    let events = "data: {\"at\": 5000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
-                  data: {\"at\": 900000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
+    let events = "data: {\"at_ns\": 5000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
+                  data: {\"at_ns\": 900000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
     let (client, asked) = server(vec![
         stream(events),
         ok(&testbed()),
@@ -232,7 +235,7 @@ fn a_plug_in_runs_apart_until_the_run_ends() {
 #[test]
 fn in_virtual_time_a_plug_in_is_called_mark_by_mark_and_says_when_it_wants_to_be_woken() {
     let scanned =
-        |at: u64| format!("data: {{\"at\": {at}, \"event\": \"scanned\", \"robot\": \"robot\"}}\n\n");
+        |at: u64| format!("data: {{\"at_ns\": {at}, \"event\": \"scanned\", \"robot\": \"robot\"}}\n\n");
     let mark = |number: u64, now: u64| format!("event: mark\nid: {number}\ndata: {now}\n\n");
     let events = [mark(7, 0), scanned(90), scanned(100), mark(8, 100), mark(12, 5_000)].concat();
     let done = || ok(&json!({ "done": true }));
@@ -260,7 +263,7 @@ fn in_virtual_time_a_plug_in_is_called_mark_by_mark_and_says_when_it_wants_to_be
 #[test]
 fn a_mark_is_done_when_the_event_after_it_is_asked_for() {
     let events = "event: mark\nid: 1\ndata: 0\n\n\
-                  data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
+                  data: {\"at_ns\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
                   event: mark\nid: 2\ndata: 5\n\n";
     let done = || ok(&json!({ "done": true }));
     let (client, asked) = server(vec![stream(events), done(), done()]);
@@ -277,7 +280,7 @@ fn a_mark_is_done_when_the_event_after_it_is_asked_for() {
 fn a_plug_in_ends_with_a_run_that_ends_before_it() {
     let (client, _asked) = server(vec![stream(":\n\n"), ok(&testbed())]);
     client.run(&mut Scanner::default()).unwrap();
-    let one = "data: {\"at\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
+    let one = "data: {\"at_ns\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
     let ended = response("503 Service Unavailable", r#"{"error": "the run has ended"}"#);
     let (client, _asked) = server(vec![stream(one), ok(&testbed()), ended]);
     client.run(&mut Scanner::default()).unwrap();

@@ -51,7 +51,7 @@ message! {
         /// Number of the position packet.
         sequence: u32,
         /// Milliseconds; NaN if no answer came in time.
-        took_ms: f64,
+        service_time_ms: f64,
         /// The radio unit that the robot was attached to; empty if there was none.
         attached_to: String,
         /// The node that ran the navigation VNF.
@@ -87,9 +87,9 @@ message! {
         /// Signal received from it, dBm.
         signal_dbm: f64,
         /// PHY rate to it, Mbit/s.
-        downlink_mbps: f64,
+        downlink_bps: f64,
         /// PHY rate from it, Mbit/s.
-        uplink_mbps: f64,
+        uplink_bps: f64,
     }
 }
 
@@ -135,7 +135,7 @@ message! {
         /// How long before this was told the latest probe was sent of which it is known.
         probed_loss_age_ms: f64,
         /// λ as its last test told; NaN before the first, as the two below.
-        tested_bps: f64,
+        tested_throughput_bps: f64,
         /// At which rate the test sent.
         tested_offered_bps: f64,
         /// How long before this was told the test ended.

@@ -28,11 +28,11 @@ use super::{
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Part {
-    /// From here on, seconds since the run began.
+    /// From here on, nanoseconds since the run began.
     #[serde(default)]
-    from_s: f64,
-    /// Up to here, this excluded, seconds since the run began; to the end if it is left out.
-    to_s: Option<f64>,
+    from_ns: Timestamp,
+    /// Up to here, this excluded, nanoseconds since the run began; to the end if it is left out.
+    until_ns: Option<Timestamp>,
     /// How many at the most; 1000 if it is left out, never more than 10000.
     limit: Option<usize>,
     /// The `next` of the page before.
@@ -54,16 +54,15 @@ impl Part {
 
     /// The range of time, up to the present of a run.
     fn until(&self, present: Timestamp) -> Span {
-        span(self.from_s, self.to_s, present)
+        span(self.from_ns, self.until_ns, present)
     }
 }
 
 type Span = (Bound<Timestamp>, Bound<Timestamp>);
 
-fn span(from_s: f64, to_s: Option<f64>, present: Timestamp) -> Span {
-    let to = to_s.map(Timestamp::from_secs_f64).filter(|to| *to <= present);
-    let end = to.map_or(Bound::Included(present), Bound::Excluded);
-    (Bound::Included(Timestamp::from_secs_f64(from_s)), end)
+fn span(from: Timestamp, until: Option<Timestamp>, present: Timestamp) -> Span {
+    let until = until.filter(|until| *until <= present);
+    (Bound::Included(from), until.map_or(Bound::Included(present), Bound::Excluded))
 }
 
 /// Questions to the history that are answered at the same time. Others wait, and go away with whoever asked them.
@@ -263,16 +262,17 @@ pub(super) async fn gaps(
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
     /// The figure and what it is of: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward if
-    /// no direction is said); `x:ROBOT`, `y:…`, `heading:…`, `speed:…`, `turn:…` or `obstacle:…`;
+    /// no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
+    /// `nearest_obstacle:…`;
     /// `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all if they
     /// are left out); `lateness_p50`, `lateness_p99` or `lateness_max`.
     #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
-    /// From here on, seconds since the run began.
+    /// From here on, nanoseconds since the run began.
     #[serde(default)]
-    from_s: f64,
-    /// Up to here, this excluded, seconds since the run began; to the end if it is left out.
-    to_s: Option<f64>,
+    from_ns: Timestamp,
+    /// Up to here, this excluded, nanoseconds since the run began; to the end if it is left out.
+    until_ns: Option<Timestamp>,
     /// In how many points at the most; 1000 if it is left out, never more than 10000.
     points: Option<usize>,
     /// Quantiles that each point is to have, as shares from 0 to 1 with commas between; 0.5 if it is left out.
@@ -303,7 +303,7 @@ pub(super) async fn series(
         })?;
     }
     ask(context, which.run, move |history, run, present| {
-        history.curve(run, &which.figure, span(which.from_s, which.to_s, present), &request)
+        history.curve(run, &which.figure, span(which.from_ns, which.until_ns, present), &request)
     })
     .await
 }
@@ -376,8 +376,8 @@ pub(super) async fn difference(
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct At {
-    /// Seconds since the run began; if it is left out, now, and of another run its end.
-    at_s: Option<f64>,
+    /// Nanoseconds since the run began; if it is left out, now, and of another run its end.
+    at_ns: Option<Timestamp>,
     /// The number of another run of the same history, in place of this one.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
@@ -394,6 +394,6 @@ pub(super) async fn state(
 ) -> Answer<GraphState> {
     caller.operator()?;
     let now = if at.run.is_some() { Timestamp::MAX } else { context.live.read(|now| now.at) };
-    let when = at.at_s.map_or(now, Timestamp::from_secs_f64);
+    let when = at.at_ns.unwrap_or(now);
     ask(context, at.run, move |history, run, present| history.state_at(run, when.min(present))).await
 }

@@ -30,8 +30,8 @@ fn notice(at: u64) -> Stamped {
 fn sample(second: u64) -> Stamped {
     let at = second * 1_000_000_000;
     let event = json!({
-        "at": at, "event": "service_time", "service": "walk", "robot": "robot", "sequence": second,
-        "emitted": at, "took_ms": second as f64, "attachment": "R1", "server": "left",
+        "at_ns": at, "event": "service_time", "service": "walk", "robot": "robot", "sequence": second,
+        "emitted_ns": at, "service_time_ms": second as f64, "attachment": "R1", "server": "left",
     });
     serde_json::from_value(event).unwrap()
 }
@@ -127,8 +127,8 @@ impl Served {
 fn curves_gaps_runs_and_differences_are_what_the_history_answers() {
     let served = serve(false);
     let [first, this] = served.runs;
-    let curve =
-        served.answer("measurements/series?figure=service_time:walk&points=4&quantiles=0.5,1&from_s=4");
+    let curve = served
+        .answer("measurements/series?figure=service_time:walk&points=4&quantiles=0.5,1&from_ns=4000000000");
     let request = CurveRequest { points: 4, quantiles: vec![0.5, 1.0] };
     let figure = "service_time:walk".parse().unwrap();
     let range = Timestamp::from_secs_f64(4.0)..;
@@ -176,11 +176,11 @@ fn a_replay_tells_nothing_of_what_is_to_come() {
     served.live.absorb(&sample(5));
     let count = |path: &str| served.answer(path)["items"].as_array().unwrap().len();
     assert_eq!(count("measurements/service-times"), 6, "seconds 0 to 5");
-    assert_eq!(count("measurements/events?to_s=3"), 3);
+    assert_eq!(count("measurements/events?until_ns=3000000000"), 3);
     assert_eq!(count("measurements/gaps"), 0);
     let curve = served.answer("measurements/series?figure=service_time&points=1");
     assert_eq!(curve["points"][0]["count"], 6);
-    assert_eq!(served.answer("measurements/state?at_s=100")["at"], 5_000_000_000_u64);
+    assert_eq!(served.answer("measurements/state?at_ns=100000000000")["at_ns"], 5_000_000_000_u64);
     assert_eq!(served.get(&format!("measurements/difference?a={this}&b={first}")).0, 409);
     // What other runs were is past.
     assert_eq!(count(&format!("measurements/service-times?run={first}")), 10);

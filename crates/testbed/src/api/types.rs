@@ -99,6 +99,7 @@ pub(super) struct RunBody {
     /// When it began, nanoseconds since 1970-01-01 UTC; 0 in virtual time.
     started_at_unix_ns: i64,
     /// When it ended, nanoseconds since it began; null while it goes on, and for good when it was killed.
+    #[serde(rename = "ended_ns")]
     ended: Option<Timestamp>,
     /// Whether it is the one that this API is of.
     this: bool,
@@ -116,8 +117,10 @@ impl RunBody {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct GapBody {
     /// Time of the earliest that is missing, nanoseconds since the run began.
+    #[serde(rename = "from_ns")]
     from: Timestamp,
     /// Time of the latest that is missing.
+    #[serde(rename = "until_ns")]
     until: Timestamp,
     /// How many are.
     events: u64,

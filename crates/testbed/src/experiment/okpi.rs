@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
 use serde::Serialize;
 
-use crate::report::{FolderError, Panel, Quantiles, Report, draw, took_ms, write};
+use crate::report::{FolderError, Panel, Quantiles, Report, draw, service_time_ms, write};
 
 /// One of those that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -193,7 +193,7 @@ impl Comparison {
         let parts = PUBLISHED.iter().map(|published| {
             let measured = |report: &Report, legs: &Legs| {
                 let inside = report.samples().iter().filter(|sample| legs.is_in(sample, published));
-                median(inside.filter_map(|sample| took_ms(&sample)).collect())
+                median(inside.filter_map(|sample| service_time_ms(&sample)).collect())
             };
             let inside = at_samples.iter().filter(|(sample, _)| okpi_legs.is_in(sample, published));
             Part {
@@ -206,7 +206,7 @@ impl Comparison {
                 published_soa_ms: published.soa,
             }
         });
-        let target_ms = soa.target_ms();
+        let target_ms = soa.service_time_target_ms();
         let above = |name, report: &Report| target_ms.and_then(|target| above_target(name, report, target));
         let [first, second] = CONTENDERS.map(|contender| contender.name);
         Self {
@@ -306,7 +306,7 @@ impl Comparison {
         write(folder, tables, &self.to_markdown(how))?;
         let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
         write(folder, data, &(json + "\n"))?;
-        let mut csv = String::from("contender,emitted_s,service_time_ms,theory_ms,attachment,server\n");
+        let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");
         for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {
             for sample in report.samples().iter() {
                 let emitted = sample.emitted.as_secs_f64();
@@ -316,9 +316,10 @@ impl Comparison {
                 line(
                     &mut csv,
                     format_args!(
-                        "{},{emitted:.9},{},{theory},{attachment},{}",
+                        "{},{},{},{theory},{attachment},{}",
                         contender.name,
-                        number(took_ms(&sample)),
+                        sample.emitted.as_nanos(),
+                        number(service_time_ms(&sample)),
                         sample.server
                     ),
                 );
@@ -333,15 +334,18 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 }
 
 fn above_target(contender: &'static str, report: &Report, target_ms: f64) -> Option<AboveTarget> {
-    let handovers: Vec<_> =
-        report.handovers().iter().map(|handover| (handover.at_s, handover.gap_ms / 1e3)).collect();
+    let handovers: Vec<_> = report
+        .handovers()
+        .iter()
+        .map(|handover| (handover.at.as_secs_f64(), handover.gap_ms / 1e3))
+        .collect();
     let near = |sample: &ServiceTime| {
         let at = sample.emitted.as_secs_f64();
         handovers
             .iter()
             .any(|(done, gap)| (done - gap - AROUND_HANDOVER_S..=done + AROUND_HANDOVER_S).contains(&at))
     };
-    let above = |sample: &ServiceTime| took_ms(sample).is_none_or(|ms| ms > target_ms);
+    let above = |sample: &ServiceTime| service_time_ms(sample).is_none_or(|ms| ms > target_ms);
     let samples = report.samples().len();
     let of = |wanted: &dyn Fn(&ServiceTime) -> bool| {
         report.samples().iter().filter(|sample| wanted(sample)).count() as f64 / samples as f64

@@ -13,7 +13,7 @@ use kuva::{
 
 use super::{
     samples::Samples,
-    summary::{RegionSummary, Report, took_ms},
+    summary::{RegionSummary, Report, service_time_ms},
 };
 
 /// The published figure ends here, milliseconds; spikes above are cut.
@@ -44,7 +44,7 @@ impl<'a> Panel<'a> {
     /// The service times of a run.
     pub fn of(title: String, report: &'a Report) -> Self {
         let (samples, regions) = (report.samples(), report.regions());
-        Self { title, samples, regions, target_ms: report.target_ms(), line: None, points: None }
+        Self { title, samples, regions, target_ms: report.service_time_target_ms(), line: None, points: None }
     }
 }
 
@@ -84,7 +84,7 @@ fn name(region: &RegionSummary) -> &str {
 
 fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
     // A sample without an answer is drawn where it would be at best: at the top.
-    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), took_ms(&s).unwrap_or(TOP_MS).min(TOP_MS));
+    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), service_time_ms(&s).unwrap_or(TOP_MS).min(TOP_MS));
     let points = panel.samples.iter().map(point);
     let line = LinePlot::new().with_data(thin(points, end)).with_color("#1f3b5c").with_stroke_width(1.2);
     let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
@@ -112,13 +112,13 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
     for (region, to) in close_gaps(&panel.regions) {
         let name = name(region);
         let shade = names.iter().position(|n| *n == name).unwrap_or_default();
-        let shading = ShadedRegion::vertical(region.from_s, to)
+        let shading = ShadedRegion::vertical(region.from.as_secs_f64(), to)
             .with_color(SHADES[shade % SHADES.len()])
             .with_opacity(0.22);
         layout = layout.with_shaded_region(shading);
         // A name needs some room to be read.
-        if (to - region.from_s) / end > 0.03 {
-            let middle = (region.from_s + to) / 2.0;
+        if (to - region.from.as_secs_f64()) / end > 0.03 {
+            let middle = (region.from.as_secs_f64() + to) / 2.0;
             layout =
                 layout.with_annotation(TextAnnotation::new(name, middle, TOP_MS * 0.94).with_font_size(13));
         }
@@ -160,7 +160,11 @@ fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
 
 /// Regions with the time up to which each is shaded: the next one's beginning.
 fn close_gaps(regions: &[RegionSummary]) -> impl Iterator<Item = (&RegionSummary, f64)> {
-    let ends = regions.iter().skip(1).map(|next| next.from_s).chain(regions.last().map(|last| last.to_s));
+    let ends = regions
+        .iter()
+        .skip(1)
+        .map(|next| next.from.as_secs_f64())
+        .chain(regions.last().map(|last| last.until.as_secs_f64()));
     regions.iter().zip(ends)
 }
 

@@ -8,7 +8,7 @@ use std::{
 
 use super::{
     figure::{Panel, draw},
-    summary::{Report, Summary, took_ms},
+    summary::{Report, Summary, service_time_ms},
 };
 
 /// A file of the run's folder cannot be written.
@@ -138,15 +138,15 @@ impl RunFolder {
 
 fn write_csv(report: &Report, to: File) -> io::Result<()> {
     let mut text = BufWriter::new(to);
-    writeln!(text, "emitted_s,robot,service,sequence,service_time_ms,attachment,server")?;
+    writeln!(text, "emitted_ns,robot,service,sequence,service_time_ms,attachment,server")?;
     for s in report.samples().iter() {
-        let took = took_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
+        let took = service_time_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
         let attachment = s.attachment.as_ref().map_or("", |a| a.as_str());
-        let emitted = s.emitted.as_secs_f64();
+        let emitted = s.emitted.as_nanos();
         // Names hold no character that CSV would need to quote.
         writeln!(
             text,
-            "{emitted:.9},{},{},{},{took},{attachment},{}",
+            "{emitted},{},{},{},{took},{attachment},{}",
             s.robot, s.service, s.sequence, s.server
         )?;
     }

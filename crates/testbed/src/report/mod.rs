@@ -10,7 +10,7 @@ pub(crate) use figure::number_clips;
 pub use figure::{Panel, draw};
 pub(crate) use folder::write;
 pub use folder::{FolderError, Place, RunFolder};
-pub(crate) use summary::took_ms;
+pub(crate) use summary::service_time_ms;
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
     Quantiles, RegionSummary, Report, Summary,

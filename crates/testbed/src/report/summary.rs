@@ -30,7 +30,7 @@ pub struct Summary {
     /// The run's seed.
     pub seed: u64,
     /// How long it ran, seconds.
-    pub duration_s: f64,
+    pub duration_ms: f64,
     /// Why it ended.
     pub ended: &'static str,
     /// How many service times were measured, unanswered ones included.
@@ -38,7 +38,7 @@ pub struct Summary {
     /// How many of them got no answer within the robot's command timeout.
     pub unanswered: usize,
     /// The target service time.
-    pub target_ms: Option<f64>,
+    pub service_time_target_ms: Option<f64>,
     /// Share of samples over the target; an unanswered one is over any.
     pub above_target: Option<f64>,
     /// Service time over all answered samples.
@@ -111,21 +111,24 @@ pub struct RegionSummary {
     pub attachment: Option<NodeId>,
     /// Where navigation ran.
     pub server: NodeId,
-    /// The first sample's emission, seconds.
-    pub from_s: f64,
-    /// The last sample's emission, seconds.
-    pub to_s: f64,
+    /// The first sample's emission.
+    #[serde(rename = "from_ns")]
+    pub from: Timestamp,
+    /// The last sample's emission.
+    #[serde(rename = "until_ns")]
+    pub until: Timestamp,
     /// Samples in it.
     pub samples: usize,
     /// Median service time; `None` if no sample was answered.
-    pub p50_ms: Option<f64>,
+    pub service_time_p50_ms: Option<f64>,
 }
 
 /// A change of attachment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HandoverRecord {
     /// When it was complete.
-    pub at_s: f64,
+    #[serde(rename = "at_ns")]
+    pub at: Timestamp,
     /// The robot.
     pub robot: NodeId,
     /// Before.
@@ -144,7 +147,8 @@ pub struct HandoverRecord {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlacementRecord {
     /// When.
-    pub at_s: f64,
+    #[serde(rename = "at_ns")]
+    pub at: Timestamp,
     /// The VNF.
     pub vnf: VnfId,
     /// The node.
@@ -267,7 +271,7 @@ pub struct Report {
     name: String,
     seed: u64,
     known: Known,
-    target_ms: Option<f64>,
+    service_time_target_ms: Option<f64>,
     samples: Samples,
     handovers: Vec<HandoverRecord>,
     placements: Vec<PlacementRecord>,
@@ -292,7 +296,7 @@ impl Report {
                 Some(_) => Known::Emulated,
                 None => Known::All,
             },
-            target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
+            service_time_target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
             samples: Samples::default(),
             handovers: Vec::new(),
             placements: Vec::new(),
@@ -326,7 +330,6 @@ impl Report {
 
     /// Takes an event in.
     pub fn absorb(&mut self, Stamped { at, event }: &Stamped) {
-        let at_s = at.as_secs_f64();
         match event {
             Event::ServiceTime(sample) => self.samples.push(sample),
             Event::Robot(context) => {
@@ -338,7 +341,7 @@ impl Report {
                 }
             }
             Event::Handover(h) => self.handovers.push(HandoverRecord {
-                at_s,
+                at: *at,
                 robot: h.robot.clone(),
                 from: h.from.clone(),
                 to: h.to.clone(),
@@ -349,7 +352,7 @@ impl Report {
             Event::Placement(p) => {
                 let position = self.position_for(&p.vnf);
                 let (vnf, node) = (p.vnf.clone(), p.node.clone());
-                self.placements.push(PlacementRecord { at_s, vnf, node, position });
+                self.placements.push(PlacementRecord { at: *at, vnf, node, position });
             }
             Event::Decision(decision) if decision.refused.is_none() => {
                 let position = match &decision.instruction {
@@ -396,27 +399,28 @@ impl Report {
     }
 
     /// The target, milliseconds.
-    pub fn target_ms(&self) -> Option<f64> {
-        self.target_ms
+    pub fn service_time_target_ms(&self) -> Option<f64> {
+        self.service_time_target_ms
     }
 
     /// The summary, for a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
-        let answered: Vec<f64> = self.samples.iter().filter_map(|sample| took_ms(&sample)).collect();
+        let answered: Vec<f64> = self.samples.iter().filter_map(|sample| service_time_ms(&sample)).collect();
         let above = |target: f64| {
-            let above = self.samples.iter().filter(|s| took_ms(s).is_none_or(|ms| ms > target)).count();
+            let above =
+                self.samples.iter().filter(|s| service_time_ms(s).is_none_or(|ms| ms > target)).count();
             (!self.samples.is_empty()).then(|| above as f64 / self.samples.len() as f64)
         };
         Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             seed: self.seed,
-            duration_s: end.as_secs_f64(),
+            duration_ms: end.as_secs_f64() * 1e3,
             ended,
             samples: self.samples.len(),
             unanswered: self.samples.len() - answered.len(),
-            target_ms: self.target_ms,
-            above_target: self.target_ms.and_then(above),
+            service_time_target_ms: self.service_time_target_ms,
+            above_target: self.service_time_target_ms.and_then(above),
             service_time_ms: Quantiles::of(answered),
             regions: self.regions(),
             handovers: self.handovers.clone(),
@@ -433,25 +437,31 @@ impl Report {
     pub fn regions(&self) -> Vec<RegionSummary> {
         let mut robots: BTreeMap<NodeId, Vec<(RegionSummary, Vec<f64>)>> = BTreeMap::new();
         for sample in self.samples.iter() {
-            let took = took_ms(&sample);
+            let took = service_time_ms(&sample);
             let ServiceTime { robot, emitted, attachment, server, .. } = sample;
-            let at_s = emitted.as_secs_f64();
             let its = robots.entry(robot.clone()).or_default();
             match its.last_mut() {
                 Some((region, all)) if (&region.attachment, &region.server) == (&attachment, &server) => {
-                    region.to_s = at_s;
+                    region.until = emitted;
                     region.samples += 1;
                     all.extend(took);
                 }
                 _ => {
-                    let (from_s, to_s, samples, p50_ms) = (at_s, at_s, 1, None);
-                    let region = RegionSummary { robot, attachment, server, from_s, to_s, samples, p50_ms };
+                    let region = RegionSummary {
+                        robot,
+                        attachment,
+                        server,
+                        from: emitted,
+                        until: emitted,
+                        samples: 1,
+                        service_time_p50_ms: None,
+                    };
                     its.push((region, took.into_iter().collect()));
                 }
             }
         }
         let with_median = |(region, all): (RegionSummary, Vec<f64>)| RegionSummary {
-            p50_ms: Quantiles::of(all).map(|quantiles| quantiles.p50),
+            service_time_p50_ms: Quantiles::of(all).map(|quantiles| quantiles.p50),
             ..region
         };
         robots.into_values().flatten().map(with_median).collect()
@@ -459,7 +469,7 @@ impl Report {
 }
 
 /// What a sample took, in milliseconds.
-pub(crate) fn took_ms(sample: &ServiceTime) -> Option<f64> {
+pub(crate) fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
     sample.took.map(|took| took.as_secs_f64() * 1e3)
 }
 
@@ -468,14 +478,14 @@ mod tests {
     use super::*;
     use std::{path::Path, time::Duration};
 
-    fn sample(sequence: u32, attachment: &str, took_ms: Option<u64>) -> Stamped {
+    fn sample(sequence: u32, attachment: &str, service_time_ms: Option<u64>) -> Stamped {
         let emitted = Timestamp::from_secs_f64(f64::from(sequence));
         let event = Event::ServiceTime(ServiceTime {
             service: "navigation".parse().unwrap(),
             robot: "robot".parse().unwrap(),
             sequence,
             emitted,
-            took: took_ms.map(Duration::from_millis),
+            took: service_time_ms.map(Duration::from_millis),
             attachment: Some(attachment.parse().unwrap()),
             server: "cloud".parse().unwrap(),
         });
@@ -485,7 +495,7 @@ mod tests {
     fn report() -> Report {
         let text = "name: test\nnodes: { a: { kind: switch } }\n";
         let testbed = cotorra_graph::testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
-        Report { target_ms: Some(15.0), ..Report::new(&testbed, 1) }
+        Report { service_time_target_ms: Some(15.0), ..Report::new(&testbed, 1) }
     }
 
     #[test]

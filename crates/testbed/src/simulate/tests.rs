@@ -46,7 +46,7 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
         .regions
         .iter()
         .filter(|region| region.samples > 20)
-        .map(|region| (region.attachment.as_ref().unwrap().to_string(), region.p50_ms.unwrap()))
+        .map(|region| (region.attachment.as_ref().unwrap().to_string(), region.service_time_p50_ms.unwrap()))
         .collect();
     let names: Vec<_> = regions.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["R1", "R3", "R2", "R4", "R5", "R4", "R2", "R3", "R1"]);

@@ -158,18 +158,23 @@ fn cells_csv(sweep: &Sweep, cells: &[super::Cell]) -> String {
 
 fn regions_csv(sweep: &Sweep, runs: &Runs) -> String {
     let mut text = heads(sweep);
-    text += "seed,robot,attachment,server,from_s,to_s,samples,service_time_p50_ms\n";
+    text += "seed,robot,attachment,server,from_ns,until_ns,samples,service_time_p50_ms\n";
     for done in &runs.done {
         for region in &done.measured.regions {
             values(&mut text, &done.point.values);
             let attachment = region.attachment.as_ref().map_or("", |attachment| attachment.as_str());
             let fixed = write!(
                 text,
-                "{},{},{attachment},{},{:.6},{:.6},{}",
-                done.point.seed, region.robot, region.server, region.from_s, region.to_s, region.samples
+                "{},{},{attachment},{},{},{},{}",
+                done.point.seed,
+                region.robot,
+                region.server,
+                region.from.as_nanos(),
+                region.until.as_nanos(),
+                region.samples
             );
             fixed.expect("writing into a string cannot fail");
-            push(&mut text, region.p50_ms);
+            push(&mut text, region.service_time_p50_ms);
             text.push('\n');
         }
     }

@@ -1,6 +1,6 @@
 //! What is kept of one run of a sweep.
 
-use cotorra_graph::NodeId;
+use cotorra_graph::{NodeId, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::report::{Quantiles, RegionSummary, Summary};
@@ -8,8 +8,8 @@ use crate::report::{Quantiles, RegionSummary, Summary};
 /// What came of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// How long it took, in virtual time, seconds.
-    pub duration_s: f64,
+    /// How long it took, in virtual time, ms.
+    pub duration_ms: f64,
     /// Whether every walk was done.
     pub walked: bool,
     /// How many service times were measured, unanswered ones included.
@@ -49,14 +49,16 @@ pub struct Region {
     pub attachment: Option<NodeId>,
     /// Where navigation ran.
     pub server: NodeId,
-    /// Emission of the first sample, seconds.
-    pub from_s: f64,
+    /// Emission of the first sample.
+    #[serde(rename = "from_ns")]
+    pub from: Timestamp,
     /// Of the last.
-    pub to_s: f64,
+    #[serde(rename = "until_ns")]
+    pub until: Timestamp,
     /// Samples in it.
     pub samples: usize,
     /// Median service time, ms; `None` if no sample was answered.
-    pub p50_ms: Option<f64>,
+    pub service_time_p50_ms: Option<f64>,
 }
 
 impl Measured {
@@ -67,13 +69,13 @@ impl Measured {
             robot: region.robot.clone(),
             attachment: region.attachment.clone(),
             server: region.server.clone(),
-            from_s: region.from_s,
-            to_s: region.to_s,
+            from: region.from,
+            until: region.until,
             samples: region.samples,
-            p50_ms: region.p50_ms,
+            service_time_p50_ms: region.service_time_p50_ms,
         };
         Self {
-            duration_s: summary.duration_s,
+            duration_ms: summary.duration_ms,
             walked: summary.ended == crate::core_loop::End::Walked.as_str(),
             samples: summary.samples,
             unanswered: summary.unanswered,
@@ -85,7 +87,7 @@ impl Measured {
             handovers: summary.handovers.len(),
             handover_gap_p50_ms: gaps.map(|q| q.p50),
             handover_gap_max_ms: gaps.map(|q| q.max),
-            migrations: summary.placements.iter().filter(|placement| placement.at_s > 0.0).count(),
+            migrations: summary.placements.iter().filter(|placement| placement.at > Timestamp::ZERO).count(),
             plugin_faults: summary.plugin_faults.len(),
             regions: summary.regions.iter().map(region).collect(),
         }
@@ -95,7 +97,7 @@ impl Measured {
     pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 14] {
         let count = |n: usize| Some(n as f64);
         [
-            ("duration_s", Some(self.duration_s)),
+            ("duration_ms", Some(self.duration_ms)),
             ("walked", count(usize::from(self.walked))),
             ("samples", count(self.samples)),
             ("unanswered", count(self.unanswered)),

@@ -92,7 +92,7 @@ fn tables_are_tidy() {
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();
     folder.write(&sweep, &runs).unwrap();
     let files = files(&folder);
-    let head = "walks.robot.waypoints,plugin,seed,duration_s,walked,samples,unanswered,above_target,";
+    let head = "walks.robot.waypoints,plugin,seed,duration_ms,walked,samples,unanswered,above_target,";
     assert!(files[0].starts_with(head), "{}", files[0]);
     assert!(files[0].lines().nth(1).unwrap().starts_with("\"[[25.5, -27.8], [25.5, -24.6]]\",probing,1,"));
     for table in &files[..3] {

@@ -1,0 +1,205 @@
+//! docs/fields.md: each quantity has one name and one unit in everything that programs read.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+};
+
+use serde_json::Value;
+
+use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
+
+/// Statistics, which stand before the unit.
+const STATISTICS: [&str; 8] = ["p50", "p95", "p99", "min", "max", "mean", "low", "high"];
+/// What a name is of, in tables that have no other place for it.
+const OF: [&str; 9] =
+    ["odometry", "probed", "tested", "jitter", "queue", "loss", "handover", "asked", "effective"];
+/// Numbers that are no quantities: places, limits and names of rows, and what statistics are made of.
+const NO_QUANTITIES: [&str; 11] =
+    ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "walked"];
+
+/// Units by the end of a name.
+const UNITS: [(&str, &str); 9] = [
+    ("_ns", "ns"),
+    ("_ms", "ms"),
+    ("_us", "µs"),
+    ("_bps", "bit/s"),
+    ("_dbm", "dBm"),
+    ("_db", "dB"),
+    ("_mps", "m/s"),
+    ("_m", "m"),
+    ("bytes", "bytes"),
+];
+/// Units of names that have none at their end: those of poses, and bare numbers.
+const BARE: [&str; 9] = ["m", "m/s", "rad", "rad/s", "share", "factor", "count", "number", "m², m rad, rad²"];
+
+/// The rows of the page: units by name.
+fn fields() -> BTreeMap<String, String> {
+    let page = fs::read_to_string(project_file("docs/fields.md")).unwrap();
+    let mut fields = BTreeMap::new();
+    for row in page.lines().filter(|line| line.starts_with("| `")) {
+        let cells: Vec<_> = row.split('|').map(str::trim).collect();
+        let name = cells[1].trim_matches('`').to_owned();
+        assert!(fields.insert(name, cells[2].to_owned()).is_none(), "{} stands there twice", cells[1]);
+    }
+    fields
+}
+
+/// The name of the page that a name comes from: without what it is of, and without statistics.
+fn quantity(name: &str, fields: &BTreeMap<String, String>) -> Option<String> {
+    let known = |name: &str| fields.contains_key(name).then(|| name.to_owned());
+    let words = |name: &str| -> String {
+        name.split('_').filter(|word| !STATISTICS.contains(word)).collect::<Vec<_>>().join("_")
+    };
+    known(name)
+        // The event `lateness` and its table have nothing but statistics of it.
+        .or_else(|| (words(name) == "us").then(|| "lateness_us".to_owned()))
+        .or_else(|| known(&words(name)))
+        .or_else(|| {
+            let (of, rest) = name.split_once('_')?;
+            OF.contains(&of).then(|| quantity(rest, fields)).flatten()
+        })
+}
+
+#[test]
+fn names_of_the_page_end_with_their_units_and_are_unique() {
+    let mut stems = BTreeMap::new();
+    for (name, unit) in fields() {
+        let end = UNITS.iter().find(|(end, _)| name.ends_with(end));
+        match end {
+            Some((_, of_end)) => assert_eq!(*of_end, unit, "{name}"),
+            None => assert!(BARE.contains(&unit.as_str()), "{name} has the unit {unit}"),
+        }
+        let stem = end.map_or(name.as_str(), |(end, _)| name.strip_suffix(end).unwrap()).to_owned();
+        // `packets` and `bytes` count the same things, and so they have one stem or none.
+        if let Some(other) = stems.insert(stem, name.clone()) {
+            let both = [other.as_str(), name.as_str()];
+            assert!(both == ["deviation_db", "deviation_ms"], "{both:?} are one quantity in two units");
+        }
+    }
+}
+
+/// Names of numbers in a JSON Schema.
+fn in_schema(schema: &Value, all: &Value, names: &mut BTreeSet<String>) {
+    fn is_number(schema: &Value, all: &Value, depth: usize) -> bool {
+        let is = |schema: &Value| is_number(schema, all, depth + 1);
+        let of = |key: &str| schema[key].as_array().is_some_and(|several| several.iter().any(is));
+        let kinds = schema["type"].as_array().cloned().unwrap_or_else(|| vec![schema["type"].clone()]);
+        let referred = schema["$ref"].as_str().and_then(|to| to.rsplit('/').next());
+        depth < 5
+            && (kinds.iter().any(|kind| kind == "number" || kind == "integer")
+                || of("oneOf")
+                || of("anyOf")
+                || schema.get("items").is_some_and(is)
+                || referred.is_some_and(|name| is(&all[name])))
+    }
+    match schema {
+        Value::Object(map) => {
+            for (name, property) in map.get("properties").and_then(Value::as_object).into_iter().flatten() {
+                if is_number(property, all, 0) {
+                    names.insert(name.clone());
+                }
+            }
+            map.values().for_each(|value| in_schema(value, all, names));
+        }
+        Value::Array(values) => values.iter().for_each(|value| in_schema(value, all, names)),
+        _ => {}
+    }
+}
+
+/// Names of numbers in a document; statistics count for what they are of.
+fn in_document(document: &Value, names: &mut BTreeSet<String>) {
+    match document {
+        Value::Object(map) => {
+            for (name, value) in map {
+                let is_statistic = STATISTICS.contains(&name.as_str());
+                let has_statistics = value.get("p50").is_some();
+                if (value.is_number() && !is_statistic) || has_statistics {
+                    names.insert(name.clone());
+                }
+                in_document(value, names);
+            }
+        }
+        Value::Array(values) => values.iter().for_each(|value| in_document(value, names)),
+        _ => {}
+    }
+}
+
+/// Columns of the history's tables that hold figures with units, or other than whole numbers.
+fn in_tables(sql: &str, names: &mut BTreeSet<String>) {
+    for line in sql.lines().filter(|line| line.starts_with("    ")) {
+        let mut words = line.split_whitespace().map(|word| word.trim_matches(['"', ',']));
+        let (Some(name), Some(kind)) = (words.next(), words.next()) else { continue };
+        let has_unit = UNITS.iter().any(|(end, _)| name.ends_with(end));
+        if (kind == "REAL" || kind == "INTEGER" && has_unit) && !name.contains("cov_") {
+            names.insert(name.to_owned());
+        }
+    }
+}
+
+/// Numbers of the messages in recordings.
+fn in_messages(source: &str, names: &mut BTreeSet<String>) {
+    for line in source.lines().map(str::trim) {
+        if let Some(name) = line.strip_suffix(": f64,") {
+            names.insert(name.to_owned());
+        }
+    }
+}
+
+#[test]
+fn every_figure_has_its_name_and_unit_from_the_page() {
+    let fields = fields();
+    let mut used: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    let read = |path: &str| fs::read_to_string(project_file(path)).unwrap();
+
+    let openapi: Value = serde_json::from_str(&read("docs/openapi.json")).unwrap();
+    let api = used.entry("the API").or_default();
+    in_schema(&openapi["components"]["schemas"], &openapi["components"]["schemas"], api);
+    for operation in openapi["paths"].as_object().unwrap().values().flat_map(|path| path.as_object().unwrap())
+    {
+        for parameter in operation.1["parameters"].as_array().into_iter().flatten() {
+            let named = serde_json::json!({ "properties": { parameter["name"].as_str().unwrap(): parameter["schema"] } });
+            in_schema(&named, &openapi["components"]["schemas"], api);
+        }
+    }
+    in_tables(&read("crates/measurements/src/schema/1.sql"), used.entry("the history").or_default());
+    in_messages(&read("crates/recording/src/messages/own.rs"), used.entry("recordings").or_default());
+
+    let out = tempfile::tempdir().unwrap();
+    let run = cotorra(["run", "--headless", "--simulate", "--until", "20s", "--out"])
+        .arg(out.path())
+        .arg(corridor())
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let folder = fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
+    let summary = serde_json::from_str(&fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
+    in_document(&summary, used.entry("summary.json").or_default());
+
+    let swept = out.path().join("sweep");
+    let sweep = cotorra(["sweep", "--headless", "--until", "5s", "--seeds", "1", "--out"])
+        .arg(&swept)
+        .arg(corridor())
+        .output()
+        .unwrap();
+    assert!(sweep.status.success(), "{}", stdout(&sweep));
+    for table in [folder.join("service_time.csv"), swept.join("runs.csv"), swept.join("regions.csv")] {
+        let text = fs::read_to_string(&table).unwrap();
+        let heads = text.lines().next().unwrap().split(',').map(str::to_owned);
+        let words = ["robot", "service", "attachment", "server"];
+        used.entry("tables").or_default().extend(heads.filter(|head| !words.contains(&head.as_str())));
+    }
+
+    let mut found = BTreeSet::new();
+    for (place, names) in &used {
+        for name in names.iter().filter(|name| !NO_QUANTITIES.contains(&name.as_str())) {
+            if STATISTICS.contains(&name.as_str()) {
+                continue;
+            }
+            let quantity = quantity(name, &fields);
+            found.insert(quantity.unwrap_or_else(|| panic!("docs/fields.md lacks `{name}` of {place}")));
+        }
+    }
+    let idle: Vec<_> = fields.keys().filter(|name| !found.contains(*name)).collect();
+    assert!(idle.is_empty(), "nothing has the names {idle:?} of docs/fields.md");
+}
