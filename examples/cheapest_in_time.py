@@ -98,7 +98,7 @@ def main():
             present = next((a for a in heard if a["attached"]), None)
             best = max(heard, key=lambda a: a["signal_dbm"], default=None)
             if best and (not present or best["signal_dbm"] > present["signal_dbm"] + HYSTERESIS_DB):
-                reason = f"{best['radio_unit']} is received with {best['signal']:.1f} dBm"
+                reason = f"{best['radio_unit']} is received with {best['signal_dbm']:.1f} dBm"
                 instruct(reason, instruction="attach", robot=robot, radio_unit=best["radio_unit"])
                 present = best
             for service in (s for s in testbed["services"] if s["robot"] == robot and present):

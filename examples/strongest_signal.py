@@ -47,7 +47,7 @@ def main():
         present = next((a["signal_dbm"] for a in heard if a["attached"]), float("-inf"))
         best = max(heard, key=lambda a: a["signal_dbm"], default=None)
         if best and best["signal_dbm"] > present + HYSTERESIS_DB:
-            reason = f"{best['radio_unit']} is received with {best['signal']:.1f} dBm"
+            reason = f"{best['radio_unit']} is received with {best['signal_dbm']:.1f} dBm"
             instruct(reason, instruction="attach", robot=robot, radio_unit=best["radio_unit"])
         elif now_s - last_scan_s.get(robot, 0.0) >= SCAN_EVERY_S:
             last_scan_s[robot] = now_s  # Only a scan tells how strong the radio units are that it is not attached to.

@@ -35,7 +35,7 @@ const BARE: [&str; 9] = ["m", "m/s", "rad", "rad/s", "share", "factor", "count",
 
 /// The rows of the page: units by name.
 fn fields() -> BTreeMap<String, String> {
-    let page = fs::read_to_string(project_file("docs/fields.md")).unwrap();
+    let page = fs::read_to_string(project_file("docs/fields.md")).expect("the page is there");
     let mut fields = BTreeMap::new();
     for row in page.lines().filter(|line| line.starts_with("| `")) {
         let cells: Vec<_> = row.split('|').map(str::trim).collect();
