@@ -28,7 +28,8 @@ pub const MAX_ANGULAR_SPEED: f64 = PI;
 /// The part of a velocity that a robot of that speed limit, m/s, may drive, on the same curve; it does not leave the floor.
 pub(crate) fn limited(wanted: Velocity, speed_limit: f64) -> Velocity {
     let over = (wanted.linear.abs() / speed_limit).max(wanted.angular.abs() / MAX_ANGULAR_SPEED);
-    if over > 1.0 { Velocity::planar(wanted.linear / over, wanted.angular / over) } else { wanted }
+    let over = over.max(1.0);
+    Velocity::planar(wanted.linear / over, wanted.angular / over)
 }
 
 /// Acceleration and deceleration, m/s².

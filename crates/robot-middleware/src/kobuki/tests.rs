@@ -27,6 +27,13 @@ fn a_tick_is_85_292_nanometres() {
 }
 
 #[test]
+fn a_ground_robot_never_leaves_the_floor() {
+    let rising = |linear: f64, angular: f64| Velocity { vertical: 0.4, ..velocity(linear, angular) };
+    assert_eq!(limited(rising(0.3, 1.0), 0.7), velocity(0.3, 1.0), "within its limits");
+    assert_eq!(limited(rising(1.4, 1.0), 0.7), velocity(0.7, 0.5), "over its limits");
+}
+
+#[test]
 fn constant_velocities_drive_a_circle() {
     let (linear, angular) = (0.3, 0.4);
     let mut base = Base::new(Position::new(1.0, 2.0), PI / 2.0);
