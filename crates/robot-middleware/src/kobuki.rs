@@ -4,7 +4,7 @@
 
 use std::{f64::consts::PI, time::Duration};
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
 
 use crate::{planar::normalised, random::Stream, world::World};
 
@@ -47,8 +47,6 @@ pub(crate) struct Base {
     pub heading: f64,
     pub velocity: Velocity,
     pub bumper: bool,
-    wanted: Velocity,
-    wanted_until: Timestamp,
 }
 
 /// What a step did: forward metres, and radians turned.
@@ -60,14 +58,7 @@ pub(crate) struct Motion {
 
 impl Base {
     pub fn new(position: Position, heading: f64) -> Self {
-        Self {
-            position,
-            heading: normalised(heading),
-            velocity: Velocity::default(),
-            bumper: false,
-            wanted: Velocity::default(),
-            wanted_until: Timestamp::ZERO,
-        }
+        Self { position, heading: normalised(heading), velocity: Velocity::default(), bumper: false }
     }
 
     /// Where it is, exactly.
@@ -76,15 +67,8 @@ impl Base {
         Pose { z, ..Pose::planar(x, y, self.heading, [0.0; 9], PoseSource::Simulator) }
     }
 
-    /// Wants that velocity until the command timeout.
-    pub fn command(&mut self, now: Timestamp, velocity: Velocity) {
-        self.wanted = velocity;
-        self.wanted_until = now + COMMAND_TIMEOUT;
-    }
-
-    /// Moves on from `at` by `step`.
-    pub fn advance(&mut self, at: Timestamp, step: Duration, world: &World) -> Motion {
-        let wanted = if at < self.wanted_until { self.wanted } else { Velocity::default() };
+    /// Moves on by `step`, towards a velocity that is wanted.
+    pub fn advance(&mut self, wanted: Velocity, step: Duration, world: &World) -> Motion {
         let seconds = step.as_secs_f64();
         self.velocity = Velocity::planar(
             ramp(self.velocity.linear, wanted.linear, LINEAR_RAMP, seconds),

@@ -6,9 +6,9 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, PoseSource, Position, RobotModel, Velocity};
 
-use crate::{kobuki::COMMAND_TIMEOUT, planar::normalised, random::Stream, world::World};
+use crate::{planar::normalised, random::Stream, world::World};
 
 /// Of the outline with its propellers, metres.
 const RADIUS: f64 = RobotModel::Quadrotor.radius();
@@ -51,8 +51,6 @@ pub(crate) struct Airframe {
     velocity: [f64; 3],
     turn: f64,
     pub bumper: bool,
-    wanted: Velocity,
-    wanted_until: Timestamp,
 }
 
 /// How a step changed the pose: metres on the map, and radians turned.
@@ -72,15 +70,7 @@ impl Airframe {
             velocity: [0.0; 3],
             turn: 0.0,
             bumper: false,
-            wanted: Velocity::default(),
-            wanted_until: Timestamp::ZERO,
         }
-    }
-
-    /// Wants that velocity until the command timeout.
-    pub fn command(&mut self, now: Timestamp, velocity: Velocity) {
-        self.wanted = velocity;
-        self.wanted_until = now + COMMAND_TIMEOUT;
     }
 
     pub fn pose(&self) -> Pose {
@@ -89,9 +79,9 @@ impl Airframe {
         Pose { z, roll: self.roll, pitch: self.pitch, ..level }
     }
 
-    /// Flies on from `at` by `step`. On the floor it does nothing but take off; without commands, it hovers.
-    pub fn advance(&mut self, at: Timestamp, step: Duration, world: &World) -> Flown {
-        let commanded = if at < self.wanted_until { self.wanted } else { Velocity::default() };
+    /// Flies on by `step`, towards a velocity that is commanded. On the floor it does nothing but take off; without
+    /// commands, it hovers.
+    pub fn advance(&mut self, commanded: Velocity, step: Duration, world: &World) -> Flown {
         let lands = self.position.z <= 0.0 && commanded.vertical <= 0.0;
         let wanted = if lands { Velocity::default() } else { commanded };
         let seconds = step.as_secs_f64();

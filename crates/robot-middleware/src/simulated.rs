@@ -35,21 +35,14 @@ enum Body {
 }
 
 impl Body {
-    fn command(&mut self, now: Timestamp, wanted: Velocity) {
-        match self {
-            Self::Turtlebot2(base, _) => base.command(now, wanted),
-            Self::Quadrotor(airframe, _) => airframe.command(now, wanted),
-        }
-    }
-
-    fn advance(&mut self, at: Timestamp, step: Duration, world: &World) {
+    fn advance(&mut self, wanted: Velocity, step: Duration, world: &World) {
         match self {
             Self::Turtlebot2(base, odometer) => {
-                let motion = base.advance(at, step, world);
+                let motion = base.advance(wanted, step, world);
                 odometer.advance(motion, step);
             }
             Self::Quadrotor(airframe, odometer) => {
-                let flown = airframe.advance(at, step, world);
+                let flown = airframe.advance(wanted, step, world);
                 odometer.advance(airframe, flown, step);
             }
         }
@@ -73,6 +66,8 @@ pub struct SimulatedRobot {
     /// Up to when physics was computed.
     at: Timestamp,
     body: Body,
+    /// The last command, and until when it is followed.
+    wanted: (Velocity, Timestamp),
     lidar: Lidar,
 }
 
@@ -117,6 +112,7 @@ impl SimulatedRobot {
             at: Timestamp::ZERO,
             lidar: Lidar::new(seed, &node.id),
             body,
+            wanted: (Velocity::default(), Timestamp::ZERO),
             world,
             id: node.id.clone(),
             model: robot.model,
@@ -145,7 +141,9 @@ impl RobotDriver for SimulatedRobot {
 
     fn advance(&mut self, now: Timestamp) {
         while self.at + Self::STEP <= now {
-            self.body.advance(self.at, Self::STEP, &self.world);
+            let (velocity, until) = self.wanted;
+            let wanted = if self.at < until { velocity } else { Velocity::default() };
+            self.body.advance(wanted, Self::STEP, &self.world);
             self.at = self.at + Self::STEP;
             let rays = RAYS / Self::STEPS_A_TURN;
             let pose = self.pose();
@@ -159,13 +157,13 @@ impl RobotDriver for SimulatedRobot {
         }
         self.advance(now);
         let limited = limited(self.model, velocity, self.speed_limit);
-        self.body.command(now, limited);
+        self.wanted = (limited, now + COMMAND_TIMEOUT);
         Ok(limited)
     }
 
     fn stop(&mut self, now: Timestamp) {
         self.advance(now);
-        self.body.command(now, Velocity::default());
+        self.wanted = (Velocity::default(), now);
     }
 
     fn sensors(&self) -> SensorData {

@@ -5,15 +5,10 @@ use crate::fixtures::{id, room};
 
 const STEP: Duration = Duration::from_millis(20);
 
-fn at(step: u32) -> Timestamp {
-    Timestamp::ZERO + STEP * step
-}
-
-/// Drives at a velocity that is commanded anew with each step.
+/// Drives so many steps at a velocity.
 fn drive(base: &mut Base, velocity: Velocity, steps: u32, world: &World) {
-    for step in 0..steps {
-        base.command(at(step), velocity);
-        base.advance(at(step), STEP, world);
+    for _ in 0..steps {
+        base.advance(velocity, STEP, world);
     }
 }
 
@@ -40,8 +35,7 @@ fn constant_velocities_drive_a_circle() {
     base.velocity = velocity(linear, angular);
     let radius = linear / angular;
     for step in 0..1000 {
-        base.command(at(step), velocity(linear, angular));
-        base.advance(at(step), STEP, &World::open());
+        base.advance(velocity(linear, angular), STEP, &World::open());
         let turned = angular * f64::from(step + 1) * STEP.as_secs_f64();
         // From heading north, counter-clockwise: the centre lies to the west.
         let expected = Position::new(1.0 - radius + radius * turned.cos(), 2.0 + radius * turned.sin());
@@ -61,22 +55,6 @@ fn speed_follows_the_ramps() {
     assert!((base.velocity.linear - 0.18).abs() < 1e-12, "0.6 m/s² for 0.2 s");
     drive(&mut base, velocity(-0.3, -3.0), 100, &World::open());
     assert_eq!(base.velocity, velocity(-0.3, -3.0));
-}
-
-#[test]
-fn without_a_command_for_600_ms_the_base_stops() {
-    let mut base = Base::new(Position::default(), 0.0);
-    base.command(Timestamp::ZERO, velocity(0.2, 1.0));
-    for step in 0..30 {
-        base.advance(at(step), STEP, &World::open());
-    }
-    assert_eq!(base.velocity, velocity(0.2, 1.0), "it follows the command up to 0.6 s");
-    base.advance(at(30), STEP, &World::open());
-    assert!(base.velocity.linear < 0.2);
-    for step in 31..60 {
-        base.advance(at(step), STEP, &World::open());
-    }
-    assert_eq!(base.velocity, velocity(0.0, 0.0));
 }
 
 #[test]
@@ -171,8 +149,8 @@ fn the_covariance_bounds_the_error() {
         let mut base = Base::new(Position::new(3.0, -2.0), 0.5);
         let mut odometer = Odometer::new(seed, &id("robot1"), &base);
         for step in 0..3000 {
-            base.command(at(step), velocity(0.3, if step % 900 < 300 { 0.3 } else { -0.05 }));
-            let motion = base.advance(at(step), STEP, &World::open());
+            let wanted = velocity(0.3, if step % 900 < 300 { 0.3 } else { -0.05 });
+            let motion = base.advance(wanted, STEP, &World::open());
             odometer.advance(motion, STEP);
         }
         let pose = odometer.pose();
@@ -196,12 +174,9 @@ proptest! {
     ) {
         let world = World::new(&room(1.5, 1.0));
         let mut base = Base::new(Position::new(0.6, 0.5), heading);
-        let mut now = 0;
         for (linear, angular, steps) in commands {
             for _ in 0..steps {
-                base.command(at(now), velocity(linear, angular));
-                base.advance(at(now), STEP, &world);
-                now += 1;
+                base.advance(velocity(linear, angular), STEP, &world);
                 prop_assert!(world.distance(base.position, RADIUS) >= RADIUS - 1e-9);
                 prop_assert!(base.position.x > 0.0 && base.position.x < 1.5);
                 prop_assert!(base.heading > -PI && base.heading <= PI);

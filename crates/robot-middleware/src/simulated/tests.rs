@@ -55,6 +55,18 @@ fn the_pose_says_that_the_simulator_knows_it_and_odometry_that_it_drifts() {
 }
 
 #[test]
+fn without_a_command_for_600_ms_a_robot_stops() {
+    let mut robot = in_room(1);
+    robot.command(Timestamp::ZERO, Velocity::planar(0.2, 1.0)).unwrap();
+    robot.advance(millis(600));
+    assert_eq!(base(&robot).velocity, Velocity::planar(0.2, 1.0), "it follows the command up to 0.6 s");
+    robot.advance(millis(620));
+    assert!(base(&robot).velocity.linear < 0.2);
+    robot.advance(millis(1200));
+    assert_eq!(base(&robot).velocity, Velocity::default());
+}
+
+#[test]
 fn what_it_does_depends_on_time_and_not_on_how_often_it_is_asked() {
     let drive = |seed: u64, every: u64| {
         let mut robot = in_room(seed);
