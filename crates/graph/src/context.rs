@@ -146,6 +146,9 @@ pub struct RobotContext {
     /// still, and refuses to move.
     #[serde(default)]
     pub health: Vec<RobotFault>,
+    /// The speed, m/s, that an instruction limits it to; left out where none does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_limit_mps: Option<f64>,
 }
 
 /// Packets that came to a robot as answers and that it did not follow, counted since the run began.

@@ -148,6 +148,13 @@ pub enum Instruction {
         /// The next waypoint of its walk, for whoever navigates it next.
         waypoint: u32,
     },
+    /// Limit a robot's speed, whoever moves it: what is faster is slowed on the same curve, from its next velocity on.
+    LimitSpeed {
+        /// The robot.
+        robot: NodeId,
+        /// The limit, m/s; with 0 it stands at once, and null takes the limit back.
+        max_speed_mps: Option<f64>,
+    },
     /// Let a robot's radio leave its channel and scan all others.
     Scan {
         /// The robot.
@@ -252,6 +259,7 @@ impl Instruction {
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Move { .. } => "move",
+            Self::LimitSpeed { .. } => "limit_speed",
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
             Self::Place { .. } => "place",

@@ -99,6 +99,7 @@ fn robot(n: u64) -> Stamped {
         },
         waypoint: 3,
         health: Vec::new(),
+        speed_limit_mps: None,
     };
     Stamped { at: Timestamp::from_nanos(tick * TICK), event: Event::Robot(context) }
 }

@@ -45,6 +45,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
                 "odometry_source",
                 "linear", "angular", "bumper", "nearest_obstacle_m", "health",
                 "z", "roll", "pitch", "odometry_z", "odometry_roll", "odometry_pitch", "vertical",
+                "speed_limit_mps",
             ],
             series: &["robot"],
             children: Some(("attachment", &["radio_unit", "attached", "signal_dbm"])),
@@ -154,6 +155,10 @@ pub(crate) fn storable(stamped: &Stamped) -> bool {
             Event::Decision(Decision { instruction: Instruction::Condition { change, .. }, .. }) => {
                 finite(change)
             }
+            Event::Decision(Decision {
+                instruction: Instruction::LimitSpeed { max_speed_mps: Some(limit), .. },
+                ..
+            }) => limit.is_finite(),
             _ => true,
         }
 }

@@ -109,9 +109,10 @@ prop_compose! {
         nearest_obstacle_m in of(real()),
         waypoint: u32,
         health in subsequence(RobotFault::ALL.to_vec(), 0..=RobotFault::ALL.len()),
+        speed_limit_mps in of(finite()),
     ) -> RobotContext {
         let sensors = SensorData { pose, odometry, velocity, bumper, nearest_obstacle_m };
-        RobotContext { robot, attachments, sensors, waypoint, health }
+        RobotContext { robot, attachments, sensors, waypoint, health, speed_limit_mps }
     }
 }
 
@@ -254,6 +255,8 @@ fn instruction() -> impl Strategy<Value = Instruction> {
             velocity,
             waypoint
         }),
+        (node(), of(finite()))
+            .prop_map(|(robot, max_speed_mps)| Instruction::LimitSpeed { robot, max_speed_mps }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
         (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),

@@ -72,6 +72,7 @@ fn robot(n: u64) -> Stamped {
         },
         waypoint: 0,
         health: Default::default(),
+        speed_limit_mps: None,
     };
     Stamped { at: at(n), event: Event::Robot(context) }
 }

@@ -397,9 +397,10 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                     Err(Refused(format!("what a note names has 1 to {LONGEST_NAME} characters")))
                 }
             }
-            Instruction::Move { .. } | Instruction::Halt { .. } | Instruction::Go { .. } => {
-                Err(Refused("movements are the Robot Middleware's".to_owned()))
-            }
+            Instruction::Move { .. }
+            | Instruction::LimitSpeed { .. }
+            | Instruction::Halt { .. }
+            | Instruction::Go { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
         }
     }
 

@@ -38,7 +38,14 @@ fn moved(second: u64) -> Arc<Stamped> {
         nearest_obstacle_m: None,
     };
     let robot = NodeId::new("tb2").unwrap();
-    let context = RobotContext { robot, attachments: Vec::new(), sensors, waypoint: 0, health: Vec::new() };
+    let context = RobotContext {
+        robot,
+        attachments: Vec::new(),
+        sensors,
+        waypoint: 0,
+        health: Vec::new(),
+        speed_limit_mps: None,
+    };
     Arc::new(Stamped { at: Timestamp::from_nanos(second * 1_000_000_000), event: Event::Robot(context) })
 }
 

@@ -82,6 +82,7 @@ fn events() -> Vec<Event> {
             },
             waypoint: 3,
             health: vec![RobotFault::TimeJump],
+            speed_limit_mps: Some(0.25),
         }),
         Event::Radio(RadioContext {
             radio_unit: node("R-1"),

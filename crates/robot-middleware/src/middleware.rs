@@ -57,6 +57,9 @@ pub enum MoveRefused {
     /// It is to stand still.
     #[error("robot `{0}` is halted: let it go first")]
     Halted(NodeId),
+    /// It cannot be limited to that speed, m/s.
+    #[error("a speed limit is a number of m/s from 0 on, and {0} is none")]
+    NotALimit(f64),
     /// The robot cannot do that.
     #[error("robot `{robot}`: {reason}")]
     Command {
@@ -110,6 +113,8 @@ struct Managed {
     told_scan: Option<Timestamp>,
     /// It stands still, whatever its navigation says.
     halted: bool,
+    /// m/s.
+    speed_limit: Option<f64>,
     rejected: Rejected,
 }
 
@@ -233,10 +238,20 @@ impl RobotMiddleware {
         let robot = driver.robot().clone();
         let (health, told_scan) = (Vec::new(), None);
         let (localization, due) = (None, None);
-        let (flagged, halted) = (false, false);
+        let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = Rejected::none(&robot);
-        let managed =
-            Managed { driver, service, localization, due, flagged, health, told_scan, halted, rejected };
+        let managed = Managed {
+            driver,
+            service,
+            localization,
+            due,
+            flagged,
+            health,
+            told_scan,
+            halted,
+            speed_limit,
+            rejected,
+        };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
             self.due.remove(&(at, robot.clone()));
@@ -335,6 +350,7 @@ impl RobotMiddleware {
                     sensors: managed.sensors(),
                     waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
                     health: managed.health.clone(),
+                    speed_limit_mps: managed.speed_limit,
                 };
                 self.events.push_back(Stamped { at: now, event: Event::Robot(context) });
                 let rejected = managed.rejected.news(now).map(Event::AnswersRejected);
@@ -478,6 +494,27 @@ impl RobotMiddleware {
         Ok(())
     }
 
+    /// Limits a robot's speed, m/s, or takes its limit back ([`cotorra_graph::Instruction::LimitSpeed`]).
+    ///
+    /// # Errors
+    /// [`MoveRefused::UnknownRobot`] and [`MoveRefused::NotALimit`]; then the robot keeps the limit that it had.
+    pub fn limit_speed(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        limit: Option<f64>,
+    ) -> Result<(), MoveRefused> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+        if let Some(limit) = limit.filter(|limit| !(limit.is_finite() && *limit >= 0.0)) {
+            return Err(MoveRefused::NotALimit(limit));
+        }
+        managed.speed_limit = limit;
+        if limit == Some(0.0) {
+            managed.driver.stop(now);
+        }
+        Ok(())
+    }
+
     /// Stops a robot, if there is one of that name.
     pub fn stop(&mut self, now: Timestamp, robot: &NodeId) {
         if let Some(managed) = self.robots.get_mut(robot) {
@@ -539,13 +576,14 @@ impl Managed {
         }
     }
 
-    /// Commands the driver, and tells once if it was asked for what the robot cannot do.
+    /// Commands the driver, within the robot's speed limit, and tells once if it was asked for what the robot cannot do.
     fn command(
         &mut self,
         now: Timestamp,
         velocity: Velocity,
         events: &mut VecDeque<Stamped>,
     ) -> Result<(), CommandRefused> {
+        let velocity = self.speed_limit.map_or(velocity, |limit| slowed(velocity, limit));
         let done = self.driver.command(now, velocity);
         let flag = match &done {
             Ok(done) if *done == velocity => None,
@@ -595,6 +633,18 @@ impl Managed {
         self.driver.stop(now);
         let robot = self.driver.robot().clone();
         events.push_back(Stamped { at: now, event: Event::WalkFinished { robot } });
+    }
+}
+
+/// The part of a velocity that a speed limit, m/s, leaves, on the same curve. With 0 it does not even turn.
+fn slowed(wanted: Velocity, limit: f64) -> Velocity {
+    let speed = wanted.linear.hypot(wanted.vertical);
+    if speed > limit {
+        wanted.scaled(limit / speed)
+    } else if limit == 0.0 && wanted.is_finite() {
+        Velocity::default()
+    } else {
+        wanted
     }
 }
 

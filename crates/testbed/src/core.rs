@@ -295,6 +295,10 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
                 let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
                 moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
             }
+            Instruction::LimitSpeed { robot, max_speed_mps } => {
+                let done = self.middleware.limit_speed(now, robot, *max_speed_mps);
+                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
             Instruction::Halt { robot } | Instruction::Go { robot } => {
                 let halted = matches!(instruction, Instruction::Halt { .. });
                 let done = self.middleware.halt(now, robot, halted);

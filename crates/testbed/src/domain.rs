@@ -208,6 +208,7 @@ impl DomainView {
         };
         match instruction {
             Instruction::Move { robot, .. }
+            | Instruction::LimitSpeed { robot, .. }
             | Instruction::Scan { robot }
             | Instruction::Halt { robot }
             | Instruction::Go { robot }

@@ -69,7 +69,17 @@ pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f
             nearest_obstacle_m: None,
         };
         let attachments = attachments.collect();
-        (id(robot), RobotContext { robot: id(robot), attachments, sensors, waypoint: 0, health: Vec::new() })
+        (
+            id(robot),
+            RobotContext {
+                robot: id(robot),
+                attachments,
+                sensors,
+                waypoint: 0,
+                health: Vec::new(),
+                speed_limit_mps: None,
+            },
+        )
     });
     let at = Timestamp::from_secs_f64(at);
     site.survey(at, &radio.into_iter().collect(), &robots.collect(), &BTreeMap::new())

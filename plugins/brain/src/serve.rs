@@ -103,6 +103,7 @@ fn context(packet: &PositionPacket) -> RobotContext {
         },
         waypoint: packet.waypoint,
         health: Vec::new(),
+        speed_limit_mps: None,
     }
 }
 

@@ -522,6 +522,7 @@ walks:
             sensors,
             waypoint: 0,
             health: Vec::new(),
+            speed_limit_mps: None,
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {

@@ -198,6 +198,7 @@ links:
             },
             waypoint: 0,
             health: Vec::new(),
+            speed_limit_mps: None,
         })
     }
 

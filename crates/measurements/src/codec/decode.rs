@@ -175,6 +175,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             row.height(&mut sensors.pose)?;
             row.height(&mut sensors.odometry)?;
             sensors.velocity.vertical = row.real()?;
+            let speed_limit_mps = row.0.real()?;
             let attachments = children(source, |mut row| {
                 Ok(Attachment {
                     radio_unit: row.name()?,
@@ -182,7 +183,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                     signal: row.0.real()?.map(Dbm),
                 })
             })?;
-            Event::Robot(RobotContext { robot, attachments, sensors, waypoint, health })
+            Event::Robot(RobotContext { robot, attachments, sensors, waypoint, health, speed_limit_mps })
         }
         Kind::Radio => {
             let (radio_unit, channel, load) = (row.name()?, row.small()?, row.real()?);
@@ -290,7 +291,8 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     let instruction = row.text()?;
     let subject: Arc<str> = required(row.0.name()?)?;
     let object: Option<Arc<str>> = row.0.name()?;
-    let velocity = Velocity::planar(row.real()?, row.real()?);
+    let linear = row.0.real()?;
+    let velocity = Velocity::planar(linear.unwrap_or(f64::NAN), row.real()?);
     let waypoint = row.0.integer()?.and_then(|n| u32::try_from(n).ok());
     let direction = row.optional_direction()?;
     let change = row.0.text()?;
@@ -299,6 +301,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     let node = || required(object.as_deref())?.parse::<NodeId>().map_err(unreadable);
     Ok(match instruction.as_str() {
         "move" => Instruction::Move { robot: robot()?, velocity, waypoint: required(waypoint)? },
+        "limit_speed" => Instruction::LimitSpeed { robot: robot()?, max_speed_mps: linear },
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },

@@ -91,7 +91,8 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(faults(&context.health), Fields::text)
                 .height(&sensors.pose)
                 .height(&sensors.odometry)
-                .real(sensors.velocity.vertical);
+                .real(sensors.velocity.vertical)
+                .optional(context.speed_limit_mps, Fields::real);
             for attachment in &context.attachments {
                 children
                     .name(attachment.radio_unit.as_str())
@@ -223,6 +224,11 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             put("move", robot.as_str(), None);
             row.real(velocity.linear).real(velocity.angular).integer((*waypoint).into());
             row.0.extend([Value::Null, Value::Null]);
+        }
+        Instruction::LimitSpeed { robot, max_speed_mps } => {
+            put("limit_speed", robot.as_str(), None);
+            row.optional(*max_speed_mps, Fields::real);
+            row.0.extend([const { Value::Null }; 4]);
         }
         Instruction::Scan { robot } => {
             put("scan", robot.as_str(), None);

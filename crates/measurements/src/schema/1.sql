@@ -132,6 +132,7 @@ CREATE TABLE robot (
     odometry_roll      REAL,
     odometry_pitch     REAL,
     vertical           REAL,            -- upward
+    speed_limit_mps    REAL,            -- that an instruction set; NULL: none
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 
@@ -311,10 +312,10 @@ CREATE TABLE decision (
     at_ns       INTEGER NOT NULL,
     seq         INTEGER NOT NULL,
     plugin      INTEGER NOT NULL,
-    instruction TEXT    NOT NULL,      -- move, scan, attach, place, map, condition
+    instruction TEXT    NOT NULL,      -- move, limit_speed, scan, attach, place, map, condition
     subject     INTEGER NOT NULL,
     object      INTEGER,
-    "linear"    REAL,
+    "linear"    REAL,                  -- of limit_speed: the limit; NULL: none
     angular     REAL,
     waypoint    INTEGER,
     direction   INTEGER,               -- NULL: both

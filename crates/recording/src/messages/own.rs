@@ -35,6 +35,8 @@ message! {
         nearest_obstacle_m: f64,
         /// What is wrong with it, for people; empty if nothing is.
         health: Vec<String>,
+        /// The speed, m/s, that an instruction limits it to; NaN if none does.
+        speed_limit_mps: f64,
     }
 }
 

@@ -1,8 +1,8 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{
-    BitRate, DomainId, HardwareGraph, Kpis, PoseSource, Service, ServiceId, ServiceTime, VirtualLink, Vnf,
-    VnfId,
+    BitRate, DomainId, HardwareGraph, Kpis, Pose, PoseSource, Service, ServiceId, ServiceTime, VirtualLink,
+    Vnf, VnfId,
 };
 
 use super::*;
@@ -360,6 +360,97 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     middleware.advance(at(2_500), attached);
     assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
     assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveRefused::UnknownRobot(id("nobody"))));
+}
+
+/// Keeps what it is told.
+struct Told(NodeId, std::sync::mpsc::Sender<Velocity>);
+
+impl RobotDriver for Told {
+    fn robot(&self) -> &NodeId {
+        &self.0
+    }
+    fn command_timeout(&self) -> Duration {
+        ms(600)
+    }
+    fn advance(&mut self, _now: Timestamp) {}
+    fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+        self.1.send(velocity).unwrap();
+        Ok(velocity)
+    }
+    fn stop(&mut self, _now: Timestamp) {
+        self.1.send(Velocity::default()).unwrap();
+    }
+    fn sensors(&self) -> SensorData {
+        let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Odometry);
+        let velocity = Velocity::default();
+        SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None }
+    }
+    fn scan(&self) -> Option<&Scan> {
+        None
+    }
+}
+
+#[test]
+fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
+    let (tell, told) = std::sync::mpsc::channel();
+    let robot = id("robot1");
+    let service = ServiceEndpoint::new(
+        ServiceId::new("navigation").unwrap(),
+        &walk("robot1", &[(1.0, 1.0), (3.0, 1.0)]),
+        ms(600),
+        1,
+    );
+    let mut middleware = RobotMiddleware::new(ms(100), Nonces::seeded(1));
+    middleware.add(Box::new(Told(robot.clone(), tell)), Some(service));
+    let wanted = Velocity { linear: 0.3, vertical: 0.4, angular: 1.0 };
+    let mut now = 0;
+    let mut follows = |middleware: &mut RobotMiddleware| {
+        now += 200;
+        middleware.instruct(at(now), &robot, wanted, 1).unwrap();
+        let packet = middleware.poll_position(at(now), route).unwrap();
+        middleware.receive(at(now), &robot, SERVER, &NavigationPacket::answering(&packet, 1, wanted.into()));
+        [told.try_recv().unwrap(), told.try_recv().unwrap()]
+    };
+    assert_eq!(follows(&mut middleware), [wanted; 2]);
+    middleware.limit_speed(at(0), &robot, Some(0.25)).unwrap();
+    assert_eq!(follows(&mut middleware), [wanted.scaled(0.5); 2]);
+    middleware.limit_speed(at(0), &robot, Some(0.5)).unwrap();
+    assert_eq!(follows(&mut middleware), [wanted; 2], "it is as fast");
+    for wrong in [-0.1, f64::NAN, f64::INFINITY] {
+        let refused = middleware.limit_speed(at(0), &robot, Some(wrong));
+        assert!(matches!(refused, Err(MoveRefused::NotALimit(_))), "{refused:?}");
+    }
+    assert_eq!(follows(&mut middleware), [wanted; 2]);
+    middleware.limit_speed(at(0), &robot, None).unwrap();
+    assert_eq!(follows(&mut middleware), [wanted; 2]);
+    assert!(!events(&mut middleware).iter().any(|s| matches!(s.event, Event::Notice { .. })));
+    let unknown = middleware.limit_speed(at(0), &id("nobody"), None);
+    assert_eq!(unknown, Err(MoveRefused::UnknownRobot(id("nobody"))));
+}
+
+#[test]
+fn a_robot_that_is_limited_to_0_stands_at_once_and_does_not_turn() {
+    let mut middleware = middleware();
+    let robot = id("robot1");
+    let limits = |middleware: &mut RobotMiddleware| -> Vec<_> {
+        let contexts = events(middleware).into_iter().filter_map(|stamped| match stamped.event {
+            Event::Robot(context) if context.robot == robot => Some(context.speed_limit_mps),
+            _ => None,
+        });
+        contexts.collect()
+    };
+    middleware.advance(at(0), attached);
+    middleware.instruct(at(0), &robot, Velocity::planar(0.3, 0.0), 1).unwrap();
+    middleware.advance(at(400), attached);
+    assert_eq!(limits(&mut middleware), [None; 2]);
+    middleware.limit_speed(at(400), &robot, Some(0.0)).unwrap();
+    middleware.advance(at(500), attached);
+    let slower = middleware.sensors(&robot).unwrap().velocity.linear;
+    assert!(slower < 0.17, "{slower}");
+    middleware.instruct(at(1500), &robot, Velocity::planar(0.0, 1.0), 1).unwrap();
+    middleware.advance(at(2000), attached);
+    assert_eq!(middleware.sensors(&robot).unwrap().velocity, Velocity::default());
+    assert_eq!(limits(&mut middleware), [Some(0.0); 2]);
 }
 
 #[test]

@@ -124,6 +124,7 @@ fn of_other_domains_radio_units_a_robot_has_what_it_hears() {
         },
         waypoint: 0,
         health: Vec::new(),
+        speed_limit_mps: None,
     };
     let [one, two] =
         told(Event::Robot(context(vec![attachment("A", true, Some(-50.0)), attachment("B", false, None)])));
@@ -160,6 +161,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         let deployed = access_point.clone();
         [
             Instruction::Move { robot: robot(), velocity: Velocity::default(), waypoint: 0 },
+            Instruction::LimitSpeed { robot: robot(), max_speed_mps: Some(0.1) },
             Instruction::Scan { robot: robot() },
             Instruction::Halt { robot: robot() },
             Instruction::Go { robot: robot() },

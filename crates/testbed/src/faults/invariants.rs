@@ -18,6 +18,8 @@ pub enum Invariant {
     Kept,
     /// A robot without fresh commands stops within its command timeout and its braking time.
     Stops,
+    /// No robot goes on faster than its speed limit.
+    Slow,
     /// One instance at most serves a VNF, and every instance that runs is managed.
     Served,
     /// A VNF without an instance is started again.
@@ -34,9 +36,10 @@ pub enum Invariant {
 
 impl Invariant {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Kept,
         Self::Stops,
+        Self::Slow,
         Self::Served,
         Self::Restarted,
         Self::Fits,
@@ -50,6 +53,7 @@ impl Invariant {
         match self {
             Self::Kept => "nothing acknowledged is lost",
             Self::Stops => "a robot without fresh commands stops within its timeout",
+            Self::Slow => "a robot keeps its speed limit",
             Self::Served => "a VNF is served by one instance at most",
             Self::Restarted => "a VNF that nothing serves is started again",
             Self::Fits => "resources are never over-committed",
@@ -154,6 +158,39 @@ impl Stops {
             _ => {}
         }
         Ok(())
+    }
+}
+
+/// [`Invariant::Slow`].
+#[derive(Default)]
+pub(super) struct Slow {
+    /// Each robot's limit, m/s, and since when it has it.
+    limits: BTreeMap<NodeId, (f64, Timestamp)>,
+}
+
+impl Slow {
+    pub(super) fn event(&mut self, stamped: &Stamped, checked: &mut Checked) -> Result<(), Broken> {
+        let Event::Robot(context) = &stamped.event else { return Ok(()) };
+        let Some(limit) = context.speed_limit_mps else {
+            self.limits.remove(&context.robot);
+            return Ok(());
+        };
+        let kept = self.limits.entry(context.robot.clone()).or_insert((limit, stamped.at));
+        if kept.0 != limit {
+            *kept = (limit, stamped.at);
+        }
+        // It follows what it was told before, and brakes then.
+        let follows = COMMAND_TIMEOUT + 2 * SimulatedRobot::STEP;
+        let braked = stamped.at.since(kept.1).saturating_sub(follows).as_secs_f64();
+        let allowed = limit.max(MAX_SPEED - BRAKES.0 * braked) + NOISE.0;
+        checked.note(allowed < MAX_SPEED);
+        let speed = context.sensors.velocity.linear;
+        if speed.abs() <= allowed {
+            return Ok(());
+        }
+        let (robot, since) = (&context.robot, kept.1);
+        let what = format!("{robot} does {speed:.3} m/s, and is limited to {limit:.3} m/s since {since}");
+        Err(Broken(Invariant::Slow, what))
     }
 }
 
@@ -396,6 +433,7 @@ pub(super) fn kept(acknowledged: &[Stamped], found: &[Stamped], checked: &mut Ch
 /// All checkers.
 pub(super) struct Watch {
     stops: Stops,
+    slow: Slow,
     fits: Fits,
     pub(super) decided: Decided,
     pub(super) checked: [Checked; Invariant::ALL.len()],
@@ -405,6 +443,7 @@ impl Watch {
     pub(super) fn new(testbed: &Testbed) -> Self {
         Self {
             stops: Stops::default(),
+            slow: Slow::default(),
             fits: Fits::new(&testbed.graph),
             decided: Decided::default(),
             checked: Default::default(),
@@ -413,6 +452,7 @@ impl Watch {
 
     pub(super) fn event(&mut self, stamped: &Stamped) -> Result<(), Broken> {
         self.stops.event(stamped, &mut self.checked[Invariant::Stops as usize])?;
+        self.slow.event(stamped, &mut self.checked[Invariant::Slow as usize])?;
         self.fits.event(stamped);
         self.decided.event(stamped, &mut self.checked[Invariant::Decided as usize])
     }

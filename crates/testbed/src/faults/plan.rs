@@ -169,6 +169,15 @@ impl Plan {
             let instruction = mapping(&mut mappings, testbed);
             insert(&mut faults, (at, Fault::Instruct { kind: "path mapped", instruction }));
         }
+        let mut limits = Draw::new(seed, "speed limits");
+        for _ in 0..limits.whole(0..=4) {
+            let at = Timestamp::ZERO + limits.duration(0.2, until.as_secs_f64() - 0.2);
+            let robot = limits.one(&names.robots).clone();
+            // A few are none.
+            let max_speed_mps = (!limits.chance(0.2)).then(|| limits.number(-0.05, 0.5));
+            let instruction = Instruction::LimitSpeed { robot, max_speed_mps };
+            insert(&mut faults, (at, Fault::Instruct { kind: "speed limited", instruction }));
+        }
         for number in 1..=draw.whole(0..=2) {
             let how = *draw.one(&[Sabotage::Panic, Sabotage::Hang, Sabotage::Flood]);
             let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("it is a name");

@@ -8,7 +8,7 @@ use cotorra_graph::{
 use cotorra_network_control::vim::{InstanceId, Managed, Stage};
 
 use super::{
-    invariants::{Broken, Decided, Fits, OURS, Stops, View, Watch, conserved, kept, restarted, served},
+    invariants::{Broken, Decided, Fits, OURS, Slow, Stops, View, Watch, conserved, kept, restarted, served},
     plan::Plan,
     *,
 };
@@ -117,7 +117,7 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
         assert!(sizes.contains(&size), "{size:?} is not among {sizes:?}");
     }
     assert!((20..80).contains(&federated), "{federated} of 300 have several domains");
-    assert_eq!(kinds.len(), 22, "{kinds:?}");
+    assert_eq!(kinds.len(), 23, "{kinds:?}");
 }
 
 /// The sum of all runs, whoever did them.
@@ -161,6 +161,7 @@ fn context(linear: f64, angular: f64) -> Event {
         sensors,
         waypoint: 0,
         health: Vec::new(),
+        speed_limit_mps: None,
     })
 }
 
@@ -208,6 +209,25 @@ fn a_robot_that_moves_on_without_fresh_commands_is_found() {
     };
     assert!(!moved(order(None), 1.5, 0.3, 0.0).0);
     assert!(moved(order(Some("it is halted")), 1.5, 0.3, 0.0).0);
+}
+
+#[test]
+fn a_robot_that_goes_on_faster_than_its_limit_is_found() {
+    let limited = |limit: Option<f64>, speeds: &[(f64, f64)]| {
+        let (mut slow, mut checked) = (Slow::default(), Checked::default());
+        let told = speeds.iter().find_map(|(seconds, speed)| {
+            let Event::Robot(context) = context(*speed, 0.0) else { return None };
+            let event = Event::Robot(RobotContext { speed_limit_mps: limit, ..context });
+            found(slow.event(&stamped(*seconds, event), &mut checked))
+        });
+        (told.is_some(), checked.exercised > 0)
+    };
+    // It may do what it was told before the limit, and then it brakes.
+    assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (1.6, 0.7), (2.0, 0.5), (3.0, 0.2)]), (false, true));
+    assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (2.0, 0.6)]), (true, true));
+    assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (3.0, 0.3)]), (true, true));
+    assert_eq!(limited(Some(0.0), &[(1.0, 0.7), (9.0, -0.1)]), (true, true));
+    assert_eq!(limited(None, &[(1.0, 0.7), (9.0, 0.7)]), (false, false));
 }
 
 #[test]
@@ -398,6 +418,16 @@ fn the_watch_asks_every_checker() {
     assert_eq!(watch.state(&good()).err().map(|Broken(i, _)| i), Some(Invariant::Decided));
     let moving = watch.event(&stamped(1.0, context(0.1, 0.0)));
     assert_eq!(moving.err().map(|Broken(i, _)| i), Some(Invariant::Stops));
+    let fast = |seconds: f64| {
+        let Event::Robot(context) = context(0.5, 0.0) else { panic!("it is one") };
+        stamped(seconds, Event::Robot(RobotContext { speed_limit_mps: Some(0.1), ..context }))
+    };
+    let mut watch = Watch::new(&testbed);
+    for second in [1.0, 2.0, 3.0] {
+        watch.event(&stamped(second, sample(Some(Duration::from_millis(20))))).unwrap();
+        let told = watch.event(&fast(second + 0.1)).err().map(|Broken(i, _)| i);
+        assert_eq!(told, (second > 2.0).then_some(Invariant::Slow));
+    }
 }
 
 /// Every kind of fault happens, and every promise is tried. scripts/test does many more runs.
@@ -411,7 +441,7 @@ fn whatever_goes_wrong_no_promise_is_broken() {
         let Checked { checks, exercised } = tested.checked[invariant as usize];
         assert!(exercised > 0, "{invariant:?} was checked {checks} times, and never exercised");
     }
-    assert_eq!(tested.faults.len(), 22, "{:?}", tested.faults);
+    assert_eq!(tested.faults.len(), 23, "{:?}", tested.faults);
 }
 
 /// Faults leave the ledger something to do.

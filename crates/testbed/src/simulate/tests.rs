@@ -111,6 +111,57 @@ fn the_same_seed_gives_the_same_events_and_another_seed_others() {
     assert_ne!(first, events_of(&testbed, 8, 60.0));
 }
 
+/// Gives each of these instructions at its time, s, and returns all events until `seconds`.
+fn instructed(testbed: Arc<Testbed>, instructions: &[(f64, Instruction)], seconds: f64) -> Vec<Stamped> {
+    let mut simulation = Simulation::new(testbed, 1).unwrap();
+    let (mut left, mut events) = (instructions.iter().peekable(), Vec::new());
+    while simulation.now().as_secs_f64() < seconds {
+        let next = left.peek().map_or(seconds, |(at, _)| *at);
+        simulation.set_alarm(Some(Timestamp::from_secs_f64(next)));
+        let now = simulation.step().as_secs_f64();
+        while let Some((_, instruction)) = left.next_if(|(at, _)| *at <= now) {
+            simulation.instruct("test".parse().unwrap(), instruction.clone(), None).unwrap();
+        }
+        events.extend(std::iter::from_fn(|| simulation.poll_event()));
+    }
+    events
+}
+
+/// What a robot's contexts say, with their times.
+fn contexts(events: &[Stamped]) -> impl Iterator<Item = (f64, &RobotContext)> {
+    events.iter().filter_map(|stamped| match &stamped.event {
+        Event::Robot(context) => Some((stamped.at.as_secs_f64(), context)),
+        _ => None,
+    })
+}
+
+/// On the ground and in the air, and navigation knows nothing of it.
+#[test]
+fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
+    for (file, limit, brakes_for) in [("corridor.yaml", 0.1, 1.5), ("hall.yaml", 0.4, 3.0)] {
+        let testbed = loaded(file);
+        let robot = testbed.graph.robots().next().unwrap().0.id.clone();
+        let limited = |max_speed_mps| Instruction::LimitSpeed { robot: robot.clone(), max_speed_mps };
+        let (from, to) = (10.0, 30.0);
+        let events = instructed(testbed, &[(from, limited(Some(limit))), (to, limited(None))], 50.0);
+        let fastest = |begin: f64, end: f64| {
+            let within = contexts(&events).filter(|(at, _)| (begin..end).contains(at));
+            let speeds = within.map(|(_, context)| context.sensors.velocity);
+            speeds.map(|v| v.linear.hypot(v.vertical)).fold(0.0, f64::max)
+        };
+        let slow = fastest(from + brakes_for, to);
+        assert!((0.8 * limit..1.1 * limit).contains(&slow), "{file}: {slow} m/s");
+        assert!(fastest(0.0, from) > 2.0 * limit && fastest(to, 50.0) > 2.0 * limit, "{file}");
+        for (at, context) in contexts(&events) {
+            // κ of the very moment may come before the instruction or after it.
+            let expected = (from + 0.1..to - 0.1).contains(&at).then_some(limit);
+            if expected.is_some() || !(from - 0.1..to + 0.1).contains(&at) {
+                assert_eq!(context.speed_limit_mps, expected, "{file}: at {at}");
+            }
+        }
+    }
+}
+
 /// Navigation whose answers are 3 s old would drive the robot from what it saw then.
 #[test]
 fn a_robot_that_only_hears_stale_answers_stops_within_its_command_timeout() {
