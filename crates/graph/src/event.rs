@@ -13,9 +13,10 @@ use crate::{
         AnswersRejected, Handover, Lateness, LinkContext, Placement, RadioContext, RobotContext, ServiceTime,
         Velocity, VirtualLinkMapping,
     },
+    goal::GoalEvent,
     hardware::Direction,
     id::{LinkId, NodeId, PluginId, VnfId},
-    units::{Timestamp, millis},
+    units::{Position, Timestamp, millis},
 };
 
 /// An event and when it happened.
@@ -76,6 +77,8 @@ pub enum Event {
     },
     /// The emulator's lateness since the run began, periodically.
     Lateness(Lateness),
+    /// Something became of a goal that a robot was given.
+    Goal(GoalEvent),
     /// A robot reached the end of its walk.
     WalkFinished {
         /// The robot.
@@ -154,6 +157,13 @@ pub enum Instruction {
         robot: NodeId,
         /// The limit, m/s; with 0 it stands at once, and null takes the limit back.
         max_speed_mps: Option<f64>,
+    },
+    /// Let a robot leave its walk for a goal, and stand there; [`Event::Goal`] tells what becomes of that.
+    NavigateTo {
+        /// The robot.
+        robot: NodeId,
+        /// The goal, which takes the place of the one before; null lets the robot go on with its walk.
+        goal: Option<Position>,
     },
     /// Let a robot's radio leave its channel and scan all others.
     Scan {
@@ -260,6 +270,7 @@ impl Instruction {
         match self {
             Self::Move { .. } => "move",
             Self::LimitSpeed { .. } => "limit_speed",
+            Self::NavigateTo { .. } => "navigate_to",
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
             Self::Place { .. } => "place",

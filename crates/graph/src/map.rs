@@ -91,6 +91,16 @@ impl OccupancyGrid {
         }
     }
 
+    /// Where a place lies that is no free ground; `None` for one that is.
+    pub fn not_free(&self, place: Position) -> Option<&'static str> {
+        match (self.index(place), self.at(place)) {
+            (None, _) => Some("off the map"),
+            (_, Cell::Occupied) => Some("in a wall"),
+            (_, Cell::Unknown) => Some("where the map knows nothing"),
+            (_, Cell::Free) => None,
+        }
+    }
+
     /// The cell at a place; `Unknown` off the map.
     pub fn at(&self, place: Position) -> Cell {
         self.index(place).map_or(Cell::Unknown, |(column, row)| self.cell(column, row))

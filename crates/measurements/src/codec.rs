@@ -7,7 +7,9 @@ mod encode;
 
 use std::borrow::Cow;
 
-use cotorra_graph::{ConditionChange, Conditions, Decision, Direction, Event, Instruction, Loss, Stamped};
+use cotorra_graph::{
+    ConditionChange, Conditions, Decision, Direction, Event, Instruction, Loss, Position, Stamped,
+};
 
 pub(crate) use self::{
     decode::{ReadError, Source, decode, decode_conditions},
@@ -87,6 +89,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),
         Kind::Notice => plain(&["message"]),
         Kind::AnswersRejected => plain(&["robot", "late", "forged", "repeated", "unknown", "invalid"]),
+        Kind::Goal => plain(&["robot", "x", "y", "z", "state", "remaining_m", "reason"]),
     }
 }
 
@@ -159,6 +162,10 @@ pub(crate) fn storable(stamped: &Stamped) -> bool {
                 instruction: Instruction::LimitSpeed { max_speed_mps: Some(limit), .. },
                 ..
             }) => limit.is_finite(),
+            Event::Decision(Decision {
+                instruction: Instruction::NavigateTo { goal: Some(Position { x, y, z }), .. },
+                ..
+            }) => [x, y, z].into_iter().all(|metres| metres.is_finite()),
             _ => true,
         }
 }

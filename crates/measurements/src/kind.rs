@@ -57,6 +57,8 @@ kinds! {
     Notice = "notice",
     /// Answers that robots did not follow.
     AnswersRejected = "answers_rejected",
+    /// What became of robots' goals.
+    Goal = "goal",
 }
 
 impl Kind {
@@ -83,6 +85,7 @@ impl Kind {
             Event::WalkFinished { .. } => Self::WalkFinished,
             Event::Notice { .. } => Self::Notice,
             Event::AnswersRejected(_) => Self::AnswersRejected,
+            Event::Goal(_) => Self::Goal,
         }
     }
 }

@@ -7,11 +7,11 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction,
-    Event, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId,
-    Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit,
-    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped,
-    StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
-    VnfState,
+    Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
+    LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position,
+    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
+    ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::vec,
@@ -257,6 +257,7 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         }),
         (node(), of(finite()))
             .prop_map(|(robot, max_speed_mps)| Instruction::LimitSpeed { robot, max_speed_mps }),
+        (node(), of(position(finite))).prop_map(|(robot, goal)| Instruction::NavigateTo { robot, goal }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
         (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
@@ -316,6 +317,19 @@ fn vnf_event() -> impl Strategy<Value = VnfEvent> {
     })
 }
 
+fn position<S: Strategy<Value = f64>>(metres: impl Fn() -> S) -> impl Strategy<Value = Position> {
+    (metres(), metres(), metres()).prop_map(|(x, y, z)| Position { x, y, z })
+}
+
+prop_compose! {
+    fn goal_event()(
+        robot in node(), goal in position(real), state in select(GoalState::ALL.to_vec()),
+        remaining_m in of(real()), reason in of(".*"),
+    ) -> GoalEvent {
+        GoalEvent { robot, goal, state, remaining_m, reason }
+    }
+}
+
 /// Any event that a history can hold.
 pub fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
@@ -338,6 +352,7 @@ pub fn event() -> impl Strategy<Value = Event> {
         (any::<u64>(), real(), real(), real()).prop_map(|(frames, p50_us, p99_us, max_us)| {
             Event::Lateness(Lateness { frames, p50_us, p99_us, max_us })
         }),
+        goal_event().prop_map(Event::Goal),
         node().prop_map(|robot| Event::WalkFinished { robot }),
         ".*".prop_map(|message| Event::Notice { message }),
         (node(), any::<[u64; 5]>()).prop_map(|(robot, [late, forged, repeated, unknown, invalid])| {

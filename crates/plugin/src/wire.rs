@@ -3,9 +3,9 @@
 //!
 //! Everything that a navigation VNF must know to answer travels in the position packet, so that an instance on
 //! another server can take over with the next one. Both are a header of [`HEADER_LEN`] bytes, little endian like the
-//! CDR behind it, then the robot's name (position packets only), then one ROS message in CDR: a pose in the one, a twist
-//! in the other. The pose comes without stamp, which is in the header, and without covariance, which navigation does not
-//! need, and which would be most of the packet. Its frame is the map's.
+//! CDR behind it, then the robot's name (position packets only), what is said of a goal (only where there is one), then
+//! one ROS message in CDR: a pose in the one, a twist in the other. The pose comes without stamp, which is in the header,
+//! and without covariance, which navigation does not need, and which would be most of the packet. Its frame is the map's.
 //!
 //! | bytes | field |
 //! |---|---|
@@ -13,15 +13,18 @@
 //! | 4 | version, 3 |
 //! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose |
 //! | 6 | length of the robot's name; 0 in answers |
-//! | 7 | 0 |
+//! | 7 | 0 on the walk, 1 on the way to a goal; in answers also 2 at the goal, 3 no way leads there |
 //! | 8..12 | sequence number |
 //! | 12..16 | next waypoint |
 //! | 16..24 | time of emission, ns since the run began |
 //! | 24..32 | nonce: an answer has that of the packet that it answers |
+//!
+//! Of a goal, a position packet has x, y and z as 64-bit floats in metres. An answer on the way to it has the metres that
+//! are left, as one; an answer that no way leads there has why, in UTF-8, and the length of that in byte 6.
 
 mod localization;
 
-use cotorra_graph::{NodeId, Testbed, Timestamp, VnfId};
+use cotorra_graph::{NodeId, Position, Testbed, Timestamp, VnfId};
 
 pub use localization::{MAX_BEAMS, PosePacket, ScanPacket};
 
@@ -36,6 +39,10 @@ pub const HEADER_LEN: usize = 32;
 
 const MAGIC: [u8; 4] = *b"ctra";
 const VERSION: u8 = 3;
+/// The place in the header of the length of the text behind it …
+const TEXT_LEN_AT: usize = 6;
+/// … and of what is said of a goal.
+const GOAL_AT: usize = 7;
 
 /// The UDP port where a bundled VNF of a testbed listens, wherever it runs: each VNF has one of its own, in the order of the file, so that
 /// one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
@@ -79,6 +86,9 @@ pub enum WireError {
         /// Ranges that it has.
         found: usize,
     },
+    /// What cannot be said of a goal.
+    #[error("the packet says of a goal what makes no sense")]
+    Goal,
     /// NaN or infinity where only a number makes sense.
     #[error("the packet says what is no finite number")]
     NotFinite,
@@ -98,6 +108,8 @@ pub struct PositionPacket {
     pub nonce: u64,
     /// The next waypoint of the robot's walk, from 0.
     pub waypoint: u32,
+    /// Where it shall go in place of its walk.
+    pub goal: Option<Position>,
     /// Who emits it.
     pub robot: NodeId,
     /// Where it is.
@@ -112,6 +124,10 @@ impl PositionPacket {
         let PositionPacket { sequence, waypoint, emitted, nonce, .. } = *self;
         write_header(buffer, Kind::Position, name_len, sequence, waypoint, emitted, nonce);
         buffer.extend_from_slice(name.as_bytes());
+        if let Some(Position { x, y, z }) = self.goal {
+            buffer[GOAL_AT] = 1;
+            [x, y, z].iter().for_each(|metres| buffer.extend_from_slice(&metres.to_le_bytes()));
+        }
         self.pose.encode(buffer);
     }
 
@@ -121,12 +137,21 @@ impl PositionPacket {
     /// [`WireError`] if `datagram` is not exactly one position packet.
     pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
         let header = Header::read(datagram, Kind::Position)?;
-        let (robot, message) = header.robot(datagram)?;
+        let (robot, mut message) = header.robot(datagram)?;
+        let goal = match header.goal {
+            0 => None,
+            1 => {
+                let mut metres = || header.metres(&mut message, datagram);
+                Some(Position { x: metres()?, y: metres()?, z: metres()? })
+            }
+            _ => return Err(WireError::Goal),
+        };
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
             nonce: header.nonce,
             waypoint: header.waypoint,
+            goal,
             robot,
             pose: Pose::decode(message)?,
         })
@@ -146,18 +171,44 @@ pub struct NavigationPacket {
     pub waypoint: u32,
     /// How to move.
     pub velocity: Twist,
+    /// How far the robot is on the way to its goal, if it has one.
+    pub headway: Option<Headway>,
+}
+
+/// How far a robot is on the way to its goal.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Headway {
+    /// So many metres are left.
+    Left(f64),
+    /// It is there.
+    Arrived,
+    /// No way leads there, and why; of the reason, 255 bytes at most are sent.
+    Blocked(String),
 }
 
 impl NavigationPacket {
-    /// The answer to a position packet.
+    /// The answer to a position packet of a robot on its walk.
     pub fn answering(position: &PositionPacket, waypoint: u32, velocity: Twist) -> Self {
         let PositionPacket { sequence, emitted, nonce, .. } = *position;
-        Self { sequence, emitted, nonce, waypoint, velocity }
+        Self { sequence, emitted, nonce, waypoint, velocity, headway: None }
     }
 
     /// Writes the packet to `buffer`, in place of what it held.
     pub fn encode(&self, buffer: &mut Vec<u8>) {
         write_header(buffer, Kind::Navigation, 0, self.sequence, self.waypoint, self.emitted, self.nonce);
+        match &self.headway {
+            None => {}
+            Some(Headway::Left(metres)) => {
+                buffer[GOAL_AT] = 1;
+                buffer.extend_from_slice(&metres.to_le_bytes());
+            }
+            Some(Headway::Arrived) => buffer[GOAL_AT] = 2,
+            Some(Headway::Blocked(reason)) => {
+                let reason = &reason[..reason.floor_char_boundary(usize::from(u8::MAX))];
+                [buffer[TEXT_LEN_AT], buffer[GOAL_AT]] = [reason.len() as u8, 3];
+                buffer.extend_from_slice(reason.as_bytes());
+            }
+        }
         self.velocity.encode(buffer);
     }
 
@@ -167,15 +218,26 @@ impl NavigationPacket {
     /// [`WireError`] if `datagram` is not exactly one navigation packet.
     pub fn decode(datagram: &[u8]) -> Result<Self, WireError> {
         let header = Header::read(datagram, Kind::Navigation)?;
-        if header.name_len != 0 {
-            return Err(WireError::Robot);
-        }
+        let mut rest = header.rest;
+        let headway = match (header.goal, header.name_len) {
+            (0, 0) => None,
+            (1, 0) => Some(Headway::Left(header.metres(&mut rest, datagram)?)),
+            (2, 0) => Some(Headway::Arrived),
+            (3, len) => {
+                let (reason, behind) = rest.split_at_checked(len).ok_or(WireError::Short(datagram.len()))?;
+                rest = behind;
+                Some(Headway::Blocked(str::from_utf8(reason).map_err(|_| WireError::Goal)?.to_owned()))
+            }
+            (0..=2, _) => return Err(WireError::Robot),
+            _ => return Err(WireError::Goal),
+        };
         Ok(Self {
             sequence: header.sequence,
             emitted: header.emitted,
             nonce: header.nonce,
             waypoint: header.waypoint,
-            velocity: Twist::decode(header.rest)?,
+            velocity: Twist::decode(rest)?,
+            headway,
         })
     }
 }
@@ -213,6 +275,7 @@ enum Kind {
 
 struct Header<'a> {
     name_len: usize,
+    goal: u8,
     sequence: u32,
     waypoint: u32,
     emitted: Timestamp,
@@ -258,12 +321,20 @@ impl<'a> Header<'a> {
         }
         Ok(Self {
             name_len: usize::from(name_len),
+            goal: header[GOAL_AT],
             sequence: word(8),
             waypoint: word(12),
             emitted: Timestamp::from_nanos(long(16)),
             nonce: long(24),
             rest,
         })
+    }
+
+    /// Takes metres off the front of what follows.
+    fn metres(&self, rest: &mut &'a [u8], datagram: &[u8]) -> Result<f64, WireError> {
+        let (metres, behind) = rest.split_first_chunk().ok_or(WireError::Short(datagram.len()))?;
+        *rest = behind;
+        Some(f64::from_le_bytes(*metres)).filter(|metres| metres.is_finite()).ok_or(WireError::NotFinite)
     }
 
     /// The robot's name, and what follows it.
@@ -289,6 +360,7 @@ mod tests {
             emitted: Timestamp::from_nanos(1_400_000_123),
             nonce: 0x0123_4567_89ab_cdef,
             waypoint: 3,
+            goal: None,
             robot: NodeId::new("robot1").unwrap(),
             pose: (&pose).into(),
         }
@@ -317,6 +389,64 @@ mod tests {
         assert_eq!(read, answer);
         assert_eq!((read.sequence, read.emitted, read.waypoint), (7, position().emitted, 4));
         assert_eq!(read.nonce, position().nonce);
+    }
+
+    #[test]
+    fn a_goal_follows_the_name_and_its_answer_says_how_far_it_is() {
+        let goal = Some(Position::new(-1.5, 2.25).at_height(0.5));
+        let packet = PositionPacket { goal, ..position() };
+        let (mut with, mut without) = (Vec::new(), Vec::new());
+        packet.encode(&mut with);
+        position().encode(&mut without);
+        assert_eq!((with[7], with.len()), (1, without.len() + 24));
+        let metres = [-1.5f64, 2.25, 0.5].map(f64::to_le_bytes).concat();
+        assert_eq!(with[38..62], metres);
+        assert_eq!((&with[8..38], &with[62..]), (&without[8..38], &without[38..]));
+        assert_eq!(PositionPacket::decode(&with).unwrap(), packet);
+
+        let walks = NavigationPacket::answering(&packet, 3, Velocity::planar(0.3, -0.1).into());
+        for (headway, said, more) in [
+            (Headway::Left(4.75), 1, 8),
+            (Headway::Arrived, 2, 0),
+            (Headway::Blocked("a wall is there".to_owned()), 3, 15),
+            (Headway::Blocked(String::new()), 3, 0),
+        ] {
+            let answer = NavigationPacket { headway: Some(headway), ..walks.clone() };
+            answer.encode(&mut with);
+            assert_eq!((with[7], with.len()), (said, 32 + more + 4 + 48));
+            assert_eq!(NavigationPacket::decode(&with).unwrap(), answer);
+        }
+        // A reason is cut between two letters.
+        let long = NavigationPacket { headway: Some(Headway::Blocked("ä".repeat(200))), ..walks };
+        long.encode(&mut with);
+        assert_eq!(NavigationPacket::decode(&with).unwrap().headway, Some(Headway::Blocked("ä".repeat(127))));
+    }
+
+    #[test]
+    fn what_cannot_be_said_of_a_goal_is_refused() {
+        let mut bytes = Vec::new();
+        PositionPacket { goal: Some(Position::default()), ..position() }.encode(&mut bytes);
+        let with = |at: usize, values: &[u8]| {
+            let mut changed = bytes.clone();
+            changed[at..at + values.len()].copy_from_slice(values);
+            PositionPacket::decode(&changed)
+        };
+        assert!(matches!(with(7, &[2]), Err(WireError::Goal)));
+        assert!(matches!(with(46, &f64::NAN.to_le_bytes()), Err(WireError::NotFinite)));
+        assert!(matches!(with(7, &[0]), Err(WireError::Message(_))), "the goal is no pose");
+        assert!(matches!(PositionPacket::decode(&bytes[..61]), Err(WireError::Short(61))));
+
+        let answer = NavigationPacket::answering(&position(), 3, Velocity::default().into());
+        NavigationPacket { headway: Some(Headway::Blocked("ä".to_owned())), ..answer }.encode(&mut bytes);
+        let with = |at: usize, value: u8| {
+            let mut changed = bytes.clone();
+            changed[at] = value;
+            NavigationPacket::decode(&changed)
+        };
+        assert!(matches!(with(7, 4), Err(WireError::Goal)));
+        assert!(matches!(with(7, 2), Err(WireError::Robot)), "a reason, though it is there");
+        assert!(matches!(with(32, 0xff), Err(WireError::Goal)), "the reason is no UTF-8");
+        assert!(matches!(with(6, 255), Err(WireError::Short(86))));
     }
 
     #[test]
@@ -360,12 +490,14 @@ mod tests {
         fn packets_come_back_as_they_were(
             sequence: u32, waypoint: u32, emitted: u64, nonce: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
             x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
+            goal in proptest::option::of((-1e9..1e9, -1e9..1e9, 0.0..1e3)), reason in ".{0,60}",
         ) {
             let mut packet = position();
             (packet.sequence, packet.waypoint) = (sequence, waypoint);
             (packet.emitted, packet.nonce) = (Timestamp::from_nanos(emitted), nonce);
             packet.robot = NodeId::new(&name).unwrap();
             packet.pose.position.x = x;
+            packet.goal = goal.map(|(x, y, z)| Position { x, y, z });
             let mut bytes = Vec::new();
             packet.encode(&mut bytes);
             prop_assert_eq!(PositionPacket::decode(&bytes).unwrap(), packet.clone());
@@ -373,8 +505,12 @@ mod tests {
             let mut twist = Twist::default();
             twist.angular.z = x;
             let answer = NavigationPacket::answering(&packet, waypoint, twist);
-            answer.encode(&mut bytes);
-            prop_assert_eq!(NavigationPacket::decode(&bytes).unwrap(), answer);
+            let left = packet.goal.map(|goal| Headway::Left(goal.z));
+            for headway in [None, Some(Headway::Arrived), Some(Headway::Blocked(reason)), left] {
+                let answer = NavigationPacket { headway, ..answer.clone() };
+                answer.encode(&mut bytes);
+                prop_assert_eq!(NavigationPacket::decode(&bytes).unwrap(), answer);
+            }
         }
     }
 }

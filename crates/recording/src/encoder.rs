@@ -121,6 +121,7 @@ impl Encoder {
             }
             Event::AnswersRejected(_)
             | Event::Detached { .. }
+            | Event::Goal(_)
             | Event::Scanned { .. }
             | Event::Vnf(_)
             | Event::PluginFault { .. }

@@ -1,6 +1,8 @@
 //! What ROS has standard messages for when things are told to people: the log, and diagnostics.
 
-use cotorra_graph::{AnswersRejected, Event, Lateness, RadioContext, Timestamp, VnfEvent, VnfState};
+use cotorra_graph::{
+    AnswersRejected, Event, GoalEvent, GoalState, Lateness, RadioContext, Timestamp, VnfEvent, VnfState,
+};
 use cotorra_plugin::messages::{Byte, Header};
 
 use crate::messages::{DiagnosticArray, DiagnosticStatus, KeyValue, Log};
@@ -33,6 +35,18 @@ pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
             (level, robot.as_str(), counts)
         }
         Event::WalkFinished { robot } => (INFO, robot.as_str(), "is at the end of its walk".to_owned()),
+        Event::Goal(GoalEvent { robot, goal, state, reason, .. }) => {
+            let (level, said) = match state {
+                GoalState::Progress => return None,
+                GoalState::Set => (INFO, "leaves its walk for"),
+                GoalState::Reached => (INFO, "is at its goal"),
+                GoalState::Replaced => (INFO, "has another goal in place of"),
+                GoalState::Canceled => (INFO, "goes no more to"),
+                GoalState::Failed => (WARN, "finds no way to"),
+            };
+            let reason = reason.iter().map(|reason| format!(": {reason}")).collect::<String>();
+            (level, robot.as_str(), format!("{said} {goal}{reason}"))
+        }
         Event::Placement(placement) => (INFO, placement.vnf.as_str(), format!("runs on {}", placement.node)),
         Event::Vnf(event) => {
             let level = if is_well(event) { INFO } else { ERROR };

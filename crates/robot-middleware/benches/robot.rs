@@ -96,6 +96,7 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
         emitted: now,
         nonce: 5,
         waypoint: 3,
+        goal: None,
         robot: NodeId::new("robot1").expect("a name"),
         pose: (&pose).into(),
     };

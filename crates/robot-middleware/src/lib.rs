@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 mod driver;
+mod errand;
 #[cfg(test)]
 mod fixtures;
 mod heard;

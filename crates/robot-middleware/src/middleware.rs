@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, Event, Node, NodeId, NodeKind, Position, Program, RobotContext, RobotFault,
-    SensorData, Stamped, Testbed, Timestamp, Velocity,
+    AnswersRejected, Attachment, Event, GoalState, Node, NodeId, NodeKind, OccupancyGrid, Position, Program,
+    RobotContext, RobotFault, RobotModel, SensorData, Stamped, Testbed, Timestamp, Velocity,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
@@ -26,6 +26,8 @@ use crate::{
     world::World,
 };
 
+/// A goal is no farther from the map's origin in any direction, metres.
+const FARTHEST: f64 = 1e6;
 /// Rejected answers are told no more often.
 const REJECTIONS: Duration = Duration::from_secs(1);
 
@@ -57,6 +59,19 @@ pub enum MoveRefused {
     /// It is to stand still.
     #[error("robot `{0}` is halted: let it go first")]
     Halted(NodeId),
+    /// Nobody can navigate it.
+    #[error("no navigation VNF serves robot `{0}`, and nobody else takes goals")]
+    NoNavigation(NodeId),
+    /// It cannot go there.
+    #[error("robot `{robot}` cannot go to {goal}: {reason}")]
+    Goal {
+        /// The robot.
+        robot: NodeId,
+        /// Where it was to go.
+        goal: Position,
+        /// Why not.
+        reason: String,
+    },
     /// It cannot be limited to that speed, m/s.
     #[error("a speed limit is a number of m/s from 0 on, and {0} is none")]
     NotALimit(f64),
@@ -87,6 +102,8 @@ pub struct SensedScan {
 /// and [`Self::next_deadline`] when to call [`Self::advance`] next.
 pub struct RobotMiddleware {
     robots: BTreeMap<NodeId, Managed>,
+    map: Option<OccupancyGrid>,
+    world: Arc<World>,
     context_interval: Duration,
     next_context: Timestamp,
     nonces: Nonces,
@@ -102,6 +119,8 @@ pub struct RobotMiddleware {
 struct Managed {
     driver: Box<dyn RobotDriver>,
     service: Option<ServiceEndpoint>,
+    /// Its model, if a navigation VNF answers its position packets.
+    navigated: Option<RobotModel>,
     localization: Option<Localized>,
     /// Its entry in `due`.
     due: Option<Timestamp>,
@@ -159,6 +178,8 @@ impl RobotMiddleware {
         assert!(!context_interval.is_zero(), "contexts need an interval above zero");
         Self {
             robots: BTreeMap::new(),
+            map: None,
+            world: Arc::new(World::open()),
             context_interval,
             next_context: Timestamp::ZERO,
             nonces,
@@ -204,7 +225,8 @@ impl RobotMiddleware {
     ) -> Result<Self, E> {
         let mut middleware = Self::new(context_interval, nonces);
         let world = Arc::new(testbed.map.as_ref().map_or_else(World::open, World::new));
-        for (node, _) in testbed.graph.robots() {
+        (middleware.map, middleware.world) = (testbed.map.clone(), Arc::clone(&world));
+        for (node, robot) in testbed.graph.robots() {
             let walk = testbed.walk(&node.id);
             let driver = drive(node, SimulatedRobot::new(node, walk, Arc::clone(&world), seed)?)?;
             let of_robot = || testbed.services.iter().filter(|service| service.robot == node.id);
@@ -216,7 +238,11 @@ impl RobotMiddleware {
             let endpoint = walk.zip(navigated.next()).map(|(walk, service)| {
                 ServiceEndpoint::new(service.id.clone(), walk, driver.command_timeout(), seed)
             });
+            let navigated = endpoint.is_some() && of_robot().any(|s| runs(s, Program::Navigation));
             middleware.add(driver, endpoint);
+            if let Some(managed) = middleware.robots.get_mut(&node.id).filter(|_| navigated) {
+                managed.navigated = Some(robot.model);
+            }
             if of_robot().any(|service| runs(service, Program::Localization)) {
                 middleware.localize(node);
             }
@@ -237,12 +263,13 @@ impl RobotMiddleware {
     pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
         let (health, told_scan) = (Vec::new(), None);
-        let (localization, due) = (None, None);
+        let (navigated, localization, due) = (None, None, None);
         let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = Rejected::none(&robot);
         let managed = Managed {
             driver,
             service,
+            navigated,
             localization,
             due,
             flagged,
@@ -317,10 +344,10 @@ impl RobotMiddleware {
         Some(&*managed.driver)
     }
 
-    /// Whether every walk is at its end; false where there is none.
+    /// Whether every walk is at its end, and no robot has a goal; false where there is no walk.
     pub fn finished(&self) -> bool {
         let mut services = self.robots.values().filter_map(|managed| managed.service.as_ref()).peekable();
-        services.peek().is_some() && services.all(ServiceEndpoint::finished)
+        services.peek().is_some() && services.all(ServiceEndpoint::is_idle)
     }
 
     /// When something is due: κ, a position packet, or the end of the wait for an answer.
@@ -450,6 +477,12 @@ impl RobotMiddleware {
         if answer.finished {
             managed.finish(now, &mut self.events);
         }
+        if let Some(goal) = answer.goal {
+            if matches!(goal.state, GoalState::Reached | GoalState::Failed) {
+                managed.driver.stop(now);
+            }
+            self.events.push_back(Stamped { at: now, event: Event::Goal(goal) });
+        }
         self.note_due(robot);
     }
 
@@ -491,6 +524,30 @@ impl RobotMiddleware {
         if halted {
             managed.driver.stop(now);
         }
+        Ok(())
+    }
+
+    /// Gives a robot a goal in place of its walk, or takes it back ([`cotorra_graph::Instruction::NavigateTo`]).
+    ///
+    /// # Errors
+    /// [`MoveRefused`]; the robot then goes where it went before.
+    pub fn navigate_to(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        goal: Option<Position>,
+    ) -> Result<(), MoveRefused> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+        let Some((service, model)) = managed.service.as_mut().zip(managed.navigated) else {
+            return Err(MoveRefused::NoNavigation(robot.clone()));
+        };
+        if let Some(goal) = goal {
+            unreachable(goal, model, self.map.as_ref(), &self.world)
+                .map_or(Ok(()), |reason| Err(MoveRefused::Goal { robot: robot.clone(), goal, reason }))?;
+        }
+        let told = service.set_goal(now, goal).map(|goal| Stamped { at: now, event: Event::Goal(goal) });
+        self.events.extend(told);
+        self.note_due(robot);
         Ok(())
     }
 
@@ -634,6 +691,32 @@ impl Managed {
         let robot = self.driver.robot().clone();
         events.push_back(Stamped { at: now, event: Event::WalkFinished { robot } });
     }
+}
+
+/// Why a robot of that model can never be at a place, as far as the map tells at once.
+fn unreachable(
+    goal: Position,
+    model: RobotModel,
+    map: Option<&OccupancyGrid>,
+    world: &World,
+) -> Option<String> {
+    let within = |metres: f64| metres.abs() <= FARTHEST;
+    if !(within(goal.x) && within(goal.y) && within(goal.z)) {
+        return Some(format!("it is no place within {FARTHEST} m"));
+    }
+    if goal.z < 0.0 || (goal.z > 0.0 && !model.flies()) {
+        let name = model.name();
+        return Some(if goal.z < 0.0 {
+            "it is below the floor".into()
+        } else {
+            format!("no {name} leaves the floor")
+        });
+    }
+    if let Some(lies) = map.and_then(|map| map.not_free(goal)) {
+        return Some(format!("it is {lies}"));
+    }
+    let clear = world.distance(goal, model.radius());
+    (clear < model.radius()).then(|| format!("it is {clear:.2} m from an obstacle, too near for the robot"))
 }
 
 /// The part of a velocity that a speed limit, m/s, leaves, on the same curve. With 0 it does not even turn.

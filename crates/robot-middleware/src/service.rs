@@ -3,16 +3,19 @@
 
 use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 
-use cotorra_graph::{NodeId, Pose, ServiceId, ServiceTime, Timestamp, Velocity, Walk};
+use cotorra_graph::{
+    GoalEvent, GoalState, NodeId, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
+};
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
-use crate::{middleware::Route, random::Stream, rejection::Rejection};
+use crate::{errand::Errand, middleware::Route, random::Stream, rejection::Rejection};
 
 /// The robot's end of the navigation service, as a state machine.
 ///
 /// A position packet is answered within the robot's command timeout, by whom it was sent to and with its nonce, or counts as
 /// unanswered. Each is measured once. The robot follows an answer only if it is to a newer position packet than any that it
-/// followed before: one that was overtaken is measured and not followed. Everything else is rejected ([`Rejection`]).
+/// followed before: one that was overtaken is measured and not followed. So is one to a packet from before the robot was
+/// given another goal, or none. Everything else is rejected ([`Rejection`]).
 #[derive(Debug, Clone)]
 pub struct ServiceEndpoint {
     service: ServiceId,
@@ -25,6 +28,10 @@ pub struct ServiceEndpoint {
     sequence: u32,
     /// The next waypoint.
     waypoint: u32,
+    /// Where the robot goes in place of its walk.
+    errand: Option<Errand>,
+    /// How often that changed.
+    errands: u32,
     /// The newest position packet whose answer was followed.
     followed: Option<u32>,
     /// Emitted and neither answered nor given up, oldest first.
@@ -39,6 +46,8 @@ struct Pending {
     emitted: Timestamp,
     nonce: u64,
     route: Route,
+    /// How often the goal had changed, and whether there was one.
+    errand: (u32, bool),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -57,6 +66,8 @@ pub struct Answer {
     pub velocity: Option<Velocity>,
     /// Whether the walk ended with this answer.
     pub finished: bool,
+    /// What became of the robot's goal.
+    pub goal: Option<GoalEvent>,
 }
 
 impl ServiceEndpoint {
@@ -79,6 +90,8 @@ impl ServiceEndpoint {
             next_emission: Timestamp::ZERO + interval.mul_f64(phase),
             sequence: 0,
             waypoint: 0,
+            errand: None,
+            errands: 0,
             followed: None,
             pending: VecDeque::new(),
             past: VecDeque::new(),
@@ -90,9 +103,30 @@ impl ServiceEndpoint {
         self.waypoint
     }
 
-    /// Whether the walk is at its end. No position packet is emitted from then on.
+    /// Whether the walk is at its end.
     pub fn finished(&self) -> bool {
         self.waypoint == self.walk_length
+    }
+
+    /// Whether no position packet is emitted any more: the walk is at its end, and there is no goal.
+    pub fn is_idle(&self) -> bool {
+        self.finished() && self.errand.is_none()
+    }
+
+    /// Gives the robot a goal in place of its walk, or takes it back. Returns what is to be told of the goal before, and of
+    /// the new one.
+    pub fn set_goal(
+        &mut self,
+        now: Timestamp,
+        goal: Option<Position>,
+    ) -> impl Iterator<Item = GoalEvent> + use<> {
+        let ends = if goal.is_some() { GoalState::Replaced } else { GoalState::Canceled };
+        let before = self.errand.take().filter(|errand| !errand.has_ended());
+        self.errand = goal.map(|goal| Errand::new(now, goal));
+        self.errands = self.errands.wrapping_add(1);
+        let before = before.map(|errand| errand.event(&self.robot, ends));
+        let set = self.errand.as_ref().map(|errand| errand.event(&self.robot, GoalState::Set));
+        before.into_iter().chain(set)
     }
 
     /// Whether the walk has that waypoint; its length, which says that it is at its end, included.
@@ -116,14 +150,14 @@ impl ServiceEndpoint {
 
     /// When a position packet is due or an unanswered one is given up.
     pub fn next_deadline(&self) -> Option<Timestamp> {
-        let emission = (!self.finished()).then_some(self.next_emission);
+        let emission = (!self.is_idle()).then_some(self.next_emission);
         let given_up = self.pending.front().map(|p| p.emitted + self.timeout);
         [emission, given_up].into_iter().flatten().min()
     }
 
     /// Whether a position packet is due.
     pub fn is_due(&self, now: Timestamp) -> bool {
-        !self.finished() && self.next_emission <= now
+        !self.is_idle() && self.next_emission <= now
     }
 
     /// The position packet that is due at `now`, if one is, with the robot's pose then; it takes the route given. One that is due for more than
@@ -135,12 +169,15 @@ impl ServiceEndpoint {
         self.skip(now);
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
-        self.pending.push_back(Pending { sequence, emitted: now, nonce, route });
+        let goal = self.errand.as_ref().map(Errand::goal);
+        let errand = (self.errands, goal.is_some());
+        self.pending.push_back(Pending { sequence, emitted: now, nonce, route, errand });
         Some(PositionPacket {
             sequence,
             emitted: now,
             nonce,
             waypoint: self.waypoint,
+            goal,
             robot: self.robot.clone(),
             pose: pose.into(),
         })
@@ -180,16 +217,31 @@ impl ServiceEndpoint {
             // It is given up at the next `expire`.
             return Err(Rejection::Late);
         }
+        if packet.headway.is_some() != asked.errand.1 {
+            return Err(Rejection::Invalid);
+        }
         let pending = self.pending.remove(place).expect("`position` found it there");
         self.remember(&pending, true);
+        let of_this_errand = pending.errand.0 == self.errands;
         let service_time = self.measured(pending, Some(took));
+        let mut answer = Answer { service_time, velocity: None, finished: false, goal: None };
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
-        if !newest || self.finished() || !self.has_waypoint(packet.waypoint) {
-            return Ok(Answer { service_time, velocity: None, finished: false });
+        if !newest || !of_this_errand {
+            return Ok(answer);
+        }
+        if let (Some(errand), Some(headway)) = (&mut self.errand, &packet.headway) {
+            answer.goal = errand.hear(now, &self.robot, headway);
+            if errand.has_ended() {
+                return Ok(answer);
+            }
+        } else if self.finished() || !self.has_waypoint(packet.waypoint) {
+            return Ok(answer);
+        } else {
+            answer.finished = self.reach(packet.waypoint);
         }
         self.followed = Some(packet.sequence);
-        let finished = self.reach(packet.waypoint);
-        Ok(Answer { service_time, velocity: Some((&packet.velocity).into()), finished })
+        answer.velocity = Some((&packet.velocity).into());
+        Ok(answer)
     }
 
     /// Why an answer is rejected that is to no packet under way.

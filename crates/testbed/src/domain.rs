@@ -171,6 +171,7 @@ impl DomainView {
             Event::Link(context) => self.sees_link(&context.link),
             Event::Placement(placement) => self.sees_vnf(&placement.vnf, &placement.node),
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
+            Event::Goal(goal) => self.owns(&goal.robot),
             Event::ServiceTime(sample) => self.owns(&sample.robot),
             Event::AnswersRejected(counts) => self.owns(&counts.robot),
             Event::Handover(handover) => self.owns(&handover.robot),
@@ -209,6 +210,7 @@ impl DomainView {
         match instruction {
             Instruction::Move { robot, .. }
             | Instruction::LimitSpeed { robot, .. }
+            | Instruction::NavigateTo { robot, .. }
             | Instruction::Scan { robot }
             | Instruction::Halt { robot }
             | Instruction::Go { robot }

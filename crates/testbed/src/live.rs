@@ -100,6 +100,7 @@ impl Live {
             Event::WalkFinished { robot } => now.finished.push(robot),
             Event::PluginFault { plugin, reason } => now.plugin_faults.push(format!("{plugin}: {reason}")),
             Event::AnswersRejected(_)
+            | Event::Goal(_)
             | Event::Handover(_)
             | Event::Detached { .. }
             | Event::Scanned { .. }

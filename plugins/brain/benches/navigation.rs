@@ -60,7 +60,7 @@ fn packet_to_packet(bencher: Bencher) {
     pose.source = PoseSource::Localization;
     let pose = (&pose).into();
     let (mut datagram, mut answer) = (Vec::new(), Vec::new());
-    PositionPacket { sequence: 0, emitted: at, nonce: 5, waypoint: 3, robot: robot(), pose }
+    PositionPacket { sequence: 0, emitted: at, nonce: 5, waypoint: 3, goal: None, robot: robot(), pose }
         .encode(&mut datagram);
     bencher.bench_local(|| vnf.answer(&datagram, &mut answer).is_ok());
 }

@@ -17,8 +17,10 @@ mod testing;
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use cotorra_graph::{Event, Instruction, NodeId, RobotContext, RobotModel, Testbed, Timestamp};
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_graph::{
+    Event, Instruction, NodeId, Pose, Position, RobotContext, RobotModel, Testbed, Timestamp, Velocity,
+};
+use cotorra_plugin::{Actions, Plugin, wire::Headway};
 
 pub use crate::serve::{NavigationVnf, NoWalk, Rejected, serve};
 use crate::{costmap::Costmap, navigation::Navigation};
@@ -41,6 +43,20 @@ impl Brain {
     /// For one robot, as a navigation VNF serves it.
     pub fn for_robot(robot: NodeId) -> Self {
         Self { only: Some(robot), ..Self::default() }
+    }
+
+    /// How a robot moves from a pose to a goal, and how far it is on the way there; `None` for a robot without a walk.
+    pub(crate) fn approach(
+        &mut self,
+        robot: &NodeId,
+        pose: &Pose,
+        goal: Position,
+    ) -> Option<(Velocity, Headway)> {
+        Some(match self.navigations.get_mut(robot)?.approach(pose, goal) {
+            Ok(Some((velocity, left))) => (velocity, Headway::Left(left)),
+            Ok(None) => (Velocity::default(), Headway::Arrived),
+            Err(unreachable) => (Velocity::default(), Headway::Blocked(unreachable.to_string())),
+        })
     }
 
     /// A brain for each of its robots.

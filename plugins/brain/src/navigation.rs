@@ -1,7 +1,8 @@
-//! One robot's walk: which waypoint is next, which way leads there, and how to move now.
+//! One robot's walk: which waypoint is next, which way leads there, and how to move now; or the same to a goal.
 //!
 //! What it answers depends on the robot's pose and next waypoint alone, never on what it saw before: so that an
-//! instance on another server goes on where this one stopped. What it keeps between calls is only computed ahead.
+//! instance on another server goes on where this one stopped. What it keeps between calls is only computed ahead. To a goal
+//! it keeps to the way that it planned; an instance on another server plans one from where the robot is then.
 
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use cotorra_graph::{Pose, Position, Velocity, Walk};
 
 use crate::{
     costmap::Costmap,
-    path::Path,
+    path::{Path, Projection},
     planner::{Planner, Unreachable},
     pursuit,
 };
@@ -45,6 +46,8 @@ pub struct Navigation {
     /// The way to each waypoint from the one before it; to the first there is none.
     legs: Vec<Option<Result<Path, Unreachable>>>,
     detour: Option<Detour>,
+    /// The last goal, and the way there from where the robot was.
+    errand: Option<(Position, Path)>,
 }
 
 /// The way to a waypoint from a place off its leg.
@@ -62,7 +65,7 @@ impl Navigation {
         let mut leg = |pair: &[Position]| Some(way(map.as_deref(), &mut planner, pair[0], pair[1]));
         let first = walk.waypoints.first().map(|_| None);
         let legs = first.into_iter().chain(walk.waypoints.windows(2).map(&mut leg)).collect();
-        Self { map, walk, planner: Planner::default(), legs, detour: None }
+        Self { map, walk, planner: Planner::default(), legs, detour: None, errand: None }
     }
 
     /// How to move from `pose` when `waypoint` is the next one.
@@ -81,6 +84,28 @@ impl Navigation {
         }
     }
 
+    /// How to move from `pose` to a goal, and metres that are left; `None` at the goal.
+    ///
+    /// # Errors
+    /// [`Unreachable`] says why no way leads there.
+    pub fn approach(&mut self, pose: &Pose, goal: Position) -> Result<Option<(Velocity, f64)>, Unreachable> {
+        if !pose.is_finite() {
+            return Err(Unreachable::NoPose);
+        }
+        let (map, here) = (self.map.as_deref(), pose.position());
+        if here.distance(goal) <= ARRIVED {
+            return Ok(None);
+        }
+        let known = self.errand.take().filter(|(to, path)| *to == goal && near(map, path, here).is_some());
+        let (_, path) = match known {
+            Some(known) => self.errand.insert(known),
+            None => self.errand.insert((goal, way(map, &mut self.planner, here, goal)?)),
+        };
+        let on = path.project(here);
+        let velocity = pursuit::follow(map, path, &on, pose, self.walk.speed_limit);
+        Ok(Some((velocity, on.distance + path.remaining(&on))))
+    }
+
     /// The first waypoint from `waypoint` on that is not reached yet.
     fn next_waypoint(&self, here: Position, waypoint: usize) -> usize {
         let waypoints = &self.walk.waypoints;
@@ -92,12 +117,10 @@ impl Navigation {
     fn drive(&mut self, pose: &Pose, next: usize) -> Result<Velocity, Unreachable> {
         let (map, limit) = (self.map.as_deref(), self.walk.speed_limit);
         let here = pose.position();
-        if let Some(Ok(leg)) = &self.legs[next] {
-            let on = leg.project(here);
-            let in_sight = || map.is_none_or(|map| map.sees(here, on.place));
-            if on.distance <= OFF_PATH && in_sight() {
-                return Ok(pursuit::follow(map, leg, &on, pose, limit));
-            }
+        if let Some(Ok(leg)) = &self.legs[next]
+            && let Some(on) = near(map, leg, here)
+        {
+            return Ok(pursuit::follow(map, leg, &on, pose, limit));
         }
         // The same place gives the same detour, whoever plans it and whatever was planned before.
         let from = map.and_then(|map| map.cell_at(here).map(|cell| map.centre(cell))).unwrap_or(here);
@@ -111,6 +134,13 @@ impl Navigation {
         let path = detour.path.as_ref().map_err(|&reason| reason)?;
         Ok(pursuit::follow(map, path, &path.project(here), pose, limit))
     }
+}
+
+/// The place on a path where a robot is, if it is near the path and sees it.
+fn near(map: Option<&Costmap>, path: &Path, here: Position) -> Option<Projection> {
+    let on = path.project(here);
+    let in_sight = || map.is_none_or(|map| map.sees(here, on.place));
+    (on.distance <= OFF_PATH && in_sight()).then_some(on)
 }
 
 fn way(

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, convert::Infallible, io, net::UdpSocket};
 use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, SensorData, Testbed, Velocity};
 use cotorra_plugin::{
     Actions, Plugin, vnf,
-    wire::{NavigationPacket, PositionPacket, WireError},
+    wire::{Headway, NavigationPacket, PositionPacket, WireError},
 };
 
 use crate::Brain;
@@ -71,6 +71,19 @@ impl NavigationVnf {
     /// [`Rejected`] if there is none.
     pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), Rejected> {
         let packet = PositionPacket::decode(datagram)?;
+        if let Some(goal) = packet.goal {
+            let pose = packet.pose.from_source(PoseSource::Localization);
+            let Some((velocity, headway)) = self.brain.approach(&packet.robot, &pose, goal) else {
+                return Err(Rejected::Stranger(packet.robot));
+            };
+            self.standstill = match &headway {
+                Headway::Blocked(reason) => Some(reason.clone()),
+                _ => None,
+            };
+            let walks = NavigationPacket::answering(&packet, packet.waypoint, velocity.into());
+            NavigationPacket { headway: Some(headway), ..walks }.encode(answer);
+            return Ok(());
+        }
         // The robot's time will do for a brain that depends on none.
         let now = packet.emitted;
         self.brain.handle(now, &Event::Robot(context(&packet)), &mut self.actions);
@@ -137,7 +150,7 @@ mod tests {
         NavigationVnf::new(&testbed, &robot()).unwrap()
     }
 
-    fn position(name: &str, sequence: u32, x: f64) -> Vec<u8> {
+    fn towards(goal: Option<Position>, name: &str, sequence: u32, x: f64) -> Vec<u8> {
         let stamp = Timestamp::from_nanos(5_000 + u64::from(sequence));
         let pose = Pose::planar(x, 2.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let mut bytes = Vec::new();
@@ -146,11 +159,16 @@ mod tests {
             emitted: stamp,
             nonce: 5,
             waypoint: 0,
+            goal,
             robot: NodeId::new(name).unwrap(),
             pose: (&pose).into(),
         }
         .encode(&mut bytes);
         bytes
+    }
+
+    fn position(name: &str, sequence: u32, x: f64) -> Vec<u8> {
+        towards(None, name, sequence, x)
     }
 
     #[test]
@@ -185,6 +203,31 @@ mod tests {
         assert_eq!(vnf.standstill(), Some("(9.0, 0.5) is not on the map's floor"));
         let packet = NavigationPacket::decode(&answer).unwrap();
         assert_eq!(Velocity::from(&packet.velocity), Velocity::default());
+    }
+
+    #[test]
+    fn a_goal_takes_the_place_of_the_walk_in_each_answer_and_leaves_nothing() {
+        let mut vnf = vnf(Position::new(9.0, 2.0));
+        let mut answer = Vec::new();
+        let mut asked = |goal: Option<Position>| {
+            vnf.answer(&towards(goal, "robot", 7, 1.0), &mut answer).unwrap();
+            let packet = NavigationPacket::decode(&answer).unwrap();
+            let standstill = vnf.standstill().map(str::to_owned);
+            (Velocity::from(&packet.velocity), packet.waypoint, packet.headway, standstill)
+        };
+        let walks = asked(None);
+        assert_eq!(walks.clone(), (Velocity::planar(0.3, 0.0), 1, None, None));
+        let (velocity, waypoint, headway, _) = asked(Some(Position::new(4.0, 2.0)));
+        assert_eq!((velocity, waypoint), (Velocity::planar(0.3, 0.0), 0), "the walk waits");
+        assert!(matches!(headway, Some(Headway::Left(left)) if (left - 3.0).abs() < 1e-6), "{headway:?}");
+        let there = asked(Some(Position::new(1.1, 2.0)));
+        assert_eq!(there, (Velocity::default(), 0, Some(Headway::Arrived), None));
+        let reason = "(5.0, 0.5) is not on the map's floor".to_owned();
+        let blocked = asked(Some(Position::new(5.0, 0.5)));
+        assert_eq!(blocked, (Velocity::default(), 0, Some(Headway::Blocked(reason.clone())), Some(reason)));
+        assert_eq!(asked(None), walks);
+        let stranger = towards(Some(Position::new(2.0, 2.0)), "other", 8, 5.0);
+        assert!(matches!(vnf.answer(&stranger, &mut answer), Err(Rejected::Stranger(_))));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Event, Instruction, LinkId, Stamped, VirtualLinkMapping};
+use cotorra_graph::{Event, GoalEvent, Instruction, LinkId, Stamped, VirtualLinkMapping};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::args::EventsArgs;
@@ -88,6 +88,16 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             counts.robot, counts.late, counts.forged, counts.repeated, counts.unknown, counts.invalid
         ),
         Event::Detached { robot, from } => format!("{robot} lost {from}"),
+        Event::Goal(GoalEvent { robot, goal, state, remaining_m, reason }) => {
+            let mut text = format!("{robot} to {goal}: {}", state.as_str());
+            if let Some(metres) = remaining_m {
+                let _ = write!(text, ", {metres:.1} m left");
+            }
+            if let Some(reason) = reason {
+                let _ = write!(text, ", {reason}");
+            }
+            text
+        }
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
         Event::Vnf(event) => {
             let state = format!("{:?}", event.state).to_lowercase();
@@ -122,6 +132,8 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::LimitSpeed { robot, max_speed_mps: Some(limit) } => {
             format!("limit {robot} to {limit:.2} m/s")
         }
+        Instruction::NavigateTo { robot, goal: Some(goal) } => format!("send {robot} to {goal}"),
+        Instruction::NavigateTo { robot, goal: None } => format!("send {robot} back to its walk"),
         Instruction::LimitSpeed { robot, max_speed_mps: None } => format!("limit {robot} no more"),
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),

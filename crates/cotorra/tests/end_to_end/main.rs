@@ -35,5 +35,6 @@ mod ros1;
 mod ros2;
 mod run;
 mod stamp;
+mod steer;
 mod sweep;
 mod wais;

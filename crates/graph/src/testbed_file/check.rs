@@ -11,7 +11,6 @@ use crate::{
     driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
     id::NodeId,
-    map::Cell,
     routing::{Edge, Topology},
     service::{Program, Service, Vnf},
     testbed::Testbed,
@@ -351,12 +350,7 @@ fn walks(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
 /// A robot can be there.
 fn free(at: &Spanned<Position>, what: &str, testbed: &Testbed, sink: &mut Sink) {
     let Some(map) = &testbed.map else { return };
-    let lies = match (map.index(at.value), map.at(at.value)) {
-        (None, _) => "off the map",
-        (_, Cell::Occupied) => "in a wall",
-        (_, Cell::Unknown) => "where the map knows nothing",
-        (_, Cell::Free) => return,
-    };
+    let Some(lies) = map.not_free(at.value) else { return };
     let (near, side) = (map.origin(), map.resolution());
     let far = Position::new(near.x + map.width() as f64 * side, near.y + map.height() as f64 * side);
     sink.error(&at.span, format!("the {what} {} lies {lies}", at.value))

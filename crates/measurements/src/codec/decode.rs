@@ -3,11 +3,11 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction,
-    Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, PathKind,
-    Placement, PluginId, Pose, PoseSource, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext,
-    RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace,
-    Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    AnswersRejected, Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState,
+    Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss,
+    NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit,
+    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext,
+    Tested, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::direction_of;
@@ -276,6 +276,14 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             }
             Event::Decision(Decision { plugin, instruction, reason, refused })
         }
+        Kind::Goal => {
+            let (robot, goal) = (row.name()?, Position { x: row.real()?, y: row.real()?, z: row.real()? });
+            let state = row.text()?;
+            let known = GoalState::ALL.into_iter().find(|known| known.as_str() == state);
+            let state =
+                known.ok_or_else(|| unreadable(format_args!("`{state}` is not a state of a goal")))?;
+            Event::Goal(GoalEvent { robot, goal, state, remaining_m: row.0.real()?, reason: row.0.text()? })
+        }
         Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
         Kind::Lateness => Event::Lateness(Lateness {
             frames: row.unsigned()?,
@@ -302,6 +310,9 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     Ok(match instruction.as_str() {
         "move" => Instruction::Move { robot: robot()?, velocity, waypoint: required(waypoint)? },
         "limit_speed" => Instruction::LimitSpeed { robot: robot()?, max_speed_mps: linear },
+        "navigate_to" => {
+            Instruction::NavigateTo { robot: robot()?, goal: change.as_deref().map(json).transpose()? }
+        }
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },

@@ -3,8 +3,8 @@
 use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Conditions, Direction, Event, Instruction, JitterDistribution, Loss, Pose,
-    PoseSource, QueueLimit, Rate, RobotFault, VnfState, millis,
+    AccessPoint, AnswersRejected, Conditions, Direction, Event, GoalEvent, Instruction, JitterDistribution,
+    Loss, Pose, PoseSource, QueueLimit, Rate, RobotFault, VnfState, millis,
 };
 
 use super::{Role, Value, direction_code};
@@ -189,6 +189,15 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             };
             row.optional(moved, Fields::real);
         }
+        Event::Goal(GoalEvent { robot, goal, state, remaining_m, reason }) => {
+            row.name(robot.as_str())
+                .real(goal.x)
+                .real(goal.y)
+                .real(goal.z)
+                .text(state.as_str())
+                .optional(*remaining_m, Fields::real)
+                .optional(reason.as_deref(), Fields::text);
+        }
         Event::PluginFault { plugin, reason } => {
             row.name(plugin.as_str()).text(reason.as_str());
         }
@@ -229,6 +238,13 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             put("limit_speed", robot.as_str(), None);
             row.optional(*max_speed_mps, Fields::real);
             row.0.extend([const { Value::Null }; 4]);
+        }
+        Instruction::NavigateTo { robot, goal } => {
+            put("navigate_to", robot.as_str(), None);
+            row.0.extend([const { Value::Null }; 4]);
+            row.optional(goal.as_ref(), |row, goal| {
+                row.text(serde_json::to_string(goal).expect("finite numbers are JSON"))
+            });
         }
         Instruction::Scan { robot } => {
             put("scan", robot.as_str(), None);

@@ -312,14 +312,14 @@ CREATE TABLE decision (
     at_ns       INTEGER NOT NULL,
     seq         INTEGER NOT NULL,
     plugin      INTEGER NOT NULL,
-    instruction TEXT    NOT NULL,      -- move, limit_speed, scan, attach, place, map, condition
+    instruction TEXT    NOT NULL,      -- move, limit_speed, navigate_to, scan, attach, place, map, condition
     subject     INTEGER NOT NULL,
     object      INTEGER,
     "linear"    REAL,                  -- of limit_speed: the limit; NULL: none
     angular     REAL,
     waypoint    INTEGER,
     direction   INTEGER,               -- NULL: both
-    "change"    TEXT,                  -- JSON: the wished change of conditions
+    "change"    TEXT,                  -- JSON: the wished change of conditions, or goal
     reason      TEXT,
     refused     TEXT,                  -- NULL: it was done
     vertical    REAL,                  -- of a move
@@ -352,6 +352,21 @@ CREATE TABLE walk_finished (
     at_ns INTEGER NOT NULL,
     seq   INTEGER NOT NULL,
     robot INTEGER NOT NULL,
+    PRIMARY KEY (run, at_ns, seq)
+) WITHOUT ROWID;
+
+-- What became of a goal that a robot was given.
+CREATE TABLE goal (
+    run         INTEGER NOT NULL,
+    at_ns       INTEGER NOT NULL,
+    seq         INTEGER NOT NULL,
+    robot       INTEGER NOT NULL,
+    x           REAL,
+    y           REAL,
+    z           REAL,
+    state       TEXT    NOT NULL,       -- set, progress, reached, replaced, canceled, failed
+    remaining_m REAL,                   -- of the way, of progress
+    reason      TEXT,                   -- of a failure
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 

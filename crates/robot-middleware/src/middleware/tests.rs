@@ -5,6 +5,8 @@ use cotorra_graph::{
     Vnf, VnfId,
 };
 
+use cotorra_plugin::wire::Headway;
+
 use super::*;
 use crate::fixtures::{SERVER, id, robot, room, walk};
 
@@ -360,6 +362,105 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     middleware.advance(at(2_500), attached);
     assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
     assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveRefused::UnknownRobot(id("nobody"))));
+}
+
+/// What was told of goals: the state and the goal's x.
+fn goals(middleware: &mut RobotMiddleware) -> Vec<(GoalState, f64)> {
+    let told = events(middleware).into_iter().filter_map(|stamped| match stamped.event {
+        Event::Goal(goal) => Some((goal.state, goal.goal.x)),
+        _ => None,
+    });
+    told.collect()
+}
+
+#[test]
+fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
+    let mut middleware = middleware();
+    let robot = id("robot1");
+    let (near, far) = (Position::new(2.0, 1.0), Position::new(4.0, 1.0));
+    let mut now = 0;
+    let mut answered = |middleware: &mut RobotMiddleware, headway: Option<Headway>| {
+        now += 200;
+        middleware.advance(at(now), attached);
+        let packet = middleware.poll_position(at(now), route).unwrap();
+        let walks = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
+        middleware.receive(at(now), &robot, SERVER, &NavigationPacket { headway, ..walks });
+        packet.goal
+    };
+    use GoalState::{Canceled, Failed, Progress, Reached, Replaced, Set};
+    assert_eq!(answered(&mut middleware, None), None);
+    middleware.navigate_to(at(200), &id("robot1"), Some(near)).unwrap();
+    middleware.navigate_to(at(200), &id("robot1"), Some(far)).unwrap();
+    assert_eq!(goals(&mut middleware), [(Set, 2.0), (Replaced, 2.0), (Set, 4.0)]);
+    for _ in 0..12 {
+        assert_eq!(answered(&mut middleware, Some(Headway::Left(3.0))), Some(far));
+    }
+    assert_eq!(goals(&mut middleware), [(Progress, 4.0); 2], "once a second");
+    for _ in 0..8 {
+        assert_eq!(answered(&mut middleware, Some(Headway::Arrived)), Some(far));
+    }
+    assert_eq!(goals(&mut middleware), [(Reached, 4.0)]);
+    assert_eq!(middleware.sensors(&id("robot1")).unwrap().velocity, Velocity::default());
+    // Whatever answers say now, it stands, until it is given another goal or none.
+    for _ in 0..3 {
+        answered(&mut middleware, Some(Headway::Left(1.0)));
+    }
+    assert_eq!(middleware.sensors(&id("robot1")).unwrap().velocity, Velocity::default());
+    middleware.navigate_to(at(5000), &id("robot1"), Some(near)).unwrap();
+    let why = Headway::Blocked("a wall is there".to_owned());
+    answered(&mut middleware, Some(why.clone()));
+    answered(&mut middleware, Some(why));
+    assert_eq!(goals(&mut middleware), [(Set, 2.0), (Failed, 2.0)]);
+    middleware.navigate_to(at(5400), &id("robot1"), None).unwrap();
+    assert_eq!(goals(&mut middleware), [], "it ended before");
+    middleware.navigate_to(at(5400), &id("robot1"), Some(near)).unwrap();
+    middleware.navigate_to(at(5400), &id("robot1"), None).unwrap();
+    assert_eq!(goals(&mut middleware), [(Set, 2.0), (Canceled, 2.0)]);
+    assert_eq!(answered(&mut middleware, None), None);
+    answered(&mut middleware, None);
+    middleware.advance(at(now), attached);
+    assert!(middleware.sensors(&id("robot1")).unwrap().velocity.linear > 0.05, "it walks again");
+}
+
+#[test]
+fn goals_that_cannot_be_are_refused_with_the_reason() {
+    let mut middleware = middleware();
+    let mut refused = |robot: &str, goal: Position| {
+        middleware.navigate_to(at(0), &id(robot), Some(goal)).unwrap_err().to_string()
+    };
+    let there = Position::new(2.0, 2.0);
+    assert_eq!(refused("nobody", there), "there is no robot `nobody`");
+    assert_eq!(refused("idle", there), "no navigation VNF serves robot `idle`, and nobody else takes goals");
+    let cannot = |goal: Position| format!("robot `robot1` cannot go to {goal}: ");
+    for (goal, reason) in [
+        (Position::new(2.0, -0.02), "it is in a wall"),
+        (Position::new(20.0, 2.0), "it is off the map"),
+        (Position::new(2.0, 0.1), "it is 0.10 m from an obstacle, too near for the robot"),
+        (there.at_height(1.0), "no TurtleBot 2 leaves the floor"),
+        (there.at_height(-1.0), "it is below the floor"),
+        (Position::new(f64::NAN, 0.0), "it is no place within 1000000 m"),
+        (Position::new(1e7, 0.0), "it is no place within 1000000 m"),
+    ] {
+        assert_eq!(refused("robot1", goal), cannot(goal) + reason);
+    }
+    assert_eq!(goals(&mut middleware), []);
+}
+
+#[test]
+fn a_robot_with_a_goal_has_not_finished() {
+    let mut middleware = middleware();
+    let robot = id("robot1");
+    middleware.instruct(at(0), &robot, Velocity::default(), 3).unwrap();
+    assert!(middleware.finished());
+    middleware.navigate_to(at(1000), &robot, Some(Position::new(2.0, 1.0))).unwrap();
+    assert!(!middleware.finished());
+    middleware.advance(at(1200), attached);
+    let packet = middleware.poll_position(at(1200), route).unwrap();
+    assert_eq!((packet.waypoint, packet.goal), (3, Some(Position::new(2.0, 1.0))));
+    middleware.navigate_to(at(1300), &robot, None).unwrap();
+    assert!(middleware.finished());
+    middleware.advance(at(1600), attached);
+    assert_eq!(middleware.poll_position(at(1600), route), None);
 }
 
 /// Keeps what it is told.

@@ -1,4 +1,5 @@
 use cotorra_graph::{NodeId, PoseSource};
+use cotorra_plugin::wire::Headway;
 
 use super::*;
 use crate::{
@@ -53,6 +54,48 @@ fn a_packet_says_who_where_when_and_what_is_next() {
     let packet = emit(&mut endpoint(1));
     assert_eq!((packet.robot.as_str(), packet.waypoint), ("robot1", 0));
     assert_eq!(packet.pose.from_source(PoseSource::Simulator), pose());
+}
+
+/// An answer would drive the robot to where it shall go no more.
+#[test]
+fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
+    let mut endpoint = endpoint(1);
+    let goal = Some(Position::new(1.0, 1.0));
+    let walks = emit(&mut endpoint);
+    let set: Vec<_> = endpoint.set_goal(walks.emitted, goal).collect();
+    assert_eq!((set.len(), set[0].state), (1, GoalState::Set));
+    let receive = |endpoint: &mut ServiceEndpoint, packet: &PositionPacket, headway: Option<Headway>| {
+        let answer = NavigationPacket { headway, ..answer(packet, 1) };
+        endpoint.receive(packet.emitted + ms(20), SERVER, &answer)
+    };
+    let done = receive(&mut endpoint, &walks, None).unwrap();
+    assert_eq!((done.velocity, done.service_time.took), (None, Some(ms(20))));
+    assert_eq!(endpoint.waypoint(), 0);
+
+    let asked = emit(&mut endpoint);
+    assert_eq!((walks.goal, asked.goal), (None, goal));
+    // Who knows nothing of goals would drive on along the walk.
+    assert_eq!(receive(&mut endpoint, &asked, None), Err(Rejection::Invalid));
+    let another = Some(Position::new(2.0, 1.0));
+    let told: Vec<_> = endpoint.set_goal(asked.emitted, another).map(|goal| goal.state).collect();
+    assert_eq!(told, [GoalState::Replaced, GoalState::Set]);
+    let done = receive(&mut endpoint, &asked, Some(Headway::Arrived)).unwrap();
+    assert_eq!((done.velocity, done.goal), (None, None), "it is not at the new one");
+
+    let asked = emit(&mut endpoint);
+    let done = receive(&mut endpoint, &asked, Some(Headway::Left(1.0))).unwrap();
+    assert_eq!(done.velocity, Some(Velocity::planar(0.3, 0.1)));
+    assert_eq!(endpoint.waypoint(), 0, "the walk waits where it was left");
+    let asked = emit(&mut endpoint);
+    assert_eq!(
+        endpoint.set_goal(asked.emitted, None).map(|goal| goal.state).next(),
+        Some(GoalState::Canceled)
+    );
+    assert_eq!(receive(&mut endpoint, &asked, Some(Headway::Left(1.0))).unwrap().velocity, None);
+    let walks = emit(&mut endpoint);
+    assert_eq!(receive(&mut endpoint, &walks, Some(Headway::Arrived)), Err(Rejection::Invalid));
+    assert!(receive(&mut endpoint, &walks, None).unwrap().velocity.is_some());
+    assert_eq!(endpoint.waypoint(), 1);
 }
 
 #[test]

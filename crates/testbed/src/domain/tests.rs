@@ -88,6 +88,13 @@ fn events_of_other_domains_are_not_seen() {
         Event::ServiceTime(sample),
         Event::Scanned { robot: id("r1") },
         Event::WalkFinished { robot: id("r1") },
+        Event::Goal(cotorra_graph::GoalEvent {
+            robot: id("r1"),
+            goal: Default::default(),
+            state: cotorra_graph::GoalState::Set,
+            remaining_m: None,
+            reason: None,
+        }),
         Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id("s1") }),
         Event::PluginFault { plugin: id("okpi"), reason: String::new() },
         Event::Detached { robot: id("r1"), from: id("A") },
@@ -162,6 +169,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         [
             Instruction::Move { robot: robot(), velocity: Velocity::default(), waypoint: 0 },
             Instruction::LimitSpeed { robot: robot(), max_speed_mps: Some(0.1) },
+            Instruction::NavigateTo { robot: robot(), goal: None },
             Instruction::Scan { robot: robot() },
             Instruction::Halt { robot: robot() },
             Instruction::Go { robot: robot() },

@@ -178,6 +178,12 @@ impl Plan {
             let instruction = Instruction::LimitSpeed { robot, max_speed_mps };
             insert(&mut faults, (at, Fault::Instruct { kind: "speed limited", instruction }));
         }
+        let mut goals = Draw::new(seed, "goals");
+        for _ in 0..goals.whole(0..=3) {
+            let at = Timestamp::ZERO + goals.duration(0.2, until.as_secs_f64() - 0.2);
+            let instruction = goal(&mut goals, testbed);
+            insert(&mut faults, (at, Fault::Instruct { kind: "goal given", instruction }));
+        }
         for number in 1..=draw.whole(0..=2) {
             let how = *draw.one(&[Sabotage::Panic, Sabotage::Hang, Sabotage::Flood]);
             let id = PluginId::new(&format!("{SABOTEUR}{number}")).expect("it is a name");
@@ -218,6 +224,20 @@ fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
         links.remove(draw.whole(0..=links.len() - 1));
     }
     Instruction::Map { from, to, links }
+}
+
+/// Draws a goal for a robot: mostly near a place of a walk, else anywhere, or none.
+fn goal(draw: &mut Draw, testbed: &Testbed) -> Instruction {
+    let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
+    let places: Vec<_> = testbed.walks.iter().flat_map(|walk| walk.waypoints.iter().copied()).collect();
+    let robot = draw.one(&robots).clone();
+    if places.is_empty() || draw.chance(0.25) {
+        return Instruction::NavigateTo { robot, goal: None };
+    }
+    let reach = if draw.chance(0.8) { 0.5 } else { 50.0 };
+    let Position { x, y, z } = *draw.one(&places);
+    let goal = Position { x: x + draw.number(-reach, reach), y: y + draw.number(-reach, reach), z };
+    Instruction::NavigateTo { robot, goal: Some(goal) }
 }
 
 impl Names {

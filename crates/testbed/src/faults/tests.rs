@@ -117,7 +117,7 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
         assert!(sizes.contains(&size), "{size:?} is not among {sizes:?}");
     }
     assert!((20..80).contains(&federated), "{federated} of 300 have several domains");
-    assert_eq!(kinds.len(), 23, "{kinds:?}");
+    assert_eq!(kinds.len(), 24, "{kinds:?}");
 }
 
 /// The sum of all runs, whoever did them.
@@ -441,7 +441,7 @@ fn whatever_goes_wrong_no_promise_is_broken() {
         let Checked { checks, exercised } = tested.checked[invariant as usize];
         assert!(exercised > 0, "{invariant:?} was checked {checks} times, and never exercised");
     }
-    assert_eq!(tested.faults.len(), 23, "{:?}", tested.faults);
+    assert_eq!(tested.faults.len(), 24, "{:?}", tested.faults);
 }
 
 /// Faults leave the ledger something to do.

@@ -1,7 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    ConditionChange, Event, Instruction, LinkId, PoseSource, Position, RobotContext, Velocity,
+    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, OccupancyGrid, PoseSource,
+    Position, Program, RobotContext, Velocity,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -160,6 +161,115 @@ fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
             }
         }
     }
+}
+
+fn goal_events(events: &[Stamped]) -> Vec<(f64, &GoalEvent)> {
+    let goal = |stamped: &'_ Stamped| matches!(stamped.event, Event::Goal(_));
+    let of = events.iter().filter(|stamped| goal(stamped)).map(|stamped| match &stamped.event {
+        Event::Goal(goal) => (stamped.at.as_secs_f64(), goal),
+        _ => unreachable!(),
+    });
+    of.collect()
+}
+
+fn navigate_to(robot: &str, goal: Option<Position>) -> Instruction {
+    Instruction::NavigateTo { robot: robot.parse().unwrap(), goal }
+}
+
+/// Back from its walk, and served by another instance on the way.
+#[test]
+fn a_robot_goes_to_its_goal_stands_there_and_goes_on_with_its_walk() {
+    let goal = Position::new(25.4, -27.6);
+    let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node: "edge".parse().unwrap() };
+    let (left, moved, back) = (15.0, 18.0, 45.0);
+    let instructions =
+        [(left, navigate_to("robot", Some(goal))), (moved, place), (back, navigate_to("robot", None))];
+    let events = instructed(corridor(), &instructions, 80.0);
+    let told = goal_events(&events);
+    let states: Vec<_> = told.iter().map(|(_, goal)| goal.state).collect();
+    let progress = states.len() - 2;
+    assert_eq!((states[0], states[progress + 1]), (GoalState::Set, GoalState::Reached), "{told:?}");
+    assert!(states[1..=progress].iter().all(|state| *state == GoalState::Progress), "{told:?}");
+    assert!((8..25).contains(&progress), "{progress} s of progress");
+    for pair in told[1..=progress].windows(2) {
+        assert!((1.0..1.1).contains(&(pair[1].0 - pair[0].0)), "{pair:?}");
+        // Until it has turned round it rolls on.
+        let turned = pair[0].0 > left + 5.0;
+        assert!(!turned || pair[1].1.remaining_m < pair[0].1.remaining_m, "{pair:?}");
+    }
+    let reached = told[progress + 1].0;
+    assert!(told.iter().all(|(_, told)| told.goal == goal) && reached < back - 5.0, "{reached}");
+    let mut waypoint = None;
+    for (at, context) in contexts(&events) {
+        let off = context.sensors.pose.position().distance(goal);
+        if (reached + 1.0..back).contains(&at) {
+            assert!(off < 0.2 && context.sensors.velocity == Velocity::default(), "{off} m off at {at}");
+        }
+        if (left + 0.1..back).contains(&at) {
+            assert_eq!(*waypoint.get_or_insert(context.waypoint), context.waypoint, "at {at}");
+        }
+    }
+    let last = contexts(&events).last().unwrap().1;
+    assert!(last.waypoint > waypoint.unwrap(), "it goes on with its walk");
+    let answered = |stamped: &Stamped| match &stamped.event {
+        Event::ServiceTime(sample) => Some((sample.took.is_some(), sample.server.to_string())),
+        _ => None,
+    };
+    let mut servers: Vec<_> = events.iter().filter_map(answered).collect();
+    servers.dedup();
+    assert_eq!(servers, [(true, "cloud".to_owned()), (true, "edge".to_owned())]);
+}
+
+#[test]
+fn a_quadrotor_has_goals_above_the_floor() {
+    let goal = Position::new(8.0, 2.5).at_height(5.0);
+    let events = instructed(loaded("hall.yaml"), &[(5.0, navigate_to("uav", Some(goal)))], 40.0);
+    let told = goal_events(&events);
+    let (reached, last) = told.last().unwrap();
+    assert_eq!((last.state, last.goal), (GoalState::Reached, goal));
+    let (_, there) = contexts(&events).find(|(at, _)| at > reached).unwrap();
+    assert!(there.sensors.pose.position().distance(goal) < 0.3, "{:?}", there.sensors.pose);
+}
+
+#[test]
+fn a_goal_behind_a_wall_fails_with_the_reason_and_the_robot_stands() {
+    let mut testbed = Testbed::clone(&corridor());
+    let map = testbed.map.as_ref().unwrap();
+    // Across the whole corridor, ahead of the robot.
+    let wall = map.index(Position::new(0.0, -22.0)).unwrap().1;
+    let cells = (0..map.height()).flat_map(|row| (0..map.width()).map(move |column| (column, row)));
+    let cell = |(column, row)| if row == wall { Cell::Occupied } else { map.cell(column, row) };
+    let cells = cells.map(cell).collect();
+    testbed.map = OccupancyGrid::new(map.width(), map.height(), map.resolution(), map.origin(), cells);
+    let goal = Position::new(26.4, -18.7);
+    let events = instructed(Arc::new(testbed), &[(5.0, navigate_to("robot", Some(goal)))], 12.0);
+    let told = goal_events(&events);
+    let states: Vec<_> = told.iter().map(|(_, goal)| goal.state).collect();
+    assert_eq!(states, [GoalState::Set, GoalState::Failed]);
+    let reason = told[1].1.reason.as_deref().unwrap();
+    assert!(reason.starts_with("no way leads from ") && reason.ends_with("to (26.4, -18.7)"), "{reason}");
+    assert!(told[1].0 < 5.2, "at {}", told[1].0);
+    let speed = |context: &RobotContext| context.sensors.velocity.linear;
+    assert!(contexts(&events).any(|(at, context)| at < 5.0 && speed(context) > 0.2));
+    assert!(contexts(&events).all(|(at, context)| at < 6.5 || speed(context) == 0.0));
+}
+
+#[test]
+fn goals_are_refused_where_no_navigation_vnf_serves_the_robot() {
+    let refused = |testbed: Arc<Testbed>, robot: &str| {
+        let mut simulation = Simulation::new(testbed, 1).unwrap();
+        simulation.step();
+        let instruction = navigate_to(robot, Some(Position::new(25.5, -25.0)));
+        simulation.instruct("test".parse().unwrap(), instruction, None).unwrap_err().to_string()
+    };
+    assert_eq!(refused(corridor(), "R1"), "there is no robot `R1`");
+    let mut testbed = Testbed::clone(&corridor());
+    for service in &mut testbed.services {
+        service.vnfs.retain(|vnf| vnf.program != Program::Navigation);
+        service.virtual_links.clear();
+    }
+    let reason = refused(Arc::new(testbed), "robot");
+    assert_eq!(reason, "no navigation VNF serves robot `robot`, and nobody else takes goals");
 }
 
 /// Navigation whose answers are 3 s old would drive the robot from what it saw then.
