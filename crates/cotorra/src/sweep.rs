@@ -144,16 +144,21 @@ fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
     let mut text = format!("{} of {}{resumed}\n\n", runs.done.len(), count(runs.total, "run"));
     let cells = sweep.cells(runs);
     let axes = sweep.axes();
-    let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>"));
-    let heads = ["runs", "median, ms", "p99, ms", "above target, %"].map(str::to_owned);
+    let mut table = Table::new(&("<".repeat(axes.len()) + ">>>>>>>"));
+    let heads = ["runs", "median, ms", "p99, ms", "above target, %", "took, s", "blind, m", "at once, m"]
+        .map(str::to_owned);
     table.row(axes.iter().map(|axis| axis.path().to_owned()).chain(heads));
     for cell in cells.iter().take(LISTED) {
         let Cell { values, runs, service_time_p50_ms, service_time_p99_ms, above_target, .. } = cell;
+        let Cell { duration_ms, blind_m, longest_blind_m, .. } = cell;
         let figures = [
             runs.to_string(),
             interval(*service_time_p50_ms, 1.0),
             interval(*service_time_p99_ms, 1.0),
             interval(*above_target, 100.0),
+            interval(*duration_ms, 1e-3),
+            interval(*blind_m, 1.0),
+            interval(*longest_blind_m, 1.0),
         ];
         table.row(values.iter().cloned().chain(figures));
     }

@@ -156,7 +156,7 @@ pub enum Instruction {
         /// The robot.
         robot: NodeId,
         /// The limit, m/s; with 0 it stands at once, and null takes the limit back.
-        max_speed_mps: Option<f64>,
+        speed_limit_mps: Option<f64>,
     },
     /// Let a robot leave its walk for a goal, and stand there; [`Event::Goal`] tells what becomes of that.
     NavigateTo {

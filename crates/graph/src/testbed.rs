@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Names of the plug-ins that come with cotorra, and run in process. A testbed file can name no others.
-pub const BUNDLED_PLUGINS: &[&str] = &["federation", "okpi", "probing"];
+pub const BUNDLED_PLUGINS: &[&str] = &["federation", "okpi", "pace", "probing"];
 
 /// What a testbed file says, checked as a whole.
 #[derive(Debug, Clone, PartialEq)]

@@ -159,7 +159,7 @@ pub(crate) fn storable(stamped: &Stamped) -> bool {
                 finite(change)
             }
             Event::Decision(Decision {
-                instruction: Instruction::LimitSpeed { max_speed_mps: Some(limit), .. },
+                instruction: Instruction::LimitSpeed { speed_limit_mps: Some(limit), .. },
                 ..
             }) => limit.is_finite(),
             Event::Decision(Decision {

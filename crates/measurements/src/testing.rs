@@ -256,7 +256,7 @@ fn instruction() -> impl Strategy<Value = Instruction> {
             waypoint
         }),
         (node(), of(finite()))
-            .prop_map(|(robot, max_speed_mps)| Instruction::LimitSpeed { robot, max_speed_mps }),
+            .prop_map(|(robot, speed_limit_mps)| Instruction::LimitSpeed { robot, speed_limit_mps }),
         (node(), of(position(finite))).prop_map(|(robot, goal)| Instruction::NavigateTo { robot, goal }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),

@@ -295,8 +295,8 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
                 let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
                 moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
             }
-            Instruction::LimitSpeed { robot, max_speed_mps } => {
-                let done = self.middleware.limit_speed(now, robot, *max_speed_mps);
+            Instruction::LimitSpeed { robot, speed_limit_mps } => {
+                let done = self.middleware.limit_speed(now, robot, *speed_limit_mps);
                 done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
             }
             Instruction::NavigateTo { robot, goal } => {

@@ -129,12 +129,12 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::Move { robot, velocity, .. } => {
             format!("move {robot} at {:.2} m/s, {:.2} rad/s", velocity.linear, velocity.angular)
         }
-        Instruction::LimitSpeed { robot, max_speed_mps: Some(limit) } => {
+        Instruction::LimitSpeed { robot, speed_limit_mps: Some(limit) } => {
             format!("limit {robot} to {limit:.2} m/s")
         }
         Instruction::NavigateTo { robot, goal: Some(goal) } => format!("send {robot} to {goal}"),
         Instruction::NavigateTo { robot, goal: None } => format!("send {robot} back to its walk"),
-        Instruction::LimitSpeed { robot, max_speed_mps: None } => format!("limit {robot} no more"),
+        Instruction::LimitSpeed { robot, speed_limit_mps: None } => format!("limit {robot} no more"),
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
         Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),

@@ -21,7 +21,7 @@ fn a_robot_is_slowed_and_sent_to_a_goal_over_the_api() {
     let speed = |context: &Value| context["sensors"]["velocity"]["linear"].as_f64().unwrap();
     wait_until(|| is(&run, |context| speed(context) > 0.25));
     let limit =
-        |limit: Value| json!({ "instruction": "limit_speed", "robot": "robot", "max_speed_mps": limit });
+        |limit: Value| json!({ "instruction": "limit_speed", "robot": "robot", "speed_limit_mps": limit });
     let (status, body) = instruct(&run, limit(json!(-0.1)));
     assert!(status == 409 && body["refused"].as_str().unwrap().contains("from 0 on"), "{status}: {body}");
     assert_eq!(instruct(&run, limit(json!(0.1))).0, 200);

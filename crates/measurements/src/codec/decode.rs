@@ -309,7 +309,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
     let node = || required(object.as_deref())?.parse::<NodeId>().map_err(unreadable);
     Ok(match instruction.as_str() {
         "move" => Instruction::Move { robot: robot()?, velocity, waypoint: required(waypoint)? },
-        "limit_speed" => Instruction::LimitSpeed { robot: robot()?, max_speed_mps: linear },
+        "limit_speed" => Instruction::LimitSpeed { robot: robot()?, speed_limit_mps: linear },
         "navigate_to" => {
             Instruction::NavigateTo { robot: robot()?, goal: change.as_deref().map(json).transpose()? }
         }

@@ -234,9 +234,9 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             row.real(velocity.linear).real(velocity.angular).integer((*waypoint).into());
             row.0.extend([Value::Null, Value::Null]);
         }
-        Instruction::LimitSpeed { robot, max_speed_mps } => {
+        Instruction::LimitSpeed { robot, speed_limit_mps } => {
             put("limit_speed", robot.as_str(), None);
-            row.optional(*max_speed_mps, Fields::real);
+            row.optional(*speed_limit_mps, Fields::real);
             row.0.extend([const { Value::Null }; 4]);
         }
         Instruction::NavigateTo { robot, goal } => {

@@ -168,7 +168,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
         let deployed = access_point.clone();
         [
             Instruction::Move { robot: robot(), velocity: Velocity::default(), waypoint: 0 },
-            Instruction::LimitSpeed { robot: robot(), max_speed_mps: Some(0.1) },
+            Instruction::LimitSpeed { robot: robot(), speed_limit_mps: Some(0.1) },
             Instruction::NavigateTo { robot: robot(), goal: None },
             Instruction::Scan { robot: robot() },
             Instruction::Halt { robot: robot() },

@@ -3,7 +3,7 @@
 use std::{fmt, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, PluginId,
+    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, PluginId, Position,
     Probability, Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
 };
 
@@ -174,8 +174,8 @@ impl Plan {
             let at = Timestamp::ZERO + limits.duration(0.2, until.as_secs_f64() - 0.2);
             let robot = limits.one(&names.robots).clone();
             // A few are none.
-            let max_speed_mps = (!limits.chance(0.2)).then(|| limits.number(-0.05, 0.5));
-            let instruction = Instruction::LimitSpeed { robot, max_speed_mps };
+            let speed_limit_mps = (!limits.chance(0.2)).then(|| limits.number(-0.05, 0.5));
+            let instruction = Instruction::LimitSpeed { robot, speed_limit_mps };
             insert(&mut faults, (at, Fault::Instruct { kind: "speed limited", instruction }));
         }
         let mut goals = Draw::new(seed, "goals");

@@ -23,6 +23,7 @@ use cotorra_federation::{Federation, LedgerChoice, Ledgers, Settings};
 use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed, Timestamp};
 use cotorra_network_control::program_of_others;
 use cotorra_okpi::Okpi;
+use cotorra_pace::Pace;
 use cotorra_plugin::Plugin;
 use cotorra_probing::Probing;
 
@@ -39,7 +40,7 @@ pub(crate) type Now = Arc<dyn Fn() -> Timestamp + Send + Sync>;
 #[derive(Debug, thiserror::Error)]
 pub enum PluginError {
     /// No such plug-in is bundled.
-    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: federation, okpi, probing")]
+    #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: federation, okpi, pace, probing")]
     NotBundled {
         /// Which.
         plugin: PluginId,
@@ -101,6 +102,7 @@ impl<'a> Bundled<'a> {
                     Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(self.testbed));
                 Ok(Box::new(okpi.map_err(|e| settings(&e))?))
             }
+            "pace" => Ok(Box::new(Pace::from_settings(&spec.settings).map_err(|e| settings(&e))?)),
             "probing" => {
                 let probing = Probing::from_settings(&spec.settings, self.seed);
                 Ok(Box::new(probing.map_err(|e| settings(&e))?))

@@ -1,6 +1,7 @@
 //! What a run leaves: the summary, the samples, the published figure's layout. All but how far
 //! off localization was is read off the events.
 
+mod driving;
 mod figure;
 mod folder;
 mod samples;

@@ -9,7 +9,11 @@ use cotorra_graph::{
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
 
-use super::{folder::FolderError, samples::Samples};
+use super::{
+    driving::{Driving, DrivingSummary},
+    folder::FolderError,
+    samples::Samples,
+};
 
 /// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
 const VALID_P99_US: f64 = 1000.0;
@@ -55,6 +59,8 @@ pub struct Summary {
     pub pose_source: Option<PoseSource>,
     /// How far off localization was, of each robot that a VNF localized and whose place is known.
     pub localization: Vec<LocalizationSummary>,
+    /// How far each robot drove that is navigated along a walk, and what of it blind.
+    pub driving: Vec<DrivingSummary>,
     /// Plug-ins that were cut off, with the reason.
     pub plugin_faults: Vec<String>,
     /// Events that the history had no room for.
@@ -273,6 +279,7 @@ pub struct Report {
     known: Known,
     service_time_target_ms: Option<f64>,
     samples: Samples,
+    driving: Driving,
     handovers: Vec<HandoverRecord>,
     placements: Vec<PlacementRecord>,
     decisions: Vec<DecisionRecord>,
@@ -298,6 +305,7 @@ impl Report {
             },
             service_time_target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
             samples: Samples::default(),
+            driving: Driving::new(testbed),
             handovers: Vec::new(),
             placements: Vec::new(),
             decisions: Vec::new(),
@@ -329,7 +337,9 @@ impl Report {
     }
 
     /// Takes an event in.
-    pub fn absorb(&mut self, Stamped { at, event }: &Stamped) {
+    pub fn absorb(&mut self, stamped: &Stamped) {
+        self.driving.absorb(stamped);
+        let Stamped { at, event } = stamped;
         match event {
             Event::ServiceTime(sample) => self.samples.push(sample),
             Event::Robot(context) => {
@@ -428,6 +438,7 @@ impl Report {
             fidelity: Fidelity::of(self.known, self.lateness, losses.frames_dropped),
             pose_source: self.pose_source,
             localization: self.localization.clone(),
+            driving: self.driving.summary(),
             plugin_faults: self.faults.clone(),
             history_dropped: losses.history_dropped,
         }

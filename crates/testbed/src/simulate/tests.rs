@@ -142,7 +142,7 @@ fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
     for (file, limit, brakes_for) in [("corridor.yaml", 0.1, 1.5), ("hall.yaml", 0.4, 3.0)] {
         let testbed = loaded(file);
         let robot = testbed.graph.robots().next().unwrap().0.id.clone();
-        let limited = |max_speed_mps| Instruction::LimitSpeed { robot: robot.clone(), max_speed_mps };
+        let limited = |speed_limit_mps| Instruction::LimitSpeed { robot: robot.clone(), speed_limit_mps };
         let (from, to) = (10.0, 30.0);
         let events = instructed(testbed, &[(from, limited(Some(limit))), (to, limited(None))], 50.0);
         let fastest = |begin: f64, end: f64| {
@@ -161,6 +161,40 @@ fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
             }
         }
     }
+}
+
+/// The plug-in is told of no answers, only of ι(R).
+#[test]
+fn pace_lets_a_robot_drive_less_far_blind_for_a_longer_walk() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/aisle.yaml");
+    let walked = |paced: bool| {
+        let setting = format!("plugins.pace.enabled={paced}").parse().unwrap();
+        let testbed = cotorra_graph::testbed_file::load_with(&file, &[setting]).unwrap();
+        let testbed = Arc::new(testbed);
+        let events = events_of(&testbed, 2, 400.0);
+        let mut report = Report::new(&testbed, 2);
+        events.iter().for_each(|event| report.absorb(event));
+        let limits = events.iter().filter(|stamped| match &stamped.event {
+            Event::Decision(decision) => decision.instruction.name() == "limit_speed",
+            _ => false,
+        });
+        let summary = report.summary(events.last().unwrap().at, "test", Losses::default());
+        (limits.count(), summary)
+    };
+    let [(none, fast), (limits, slow)] = [walked(false), walked(true)];
+    assert_eq!(none, 0);
+    // Four passes between two radio units; shadowing adds some.
+    assert!((8..60).contains(&limits), "{limits} limits");
+    let [fast_drive, slow_drive] = [&fast, &slow].map(|summary| &summary.driving[0]);
+    for driven in [fast_drive, slow_drive] {
+        assert!((280.0..290.0).contains(&driven.driven_m), "{driven:?}");
+    }
+    assert!(slow_drive.blind_m < 0.6 * fast_drive.blind_m, "{slow_drive:?} beside {fast_drive:?}");
+    assert!(
+        slow_drive.longest_blind_m < 0.5 * fast_drive.longest_blind_m,
+        "{slow_drive:?} beside {fast_drive:?}"
+    );
+    assert!((1.3..2.5).contains(&(slow.duration_ms / fast.duration_ms)), "{} ms", slow.duration_ms);
 }
 
 fn goal_events(events: &[Stamped]) -> Vec<(f64, &GoalEvent)> {

@@ -20,6 +20,12 @@ pub struct Cell {
     pub above_target: Option<Interval>,
     /// Of their numbers of handovers.
     pub handovers: Option<Interval>,
+    /// Of their durations, s.
+    pub duration_ms: Option<Interval>,
+    /// Of the ways that robots drove blind, m.
+    pub blind_m: Option<Interval>,
+    /// Of the longest of these stretches, m.
+    pub longest_blind_m: Option<Interval>,
 }
 
 /// A mean over runs and its 95 % confidence interval, by Student's t distribution.
@@ -62,16 +68,22 @@ impl Cell {
             service_time_p99_ms: over(|run| run.service_time_p99_ms),
             above_target: over(|run| run.above_target),
             handovers: over(|run| Some(run.handovers as f64)),
+            duration_ms: over(|run| Some(run.duration_ms)),
+            blind_m: over(|run| Some(run.blind_m)),
+            longest_blind_m: over(|run| Some(run.longest_blind_m)),
         }
     }
 
     /// The intervals by name, as the table's columns have them.
-    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 4] {
+    pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 7] {
         [
             ("service_time_p50_ms", self.service_time_p50_ms),
             ("service_time_p99_ms", self.service_time_p99_ms),
             ("above_target", self.above_target),
             ("handovers", self.handovers),
+            ("duration_ms", self.duration_ms),
+            ("blind_m", self.blind_m),
+            ("longest_blind_m", self.longest_blind_m),
         ]
     }
 }

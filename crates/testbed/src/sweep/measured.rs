@@ -36,6 +36,12 @@ pub struct Measured {
     pub migrations: usize,
     /// Plug-ins that were cut off.
     pub plugin_faults: usize,
+    /// How far all robots drove, metres.
+    pub driven_m: f64,
+    /// What of it was driven blind.
+    pub blind_m: f64,
+    /// The longest blind stretch of any robot.
+    pub longest_blind_m: f64,
     /// Stretches with one attachment and one server.
     pub regions: Vec<Region>,
 }
@@ -89,12 +95,15 @@ impl Measured {
             handover_gap_max_ms: gaps.map(|q| q.max),
             migrations: summary.placements.iter().filter(|placement| placement.at > Timestamp::ZERO).count(),
             plugin_faults: summary.plugin_faults.len(),
+            driven_m: summary.driving.iter().map(|driven| driven.driven_m).sum(),
+            blind_m: summary.driving.iter().map(|driven| driven.blind_m).sum(),
+            longest_blind_m: summary.driving.iter().map(|driven| driven.longest_blind_m).fold(0.0, f64::max),
             regions: summary.regions.iter().map(region).collect(),
         }
     }
 
     /// The figures by name, as the table's columns have them; `None` where there is none.
-    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 14] {
+    pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 17] {
         let count = |n: usize| Some(n as f64);
         [
             ("duration_ms", Some(self.duration_ms)),
@@ -111,6 +120,9 @@ impl Measured {
             ("handover_gap_max_ms", self.handover_gap_max_ms),
             ("migrations", count(self.migrations)),
             ("plugin_faults", count(self.plugin_faults)),
+            ("driven_m", Some(self.driven_m)),
+            ("blind_m", Some(self.blind_m)),
+            ("longest_blind_m", Some(self.longest_blind_m)),
         ]
     }
 }

@@ -1,0 +1,136 @@
+//! How far robots drive blind: after the answer that they follow got older than it would be if each came in time.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use cotorra_graph::{Event, NodeId, Program, Stamped, Testbed, Timestamp};
+use serde::Serialize;
+
+/// How far a robot drove.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DrivingSummary {
+    /// The robot.
+    pub robot: NodeId,
+    /// Its way, metres, by its odometry.
+    pub driven_m: f64,
+    /// What of it was driven while the newest answer was to a position packet that is older than the target and one
+    /// interval between packets together.
+    pub blind_m: f64,
+    /// The longest of these stretches.
+    pub longest_blind_m: f64,
+}
+
+/// All robots that are navigated along a walk.
+#[derive(Debug, Default)]
+pub(super) struct Driving(BTreeMap<NodeId, Driven>);
+
+#[derive(Debug)]
+struct Driven {
+    /// So old may the position be that the newest answer is to.
+    fresh: Duration,
+    /// When that was emitted.
+    answered: Timestamp,
+    /// Up to when the ways below are added up.
+    at: Timestamp,
+    /// m/s, since then.
+    speed: f64,
+    driven_m: f64,
+    blind_m: f64,
+    /// The blind stretch that goes on.
+    stretch_m: f64,
+    longest_m: f64,
+}
+
+impl Driving {
+    pub(super) fn new(testbed: &Testbed) -> Self {
+        let navigated =
+            testbed.services.iter().filter(|s| s.vnfs.iter().any(|vnf| vnf.program == Program::Navigation));
+        let driven = |service: &cotorra_graph::Service| {
+            let walk = testbed.walk(&service.robot)?;
+            let fresh = service.kpis.service_time + walk.position_interval;
+            Some((service.robot.clone(), Driven::new(fresh)))
+        };
+        Self(navigated.filter_map(driven).collect())
+    }
+
+    pub(super) fn absorb(&mut self, Stamped { at, event }: &Stamped) {
+        match event {
+            Event::Robot(context) => {
+                if let Some(driven) = self.0.get_mut(&context.robot) {
+                    driven.advance(*at);
+                    let velocity = context.sensors.velocity;
+                    driven.speed = velocity.linear.hypot(velocity.vertical);
+                }
+            }
+            Event::ServiceTime(sample) if sample.took.is_some() => {
+                if let Some(driven) = self.0.get_mut(&sample.robot) {
+                    driven.advance(*at);
+                    driven.answered = driven.answered.max(sample.emitted);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn summary(&self) -> Vec<DrivingSummary> {
+        let summary = |(robot, driven): (&NodeId, &Driven)| DrivingSummary {
+            robot: robot.clone(),
+            driven_m: driven.driven_m,
+            blind_m: driven.blind_m,
+            longest_blind_m: driven.longest_m,
+        };
+        self.0.iter().map(summary).collect()
+    }
+}
+
+impl Driven {
+    fn new(fresh: Duration) -> Self {
+        let (answered, at) = (Timestamp::ZERO, Timestamp::ZERO);
+        Self { fresh, answered, at, speed: 0.0, driven_m: 0.0, blind_m: 0.0, stretch_m: 0.0, longest_m: 0.0 }
+    }
+
+    /// Adds up to `now`, at the speed of the last context.
+    fn advance(&mut self, now: Timestamp) {
+        let blind_from = self.at.max(self.answered + self.fresh);
+        let blind = now.since(blind_from);
+        if blind_from > self.at {
+            self.stretch_m = 0.0;
+        }
+        let blind_m = self.speed * blind.as_secs_f64();
+        self.driven_m += self.speed * now.since(self.at).as_secs_f64();
+        self.blind_m += blind_m;
+        self.stretch_m += blind_m;
+        self.longest_m = self.longest_m.max(self.stretch_m);
+        self.at = self.at.max(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Timestamp {
+        Timestamp::from_nanos(ms * 1_000_000)
+    }
+
+    #[test]
+    fn a_robot_drives_blind_from_when_its_newest_answer_is_too_old_until_the_next() {
+        // A target of 20 ms, and a packet each 50 ms.
+        let mut driven = Driven::new(Duration::from_millis(70));
+        driven.speed = 2.0;
+        let mut answer = |emitted: u64, arrived: u64| {
+            driven.advance(at(arrived));
+            driven.answered = driven.answered.max(at(emitted));
+            let round = |metres: f64| (metres * 1e6).round() / 1e6;
+            [driven.driven_m, driven.blind_m, driven.longest_m].map(round)
+        };
+        assert_eq!(answer(0, 10), [0.02, 0.0, 0.0]);
+        assert_eq!(answer(50, 70), [0.14, 0.0, 0.0], "in time");
+        assert_eq!(answer(100, 150), [0.3, 0.06, 0.06], "30 ms too late");
+        // Two that come when they are too old themselves: it goes on blind.
+        assert_eq!(answer(150, 270), [0.54, 0.26, 0.2]);
+        assert_eq!(answer(200, 290), [0.58, 0.3, 0.24]);
+        assert_eq!(answer(180, 300), [0.6, 0.32, 0.26], "an older one changes nothing");
+        assert_eq!(answer(300, 310), [0.62, 0.34, 0.28]);
+        assert_eq!(answer(350, 380), [0.76, 0.36, 0.28]);
+    }
+}
