@@ -1,0 +1,118 @@
+//! Requests and answers that are one datagram each.
+
+use std::{net::IpAddr, time::Duration};
+
+use crate::{
+    fragments::Fragments,
+    meter::Frame,
+    packet::{Packet, UDP, UDP_HEADER, u16_at},
+    requests::Requests,
+};
+
+/// Bytes of a request that its answer repeats at the same place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Id {
+    /// Where they begin in the datagram's payload.
+    pub offset: u8,
+    /// How many they are; [`Id::MOST`] at most.
+    pub length: u8,
+}
+
+impl Id {
+    /// The most bytes that it can have.
+    pub const MOST: u8 = 16;
+    /// The farthest place at which it can begin.
+    pub const FARTHEST: u8 = 200;
+}
+
+/// Two sockets, the client's first, and what a request says to tell it from others.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Key {
+    ends: [(IpAddr, u16); 2],
+    id: Vec<u8>,
+}
+
+/// A flow of datagrams to a port.
+#[derive(Debug)]
+pub(crate) struct Udp {
+    port: u16,
+    id: Option<Id>,
+    pub requests: Requests<Key>,
+    answers: Fragments,
+}
+
+impl Udp {
+    pub fn new(port: u16, id: Option<Id>, timeout: Duration) -> Self {
+        Self { port, id, requests: Requests::new(timeout), answers: Fragments::default() }
+    }
+
+    pub fn entered(&mut self, at: Duration, frame: &Frame<'_>, mark: u64) {
+        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == UDP) else { return };
+        // Only the first has the ports. Its time is that of the request's first byte.
+        if packet.fragment.is_some_and(|fragment| fragment.offset > 0) {
+            return;
+        }
+        let ports = [u16_at(packet.payload, 0), u16_at(packet.payload, 2)];
+        let [Some(from), Some(to)] = ports else { return };
+        if to != self.port || packet.destination.is_multicast() || is_broadcast(packet.destination) {
+            return;
+        }
+        for payload in datagrams(packet.payload, frame) {
+            let Some(id) = self.id(payload) else { continue };
+            let key = Key { ends: [(packet.source, from), (packet.destination, to)], id };
+            // One with the same words is the same request once more.
+            if self.id.is_none() || !self.requests.has(&key) {
+                self.requests.begin(key, at, mark);
+            }
+        }
+    }
+
+    pub fn delivered(&mut self, at: Duration, frame: &Frame<'_>) {
+        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == UDP) else { return };
+        match packet.fragment {
+            None => {
+                for payload in datagrams(packet.payload, frame) {
+                    self.answer(at, (packet.source, packet.destination), packet.payload, payload);
+                }
+            }
+            Some(fragment) => {
+                let Some(whole) = self.answers.take(&packet, fragment) else { return };
+                let payload = whole.head.get(UDP_HEADER..).unwrap_or_default();
+                self.answer(at, (whole.source, whole.destination), &whole.head, payload);
+            }
+        }
+    }
+
+    fn answer(&mut self, at: Duration, (from, to): (IpAddr, IpAddr), header: &[u8], payload: &[u8]) {
+        let [Some(source), Some(destination)] = [u16_at(header, 0), u16_at(header, 2)] else { return };
+        if source != self.port {
+            return;
+        }
+        if let Some(id) = self.id(payload) {
+            self.requests.answer(&Key { ends: [(to, destination), (from, source)], id }, at);
+        }
+    }
+
+    /// `None` for a datagram that ends before it.
+    fn id(&self, payload: &[u8]) -> Option<Vec<u8>> {
+        let Some(Id { offset, length }) = self.id else { return Some(Vec::new()) };
+        let offset = usize::from(offset);
+        payload.get(offset..offset + usize::from(length)).map(<[u8]>::to_vec)
+    }
+}
+
+fn is_broadcast(address: IpAddr) -> bool {
+    matches!(address, IpAddr::V4(address) if address.is_broadcast())
+}
+
+/// The payloads of the datagrams in a packet: several in a super-packet.
+fn datagrams<'a>(bytes: &'a [u8], frame: &Frame<'_>) -> impl Iterator<Item = &'a [u8]> {
+    let payload = bytes.get(UDP_HEADER..).unwrap_or_default();
+    let size = frame.segment.map_or(payload.len(), usize::from).max(1);
+    // A datagram without payload is one, too.
+    let empty = payload.is_empty() && bytes.len() >= UDP_HEADER;
+    payload.chunks(size).chain(empty.then_some(payload))
+}
+
+#[cfg(test)]
+mod tests;
