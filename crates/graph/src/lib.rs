@@ -10,6 +10,7 @@ pub mod driver;
 pub mod event;
 pub mod exposure;
 mod file;
+pub mod flow;
 pub mod goal;
 pub mod hardware;
 pub mod id;
@@ -41,6 +42,7 @@ pub use context::{
 pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
+pub use flow::{Flow, FlowId, FlowProtocol};
 pub use goal::{GoalEvent, GoalState};
 pub use hardware::{
     Capacity, Direction, GapPolicy, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind,

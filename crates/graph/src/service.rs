@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    flow::Flow,
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
     units::{BitRate, Position, millis},
@@ -138,7 +139,8 @@ pub struct VirtualLink {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Kpis {
     /// Target of the service time: from the emission of a position packet to the reception of the navigation
-    /// packet that answers it. Of a service that localizes, from a scan to the pose.
+    /// packet that answers it. Of a service that localizes, from a scan to the pose; of one with a `flow`, from its requests
+    /// to their answers.
     #[serde(rename = "service_time_target_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub service_time: Duration,
@@ -148,4 +150,7 @@ pub struct Kpis {
     pub area: Option<Vec<Position>>,
     /// The radio technology that it needs.
     pub radio: Option<WifiStandard>,
+    /// The flow whose time is the service's, in place of navigation's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flow: Option<Flow>,
 }

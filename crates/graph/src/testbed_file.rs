@@ -3,6 +3,7 @@
 
 mod build;
 mod check;
+mod flow;
 mod machines;
 mod records;
 mod ros;

@@ -171,6 +171,13 @@ impl Builder<'_> {
         self.node_where(id, "node", |_| true)
     }
 
+    /// The node of that name with a port to the emulated network, which must be there.
+    pub(super) fn host(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
+        self.node_where(id, "robot, radio unit or server", |node| {
+            matches!(node, NodeRecord::Robot(_) | NodeRecord::RadioUnit(_) | NodeRecord::Server(_))
+        })
+    }
+
     /// The robot of that name, which must be there.
     pub(super) fn robot(&mut self, id: &Spanned<NodeId>) -> Option<NodeId> {
         self.node_where(id, "robot", |node| matches!(node, NodeRecord::Robot(_)))
@@ -662,6 +669,7 @@ impl Builder<'_> {
             reliability: record.kpis.reliability.as_ref().map(|r| r.value.get()),
             area: record.kpis.area.as_ref().map(|a| a.value.clone()),
             radio: record.kpis.radio.as_ref().map(|r| r.value),
+            flow: self.flow(record)?,
         };
         Some(Service {
             id: id.value.clone(),

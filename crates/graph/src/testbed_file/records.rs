@@ -549,14 +549,104 @@ record! {
     /// What a service must keep.
     KpisRecord {
         /// Target of the service time: from the emission of a position packet to the reception of the navigation
-        /// packet that answers it. Of a service that localizes, from a scan to the pose.
+        /// packet that answers it. Of a service that localizes, from a scan to the pose; of one with a `flow`, from its
+        /// requests to their answers.
         service_time: Spanned<Duration>,
+        /// A flow of your own programs, whose time is the service's: docs/flows.md.
+        flow: Option<Spanned<FlowRecord>>,
         /// Probability that all nodes and links in use work.
         reliability: Option<Spanned<Probability>>,
         /// Where it must be offered: corners of a polygon.
         area: Option<Spanned<Vec<Position>>>,
         /// The radio technology that it needs.
         radio: Option<Spanned<WifiStandard>>,
+    }
+}
+
+tagged! {
+    /// A flow of your own programs: requests of a client on one node to a server on any other, and their answers.
+    FlowRecord by protocol {
+        "udp" => Udp(FlowUdpRecord),
+        "tcp" => Tcp(FlowTcpRecord),
+        "http" => Http(FlowHttpRecord),
+        "ros1" => Ros1(FlowRos1Record),
+        "ros1_service" => Ros1Service(FlowRos1ServiceRecord),
+    }
+}
+
+record! {
+    /// A datagram to the port, and the datagram from there that answers it.
+    FlowUdpRecord {
+        /// The server's port.
+        port: Spanned<u16>,
+        /// Bytes of the payload that an answer repeats of its request, at the same place. Without it, a socket may have one
+        /// request under way at a time.
+        id: Option<Spanned<FlowIdRecord>>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// What a client says on a connection before the server says something, and the first byte of that.
+    FlowTcpRecord {
+        /// The server's port.
+        port: Spanned<u16>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A request of HTTP/1, and the last byte of the response.
+    FlowHttpRecord {
+        /// The server's port.
+        port: Spanned<u16>,
+        /// Path of the requests that count, whatever their query. Without it: all.
+        path: Option<Spanned<String>>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A message of one topic of ROS 1 that the node publishes, and one of another topic to which it subscribes.
+    FlowRos1Record {
+        /// The topic of requests, such as `/camera/image`.
+        request: Spanned<String>,
+        /// The topic of answers, such as `/cmd_vel`.
+        answer: Spanned<String>,
+        /// Bytes of a serialized message that an answer repeats of its request; `{ offset: 4, length: 8 }` is the stamp of a
+        /// `Header`. Without it, one request may be under way at a time.
+        id: Option<Spanned<FlowIdRecord>>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A call of a service of ROS 1, and its result.
+    FlowRos1ServiceRecord {
+        /// The service, such as `/plan`.
+        service: Spanned<String>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// Where a flow is.
+    FlowWhereRecord {
+        /// The node of the client. Without it: the service's robot.
+        from: Option<Spanned<NodeId>>,
+        /// A request without an answer after so long is lost. Without it: 1 s, or twice the target if that is longer; of UDP
+        /// and topics without `id`, twice the target.
+        timeout: Option<Spanned<Duration>>,
+    }
+}
+
+record! {
+    /// Bytes of a datagram's payload, or of a message.
+    FlowIdRecord {
+        /// Where they begin, from 0.
+        offset: u8,
+        /// How many they are, 16 at most.
+        length: u8,
     }
 }
 

@@ -56,6 +56,7 @@ fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
             reliability: None,
             area: None,
             radio: None,
+            flow: None,
         },
     };
     let mut vim = Vim::new(graph, &[service], InMemoryEngine::default());
