@@ -10,12 +10,13 @@ use std::{
 
 use cotorra_graph::{
     AccessPoint, Attachment, ConditionChange, Conditions, Direction, HardwareGraph, HostAddress, Lateness,
-    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Stamped, ThroughputTest,
-    Timestamp,
+    LinkContext, LinkId, Node, NodeId, NodeKind, Position, Probing, RadioContext, Service, Stamped,
+    ThroughputTest, Timestamp,
 };
 
 use crate::{
     balance::Balance,
+    flows::{Flows, Mark},
     frame::Frame,
     lateness::Histogram,
     pipe::{Packet, Pipe, Purpose},
@@ -117,6 +118,8 @@ pub struct Fabric {
     drops: Drops,
     /// Of packets that hosts sent: those that were sent, delivered and stranded.
     balance: Balance,
+    /// `None` where no service names one.
+    flows: Option<Box<Flows>>,
 }
 
 #[derive(Debug)]
@@ -216,6 +219,7 @@ impl Fabric {
             air_lateness: HashMap::new(),
             drops: Drops::default(),
             balance: Balance::default(),
+            flows: None,
         })
     }
 
@@ -243,6 +247,9 @@ impl Fabric {
         }
         self.balance.sent += u64::from(frame.wire_packets());
         self.learn(port, &frame);
+        if self.flows.as_ref().is_some_and(|flows| flows.watch(port)) {
+            self.observe_entry(now, port, &frame);
+        }
         let Port { vertex, is_robot, .. } = self.ports[port.0];
         let Some(target) = self.target(port, vertex, &frame) else { return self.drop_unroutable(frame) };
         if is_robot {
@@ -261,15 +268,39 @@ impl Fabric {
         while let Some((due, port, frame)) = self.outbox.pop_front() {
             self.lateness.record(now.since(due));
             self.balance.delivered += u64::from(frame.wire_packets());
+            if let Some(flows) = self.flows.as_mut().filter(|flows| flows.watch(port)) {
+                flows.delivered(now, port, &frame, |port| self.ports[port.0].node.clone());
+            }
             deliver(port, frame);
         }
+        if let Some(flows) = &mut self.flows {
+            flows.expire(now, |port| self.ports[port.0].node.clone());
+        }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
-        [wired, self.radio_deadline, self.own_deadline()].into_iter().flatten().min()
+        let flows = self.flows.as_ref().and_then(|flows| flows.deadline());
+        [wired, self.radio_deadline, self.own_deadline(), flows].into_iter().flatten().min()
     }
 
-    /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`.
+    /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`; and the
+    /// service times of flows.
     pub fn next_event(&mut self) -> Option<Stamped> {
-        self.radio.next_event()
+        self.radio.next_event().or_else(|| self.flows.as_mut()?.next_event())
+    }
+
+    /// Measures the flows that these services name, from now on.
+    pub fn measure_flows(&mut self, services: &[Service]) {
+        for service in services {
+            let Some(flow) = &service.kpis.flow else { continue };
+            if let Some(from) = self.port(&flow.from) {
+                self.flows.get_or_insert_default().add(service, flow, from);
+            }
+        }
+    }
+
+    /// What is to be known of flows beside their service times, in words: that nothing was seen of one, or how much is not
+    /// measured.
+    pub fn flow_remarks(&self) -> Vec<String> {
+        self.flows.as_ref().map_or_else(Vec::new, |flows| flows.remarks())
     }
 
     /// Changes what a link does, in one direction or both. What is in flight stays in flight, and in order: a lower
@@ -511,6 +542,15 @@ impl Fabric {
     /// Takes back the buffer of a frame that was handed out.
     pub fn recycle(&mut self, frame: Frame) {
         self.pool.put(frame);
+    }
+
+    /// Shows a frame to the flows at the port that it enters.
+    fn observe_entry(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
+        let Some(mut flows) = self.flows.take() else { return };
+        let server = frame.destination().and_then(|address| self.owner(address));
+        let attached = |robot: &NodeId| self.radio.attached_to(self.port(robot)?);
+        flows.entered(now, port, frame, |robot| Mark { server, attachment: attached(robot) });
+        self.flows = Some(flows);
     }
 
     /// Does everything that is due by `now`, in the order in which it is due.

@@ -68,6 +68,7 @@
 //! - **Paths.** Frames take the path of least delay, or one that they are [pinned](Fabric::pin) to.
 //! - **Measurements.** [Probes](Fabric::probe_links) and [tests](Fabric::test_throughput) of wired links are packets
 //!   like others on the way, are for no host, and in no counter.
+//! - **Flows.** The [service times of flows](Fabric::measure_flows) are measured where frames enter and leave.
 //! - **Offloads.** A super-packet stays whole where nothing on its way needs packets, and counts as its packets
 //!   everywhere; random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum that was left undone
 //!   stays so, unless the packet is corrupted.
@@ -79,6 +80,7 @@
 mod balance;
 mod checksum;
 mod fabric;
+mod flows;
 mod frame;
 mod impairment;
 mod lateness;

@@ -220,6 +220,15 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(events)
     }
 
+    /// What is to be known of services' flows at the end, beside their times.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn flow_remarks(&self) -> Result<Vec<Event>, NetworkGone> {
+        let remarks = self.network.with(|fabric, _| fabric.flow_remarks())?;
+        Ok(remarks.into_iter().map(|message| Event::Notice { message }).collect())
+    }
+
     /// Attachments, links or placements changed: works out which mappings are used, and gives the virtual links that
     /// other hardware links carry now. Does nothing where nothing is mapped, nor was.
     ///

@@ -267,8 +267,16 @@ impl<N: Network, E: Engine> Core<N, E> {
         self.middleware.poll_scan()
     }
 
+    /// What is to be told of services' flows at the end.
+    pub(crate) fn flow_remarks(&self, at: Timestamp) -> Vec<Stamped> {
+        let remarks = self.control.flow_remarks().unwrap_or_default();
+        remarks.into_iter().map(|event| Stamped { at, event }).collect()
+    }
+
     /// The end: what the network knows is told once more, and VNFs are stopped.
     pub(crate) fn shut_down(&mut self, now: Timestamp) {
+        let remarks = self.flow_remarks(now);
+        self.events.extend(remarks);
         if let Ok(events) = self.control.observe() {
             self.tell(now, events);
         }

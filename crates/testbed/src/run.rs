@@ -252,6 +252,7 @@ impl Run {
         if kernel.is_none() {
             probe_links(&mut fabric, &testbed);
         }
+        fabric.measure_flows(&testbed.services);
         // Last of what can be refused; from here on the interfaces are put back at the end.
         let real = RealLinks::begin(&testbed.graph, &mut fabric, &options.interfaces, testbed.probes)?;
         let probes_tell = kernel.is_some() || real.as_ref().is_some_and(RealLinks::are_alone);

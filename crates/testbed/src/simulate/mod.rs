@@ -115,6 +115,7 @@ impl Simulation {
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
         probe_links(&mut fabric, &testbed);
+        fabric.measure_flows(&testbed.services);
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
         let engine = VirtualEngine::new(&testbed, seed, serving.clone());
@@ -325,6 +326,11 @@ impl Simulation {
     /// How far off localization was so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
+    }
+
+    /// What is to be told of services' flows at the end.
+    pub(crate) fn flow_remarks(&self) -> Vec<Stamped> {
+        self.core.flow_remarks(self.now())
     }
 
     /// Whether every walk is done; never where there is none.

@@ -140,6 +140,7 @@ pub(super) fn simulate_with(
     };
     drop(apart);
     let Underway { simulation, mut books, .. } = underway;
+    simulation.flow_remarks().into_iter().for_each(|remark| books.keep(Arc::new(remark)));
     books.catch_up()?;
     let Books { mut report, recorder, .. } = books;
     report.localized(simulation.localization_errors());

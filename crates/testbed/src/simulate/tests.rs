@@ -2,7 +2,7 @@ use std::path::Path;
 
 use cotorra_graph::{
     Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, OccupancyGrid, PoseSource,
-    Position, Program, RobotContext, Velocity,
+    Position, Probability, Program, RobotContext, Velocity, conditions::Loss,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -354,6 +354,51 @@ fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
     }
     servers.dedup();
     assert_eq!(servers, ["cloud", "edge"]);
+}
+
+/// The testbed with another service: a flow that is what the robot and its navigation say to each other.
+fn with_navigation_as_a_flow() -> Arc<Testbed> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
+    let port = cotorra_plugin::wire::port(&corridor(), &"navigation".parse().unwrap()).unwrap();
+    // An answer has the nonce of its position packet; a TurtleBot 2 waits 0.6 s for it.
+    let flow = format!("protocol: udp, port: {port}, id: {{ offset: 24, length: 8 }}, timeout: 600 ms");
+    let service = format!(
+        "\nservices:\n  flow:\n    robot: robot\n    kpis: {{ service_time: 15 ms, flow: {{ {flow} }} }}\n    vnfs: {{}}\n"
+    );
+    let text = std::fs::read_to_string(&file).unwrap().replace("\nservices:\n", &service);
+    let testbed = cotorra_graph::testbed_file::parse("corridor.yaml", &text, file.parent().unwrap()).unwrap();
+    Arc::new(testbed)
+}
+
+#[test]
+fn a_flow_on_navigations_port_has_the_times_of_navigation() {
+    let testbed = with_navigation_as_a_flow();
+    let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
+    let loss = Loss::Independent { rate: Probability::new(0.05).unwrap() };
+    let change = ConditionChange { loss: Some(loss), ..ConditionChange::default() };
+    let mut samples: HashMap<String, Vec<_>> = HashMap::new();
+    let mut is_lossy = false;
+    while simulation.step().as_secs_f64() < 100.0 {
+        if !std::mem::replace(&mut is_lossy, true) {
+            for link in ["R1-cloud", "R3-cloud"] {
+                let (link, change) = (LinkId::new(link).unwrap(), change.clone());
+                let change = Instruction::Condition { link, direction: None, change };
+                simulation.instruct("test".parse().unwrap(), change, None).unwrap();
+            }
+        }
+        while let Some(Stamped { at, event }) = simulation.poll_event() {
+            if let Event::ServiceTime(sample) = event {
+                let cotorra_graph::ServiceTime { sequence, emitted, took, attachment, server, .. } = sample;
+                let its = samples.entry(sample.service.to_string()).or_default();
+                its.push((at, sequence, emitted, took, attachment, server));
+            }
+        }
+    }
+    let navigation = &samples["navigation"];
+    assert!(navigation.len() > 400, "{} samples", navigation.len());
+    let lost = navigation.iter().filter(|(.., took, _, _)| took.is_none()).count();
+    assert!(lost > 10, "{lost} are lost");
+    assert_eq!(&samples["flow"], navigation);
 }
 
 #[test]

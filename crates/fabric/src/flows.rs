@@ -1,0 +1,183 @@
+//! The flows of services, measured at their clients' ports.
+
+use std::{collections::VecDeque, time::Duration};
+
+use cotorra_flows::{Counts, Frame as Seen, Id, Meter, Protocol, Sample};
+use cotorra_graph::{
+    Event, Flow, FlowId, FlowProtocol, NodeId, Service, ServiceId, ServiceTime, Stamped, Timestamp,
+};
+
+use crate::{fabric::PortId, frame::Frame};
+
+/// Stands for no port.
+const NONE: u32 = u32::MAX;
+
+/// Where a request went, and how its robot was attached then.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Mark {
+    pub server: Option<PortId>,
+    pub attachment: Option<PortId>,
+}
+
+impl Mark {
+    fn pack(self) -> u64 {
+        let half = |port: Option<PortId>| u64::from(port.map_or(NONE, |PortId(place)| place as u32));
+        half(self.server) << 32 | half(self.attachment)
+    }
+
+    fn unpack(packed: u64) -> Self {
+        let half = |half: u32| (half != NONE).then_some(PortId(half as usize));
+        Self { server: half((packed >> 32) as u32), attachment: half(packed as u32) }
+    }
+}
+
+/// A service's flow.
+#[derive(Debug)]
+struct Measured {
+    service: ServiceId,
+    robot: NodeId,
+    from: PortId,
+    meter: Meter,
+}
+
+/// The flows of all services that name one.
+#[derive(Debug, Default)]
+pub(crate) struct Flows {
+    flows: Vec<Measured>,
+    /// By port: whether one is measured there.
+    watched: Vec<bool>,
+    deadline: Option<Timestamp>,
+    events: VecDeque<Stamped>,
+}
+
+impl Flows {
+    /// Measures the flow of a service at a port.
+    pub fn add(&mut self, service: &Service, flow: &Flow, from: PortId) {
+        let id = |id: Option<FlowId>| id.map(|FlowId { offset, length }| Id { offset, length });
+        let protocol = match flow.protocol.clone() {
+            FlowProtocol::Udp { port, id: its } => Protocol::Udp { port, id: id(its) },
+            FlowProtocol::Tcp { port } => Protocol::Tcp { port },
+            FlowProtocol::Http { port, path } => Protocol::Http { port, path },
+            FlowProtocol::Ros1 { request, answer, id: its } => {
+                Protocol::Ros1 { request, answer, id: id(its) }
+            }
+            FlowProtocol::Ros1Service { service } => Protocol::Ros1Service { service },
+        };
+        let meter = Meter::new(protocol, flow.timeout);
+        let (service, robot) = (service.id.clone(), service.robot.clone());
+        self.flows.push(Measured { service, robot, from, meter });
+        let PortId(place) = from;
+        self.watched.resize(self.watched.len().max(place + 1), false);
+        self.watched[place] = true;
+    }
+
+    /// Whether a flow is measured at a port.
+    pub fn watch(&self, PortId(place): PortId) -> bool {
+        self.watched.get(place).is_some_and(|watched| *watched)
+    }
+
+    /// A frame enters the network at a port. `mark` says what there is to know for the service of a robot.
+    pub fn entered(&mut self, now: Timestamp, port: PortId, frame: &Frame, mark: impl Fn(&NodeId) -> Mark) {
+        for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
+            flow.meter.entered(since_start(now), &seen(frame), mark(&flow.robot).pack());
+        }
+        self.set_deadline();
+    }
+
+    /// A frame is delivered at a port.
+    pub fn delivered(
+        &mut self,
+        now: Timestamp,
+        port: PortId,
+        frame: &Frame,
+        name: impl Fn(PortId) -> NodeId,
+    ) {
+        for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
+            flow.meter.delivered(since_start(now), &seen(frame));
+        }
+        self.tell(now, name);
+    }
+
+    /// Gives up requests that were not answered in time.
+    pub fn expire(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
+        if self.deadline.is_some_and(|deadline| deadline <= now) {
+            self.flows.iter_mut().for_each(|flow| flow.meter.expire(since_start(now)));
+            self.tell(now, name);
+        }
+    }
+
+    pub fn deadline(&self) -> Option<Timestamp> {
+        self.deadline
+    }
+
+    pub fn next_event(&mut self) -> Option<Stamped> {
+        self.events.pop_front()
+    }
+
+    fn set_deadline(&mut self) {
+        let deadlines = self.flows.iter().filter_map(|flow| flow.meter.deadline());
+        self.deadline = deadlines.min().map(|deadline| Timestamp::ZERO + deadline);
+    }
+
+    fn tell(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
+        for flow in &mut self.flows {
+            while let Some(Sample { sequence, entered, took, mark }) = flow.meter.poll() {
+                let Mark { server, attachment } = Mark::unpack(mark);
+                let sample = ServiceTime {
+                    service: flow.service.clone(),
+                    robot: flow.robot.clone(),
+                    sequence,
+                    emitted: Timestamp::ZERO + entered,
+                    took,
+                    attachment: attachment.map(&name),
+                    // Nobody has the address: it went nowhere.
+                    server: name(server.unwrap_or(flow.from)),
+                };
+                self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });
+            }
+        }
+        self.set_deadline();
+    }
+
+    /// What is to be known of flows beside their samples, in words.
+    pub fn remarks(&self) -> Vec<String> {
+        self.flows.iter().flat_map(|flow| remarks(&flow.service, flow.meter.counts())).collect()
+    }
+}
+
+fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
+    let Counts { requests, unclear, forgotten, given_up } = counts;
+    let mut remarks = Vec::new();
+    if requests == 0 {
+        remarks.push(format!("flow of service `{service}`: no request seen"));
+    }
+    let mut not_measured = |count: u64, why: &str| {
+        if count > 0 {
+            remarks.push(format!("flow of service `{service}`: {count} {why}"));
+        }
+    };
+    not_measured(
+        unclear,
+        "requests are not measured, because several were under way and nothing tells their answers apart: name an \
+         `id`, or a shorter `timeout`",
+    );
+    not_measured(forgotten, "requests are not measured, because too many were under way");
+    not_measured(
+        given_up,
+        "connections were not followed to their end: too many, too much out of order, or another protocol",
+    );
+    remarks
+}
+
+fn since_start(at: Timestamp) -> Duration {
+    at.since(Timestamp::ZERO)
+}
+
+fn seen(frame: &Frame) -> Seen<'_> {
+    let offload = frame.offload();
+    Seen {
+        bytes: frame.bytes(),
+        checksum_left: offload.checksum.is_some(),
+        segment: offload.segmentation.map(|segmentation| segmentation.size),
+    }
+}
