@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
-    Direction, Event, Handover, LinkContext, NodeId, Position, Program, RadioContext, RobotContext,
+    Direction, Event, Handover, LinkContext, NodeId, Position, Program, RadioContext, RobotContext, Service,
     ServiceTime, Stamped, Testbed, Timestamp, VnfId,
 };
 use cotorra_plugin::messages::{Header, Message};
@@ -193,7 +193,10 @@ impl Encoder {
 
     fn service_time(&mut self, at: Timestamp, sample: &ServiceTime, out: Out<'_>) {
         let Some(robot) = self.robots.get_mut(&sample.robot) else { return };
-        robot.last = Some(sample.clone());
+        let is_flow = |service: &Service| service.id == sample.service && service.kpis.flow.is_some();
+        if !self.testbed.services.iter().any(is_flow) {
+            robot.last = Some(sample.clone());
+        }
         let message = messages::ServiceTime {
             header: Header::new(sample.emitted, &robot.frames.base()),
             service: sample.service.to_string(),

@@ -38,7 +38,7 @@ pub use real_links::{RealLinkError, interface_plans};
 pub use recorded::{Recorded, RecordedError};
 pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,
-    Place, PlacementRecord, Quantiles, RegionSummary, Report, Summary, draw,
+    Place, PlacementRecord, Quantiles, RegionSummary, Report, ServiceSummary, Summary, draw,
 };
 pub use robots::RobotError;
 pub use run::{Finished, Leftovers, Options, Run, RunError, Stopper, about, clean, leftovers};

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
     Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
-    ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use parking_lot::RwLock;
 use serde::Serialize;
@@ -35,8 +35,8 @@ pub struct Snapshot {
     pub virtual_links: Vec<VirtualLinkMapping>,
     /// The last word on every VNF's process.
     pub vnfs: BTreeMap<VnfId, VnfEvent>,
-    /// The last service time of every robot.
-    pub service_times: BTreeMap<NodeId, ServiceTime>,
+    /// The last service time of every service.
+    pub service_times: BTreeMap<ServiceId, ServiceTime>,
     /// The emulator's lateness.
     pub lateness: Lateness,
     /// Robots at the end of their walk.
@@ -94,7 +94,7 @@ impl Live {
                 now.vnfs.insert(event.vnf.clone(), event);
             }
             Event::ServiceTime(sample) => {
-                now.service_times.insert(sample.robot.clone(), sample);
+                now.service_times.insert(sample.service.clone(), sample);
             }
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),

@@ -112,7 +112,9 @@ impl Okpi {
         // A robot has one radio unit: its first service chooses.
         let mut chosen = None;
         for (service, decision) in now.services().iter().zip(&mut self.decisions) {
-            if service.robot != context.robot || !self.settings.orchestrates(&service.id) {
+            let is_other = service.robot != context.robot || !self.settings.orchestrates(&service.id);
+            // One whose programs are others' has nothing to place.
+            if is_other || service.vnfs.is_empty() {
                 continue;
             }
             let is_new = decision.at.is_none_or(|at| at.distance(location) >= NEW_LOCATION_M);

@@ -31,6 +31,9 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     }
     text += "\n";
     text += &figures(summary).render("  ");
+    for notice in &summary.notices {
+        text += &format!("  {} {notice}\n", style("!").yellow());
+    }
     for fault in &summary.plugin_faults {
         text += &format!("  {} plug-in cut off: {fault}\n", style("!").red());
     }
@@ -72,10 +75,14 @@ fn lost(recording: &RecordingSummary) -> String {
 
 fn regions(summary: &Summary) -> String {
     let robots = summary.regions.iter().any(|region| region.robot != summary.regions[0].robot);
-    let mut table = Table::new(if robots { "<<<>>>>" } else { "<<>>>>" });
+    let services = summary.services.len() > 1;
+    let aligned = ["<"].repeat(usize::from(robots) + usize::from(services)).concat() + "<<>>>>";
+    let mut table = Table::new(&aligned);
     let robot = |name: &str| robots.then(|| name.to_owned());
-    let heads = ["attached to", "navigation on", "from", "to", "samples", "median"].map(str::to_owned);
-    table.row(robot("robot").into_iter().chain(heads));
+    let service = |name: &str| services.then(|| name.to_owned());
+    let server = if services { "server" } else { "navigation on" };
+    let heads = ["attached to", server, "from", "to", "samples", "median"].map(str::to_owned);
+    table.row(robot("robot").into_iter().chain(service("service")).chain(heads));
     for region in summary.regions.iter().filter(|region| region.samples >= NOT_WORTH_A_ROW) {
         let cells = [
             region.attachment.as_ref().map_or("none".to_owned(), |id| id.to_string()),
@@ -85,22 +92,24 @@ fn regions(summary: &Summary) -> String {
             region.samples.to_string(),
             region.service_time_p50_ms.map_or("no answer".to_owned(), |ms| format!("{ms:.2} ms")),
         ];
-        table.row(robot(region.robot.as_str()).into_iter().chain(cells));
+        let (robot, service) = (robot(region.robot.as_str()), service(region.service.as_str()));
+        table.row(robot.into_iter().chain(service).chain(cells));
     }
     table.render("  ")
 }
 
 fn figures(summary: &Summary) -> Table {
     let mut table = Table::new("<<");
-    if let Some(Quantiles { p50, p95, p99, max }) = summary.service_time_ms {
-        let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
-        table.row(["service time".to_owned(), text]);
-    }
-    if let (Some(target), Some(above)) = (summary.service_time_target_ms, summary.above_target) {
-        table.row([
-            "above target".to_owned(),
-            format!("{:.1} % of the samples took more than {target} ms", above * 100.0),
-        ]);
+    for its in &summary.services {
+        let of = if summary.services.len() > 1 { format!(" of {}", its.service) } else { String::new() };
+        if let Some(Quantiles { p50, p95, p99, max }) = its.service_time_ms {
+            let text = format!("median {p50:.2} ms, p95 {p95:.2} ms, p99 {p99:.2} ms, max {max:.2} ms");
+            table.row([format!("service time{of}"), text]);
+        }
+        if let Some(above) = its.above_target {
+            let text = format!("{:.1} % of the samples took more than {} ms", above * 100.0, its.service_time_target_ms);
+            table.row([format!("above target{of}"), text]);
+        }
     }
     for localization in &summary.localization {
         let Quantiles { p50, p95, max, .. } = localization.error_m;

@@ -2,27 +2,29 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{NodeId, ServiceTime};
+use cotorra_graph::{ServiceId, ServiceTime};
 
 /// Service times so far.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// The last packet that was counted, robot by robot.
-    counted: BTreeMap<NodeId, u32>,
+    /// The last request that was counted, service by service.
+    counted: BTreeMap<ServiceId, u32>,
     /// Answered ones in milliseconds, ascending.
     answered_ms: Vec<f64>,
     total: usize,
+    above: usize,
 }
 
 impl Tally {
-    /// Counts a robot's last service time, once.
-    pub fn count(&mut self, sample: &ServiceTime) {
-        if self.counted.insert(sample.robot.clone(), sample.sequence) == Some(sample.sequence) {
+    /// Counts a service's last time, once.
+    pub fn count(&mut self, sample: &ServiceTime, target_ms: f64) {
+        if self.counted.insert(sample.service.clone(), sample.sequence) == Some(sample.sequence) {
             return;
         }
         self.total += 1;
-        if let Some(took) = sample.took {
-            let ms = took.as_secs_f64() * 1e3;
+        let ms = sample.took.map(|took| took.as_secs_f64() * 1e3);
+        self.above += usize::from(ms.is_none_or(|ms| ms > target_ms));
+        if let Some(ms) = ms {
             self.answered_ms.insert(self.answered_ms.partition_point(|&other| other <= ms), ms);
         }
     }
@@ -32,10 +34,9 @@ impl Tally {
         self.answered_ms.get(self.answered_ms.len() / 2).copied()
     }
 
-    /// The share of all that took longer than the target, unanswered ones among them.
-    pub fn above(&self, target_ms: f64) -> Option<f64> {
-        let within = self.answered_ms.partition_point(|&ms| ms <= target_ms);
-        (self.total > 0).then(|| (self.total - within) as f64 / self.total as f64)
+    /// The share of all that took longer than their target, unanswered ones among them.
+    pub fn above(&self) -> Option<f64> {
+        (self.total > 0).then(|| self.above as f64 / self.total as f64)
     }
 }
 
@@ -60,11 +61,11 @@ mod tests {
     #[test]
     fn each_sample_counts_once_and_an_unanswered_one_is_above_any_target() {
         let mut tally = Tally::default();
-        assert_eq!((tally.median_ms(), tally.above(15.0)), (None, None));
+        assert_eq!((tally.median_ms(), tally.above()), (None, None));
         for (sequence, took) in [(0, Some(30)), (0, Some(30)), (1, Some(10)), (2, None), (3, Some(12))] {
-            tally.count(&sample(sequence, took));
+            tally.count(&sample(sequence, took), 15.0);
         }
         assert_eq!(tally.median_ms(), Some(12.0));
-        assert_eq!(tally.above(15.0), Some(0.5));
+        assert_eq!(tally.above(), Some(0.5));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::Path, time::Duration};
 
-use cotorra_graph::{NodeId, Program, RobotContext, Testbed, Walk};
+use cotorra_graph::{NodeId, Program, RobotContext, Service, Testbed, Walk};
 use cotorra_testbed::Snapshot;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
@@ -102,8 +102,10 @@ impl<'a> View<'a> {
 
     /// Takes in how it is now, and shows it now and then.
     pub fn show(&mut self, now: &Snapshot) {
-        for sample in now.service_times.values() {
-            self.tally.count(sample);
+        for service in &self.testbed.services {
+            if let Some(sample) = now.service_times.get(&service.id) {
+                self.tally.count(sample, target_ms(service));
+            }
         }
         match &mut self.shape {
             Shape::Live { looks, .. } if *looks > 0 => *looks -= 1,
@@ -202,10 +204,15 @@ fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
     if let Some(server) = server(testbed, now, id) {
         parts.push(format!("navigation on {server}"));
     }
-    parts.push(match now.service_times.get(id) {
-        Some(sample) => sample.took.map_or("no answer".to_owned(), |took| millis(took.as_secs_f64() * 1e3)),
-        None => "no answer yet".to_owned(),
-    });
+    let services = || testbed.services.iter().filter(|service| service.robot == *id);
+    let samples: Vec<_> = services().filter_map(|service| now.service_times.get(&service.id)).collect();
+    for sample in &samples {
+        let time = sample.took.map_or("no answer".to_owned(), |took| millis(took.as_secs_f64() * 1e3));
+        parts.push(if services().nth(1).is_some() { format!("{} {time}", sample.service) } else { time });
+    }
+    if samples.is_empty() {
+        parts.push("no answer yet".to_owned());
+    }
     if now.finished.contains(id) {
         parts.push("at the end of its walk".to_owned());
     }
@@ -222,12 +229,19 @@ fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'
 fn summary(testbed: &Testbed, tally: &Tally) -> String {
     let Some(median) = tally.median_ms() else { return "no service time yet".to_owned() };
     let mut text = format!("median {}", millis(median));
-    if let Some(service) = testbed.services.first() {
-        let target_ms = service.kpis.service_time.as_secs_f64() * 1e3;
-        let above = tally.above(target_ms).unwrap_or(0.0);
-        text += &format!(", {:.1} % over the target of {target_ms} ms", above * 100.0);
+    let above = tally.above().unwrap_or(0.0) * 100.0;
+    match &testbed.services[..] {
+        [] => {}
+        [first, rest @ ..] if rest.iter().all(|other| other.kpis.service_time == first.kpis.service_time) => {
+            text += &format!(", {above:.1} % over the target of {} ms", target_ms(first));
+        }
+        _ => text += &format!(", {above:.1} % over their service's target"),
     }
     text
+}
+
+fn target_ms(service: &Service) -> f64 {
+    service.kpis.service_time.as_secs_f64() * 1e3
 }
 
 /// `28.7 ms`.

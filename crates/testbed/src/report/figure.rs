@@ -1,6 +1,6 @@
 //! The service time over time in the published figure's layout: the target dashed, the attachment shaded and named.
 
-use cotorra_graph::ServiceTime;
+use cotorra_graph::{ServiceId, ServiceTime};
 use kuva::{
     backend::svg::SvgBackend,
     plot::{
@@ -13,10 +13,10 @@ use kuva::{
 
 use super::{
     samples::Samples,
-    summary::{RegionSummary, Report, service_time_ms},
+    summary::{RegionSummary, Report, ServiceSummary, service_time_ms},
 };
 
-/// The published figure ends here, milliseconds; spikes above are cut.
+/// The published figure ends here, milliseconds; spikes above are cut. One whose target is high ends at twice that.
 const TOP_MS: f64 = 40.0;
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 360.0;
@@ -30,6 +30,8 @@ pub struct Panel<'a> {
     pub title: String,
     /// Its samples.
     pub samples: &'a Samples,
+    /// Of this service alone, or all.
+    pub service: Option<ServiceId>,
     /// Its shading.
     pub regions: Vec<RegionSummary>,
     /// The dashed line.
@@ -44,7 +46,31 @@ impl<'a> Panel<'a> {
     /// The service times of a run.
     pub fn of(title: String, report: &'a Report) -> Self {
         let (samples, regions) = (report.samples(), report.regions());
-        Self { title, samples, regions, target_ms: report.service_time_target_ms(), line: None, points: None }
+        Self {
+            title,
+            samples,
+            service: None,
+            regions,
+            target_ms: report.service_time_target_ms(),
+            line: None,
+            points: None,
+        }
+    }
+
+    /// The service times of a run: a panel for each service that has some.
+    pub fn of_services(title: &str, report: &'a Report) -> Vec<Self> {
+        let services: Vec<_> = report.services().into_iter().filter(|its| its.samples > 0).collect();
+        if services.len() < 2 {
+            let target_ms = services.first().map_or(report.service_time_target_ms(), |its| Some(its.service_time_target_ms));
+            return vec![Self { target_ms, ..Self::of(title.to_owned(), report) }];
+        }
+        let panel = |its: ServiceSummary| {
+            let mut regions = report.regions();
+            regions.retain(|region| region.service == its.service);
+            let (title, target_ms) = (format!("{title}: {}", its.service), Some(its.service_time_target_ms));
+            Self { service: Some(its.service), target_ms, regions, ..Self::of(title, report) }
+        };
+        services.into_iter().map(panel).collect()
     }
 }
 
@@ -84,8 +110,10 @@ fn name(region: &RegionSummary) -> &str {
 
 fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
     // A sample without an answer is drawn where it would be at best: at the top.
-    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), service_time_ms(&s).unwrap_or(TOP_MS).min(TOP_MS));
-    let points = panel.samples.iter().map(point);
+    let top_ms = panel.target_ms.map_or(TOP_MS, |target| TOP_MS.max(target * 2.0));
+    let point = |s: ServiceTime| (s.emitted.as_secs_f64(), service_time_ms(&s).unwrap_or(top_ms).min(top_ms));
+    let is_its = |s: &ServiceTime| panel.service.as_ref().is_none_or(|service| *service == s.service);
+    let points = panel.samples.iter().filter(is_its).map(point);
     let line = LinePlot::new().with_data(thin(points, end)).with_color("#1f3b5c").with_stroke_width(1.2);
     let line = if let Some(name) = panel.line { line.with_legend(name) } else { line };
     let mut plots = vec![Plot::Line(line)];
@@ -102,7 +130,7 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
         .with_x_axis_min(0.0)
         .with_x_axis_max((end / 50.0).ceil() * 50.0)
         .with_y_axis_min(0.0)
-        .with_y_axis_max(TOP_MS)
+        .with_y_axis_max(top_ms)
         .with_legend_position(LegendPosition::InsideBottomRight);
     if let Some(target) = panel.target_ms {
         let line =
@@ -120,7 +148,7 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
         if (to - region.from.as_secs_f64()) / end > 0.03 {
             let middle = (region.from.as_secs_f64() + to) / 2.0;
             layout =
-                layout.with_annotation(TextAnnotation::new(name, middle, TOP_MS * 0.94).with_font_size(13));
+                layout.with_annotation(TextAnnotation::new(name, middle, top_ms * 0.94).with_font_size(13));
         }
     }
     (plots, layout)

@@ -132,7 +132,7 @@ impl RunFolder {
         let written = File::create(&path).and_then(|file| write_csv(report, file));
         written.map_err(|source| FolderError { path, source })?;
         let title = format!("{}: service time and attachment", summary.name);
-        write(&self.path, "service_time.svg", &draw(&[Panel::of(title, report)]))
+        write(&self.path, "service_time.svg", &draw(&Panel::of_services(&title, report)))
     }
 }
 

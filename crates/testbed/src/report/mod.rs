@@ -14,5 +14,5 @@ pub use folder::{FolderError, Place, RunFolder};
 pub(crate) use summary::service_time_ms;
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
-    Quantiles, RegionSummary, Report, Summary,
+    Quantiles, RegionSummary, Report, ServiceSummary, Summary,
 };

@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceTime, Stamped, Testbed, Timestamp,
-    VnfId,
+    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceId, ServiceTime, Stamped, Testbed,
+    Timestamp, VnfId,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -23,6 +23,8 @@ const VALID_P50_US: f64 = 250.0;
 const VALID_DROPPED: f64 = 1e-4;
 /// With fewer probes than this, nothing is known of one in a hundred.
 const VALID_PROBES: u64 = 100;
+/// So many notices are kept.
+const MOST_NOTICES: usize = 100;
 
 /// What `summary.json` holds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -41,12 +43,14 @@ pub struct Summary {
     pub samples: usize,
     /// How many of them got no answer within the robot's command timeout.
     pub unanswered: usize,
-    /// The target service time.
+    /// The target service time of the first service.
     pub service_time_target_ms: Option<f64>,
-    /// Share of samples over the target; an unanswered one is over any.
+    /// Share of samples over the target of their service; an unanswered one is over any.
     pub above_target: Option<f64>,
     /// Service time over all answered samples.
     pub service_time_ms: Option<Quantiles>,
+    /// The same of each service that is measured, in the file's order.
+    pub services: Vec<ServiceSummary>,
     /// Stretches with one attachment and one server, in order.
     pub regions: Vec<RegionSummary>,
     /// Changes of attachment, in order.
@@ -63,8 +67,27 @@ pub struct Summary {
     pub driving: Vec<DrivingSummary>,
     /// Plug-ins that were cut off, with the reason.
     pub plugin_faults: Vec<String>,
+    /// Notices, the first hundred.
+    pub notices: Vec<String>,
     /// Events that the history had no room for.
     pub history_dropped: u64,
+}
+
+/// The service times of one service.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ServiceSummary {
+    /// The service.
+    pub service: ServiceId,
+    /// How many were measured, unanswered ones included.
+    pub samples: usize,
+    /// How many of them got no answer in time.
+    pub unanswered: usize,
+    /// The target.
+    pub service_time_target_ms: f64,
+    /// Share of samples over the target; an unanswered one is over any.
+    pub above_target: Option<f64>,
+    /// Over all answered samples.
+    pub service_time_ms: Option<Quantiles>,
 }
 
 /// How far off a robot's localization was, each time that κ was collected.
@@ -108,14 +131,16 @@ impl Quantiles {
     }
 }
 
-/// A stretch with one attachment and one server.
+/// A stretch of a service with one attachment and one server.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RegionSummary {
     /// The robot.
     pub robot: NodeId,
+    /// The service.
+    pub service: ServiceId,
     /// Its radio unit; `None` while it had none.
     pub attachment: Option<NodeId>,
-    /// Where navigation ran.
+    /// Where navigation ran, or the server of the service's flow.
     pub server: NodeId,
     /// The first sample's emission.
     #[serde(rename = "from_ns")]
@@ -277,7 +302,8 @@ pub struct Report {
     name: String,
     seed: u64,
     known: Known,
-    service_time_target_ms: Option<f64>,
+    /// The services, the target of each in milliseconds, and whether it is measured without fail.
+    services: Vec<(ServiceId, f64, bool)>,
     samples: Samples,
     driving: Driving,
     handovers: Vec<HandoverRecord>,
@@ -285,6 +311,7 @@ pub struct Report {
     decisions: Vec<DecisionRecord>,
     lateness: Lateness,
     faults: Vec<String>,
+    notices: Vec<String>,
     localization: Vec<LocalizationSummary>,
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
@@ -294,7 +321,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Of a run with that seed; the target is the first service's.
+    /// Of a run with that seed.
     pub fn new(testbed: &Testbed, seed: u64) -> Self {
         Self {
             name: testbed.name.clone(),
@@ -303,7 +330,11 @@ impl Report {
                 Some(_) => Known::Emulated,
                 None => Known::All,
             },
-            service_time_target_ms: testbed.services.first().map(|s| s.kpis.service_time.as_secs_f64() * 1e3),
+            services: testbed
+                .services
+                .iter()
+                .map(|s| (s.id.clone(), s.kpis.service_time.as_secs_f64() * 1e3, s.kpis.flow.is_some()))
+                .collect(),
             samples: Samples::default(),
             driving: Driving::new(testbed),
             handovers: Vec::new(),
@@ -311,6 +342,7 @@ impl Report {
             decisions: Vec::new(),
             lateness: Lateness::default(),
             faults: Vec::new(),
+            notices: Vec::new(),
             localization: Vec::new(),
             pose_source: None,
             robots: testbed
@@ -374,6 +406,9 @@ impl Report {
                 self.decisions.push(DecisionRecord { at: *at, instruction, position });
             }
             Event::Lateness(lateness) => self.lateness = *lateness,
+            Event::Notice { message } if self.notices.len() < MOST_NOTICES => {
+                self.notices.push(message.clone())
+            }
             Event::PluginFault { plugin, reason } => self.faults.push(format!("{plugin}: {reason}")),
             _ => {}
         }
@@ -408,19 +443,48 @@ impl Report {
         &self.samples
     }
 
-    /// The target, milliseconds.
+    /// The target of the first service, milliseconds.
     pub fn service_time_target_ms(&self) -> Option<f64> {
-        self.service_time_target_ms
+        self.services.first().map(|(_, target_ms, _)| *target_ms)
+    }
+
+    /// The service times of each service that has some, or a flow, in the file's order.
+    pub fn services(&self) -> Vec<ServiceSummary> {
+        let mut all: BTreeMap<ServiceId, (usize, Vec<f64>)> = BTreeMap::new();
+        for sample in self.samples.iter() {
+            let took = service_time_ms(&sample);
+            let its = all.entry(sample.service).or_default();
+            its.0 += 1;
+            its.1.extend(took);
+        }
+        let summary = |(service, target_ms, is_flow): &(ServiceId, f64, bool)| {
+            let (samples, answered) = match all.remove(service) {
+                None if !is_flow => return None,
+                its => its.unwrap_or_default(),
+            };
+            let above = samples - answered.iter().filter(|ms| *ms <= target_ms).count();
+            Some(ServiceSummary {
+                service: service.clone(),
+                samples,
+                unanswered: samples - answered.len(),
+                service_time_target_ms: *target_ms,
+                above_target: (samples > 0).then(|| above as f64 / samples as f64),
+                service_time_ms: Quantiles::of(answered),
+            })
+        };
+        self.services.iter().filter_map(summary).collect()
     }
 
     /// The summary, for a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let answered: Vec<f64> = self.samples.iter().filter_map(|sample| service_time_ms(&sample)).collect();
-        let above = |target: f64| {
-            let above =
-                self.samples.iter().filter(|s| service_time_ms(s).is_none_or(|ms| ms > target)).count();
-            (!self.samples.is_empty()).then(|| above as f64 / self.samples.len() as f64)
+        let targets: BTreeMap<_, _> =
+            self.services.iter().map(|(id, target_ms, _)| (id, *target_ms)).collect();
+        let is_above = |sample: &ServiceTime| {
+            let target = targets.get(&sample.service);
+            service_time_ms(sample).is_none_or(|ms| target.is_some_and(|target| ms > *target))
         };
+        let above = || self.samples.iter().filter(is_above).count() as f64 / self.samples.len() as f64;
         Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
@@ -429,9 +493,10 @@ impl Report {
             ended,
             samples: self.samples.len(),
             unanswered: self.samples.len() - answered.len(),
-            service_time_target_ms: self.service_time_target_ms,
-            above_target: self.service_time_target_ms.and_then(above),
+            service_time_target_ms: self.service_time_target_ms(),
+            above_target: (!self.services.is_empty() && !self.samples.is_empty()).then(above),
             service_time_ms: Quantiles::of(answered),
+            services: self.services(),
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
@@ -440,17 +505,19 @@ impl Report {
             localization: self.localization.clone(),
             driving: self.driving.summary(),
             plugin_faults: self.faults.clone(),
+            notices: self.notices.clone(),
             history_dropped: losses.history_dropped,
         }
     }
 
-    /// Stretches with one attachment and one server, robot by robot.
+    /// Stretches with one attachment and one server, robot by robot and service by service.
     pub fn regions(&self) -> Vec<RegionSummary> {
-        let mut robots: BTreeMap<NodeId, Vec<(RegionSummary, Vec<f64>)>> = BTreeMap::new();
+        type Its = Vec<(RegionSummary, Vec<f64>)>;
+        let mut robots: BTreeMap<(NodeId, ServiceId), Its> = BTreeMap::new();
         for sample in self.samples.iter() {
             let took = service_time_ms(&sample);
-            let ServiceTime { robot, emitted, attachment, server, .. } = sample;
-            let its = robots.entry(robot.clone()).or_default();
+            let ServiceTime { robot, service, emitted, attachment, server, .. } = sample;
+            let its = robots.entry((robot.clone(), service.clone())).or_default();
             match its.last_mut() {
                 Some((region, all)) if (&region.attachment, &region.server) == (&attachment, &server) => {
                     region.until = emitted;
@@ -460,6 +527,7 @@ impl Report {
                 _ => {
                     let region = RegionSummary {
                         robot,
+                        service,
                         attachment,
                         server,
                         from: emitted,
@@ -506,7 +574,9 @@ mod tests {
     fn report() -> Report {
         let text = "name: test\nnodes: { a: { kind: switch } }\n";
         let testbed = cotorra_graph::testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
-        Report { service_time_target_ms: Some(15.0), ..Report::new(&testbed, 1) }
+        let services = [("navigation", 15.0, false), ("detect", 100.0, true)];
+        let services = services.map(|(id, target_ms, is_flow)| (id.parse().unwrap(), target_ms, is_flow));
+        Report { services: services.into(), ..Report::new(&testbed, 1) }
     }
 
     #[test]
@@ -525,6 +595,35 @@ mod tests {
         let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", Losses::default());
         assert_eq!((summary.samples, summary.unanswered, summary.above_target), (4, 1, Some(0.5)));
         assert_eq!(summary.service_time_ms.unwrap().max, 16.0);
+    }
+
+    #[test]
+    fn services_have_figures_targets_and_regions_of_their_own() {
+        let mut report = report();
+        for (i, took) in [Some(10), Some(16)].into_iter().enumerate() {
+            report.absorb(&sample(i as u32, "R1", took));
+        }
+        let none = &report.services()[1];
+        assert_eq!((none.samples, none.above_target, none.service_time_ms), (0, None, None));
+        for (i, took) in [Some(90), None, Some(80)].into_iter().enumerate() {
+            let mut stamped = sample(i as u32, "R1", took);
+            if let Event::ServiceTime(sample) = &mut stamped.event {
+                sample.service = "detect".parse().unwrap();
+                sample.server = "edge".parse().unwrap();
+            }
+            report.absorb(&stamped);
+        }
+        report.absorb(&Stamped { at: Timestamp::ZERO, event: Event::Notice { message: "mind".to_owned() } });
+        let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", Losses::default());
+        assert_eq!((summary.above_target, summary.notices), (Some(0.4), vec!["mind".to_owned()]));
+        let plain = |s: &ServiceSummary| {
+            (s.samples, s.unanswered, s.target_ms, s.above_target, s.service_time_ms.unwrap().max)
+        };
+        let services: Vec<_> = summary.services.iter().map(plain).collect();
+        assert_eq!(services, [(2, 0, 15.0, Some(0.5), 16.0), (3, 1, 100.0, Some(1.0 / 3.0), 90.0)]);
+        let regions: Vec<_> =
+            summary.regions.iter().map(|r| (r.service.as_str(), r.server.as_str(), r.samples)).collect();
+        assert_eq!(regions, [("detect", "edge", 3), ("navigation", "cloud", 2)]);
     }
 
     #[test]
