@@ -10,6 +10,7 @@ mod disk;
 mod documents;
 mod experiment;
 mod fields;
+mod flows;
 mod going_on;
 mod harness;
 mod history;

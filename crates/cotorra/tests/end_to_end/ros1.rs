@@ -126,6 +126,12 @@ fn programs_of_ros_that_nobody_changed_speak_across_the_emulated_network() {
     let median = said.split_once("median ").and_then(|(_, rest)| rest.split_once(" ms")).unwrap().0;
     // Both ways 1 ms over the air and 4.5 ms to the cloud: no scan is back before.
     assert!(median.parse::<f64>().unwrap() > 11.0, "{said}");
+    // The same is measured of the same scans where they leave and enter the robot.
+    let page = run.get("/api/v1/measurements/service-times?limit=10000");
+    let flow = page["items"].as_array().unwrap().iter().filter(|sample| sample["service"] == "relay");
+    let mut took: Vec<_> = flow.filter_map(|sample| sample["took_ms"].as_f64()).collect();
+    took.sort_by(f64::total_cmp);
+    assert!(took.len() >= 15 && took[0] > 11.0, "{took:?}");
     let listed = cotorra(["exec", "--api", run.address(), "cloud", "--"])
         .args(["/usr/bin/python3", "/usr/bin/rostopic", "list", "-v"])
         .env("ROS_HOME", home.path())
