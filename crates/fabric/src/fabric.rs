@@ -247,7 +247,7 @@ impl Fabric {
         }
         self.balance.sent += u64::from(frame.wire_packets());
         self.learn(port, &frame);
-        if self.flows.as_ref().is_some_and(|flows| flows.watch(port)) {
+        if self.flows.is_some() {
             self.observe_entry(now, port, &frame);
         }
         let Port { vertex, is_robot, .. } = self.ports[port.0];
@@ -268,13 +268,13 @@ impl Fabric {
         while let Some((due, port, frame)) = self.outbox.pop_front() {
             self.lateness.record(now.since(due));
             self.balance.delivered += u64::from(frame.wire_packets());
-            if let Some(flows) = self.flows.as_mut().filter(|flows| flows.watch(port)) {
-                flows.delivered(now, port, &frame, |port| self.ports[port.0].node.clone());
+            if self.flows.is_some() {
+                self.observe_delivery(now, port, &frame);
             }
             deliver(port, frame);
         }
-        if let Some(flows) = &mut self.flows {
-            flows.expire(now, |port| self.ports[port.0].node.clone());
+        if self.flows.is_some() {
+            self.expire_requests(now);
         }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
         let flows = self.flows.as_ref().and_then(|flows| flows.deadline());
@@ -544,13 +544,30 @@ impl Fabric {
         self.pool.put(frame);
     }
 
-    /// Shows a frame to the flows at the port that it enters.
+    /// Shows a frame to the flows at the port that it enters. Out of line, as most testbeds have none.
+    #[cold]
     fn observe_entry(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
-        let Some(mut flows) = self.flows.take() else { return };
+        let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
         let server = frame.destination().and_then(|address| self.owner(address));
         let attached = |robot: &NodeId| self.radio.attached_to(self.port(robot)?);
         flows.entered(now, port, frame, |robot| Mark { server, attachment: attached(robot) });
         self.flows = Some(flows);
+    }
+
+    /// Shows a frame to the flows at the port that it is delivered at.
+    #[cold]
+    fn observe_delivery(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
+        if let Some(flows) = self.flows.as_mut().filter(|flows| flows.watch(port)) {
+            flows.delivered(now, port, frame, |port| self.ports[port.0].node.clone());
+        }
+    }
+
+    /// Gives up requests of flows that were not answered in time.
+    #[cold]
+    fn expire_requests(&mut self, now: Timestamp) {
+        if let Some(flows) = &mut self.flows {
+            flows.expire(now, |port| self.ports[port.0].node.clone());
+        }
     }
 
     /// Does everything that is due by `now`, in the order in which it is due.

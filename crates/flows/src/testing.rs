@@ -126,26 +126,26 @@ impl Talk {
     }
 
     /// What the client sends next, as a frame.
-    pub fn from_client(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
+    pub fn client_sends(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
         let sent = tcp(self.client, self.server, self.next[0], self.next[1], flags, bytes);
         self.next[0] = self.next[0].wrapping_add(bytes.len() as u32);
         sent
     }
 
     /// What the server sends next, as a frame.
-    pub fn from_server(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
+    pub fn server_sends(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
         let sent = tcp(self.server, self.client, self.next[1], self.next[0], flags, bytes);
         self.next[1] = self.next[1].wrapping_add(bytes.len() as u32);
         sent
     }
 
     pub fn say(&mut self, meter: &mut Meter, at: u64, bytes: &[u8]) {
-        let sent = self.from_client(0, bytes);
+        let sent = self.client_sends(0, bytes);
         meter.entered(ms(at), &frame(&sent), 0);
     }
 
     pub fn hear(&mut self, meter: &mut Meter, at: u64, bytes: &[u8]) {
-        let sent = self.from_server(0, bytes);
+        let sent = self.server_sends(0, bytes);
         meter.delivered(ms(at), &frame(&sent));
     }
 }

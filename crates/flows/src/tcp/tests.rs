@@ -37,11 +37,11 @@ fn what_is_sent_again_begins_no_request_and_ends_none() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     let opened = tcp(CLIENT, SERVER, talk.next[0].wrapping_sub(1), 0, SYN, b"");
-    let asked = talk.from_client(0, b"ask");
+    let asked = talk.client_sends(0, b"ask");
     meter.entered(ms(10), &frame(&asked), 0);
     meter.entered(ms(20), &frame(&opened), 0);
     meter.entered(ms(210), &frame(&asked), 0);
-    let answered = talk.from_server(0, b"answer");
+    let answered = talk.server_sends(0, b"answer");
     meter.delivered(ms(230), &frame(&answered));
     meter.entered(ms(240), &frame(&asked), 0);
     talk.say(&mut meter, 300, b"next");
@@ -56,7 +56,7 @@ fn an_answer_whose_first_bytes_were_overtaken_begins_with_them() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 10, b"ask");
-    let first = talk.from_server(0, b"one");
+    let first = talk.server_sends(0, b"one");
     talk.hear(&mut meter, 20, b"two");
     assert_eq!(told(&mut meter), []);
     meter.delivered(ms(30), &frame(&first));
@@ -72,7 +72,7 @@ fn what_is_not_answered_is_lost_also_when_its_connection_is_over() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 10, b"ask");
-    let reset = talk.from_server(RST, b"");
+    let reset = talk.server_sends(RST, b"");
     meter.delivered(ms(20), &frame(&reset));
     // The next one has the same ports, and is another.
     let mut talk = Talk::begin(&mut meter, 30, CLIENT, SERVER);
@@ -130,7 +130,7 @@ fn http_is_measured_to_the_end_of_each_response() {
     talk.say(&mut meter, 90, b"GET / HTTP/1.0\r\n\r\n");
     talk.hear(&mut meter, 95, b"HTTP/1.0 200 OK\r\n\r\nsome");
     assert_eq!(told(&mut meter), []);
-    let last = talk.from_server(FIN, b"thing");
+    let last = talk.server_sends(FIN, b"thing");
     meter.delivered(ms(99), &frame(&last));
     assert_eq!(told(&mut meter), [(4, 90, Some(9))]);
     assert_eq!(meter.counts(), Counts { requests: 5, ..Counts::default() });
@@ -210,9 +210,9 @@ fn what_waits_for_a_gap_has_a_bound() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 1, b"ask");
-    let lost = talk.from_server(0, b"lost");
+    let lost = talk.server_sends(0, b"lost");
     for _ in 0..9 << 20 >> 15 {
-        let part = talk.from_server(0, &[0; 1 << 15]);
+        let part = talk.server_sends(0, &[0; 1 << 15]);
         meter.delivered(ms(2), &Frame { checksum_left: true, ..frame(&part) });
     }
     assert_eq!(meter.counts().given_up, 1);
@@ -221,7 +221,7 @@ fn what_waits_for_a_gap_has_a_bound() {
     // Others are followed as before.
     let mut other = Talk::begin(&mut meter, 3000, (1, 40_001), SERVER);
     other.say(&mut meter, 3001, b"ask");
-    let first = other.from_server(0, b"one");
+    let first = other.server_sends(0, b"one");
     for _ in 0..4 {
         other.hear(&mut meter, 3003, &[0; 1 << 14]);
     }
