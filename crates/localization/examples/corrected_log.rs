@@ -1,29 +1,27 @@
-//! Makes a localization problem with a known answer from a public lidar data set: a log that GMapping corrected.
+//! Evaluates localization on public lidar data sets: logs that GMapping corrected.
 //!
 //! Such logs (the "corrected" ones of the Radish collection) hold the corrected pose in each `FLASER`, and, in the
 //! `ODOM` between two of them, raw odometry set onto the first one's corrected pose. From that follow the raw odometry
-//! of the whole run, a map, and where the robot was.
+//! of the whole run, a map, and where the robot was. Even scans draw the map; only odd ones are localized, so that no
+//! scan is compared with itself.
 //!
-//! `cargo run --release -p cotorra-localization --example corrected_log -- LOG FOLDER [FROM TO]` writes FOLDER/raw.log,
-//! FOLDER/map.yaml, FOLDER/map.pgm and FOLDER/reference.csv, of the scans from number FROM up to TO alone where a
-//! correction is not right all along. Then it localizes in both modes with several seeds, and tells the errors.
+//! `cargo run --release -p cotorra-localization --example corrected_log -- [--amcl] [--seeds N] LOG[:FROM..TO]...`
+//! evaluates all logs, with several seeds each, and prints one table. FROM..TO restricts a log to these scans, where its
+//! correction is wrong elsewhere.
+//!
+//! Parameters were tuned on every second log in alphabetical order, from the first: acapulco, belgioioso, edmonton,
+//! freiburg-079, freiburg-campus, intel and seattle. The others are for testing alone: aces, csail, fhw, freiburg-101,
+//! infinite-corridor and orebro.
 
-use std::{
-    env,
-    error::Error,
-    fmt::Write as _,
-    fs::{self, File},
-    io::BufReader,
-    path::Path,
-    sync::Arc,
-};
+use std::{env, error::Error, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc, thread};
 
-use cotorra_graph::map_server;
+use cotorra_graph::{Cell, OccupancyGrid, Position};
 use cotorra_localization::{
-    LikelihoodField, Localizer, Parameters, Pose2,
+    Belief, LikelihoodField, Localizer, Parameters, Pose2,
     carmen::{Laser, Log, Message},
-    trajectory::{Errors, Trajectory},
 };
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// Side of a cell, metres.
 const RESOLUTION: f64 = 0.05;
@@ -31,89 +29,245 @@ const RESOLUTION: f64 = 0.05;
 const REACH: f64 = 30.0;
 /// A cell is a wall if this share of the beams that came to it ended there (GMapping's threshold).
 const OCCUPIED: f64 = 0.25;
+/// How well the first place is known: the variances that AMCL begins with, m² and rad² (15°).
+const ABOUT: [f64; 9] = [0.25, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0685];
+/// 95 % quantile of χ² with three degrees of freedom: x, y and heading.
+const INSIDE: f64 = 7.815;
+/// Kidnappings for each log and seed.
+const KIDNAPPINGS: usize = 10;
+/// A robot is followed so far before it is carried away, metres, and so far after.
+const BEFORE: f64 = 10.0;
+const AFTER: f64 = 30.0;
+/// It is carried at least so far, metres.
+const CARRIED: f64 = 5.0;
+/// It has recovered when its error stays below that until the end, metres.
+const RECOVERED: f64 = 0.5;
+/// While it has not, a smaller deviation than that, √(var x + var y), claims too much, metres.
+const WIDE: f64 = 0.3;
 
-fn main() -> Result<(), Box<dyn Error>> {
+type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
+
+fn main() -> Result<()> {
+    let (mut parameters, mut seeds, mut logs) = (Parameters::default(), 3, Vec::new());
     let mut arguments = env::args().skip(1);
-    let usage = "usage: corrected_log LOG FOLDER [FROM TO]";
-    let (log, folder) = (arguments.next().ok_or(usage)?, arguments.next().ok_or(usage)?);
-    let from: usize = arguments.next().map_or(Ok(0), |text| text.parse())?;
-    let to: usize = arguments.next().map_or(Ok(usize::MAX), |text| text.parse())?;
-    let folder = Path::new(&folder);
-    fs::create_dir_all(folder)?;
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--amcl" => parameters = Parameters::amcl(),
+            "--seeds" => seeds = arguments.next().ok_or("--seeds needs a number")?.parse()?,
+            _ => logs.push(argument),
+        }
+    }
+    if logs.is_empty() {
+        return Err("usage: corrected_log [--amcl] [--seeds N] LOG[:FROM..TO]...".into());
+    }
+    println!("{HEAD}");
+    thread::scope(|scope| {
+        let evaluate = |log| scope.spawn(move || Problem::read(log)?.evaluate(&parameters, seeds));
+        let results: Vec<_> = logs.iter().map(|log| (log, evaluate(log))).collect();
+        let mut all = Outcome::default();
+        for (log, result) in results {
+            let outcome = result.join().expect("no log panics")?;
+            let name = Path::new(log).file_name().unwrap_or_default().to_string_lossy();
+            println!("| {} | {outcome} |", name.replace("-corrected.log", ""));
+            all.add(outcome);
+        }
+        println!("| all | {all} |");
+        Ok(())
+    })
+}
 
-    let (mut scans, mut raw) = (Vec::new(), Vec::new());
-    let (mut corrected, mut at): (Option<Pose2>, _) = (None, Pose2::default());
-    let mut odometry: Option<Pose2> = None;
-    for message in Log::new(BufReader::new(File::open(log)?)) {
+/// A scan, and raw odometry at that time.
+struct Seen {
+    laser: Laser,
+    odometry: Pose2,
+}
+
+/// What a log says: a map of its even scans, and its odd ones to be localized.
+struct Problem {
+    map: OccupancyGrid,
+    scans: Vec<Seen>,
+    /// How far the robot had gone at each of them, metres.
+    gone: Vec<f64>,
+}
+
+impl Problem {
+    fn read(argument: &str) -> Result<Self> {
+        let (path, range) = match argument.rsplit_once(':') {
+            Some((path, range)) => {
+                let (from, to) = range.split_once("..").ok_or("write LOG:FROM..TO")?;
+                (path, from.parse()?..to.parse()?)
+            }
+            None => (argument, 0..usize::MAX),
+        };
+        let mut scans = read(path)?;
+        scans.truncate(range.end);
+        let mut even = Vec::new();
+        let mut odd = Vec::new();
+        for (nth, seen) in scans.into_iter().enumerate().skip(range.start) {
+            if nth % 2 == 0 { even.push(seen.laser) } else { odd.push(seen) }
+        }
+        let first = odd.first().ok_or("there are too few scans")?.laser.robot;
+        let mut gone = vec![0.0];
+        let mut last = first;
+        for seen in &odd[1..] {
+            gone.push(gone[gone.len() - 1] + last.distance(seen.laser.robot));
+            last = seen.laser.robot;
+        }
+        Ok(Self { map: draw(&even).ok_or("the map is empty")?, scans: odd, gone })
+    }
+
+    fn evaluate(&self, parameters: &Parameters, seeds: u64) -> Result<Outcome> {
+        let field = Arc::new(LikelihoodField::new(&self.map, parameters));
+        let mut outcome = Outcome::default();
+        for seed in 1..=seeds {
+            let start = self.scans[0].laser.robot;
+            let mut localizer = Localizer::at(Arc::clone(&field), *parameters, seed, start, &ABOUT)?;
+            self.follow(&mut localizer, 0..self.scans.len(), Pose2::default(), |_, belief, truth| {
+                outcome.followed(belief, truth);
+            })?;
+            let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+            for nth in 0..KIDNAPPINGS as u64 {
+                let seed = seed * KIDNAPPINGS as u64 + nth;
+                let Some([before, after]) = self.kidnapping(&mut random) else { continue };
+                let start = self.scans[before.start].laser.robot;
+                let mut localizer = Localizer::at(Arc::clone(&field), *parameters, seed, start, &ABOUT)?;
+                self.follow(&mut localizer, before.clone(), Pose2::default(), |_, _, _| {})?;
+                // Its wheels do not turn while it is carried.
+                let (from, to) = (&self.scans[before.end - 1], &self.scans[after.start]);
+                let carried = from.odometry * to.odometry.inverse();
+                let mut trial = Vec::new();
+                let begin = self.gone[after.start];
+                self.follow(&mut localizer, after, carried, |gone, belief, truth| {
+                    trial.push((gone - begin, *belief, truth));
+                })?;
+                outcome.kidnapped(&trial);
+            }
+        }
+        Ok(outcome)
+    }
+
+    /// Where a robot is followed, and where it is followed after it was carried there.
+    fn kidnapping(&self, random: &mut impl Rng) -> Option<[Range<usize>; 2]> {
+        let reach = |begin: usize, way: f64| {
+            let end = self.gone.partition_point(|gone| *gone < self.gone[begin] + way) + 1;
+            (end <= self.gone.len()).then_some(begin..end)
+        };
+        let mut any = || (random.next_u64() % self.scans.len() as u64) as usize;
+        let at = |nth: usize| self.scans[nth].laser.robot;
+        (0..10_000).find_map(|_| {
+            let (before, after) = (reach(any(), BEFORE)?, reach(any(), AFTER)?);
+            (at(before.end - 1).distance(at(after.start)) >= CARRIED).then_some([before, after])
+        })
+    }
+
+    fn follow(
+        &self,
+        localizer: &mut Localizer,
+        scans: Range<usize>,
+        carried: Pose2,
+        mut told: impl FnMut(f64, &Belief, Pose2),
+    ) -> Result<()> {
+        for nth in scans {
+            let Seen { laser, odometry } = &self.scans[nth];
+            let estimate = localizer.observe(carried * *odometry, &laser.scan())?;
+            told(self.gone[nth], &estimate.belief(), laser.robot);
+        }
+        Ok(())
+    }
+}
+
+/// What came of a log.
+#[derive(Default)]
+struct Outcome {
+    positions: Vec<f64>,
+    squares: f64,
+    inside: usize,
+    nees: f64,
+    /// Scans of robots that have not recovered, and how many of those claim to know where it is.
+    lost: usize,
+    claimed: usize,
+    /// How far each kidnapped robot went until it was found; infinite if it was not.
+    recovery: Vec<f64>,
+}
+
+const HEAD: &str = "\
+| log | scans × seeds | median | RMSE | inside 95 % | NEES | kidnapped | claims < 0.3 m | recovery median | max |
+|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|";
+
+impl Outcome {
+    fn followed(&mut self, belief: &Belief, truth: Pose2) {
+        let error = belief.pose.distance(truth);
+        let nees = belief.nees(truth).unwrap_or(f64::INFINITY);
+        self.positions.push(error);
+        self.squares += error * error;
+        self.inside += usize::from(nees <= INSIDE);
+        self.nees += nees;
+    }
+
+    fn kidnapped(&mut self, trial: &[(f64, Belief, Pose2)]) {
+        let off = |(_, belief, truth): &(f64, Belief, Pose2)| belief.pose.distance(*truth);
+        let found = trial.iter().rposition(|scan| off(scan) >= RECOVERED).map_or(0, |last| last + 1);
+        self.recovery.push(trial.get(found).map_or(f64::INFINITY, |(gone, ..)| *gone));
+        for (_, belief, _) in trial[..found].iter().filter(|scan| off(scan) >= RECOVERED) {
+            self.lost += 1;
+            self.claimed += usize::from((belief.covariance[0] + belief.covariance[4]).sqrt() < WIDE);
+        }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.positions.extend(other.positions);
+        self.squares += other.squares;
+        self.inside += other.inside;
+        self.nees += other.nees;
+        self.lost += other.lost;
+        self.claimed += other.claimed;
+        self.recovery.extend(other.recovery);
+    }
+}
+
+/// A row of the table, without its ends.
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = self.positions.len() as f64;
+        let median = |values: &[f64]| {
+            let mut sorted = values.to_vec();
+            sorted.sort_by(f64::total_cmp);
+            sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+        };
+        write!(f, "{} | {:.3} m | ", self.positions.len(), median(&self.positions))?;
+        write!(f, "{:.3} m | ", (self.squares / count).sqrt())?;
+        write!(f, "{:.1} % | {:.1} | ", 100.0 * self.inside as f64 / count, self.nees / count)?;
+        let claimed = 100.0 * self.claimed as f64 / (self.lost as f64).max(1.0);
+        let farthest = self.recovery.iter().copied().fold(0.0, f64::max);
+        write!(f, "{} | {claimed:.1} % of {} | ", self.recovery.len(), self.lost)?;
+        write!(f, "{:.1} m | {farthest:.1} m", median(&self.recovery))
+    }
+}
+
+/// The scans of a log, with odometry as it was before it was corrected.
+fn read(path: &str) -> Result<Vec<Seen>> {
+    let mut scans: Vec<Seen> = Vec::new();
+    let mut after: Option<Pose2> = None;
+    let file = File::open(path).map_err(|error| format!("{path}: {error}"))?;
+    for message in Log::new(BufReader::new(file)) {
         match message? {
-            Message::Odometry { pose, .. } => odometry = Some(pose),
+            Message::Odometry { pose, .. } => after = Some(pose),
             Message::Laser(laser) => {
-                if let (Some(corrected), Some(odometry)) = (corrected, odometry) {
-                    at = at * corrected.step_to(odometry);
-                } else {
-                    at = laser.robot;
-                }
-                (corrected, odometry) = (Some(laser.robot), None);
-                raw.push(at);
-                scans.push(laser);
+                let odometry = match (scans.last(), after.take()) {
+                    (None, _) => laser.robot,
+                    (Some(last), after) => {
+                        last.odometry * last.laser.robot.step_to(after.unwrap_or(laser.robot))
+                    }
+                };
+                scans.push(Seen { laser, odometry });
             }
         }
     }
-    let kept = from.min(scans.len())..to.min(scans.len());
-    let (scans, raw) = (scans.get(kept.clone()).ok_or(usage)?, raw.get(kept).ok_or(usage)?);
-    draw(scans, folder)?;
-
-    let mut log = String::from("# CARMEN Logfile\n");
-    let mut reference = String::from("time,x,y,heading\n");
-    for (nth, (scan, odometry)) in scans.iter().zip(raw).enumerate() {
-        // Their clocks stand, jump, or lack digits.
-        let time = nth as f64 * 0.1;
-        write!(log, "FLASER {}", scan.ranges.len())?;
-        scan.ranges.iter().try_for_each(|range| write!(log, " {range}"))?;
-        let Pose2 { x, y, heading } = odometry;
-        writeln!(log, " {x} {y} {heading} {x} {y} {heading} {time} host {time}")?;
-        let Pose2 { x, y, heading } = scan.robot;
-        writeln!(reference, "{time},{x},{y},{heading}")?;
-    }
-    fs::write(folder.join("raw.log"), log)?;
-    fs::write(folder.join("reference.csv"), reference)?;
-    evaluate(folder)
+    Ok(scans)
 }
 
-/// Seeds with which a log is localized.
-const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
-
-/// Localizes what was written, as `cotorra localize` does.
-fn evaluate(folder: &Path) -> Result<(), Box<dyn Error>> {
-    let map = map_server::load(folder.join("map.yaml")).map_err(|wrong| format!("{wrong:?}"))?;
-    let reference = Trajectory::read(BufReader::new(File::open(folder.join("reference.csv"))?))?;
-    let mut scans = Vec::new();
-    for message in Log::new(BufReader::new(File::open(folder.join("raw.log"))?)) {
-        if let Message::Laser(laser) = message? {
-            scans.push(laser);
-        }
-    }
-    for (mode, parameters) in [("likelihood", Parameters::default()), ("amcl", Parameters::amcl())] {
-        let field = Arc::new(LikelihoodField::new(&map, &parameters));
-        for seed in SEEDS {
-            let start = reference.first().ok_or("the log has no scan")?;
-            let about = [0.25, 0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0, 0.0685];
-            let mut localizer = Localizer::at(Arc::clone(&field), parameters, seed, start, &about)?;
-            let mut errors = Errors::default();
-            for (nth, scan) in scans.iter().enumerate() {
-                let estimate = localizer.observe(scan.robot, &scan.scan())?;
-                if let Some(truth) = reference.at(nth, scans.len(), scan.at) {
-                    errors.push(&estimate.belief(), truth);
-                }
-            }
-            println!("{mode:10}  seed {seed}  {errors}");
-        }
-    }
-    Ok(())
-}
-
-/// Writes a map of what the beams met, in map_server's files.
-fn draw(scans: &[Laser], folder: &Path) -> Result<(), Box<dyn Error>> {
+/// A map of what the beams met; `None` if they met nothing.
+fn draw(scans: &[Laser]) -> Option<OccupancyGrid> {
     let beams = || {
         scans.iter().flat_map(|scan| {
             scan.ranges.iter().enumerate().filter_map(move |(beam, &range)| {
@@ -125,9 +279,11 @@ fn draw(scans: &[Laser], folder: &Path) -> Result<(), Box<dyn Error>> {
         })
     };
     let (mut low, mut high) = ((f64::MAX, f64::MAX), (f64::MIN, f64::MIN));
-    for (_, (x, y)) in beams() {
-        low = (low.0.min(x), low.1.min(y));
-        high = (high.0.max(x), high.1.max(y));
+    for (begin, end) in beams() {
+        for (x, y) in [begin, end] {
+            low = (low.0.min(x), low.1.min(y));
+            high = (high.0.max(x), high.1.max(y));
+        }
     }
     let origin = (low.0 - 1.0, low.1 - 1.0);
     let size = |low: f64, high: f64| ((high - low + 2.0) / RESOLUTION) as usize;
@@ -152,18 +308,13 @@ fn draw(scans: &[Laser], folder: &Path) -> Result<(), Box<dyn Error>> {
         }
         met[last].0 += 1;
     }
-    let mut picture = format!("P5\n{width} {height}\n255\n").into_bytes();
-    for row in met.chunks(width).rev() {
-        picture.extend(row.iter().map(|&(ended, through)| match ended + through {
-            0 => 205,
-            all if f64::from(ended) > OCCUPIED * f64::from(all) => 0,
-            _ => 254_u8,
-        }));
-    }
-    fs::write(folder.join("map.pgm"), picture)?;
-    let yaml = format!(
-        "image: map.pgm\nresolution: {RESOLUTION}\norigin: [{}, {}, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-        origin.0, origin.1
-    );
-    Ok(fs::write(folder.join("map.yaml"), yaml)?)
+    let cells = met
+        .iter()
+        .map(|&(ended, through)| match ended + through {
+            0 => Cell::Unknown,
+            all if f64::from(ended) > OCCUPIED * f64::from(all) => Cell::Occupied,
+            _ => Cell::Free,
+        })
+        .collect();
+    OccupancyGrid::new(width, height, RESOLUTION, Position::new(origin.0, origin.1), cells)
 }
