@@ -118,6 +118,8 @@ pub(crate) struct Cluster {
     pub heading: f64,
     /// Covariance of column, row and heading, row by row.
     pub covariance: [f64; 9],
+    /// The same of all particles, about the mean of this cluster.
+    pub about: [f64; 9],
 }
 
 impl Cluster {
@@ -150,7 +152,11 @@ impl Cluster {
             }
         }
         let members = || (0..particles.len()).filter(|&particle| cluster[number[particle]] == heaviest);
-        Self::moments(particles, members)
+        let mut heaviest = Self::moments(particles, members);
+        if cluster.iter().any(|other| *other != cluster[0]) {
+            heaviest.about = heaviest.second_moments(particles, 0..particles.len());
+        }
+        heaviest
     }
 
     fn moments<M: Iterator<Item = usize>>(particles: &Particles, members: impl Fn() -> M) -> Self {
@@ -166,19 +172,29 @@ impl Cluster {
             cos += share * f64::from(c);
         }
         let (column, row, heading) = (column / weight, row / weight, sin.atan2(cos));
-        let mut covariance = [0.0; 9];
-        for i in members() {
-            let share = f64::from(particles.weight[i]) / weight;
+        let mut mean = Self { column, row, heading, covariance: [0.0; 9], about: [0.0; 9] };
+        mean.covariance = mean.second_moments(particles, members());
+        mean.about = mean.covariance;
+        mean
+    }
+
+    /// Second moments of these particles about the mean.
+    fn second_moments(&self, particles: &Particles, members: impl Iterator<Item = usize>) -> [f64; 9] {
+        let places = &particles.places;
+        let (mut weight, mut moments) = (0.0, [0.0; 9]);
+        for i in members {
+            let share = f64::from(particles.weight[i]);
             let off = [
-                f64::from(places.column[i]) - column,
-                f64::from(places.row[i]) - row,
-                wrapped(f64::from(places.heading[i]) - heading),
+                f64::from(places.column[i]) - self.column,
+                f64::from(places.row[i]) - self.row,
+                wrapped(f64::from(places.heading[i]) - self.heading),
             ];
-            for (entry, value) in covariance.iter_mut().enumerate() {
+            weight += share;
+            for (entry, value) in moments.iter_mut().enumerate() {
                 *value += share * off[entry / 3] * off[entry % 3];
             }
         }
-        Self { column, row, heading, covariance }
+        moments.map(|moment| moment / weight)
     }
 }
 

@@ -5,7 +5,10 @@
 
 use std::{f64::consts::PI, io::BufRead, num::ParseFloatError};
 
-use crate::{geometry::Pose2, scan::Scan};
+use crate::{
+    geometry::{FARTHEST, Pose2},
+    scan::Scan,
+};
 
 /// A message of a log.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,6 +86,28 @@ pub enum LogProblem {
         field: &'static str,
         /// What is there.
         found: String,
+    },
+    /// A pose that is on no map.
+    #[error("the {field} of `{message}` is ({x:?}, {y:?}), but no map reaches beyond {FARTHEST:e} m")]
+    TooFar {
+        /// Its name.
+        message: &'static str,
+        /// Which pose.
+        field: &'static str,
+        /// Metres.
+        x: f64,
+        /// Metres.
+        y: f64,
+    },
+    /// A number of readings that is not whole, or below zero.
+    #[error("`{message}` announces {count} {field}, which is no count")]
+    NoCount {
+        /// Its name.
+        message: &'static str,
+        /// Of what.
+        field: &'static str,
+        /// How many.
+        count: f64,
     },
     /// More readings than any laser has.
     #[error("`{message}` announces {count} {field}, but no laser has more than {MAX_READINGS}")]
@@ -222,14 +247,18 @@ impl Fields<'_> {
     }
 
     fn pose(&mut self, field: &'static str) -> Result<Pose2, LogProblem> {
-        Ok(Pose2::new(self.number(field)?, self.number(field)?, self.number(field)?))
+        let [x, y, heading] = [self.number(field)?, self.number(field)?, self.number(field)?];
+        valid(self.message, field, Pose2::new(x, y, heading))
     }
 
     /// How many, then each. A range may be NaN or infinite: that beam hit nothing.
     fn list(&mut self, field: &'static str) -> Result<Vec<f32>, LogProblem> {
         let message = self.message;
         let count = self.number(field)?;
-        if !(0.0..=MAX_READINGS as f64).contains(&count) || count.fract() != 0.0 {
+        if count < 0.0 || count.fract() != 0.0 {
+            return Err(LogProblem::NoCount { message, field, count });
+        }
+        if count > MAX_READINGS as f64 {
             return Err(LogProblem::TooMany { message, field, count });
         }
         let read = |_| {
@@ -238,6 +267,12 @@ impl Fields<'_> {
         };
         (0..count as usize).map(read).collect()
     }
+}
+
+/// The pose, if a robot can be there.
+pub(crate) fn valid(message: &'static str, field: &'static str, pose: Pose2) -> Result<Pose2, LogProblem> {
+    let Pose2 { x, y, .. } = pose;
+    if pose.is_valid() { Ok(pose) } else { Err(LogProblem::TooFar { message, field, x, y }) }
 }
 
 fn shortened(found: &str) -> String {
@@ -299,6 +334,12 @@ mod tests {
         assert_eq!(
             wrong("ODOM nan 2 3 0 0 0 1 h 1"),
             "line 1: the pose of `ODOM` is `nan`, which is no number"
+        );
+        assert_eq!(wrong("FLASER -5 1"), "line 1: `FLASER` announces -5 ranges, which is no count");
+        assert_eq!(wrong("FLASER 1.5 1"), "line 1: `FLASER` announces 1.5 ranges, which is no count");
+        assert_eq!(
+            wrong("ODOM 1e8 2 3 0 0 0 1 h 1"),
+            "line 1: the pose of `ODOM` is (100000000.0, 2.0), but no map reaches beyond 1e7 m"
         );
         // Nothing follows a mistake.
         assert_eq!(read("ODOM\nODOM 1 2 3 0 0 0 1 h 1\n").len(), 1);

@@ -1,11 +1,14 @@
 //! The likelihood field: what the end of a beam says at each place of the map, looked up and summed as fast as memory
 //! allows (Probabilistic Robotics, ch. 6.4, table 6.3).
 
+use std::f64::consts::PI;
+
 use cotorra_graph::{Cell, OccupancyGrid};
 
 use crate::{
     fast::sin_cos,
     geometry::Pose2,
+    localizer::LocalizationError,
     parameters::{Parameters, Weighing},
     particles::Places,
     random::Stream,
@@ -24,6 +27,8 @@ pub struct LikelihoodField {
     /// moved, and rows of 2^`shift` cells and [`BETWEEN_ROWS`] more.
     table: Vec<f32>,
     shift: u32,
+    /// What a beam adds at a wall, and far from all walls.
+    range: [f32; 2],
     /// Free cells, as stretches of a row: index of the first, and how many there are up to this stretch's end.
     free: Vec<(usize, u64)>,
 }
@@ -41,13 +46,25 @@ pub(crate) struct Place {
 const WHOLE: f32 = 8_388_608.0 - 0.5;
 const WHOLE_BITS: u32 = 0x007f_ffff;
 
+impl Place {
+    /// Somewhere about it, with these deviations of column and row, and of heading.
+    pub fn moved(self, way: f32, turn: f32, random: &mut Stream) -> Self {
+        Self {
+            column: self.column + way * random.bell(),
+            row: self.row + way * random.bell(),
+            heading: self.heading + turn * random.bell(),
+        }
+    }
+}
+
 impl LikelihoodField {
     /// Prepares a map: some 30 ms per million cells.
     pub fn new(map: &OccupancyGrid, parameters: &Parameters) -> Self {
         let (width, height) = (map.width(), map.height());
         let (model, resolution) = (&parameters.beams, map.resolution());
         let shift = (width + 2).next_power_of_two().trailing_zeros();
-        let squared = squared_distances(map);
+        let likelihood = matches!(parameters.weighing, Weighing::Likelihood { .. });
+        let squared = squared_distances(map, likelihood);
         let score = |squared_cells: f32| {
             let distance = f64::from(squared_cells).sqrt() * resolution;
             let distance = distance.min(model.likelihood_max_dist);
@@ -87,7 +104,27 @@ impl LikelihoodField {
             }
         }
         let origin = (map.origin().x, map.origin().y);
-        Self { resolution, origin, size: (width, height), table, shift, free }
+        Self {
+            resolution,
+            origin,
+            size: (width, height),
+            table,
+            shift,
+            range: [scores[0], scores[most]],
+            free,
+        }
+    }
+
+    /// Whether a robot can be found on it.
+    ///
+    /// # Errors
+    /// [`LocalizationError::NoWall`] or [`LocalizationError::NoFreeSpace`].
+    pub fn check(&self) -> Result<(), LocalizationError> {
+        if self.free.is_empty() {
+            return Err(LocalizationError::NoFreeSpace);
+        }
+        let walls = self.table.iter().any(|score| *score != self.range[1]);
+        if walls { Ok(()) } else { Err(LocalizationError::NoWall) }
     }
 
     /// Free space of the map, m².
@@ -108,6 +145,20 @@ impl LikelihoodField {
             row: (cell / self.size.0) as f32 + 1.0 + within(),
             heading: (within() - 0.5) * std::f32::consts::TAU,
         })
+    }
+
+    /// The share of the votes at walls that gives this score, if each is at one or far from all.
+    pub(crate) fn hit_share(&self, score: f32, votes: f32) -> f64 {
+        let [hit, miss] = self.range;
+        f64::from((score / votes - miss) / (hit - miss))
+    }
+
+    /// Second moments of column, row and heading about a place, for a robot that may be anywhere on the map; in cells.
+    pub(crate) fn anywhere_about(&self, column: f64, row: f64) -> [f64; 9] {
+        let (width, height) = (self.size.0 as f64, self.size.1 as f64);
+        let (x, y) = (width / 2.0 + 1.0 - column, height / 2.0 + 1.0 - row);
+        let (along, across) = (width * width / 12.0 + x * x, height * height / 12.0 + y * y);
+        [along, x * y, 0.0, x * y, across, 0.0, 0.0, 0.0, PI * PI / 3.0]
     }
 
     pub(crate) fn resolution(&self) -> f64 {
@@ -210,14 +261,25 @@ const BLOCK: usize = 512;
 /// a column would compete for the same few cache lines.
 const BETWEEN_ROWS: u32 = 16;
 
-/// The square of the distance from each cell's centre to that of the nearest occupied one, in cells, row by row from
-/// the lower left; exact: up and down each column at once, then lower envelopes of parabolas along the rows (Felzenszwalb
+/// The square of the distance from each cell's centre to that of the nearest occupied one - beside a free one, if only
+/// `surfaces` count - in cells, row by row from the lower left; exact: up and down each column at once, then lower envelopes of parabolas along the rows (Felzenszwalb
 /// and Huttenlocher 2012).
-fn squared_distances(map: &OccupancyGrid) -> Vec<f32> {
+fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
     let (width, height) = (map.width(), map.height());
+    // Off the map, all is unknown.
+    let is_free = |column: usize, row: usize| map.cell(column, row) == Cell::Free;
+    let beside_free = |column: usize, row: usize| {
+        is_free(column.wrapping_sub(1), row)
+            || is_free(column + 1, row)
+            || is_free(column, row.wrapping_sub(1))
+            || is_free(column, row + 1)
+    };
+    let is_wall = |column: usize, row: usize| {
+        map.cell(column, row) == Cell::Occupied && (!surfaces || beside_free(column, row))
+    };
     let mut distance: Vec<f32> = (0..height)
         .flat_map(|row| (0..width).map(move |column| (column, row)))
-        .map(|(column, row)| if map.cell(column, row) == Cell::Occupied { 0.0 } else { f32::INFINITY })
+        .map(|(column, row)| if is_wall(column, row) { 0.0 } else { f32::INFINITY })
         .collect();
     // Whole rows, so that each step is one of many columns.
     let mut nearer = |from: usize, to: usize| {
@@ -296,7 +358,7 @@ mod tests {
         ) {
             let cells = &cells[..cells.len() / width * width];
             let map = grid(width, cells);
-            let found = squared_distances(&map);
+            let found = squared_distances(&map, false);
             for (cell, &squared) in found.iter().enumerate() {
                 let walls = cells.iter().enumerate().filter(|(_, wall)| **wall);
                 let nearest = walls
@@ -328,7 +390,7 @@ mod tests {
             let mut places = Places::default();
             // More than a block, and no whole number of lanes.
             (0..1030).for_each(|_| places.push(place));
-            let distances = squared_distances(&map);
+            let distances = squared_distances(&map, true);
             let (sin, cos) = place.heading.sin_cos();
             let mut on_a_border = false;
             let expected: f32 = ends.iter().map(|&(x, y, weight)| {
@@ -349,6 +411,13 @@ mod tests {
                 prop_assert!((score - expected).abs() < 1e-3 * expected.abs().max(1.0), "{} {}", score, expected);
             }
         }
+    }
+
+    #[test]
+    fn no_beam_ends_within_a_wall() {
+        let map = grid(5, &[false, true, true, true, false]);
+        assert_eq!(squared_distances(&map, false), [1.0, 0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(squared_distances(&map, true), [1.0, 0.0, 1.0, 0.0, 1.0]);
     }
 
     #[test]

@@ -17,15 +17,19 @@ pub struct Pose2 {
     pub heading: f64,
 }
 
+/// Coordinates beyond that are mistakes, metres: products of larger ones overflow sooner or later.
+pub const FARTHEST: f64 = 1e7;
+
 impl Pose2 {
     /// A pose, its heading brought into (-π, π].
     pub fn new(x: f64, y: f64, heading: f64) -> Self {
         Self { x, y, heading: wrapped(heading) }
     }
 
-    /// Whether all three are finite.
-    pub fn is_finite(self) -> bool {
-        self.x.is_finite() && self.y.is_finite() && self.heading.is_finite()
+    /// Whether it is a pose that can be computed with: a finite heading, and no coordinate beyond [`FARTHEST`].
+    pub fn is_valid(self) -> bool {
+        // NaN is not within either.
+        self.x.abs() <= FARTHEST && self.y.abs() <= FARTHEST && self.heading.is_finite()
     }
 
     /// The step back: `p * p.inverse()` is the origin.

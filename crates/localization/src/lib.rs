@@ -8,6 +8,7 @@
 mod belief;
 mod bins;
 pub mod carmen;
+mod doubt;
 mod fast;
 mod field;
 mod geometry;
@@ -23,7 +24,7 @@ mod weights;
 
 pub use belief::Belief;
 pub use field::LikelihoodField;
-pub use geometry::Pose2;
+pub use geometry::{FARTHEST, Pose2};
 pub use localizer::{Estimate, LocalizationError, Localizer};
 pub use parameters::{BeamModel, MotionNoise, Parameters, Weighing};
 pub use scan::Scan;

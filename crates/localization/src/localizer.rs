@@ -5,12 +5,12 @@ use std::sync::Arc;
 use crate::{
     belief::{Belief, cholesky},
     bins::{Binning, Cluster},
-    fast::exp,
+    doubt::Doubt,
     field::{LikelihoodField, Place},
-    geometry::Pose2,
+    geometry::{FARTHEST, Pose2},
     motion::Motion,
     parameters::{Parameters, Weighing},
-    particles::{Elsewhere, Particles, Places},
+    particles::{Particles, Places},
     random::Stream,
     relocate::Candidates,
     scan::{Beams, Scan},
@@ -44,9 +44,15 @@ pub enum LocalizationError {
     /// A robot can be nowhere.
     #[error("the map has no free cell, on which a robot could be")]
     NoFreeSpace,
-    /// A robot says that it is at NaN or infinity.
-    #[error("a pose of ({}, {}) m and {} rad is no pose", .0.x, .0.y, .0.heading)]
-    NotFinite(Pose2),
+    /// All scans would look alike.
+    #[error("the map has no wall, by which a robot could be found")]
+    NoWall,
+    /// A pose is not finite, or so far away that computing with it overflows.
+    #[error("({:?}, {:?}) m and {:?} rad is no pose: not finite, or beyond {FARTHEST:e} m", .0.x, .0.y, .0.heading)]
+    NoPose(Pose2),
+    /// A covariance is not finite, or so large that computing with it overflows.
+    #[error("a variance of {0} is no use: not finite, or above ({FARTHEST:e} m)²")]
+    NoCovariance(f64),
 }
 
 /// Monte Carlo localization of one robot (Probabilistic Robotics, ch. 8.3), with KLD-sampling, augmented recovery and
@@ -68,27 +74,35 @@ pub struct Localizer {
     odometry: Option<Pose2>,
     /// As of the last update.
     cluster: Cluster,
-    recovery: Recovery,
     updates: u32,
-    /// How many updates in a row fitted badly.
-    unfit: u32,
+    doubt: Doubt,
     /// Nothing is known of where it is before the first scan.
     anywhere: bool,
 }
 
 /// Of the particles, no more than this share are lost to one step of weighing: a sharp likelihood is taken in steps.
-const LEAST_EFFECTIVE: f64 = 0.1;
+const LEAST_EFFECTIVE: f64 = 0.05;
 /// So many steps at most.
 const STEPS: usize = 5;
-/// Places looked at when nothing is known, and when it seems that the robot was carried away.
-const MOST_CANDIDATES: [usize; 2] = [1_000_000, 20_000];
+/// Places looked at when nothing is known.
+const MOST_CANDIDATES: usize = 1_000_000;
+/// Places looked at after a scan that fits badly, and how often their number doubles with each further one.
+const CANDIDATES: usize = 50_000;
+const DOUBLED: u32 = 4;
 /// Of the beams, as many are enough to find candidates.
 const CANDIDATE_BEAMS: usize = 40;
-/// For so many updates that fit badly, it is odometry that was off, and the robot is looked for near where it should be.
-const LOOK_NEAR: u32 = 4;
-/// How likely it is that a robot whose scans fit badly was carried away, rather than that somebody stands before it. A
-/// scan that fits elsewhere outweighs that at once; a place that only looks alike does not.
-const KIDNAPPED: f64 = 1e-8;
+/// Logarithms of the odds that a robot whose scan fits badly slipped, or was carried away, to the one place near by, or
+/// anywhere, that fits best.
+const SLIPPED: f64 = -11.5;
+const CARRIED_AWAY: f64 = -18.4;
+/// A scan says no more of where else the robot is than so many votes would: the place was chosen to fit.
+const MOST_VOTES: f64 = 25.0;
+/// A place far away fits if such a share of the votes that usually are at walls is.
+const FITS: f64 = 0.65;
+/// No odds need a larger logarithm.
+const LARGEST: f64 = 50.0;
+/// Less likely places are left out.
+const NEGLIGIBLE: f64 = 1e-4;
 /// Deviation of particles about a candidate, metres and radians.
 const ABOUT_CANDIDATE: [f64; 2] = [0.05, 0.02];
 
@@ -96,7 +110,7 @@ impl Localizer {
     /// A filter that knows about where the robot is: a normal distribution, its covariance row by row.
     ///
     /// # Errors
-    /// [`LocalizationError::NotFinite`].
+    /// [`LocalizationError`] if the map, the pose or the covariance is no use.
     pub fn at(
         field: Arc<LikelihoodField>,
         parameters: Parameters,
@@ -104,10 +118,12 @@ impl Localizer {
         pose: Pose2,
         covariance: &[f64; 9],
     ) -> Result<Self, LocalizationError> {
-        if !(pose.is_finite() && covariance.iter().all(|entry| entry.is_finite())) {
-            return Err(LocalizationError::NotFinite(pose));
+        valid(pose)?;
+        // NaN is not within either.
+        if let Some(entry) = covariance.iter().find(|entry| !(entry.abs() <= FARTHEST * FARTHEST)) {
+            return Err(LocalizationError::NoCovariance(*entry));
         }
-        let mut localizer = Self::new(field, parameters, seed);
+        let mut localizer = Self::new(field, parameters, seed)?;
         let centre = localizer.field.place(pose);
         localizer.particles.clear();
         for _ in 0..parameters.max_particles.min(4 * parameters.min_particles) {
@@ -122,27 +138,33 @@ impl Localizer {
     /// A filter that knows nothing: the robot may be on any free cell, and look anywhere.
     ///
     /// # Errors
-    /// [`LocalizationError::NoFreeSpace`].
+    /// [`LocalizationError::NoFreeSpace`] and [`LocalizationError::NoWall`].
     pub fn anywhere(
         field: Arc<LikelihoodField>,
         parameters: Parameters,
         seed: u64,
     ) -> Result<Self, LocalizationError> {
-        let mut localizer = Self::new(field, parameters, seed);
+        let mut localizer = Self::new(field, parameters, seed)?;
         for _ in 0..parameters.max_particles {
             let place = localizer.field.anywhere(&mut localizer.random);
             localizer.particles.push(place.ok_or(LocalizationError::NoFreeSpace)?, 1.0);
         }
         localizer.anywhere = true;
+        localizer.doubt = Doubt::even();
         localizer.settle();
         Ok(localizer)
     }
 
-    fn new(field: Arc<LikelihoodField>, parameters: Parameters, seed: u64) -> Self {
+    fn new(
+        field: Arc<LikelihoodField>,
+        parameters: Parameters,
+        seed: u64,
+    ) -> Result<Self, LocalizationError> {
+        field.check()?;
         let mut particles = Particles::default();
         particles.push(field.place(Pose2::default()), 1.0);
         let binning = Binning::new(field.resolution());
-        Self {
+        Ok(Self {
             cluster: Cluster::heaviest(&particles, &binning),
             particles: Particles::default(),
             spare: Particles::default(),
@@ -150,23 +172,23 @@ impl Localizer {
             beams: Beams::default(),
             scores: Vec::new(),
             odometry: None,
-            recovery: Recovery::default(),
             updates: 0,
-            unfit: 0,
+            doubt: Doubt::none(),
             anywhere: false,
             binning,
             field,
             parameters,
-        }
+        })
     }
 
     /// Takes in where odometry says that the robot is, in whatever frame it began, and what its lidar sees there.
     ///
     /// # Errors
-    /// [`LocalizationError::NotFinite`] if odometry is; nothing has changed then.
+    /// [`LocalizationError::NoPose`] if odometry, or what the scan says of its mount or sweep, is none; nothing has
+    /// changed then.
     pub fn observe(&mut self, odometry: Pose2, scan: &Scan<'_>) -> Result<Estimate, LocalizationError> {
-        if !odometry.is_finite() {
-            return Err(LocalizationError::NotFinite(odometry));
+        for pose in [odometry, scan.mount, scan.sweep] {
+            valid(pose)?;
         }
         let step = self.odometry.map(|last| last.step_to(odometry));
         let far = |step: Pose2| {
@@ -174,13 +196,15 @@ impl Localizer {
                 || step.heading.abs() >= self.parameters.update_angle
         };
         if let Some(step) = step
+            && self.updates > 0
             && !far(step)
         {
             return Ok(self.moved_on(step));
         }
         self.beams.take(scan, &self.parameters.beams, self.parameters.weighing);
-        if self.beams.votes == 0.0 && step.is_some() {
+        if self.beams.votes == 0.0 {
             // A lidar that sees nothing says nothing; the motion is sampled with the next scan that does.
+            self.odometry = self.odometry.or(Some(odometry));
             return Ok(self.moved_on(step.unwrap_or_default()));
         }
         let per_cell = self.field.resolution().recip() as f32;
@@ -208,14 +232,20 @@ impl Localizer {
     }
 
     fn estimate(&self, updated: bool) -> Estimate {
-        let Cluster { column, row, heading, covariance } = self.cluster;
+        let Cluster { column, row, heading, about: mut covariance, .. } = self.cluster;
         let resolution = self.field.resolution();
+        let lost = if self.weighs_by_likelihood() { self.doubt.probability() } else { 0.0 };
+        for (entry, anywhere) in covariance.iter_mut().zip(self.field.anywhere_about(column, row)) {
+            *entry += lost * (anywhere - *entry);
+        }
         let mut covariance = in_cells(&covariance, resolution.recip());
         if self.weighs_by_likelihood() {
             // Walls are anywhere in their cells, alike for all scans: a uniform error, which no number of beams lessens.
             let cell = resolution.powi(2) / 12.0;
-            covariance[0] += cell;
-            covariance[4] += cell;
+            let [way, turn] = self.parameters.systematic;
+            covariance[0] += cell + way * way;
+            covariance[4] += cell + way * way;
+            covariance[8] += turn * turn;
         }
         Estimate {
             pose: self.field.pose(column, row, heading),
@@ -244,18 +274,9 @@ impl Localizer {
         self.score();
         if !self.weighs_by_likelihood() {
             let weights = self.particles.weight.iter_mut().zip(&self.scores);
-            let sum: f64 = weights
-                .map(|(weight, score)| {
-                    *weight *= 1.0 + score;
-                    f64::from(*weight)
-                })
-                .sum();
-            return self.recovery.see(sum, self.parameters.recovery);
+            return weights.for_each(|(weight, score)| *weight *= 1.0 + score);
         }
-        let votes = self.beams.votes;
-        let typical = |(weight, score): (&f32, &f32)| f64::from(weight * exp(score / votes));
-        let seen: f64 = self.particles.weight.iter().zip(&self.scores).map(typical).sum();
-        self.recovery.see(seen, self.parameters.recovery);
+        let mut evidence = 0.0;
         let mut rest = 1.0;
         for _ in 1..STEPS {
             let least = LEAST_EFFECTIVE * self.particles.len() as f64;
@@ -263,14 +284,58 @@ impl Localizer {
             if share == 1.0 {
                 break;
             }
-            weights::multiply(&mut self.particles.weight, &self.scores, share);
+            evidence += weights::multiply(&mut self.particles.weight, &self.scores, share);
             rest *= 1.0 - share;
             self.settle();
             self.spread();
             self.score();
             self.scores.iter_mut().for_each(|score| *score *= rest);
         }
-        weights::multiply(&mut self.particles.weight, &self.scores, 1.0);
+        evidence += weights::multiply(&mut self.particles.weight, &self.scores, 1.0);
+        self.doubt.see(self.best_fit(rest), self.beams.votes.into());
+        if self.doubt.bad() > 0 {
+            self.look_elsewhere(evidence);
+        }
+    }
+
+    /// Which share of the votes is at walls where the scan fits best; scores are this share of the whole ones.
+    fn best_fit(&self, whole: f32) -> f64 {
+        self.field.hit_share(best(&self.scores) / whole, self.beams.votes)
+    }
+
+    /// Adds places from which the scan could have been taken, near by and everywhere, with the probability that they
+    /// have beside the particles, whose evidence is given. They get half of it at most: the next scan, by which they
+    /// were not chosen, decides.
+    fn look_elsewhere(&mut self, evidence: f64) {
+        let trust = (MOST_VOTES / f64::from(self.beams.votes)).min(1.0);
+        let most = CANDIDATES << (self.doubt.bad() - 1).min(DOUBLED);
+        let far = self.candidates(most).map(|far| (far, CARRIED_AWAY));
+        let mut found = vec![(self.near(), SLIPPED)];
+        found.extend(far);
+        let mut odds = Vec::new();
+        for (candidates, prior) in &found {
+            self.field.score(candidates.places(), &self.beams, &mut self.scores);
+            let better = trust * (f64::from(best(&self.scores)) - evidence);
+            // A place far away that fits badly, too, is no better an explanation than a crowd about the robot.
+            let none = *prior == CARRIED_AWAY && self.doubt.relative(self.best_fit(1.0)) < FITS;
+            odds.push(if none { 0.0 } else { (prior + better).min(LARGEST).exp() });
+        }
+        let all: f64 = odds.iter().sum();
+        let elsewhere = (all / (1.0 + all)).min(0.5);
+        self.particles.normalize();
+        self.particles.weight.iter_mut().for_each(|weight| *weight *= (1.0 - elsewhere) as f32);
+        let [way, turn] = [ABOUT_CANDIDATE[0] / self.field.resolution(), ABOUT_CANDIDATE[1]];
+        let count = self.parameters.min_particles;
+        for ((candidates, _), odds) in found.iter().zip(odds) {
+            let probability = elsewhere * odds / all;
+            // It is NaN if there is nothing elsewhere.
+            let kept = if probability > NEGLIGIBLE { count } else { 0 };
+            for _ in 0..kept {
+                let place =
+                    candidates.draw(&mut self.random).moved(way as f32, turn as f32, &mut self.random);
+                self.particles.push(place, (probability / count as f64) as f32);
+            }
+        }
     }
 
     /// Draws as many particles as there are, each a little off its parent: the kernel of a regularized filter (Musso,
@@ -278,9 +343,7 @@ impl Localizer {
     fn spread(&mut self) {
         let count = self.particles.len();
         let fixed = Parameters { min_particles: count, max_particles: count, ..self.parameters };
-        let nobody = &mut |_: &mut Stream| Place::default();
-        let elsewhere = Elsewhere { probability: 0.0, mass: None, place: nobody };
-        self.particles.draw(&mut self.spare, &fixed, &self.binning, &mut self.random, elsewhere);
+        self.particles.draw(&mut self.spare, &fixed, &self.binning, &mut self.random);
         std::mem::swap(&mut self.particles, &mut self.spare);
         // Silverman's bandwidth in three dimensions, (4 / 5n)^(1/7).
         let bandwidth = (0.8 / count as f64).powf(1.0 / 7.0);
@@ -302,7 +365,7 @@ impl Localizer {
 
     /// Puts all particles where the scan could have been taken.
     fn scatter(&mut self) {
-        let Some(candidates) = self.candidates(MOST_CANDIDATES[0]) else { return };
+        let Some(candidates) = self.candidates(MOST_CANDIDATES) else { return };
         let count = self.parameters.max_particles.min(10 * self.parameters.min_particles);
         self.particles.clear();
         for _ in 0..count {
@@ -324,63 +387,26 @@ impl Localizer {
         Candidates::near(place, &self.field, &self.beams.some(CANDIDATE_BEAMS), &mut self.random)
     }
 
-    /// Draws particles anew when it is time: as many as KLD-sampling asks for, and some from elsewhere when scans fit
-    /// worse than they used to.
+    /// Draws particles anew when it is time: as many as KLD-sampling asks for.
     fn draw_anew(&mut self) {
         let due = match self.parameters.resample_interval {
             Some(interval) => self.updates.is_multiple_of(interval.max(1)),
             None => self.particles.effective() < 0.5 * self.particles.len() as f64,
         };
-        let lost = self.recovery.probability(self.parameters.recovery_threshold);
-        if !due && lost == 0.0 {
-            return;
+        // Else their number would grow with each look elsewhere.
+        if due || self.doubt.bad() > 0 {
+            self.particles.draw(&mut self.spare, &self.parameters, &self.binning, &mut self.random);
+            std::mem::swap(&mut self.particles, &mut self.spare);
         }
-        self.unfit = if lost > 0.0 { self.unfit + 1 } else { 0 };
-        let far = self.unfit > LOOK_NEAR;
-        let mut candidates = None;
-        if lost > 0.0 && self.weighs_by_likelihood() {
-            candidates = if far { self.candidates(MOST_CANDIDATES[1]) } else { Some(self.near()) };
-        }
-        let field = &self.field;
-        let mut anew = |random: &mut Stream| {
-            let place = match &candidates {
-                Some(candidates) => Some(candidates.draw(random)),
-                None => field.anywhere(random),
-            };
-            place.unwrap_or_default()
-        };
-        let mass = (self.weighs_by_likelihood() && far).then_some(KIDNAPPED);
-        let elsewhere = Elsewhere { probability: lost, mass, place: &mut anew };
-        self.particles.draw(&mut self.spare, &self.parameters, &self.binning, &mut self.random, elsewhere);
-        std::mem::swap(&mut self.particles, &mut self.spare);
     }
 }
 
-/// How well scans fit, in the short and in the long run (Probabilistic Robotics, table 8.3).
-#[derive(Debug, Clone, Copy, Default)]
-struct Recovery {
-    slow: Option<f64>,
-    fast: f64,
+fn best(scores: &[f32]) -> f32 {
+    scores.iter().copied().fold(f32::NEG_INFINITY, f32::max)
 }
 
-impl Recovery {
-    fn see(&mut self, fit: f64, [slow_rate, fast_rate]: [f64; 2]) {
-        if slow_rate <= 0.0 || fast_rate <= 0.0 {
-            return;
-        }
-        match &mut self.slow {
-            None => (self.slow, self.fast) = (Some(fit), fit),
-            Some(slow) => {
-                *slow += slow_rate * (fit - *slow);
-                self.fast += fast_rate * (fit - self.fast);
-            }
-        }
-    }
-
-    /// Of a particle to come from elsewhere.
-    fn probability(&self, threshold: f64) -> f64 {
-        self.slow.map_or(0.0, |slow| (1.0 - threshold * self.fast / slow).max(0.0))
-    }
+fn valid(pose: Pose2) -> Result<(), LocalizationError> {
+    if pose.is_valid() { Ok(()) } else { Err(LocalizationError::NoPose(pose)) }
 }
 
 /// A covariance with its lengths divided by `unit`.

@@ -61,17 +61,15 @@ pub struct Parameters {
     pub weighing: Weighing,
     /// Odometry.
     pub motion: MotionNoise,
+    /// Errors that all scans share, deviations in metres and radians: those of the map, of where the lidar sits, and of
+    /// the beams' directions. No number of beams lessens them.
+    pub systematic: [f64; 2],
     /// A scan is used when the robot went so far since the last one that was, metres.
     pub update_distance: f64,
     /// Or when it turned so far, radians.
     pub update_angle: f64,
     /// Particles are drawn anew at every so many updates, or, with `None`, when fewer than half of them count.
     pub resample_interval: Option<u32>,
-    /// α_slow and α_fast of augmented recovery (Probabilistic Robotics, table 8.3); 0 switches it off.
-    pub recovery: [f64; 2],
-    /// ν: particles come from elsewhere when the fit in the short run is below a ν-th of that in the long run (Gutmann
-    /// and Fox 2002, equation 8). 1 is table 8.3, which takes every passer-by for a kidnapping.
-    pub recovery_threshold: f64,
 }
 
 impl Parameters {
@@ -93,11 +91,10 @@ impl Parameters {
             },
             weighing: Weighing::Amcl,
             motion: MotionNoise { alpha: [0.2; 4], variance_as_deviation: true },
+            systematic: [0.0; 2],
             update_distance: 0.25,
             update_angle: 0.2,
             resample_interval: Some(2),
-            recovery: [0.0; 2],
-            recovery_threshold: 1.0,
         }
     }
 
@@ -108,6 +105,8 @@ impl Parameters {
             beams: BeamModel { range_max: 12.0, ..default.beams },
             // Its wheels are a percent off for good. As noise that is drawn anew each 0.25 m, 7 % makes as much of 10 m.
             motion: MotionNoise { alpha: [0.005, 0.000_5, 0.006, 0.000_5], variance_as_deviation: false },
+            // In a testbed, the map is the world that its lidar sees.
+            systematic: [0.01, 0.002],
             ..default
         }
     }
@@ -125,16 +124,15 @@ impl Default for Parameters {
                 range_max: 80.0,
                 z_hit: 0.9,
                 z_rand: 0.1,
-                sigma_hit: 0.1,
+                sigma_hit: 0.07,
                 likelihood_max_dist: 2.0,
             },
             weighing: Weighing::Likelihood { correlation_length: 0.5 },
             motion: MotionNoise { alpha: [0.1, 0.02, 0.02, 0.01], variance_as_deviation: false },
+            systematic: [0.03, 0.007],
             update_distance: 0.25,
             update_angle: 0.2,
             resample_interval: None,
-            recovery: [0.005, 0.3],
-            recovery_threshold: 2.0,
         }
     }
 }

@@ -43,16 +43,6 @@ pub(crate) struct Particles {
     pub weight: Vec<f32>,
 }
 
-/// Particles that are not drawn from others.
-pub(crate) struct Elsewhere<'a> {
-    /// Of each particle to be one.
-    pub probability: f64,
-    /// How likely it is, before the next scan, that one of them is where the robot is; `None` if that is their share.
-    pub mass: Option<f64>,
-    /// Gives one.
-    pub place: &'a mut dyn FnMut(&mut Stream) -> Place,
-}
-
 impl Particles {
     pub fn len(&self) -> usize {
         self.weight.len()
@@ -82,21 +72,12 @@ impl Particles {
         self.weight.iter().map(|&weight| f64::from(weight).powi(2)).sum::<f64>().recip()
     }
 
-    /// Draws particles anew into `drawn`, as many as KLD-sampling asks for (Fox 2003), and of one weight. `anew` gives
-    /// a particle from elsewhere, with that probability in place of a drawn one; together they get that mass, if it is said,
-    /// and else as much each as any other.
+    /// Draws particles anew into `drawn`, as many as KLD-sampling asks for (Fox 2003), and of one weight.
     ///
     /// The draws are the points of an additive recurrence with the golden ratio: however many are taken, they are
     /// spread nearly as evenly as those of low-variance resampling (Probabilistic Robotics, table 4.4), which has to
     /// know their number beforehand.
-    pub fn draw(
-        &self,
-        drawn: &mut Self,
-        parameters: &Parameters,
-        binning: &Binning,
-        random: &mut Stream,
-        elsewhere: Elsewhere<'_>,
-    ) {
+    pub fn draw(&self, drawn: &mut Self, parameters: &Parameters, binning: &Binning, random: &mut Stream) {
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
         let parents = Parents::new(&self.weight);
         let mut children = vec![0_u32; self.len()];
@@ -107,36 +88,24 @@ impl Particles {
         let mut count = 0;
         while count < bound {
             count += 1;
-            let place = if elsewhere.probability > 0.0 && random.uniform() < elsewhere.probability {
-                let place = (elsewhere.place)(random);
-                drawn.push(place, 0.0);
-                place
-            } else {
-                point += GOLDEN;
-                point -= if point < 1.0 { 0.0 } else { 1.0 };
-                let parent = parents.at(point);
-                children[parent] += 1;
-                // Only a first child can be in a new bin.
-                if children[parent] > 1 {
-                    continue;
-                }
-                self.places.at(parent)
-            };
+            point += GOLDEN;
+            point -= if point < 1.0 { 0.0 } else { 1.0 };
+            let parent = parents.at(point);
+            children[parent] += 1;
+            // Only a first child can be in a new bin.
+            if children[parent] > 1 {
+                continue;
+            }
             let known = bins.len();
-            bins.insert(binning.bin(place));
+            bins.insert(binning.bin(self.places.at(parent)));
             if bins.len() > known {
                 bound = kld_bound(bins.len(), parameters);
             }
         }
-        let strangers = drawn.len();
+        let weight = (count as f64).recip() as f32;
         for (parent, &count) in children.iter().enumerate() {
-            (0..count).for_each(|_| drawn.push(self.places.at(parent), 0.0));
+            (0..count).for_each(|_| drawn.push(self.places.at(parent), weight));
         }
-        let share = strangers as f64 / drawn.len() as f64;
-        let mass = elsewhere.mass.map_or(share, |mass| mass.min(share));
-        let (from_elsewhere, drawn_anew) = drawn.weight.split_at_mut(strangers);
-        from_elsewhere.fill((mass / from_elsewhere.len() as f64) as f32);
-        drawn_anew.fill(((1.0 - mass) / drawn_anew.len() as f64) as f32);
     }
 }
 
@@ -201,10 +170,8 @@ mod tests {
 
     fn drawn(particles: &Particles, parameters: &Parameters) -> Particles {
         let mut drawn = Particles::default();
-        let mut nobody = |_: &mut Stream| unreachable!("nobody comes from elsewhere");
         let binning = Binning::new(0.05);
-        let elsewhere = Elsewhere { probability: 0.0, mass: None, place: &mut nobody };
-        particles.draw(&mut drawn, parameters, &binning, &mut Stream::new(5), elsewhere);
+        particles.draw(&mut drawn, parameters, &binning, &mut Stream::new(5));
         drawn
     }
 
@@ -243,20 +210,6 @@ mod tests {
         assert!((3000..10_000).contains(&many), "{many}");
         let amcl = Parameters::amcl();
         assert_eq!(drawn(&weighted(&[1.0; 3000]), &amcl).len(), 2000);
-    }
-
-    #[test]
-    fn particles_from_elsewhere_have_the_mass_that_was_said() {
-        let (mut drawn, binning) = (Particles::default(), Binning::new(0.05));
-        let mut place = |_: &mut Stream| Place { column: -500.0, row: 0.0, heading: 0.0 };
-        let elsewhere = Elsewhere { probability: 0.2, mass: Some(0.001), place: &mut place };
-        let particles = weighted(&[1.0; 10]);
-        particles.draw(&mut drawn, &Parameters::default(), &binning, &mut Stream::new(5), elsewhere);
-        let strangers = drawn.places.column.iter().filter(|&&column| column == -500.0).count();
-        assert!((60..140).contains(&strangers), "{strangers} of {}", drawn.len());
-        let weights = drawn.places.column.iter().zip(&drawn.weight);
-        let mass: f32 = weights.filter(|(column, _)| **column == -500.0).map(|(_, weight)| weight).sum();
-        assert!((mass - 0.001).abs() < 1e-6 && (drawn.weight.iter().sum::<f32>() - 1.0).abs() < 1e-4);
     }
 
     #[test]

@@ -25,7 +25,7 @@ const SHORTER: f32 = 0.95;
 /// Places from which a scan would have looked like that, each with its share.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Candidates {
-    places: Vec<Place>,
+    places: Places,
     cumulative: Vec<f64>,
 }
 
@@ -93,13 +93,20 @@ impl Candidates {
                 sum
             })
             .collect();
-        Self { places: best.into_iter().map(|(_, place)| place).collect(), cumulative }
+        let mut places = Places::default();
+        best.into_iter().for_each(|(_, place)| places.push(place));
+        Self { places, cumulative }
+    }
+
+    /// All of them.
+    pub fn places(&self) -> &Places {
+        &self.places
     }
 
     /// Draws one.
     pub fn draw(&self, random: &mut Stream) -> Place {
         let share = random.uniform() * self.cumulative.last().copied().unwrap_or(1.0);
         let nth = self.cumulative.partition_point(|&reached| reached <= share);
-        self.places[nth.min(self.places.len() - 1)]
+        self.places.at(nth.min(self.places.len() - 1))
     }
 }

@@ -22,6 +22,11 @@ pub struct Scan<'a> {
 }
 
 impl Scan<'_> {
+    /// Whether any of its beams can be used by a lidar of that reach, metres.
+    pub fn is_usable(&self, range_max: f64) -> bool {
+        self.ranges.iter().any(|&range| range > 0.0 && f64::from(range) < range_max)
+    }
+
     /// Where the robot was at a beam, as it sees it from where it was at the last one.
     fn before_the_last(&self, beam: usize) -> Pose2 {
         let left = 1.0 - beam as f64 / self.ranges.len().saturating_sub(1).max(1) as f64;
@@ -58,6 +63,9 @@ impl Beams {
             let (sin, cos) = angle.sin_cos();
             let end = Pose2::new(scan.mount.x + range * cos, scan.mount.y + range * sin, 0.0);
             let end = scan.before_the_last(beam) * end;
+            if !end.is_valid() {
+                continue;
+            }
             self.x.push(end.x as f32);
             self.y.push(end.y as f32);
         }

@@ -4,7 +4,7 @@ use std::{fmt, io::BufRead};
 
 use crate::{
     belief::Belief,
-    carmen::{Log, LogError, LogProblem, Message},
+    carmen::{Log, LogError, LogProblem, Message, valid},
     geometry::{Pose2, wrapped},
 };
 
@@ -109,10 +109,10 @@ fn row(text: &str) -> Result<(f64, Pose2), LogProblem> {
     match numbers[..] {
         [at, x, y, _, qx, qy, qz, qw] => {
             let heading = (2.0 * (qw * qz + qx * qy)).atan2(1.0 - 2.0 * (qy * qy + qz * qz));
-            Ok((at, Pose2::new(x, y, heading)))
+            Ok((at, valid(message, "row", Pose2::new(x, y, heading))?))
         }
         // Whatever follows is not looked at, such as a covariance.
-        [at, x, y, heading, ..] => Ok((at, Pose2::new(x, y, heading))),
+        [at, x, y, heading, ..] => Ok((at, valid(message, "row", Pose2::new(x, y, heading))?)),
         _ => Err(LogProblem::Short { message, field: "heading" }),
     }
 }
@@ -275,6 +275,8 @@ mod tests {
     fn a_mistake_is_told_with_its_line() {
         let wrong = |text: &str| Trajectory::read(text.as_bytes()).unwrap_err().to_string();
         assert_eq!(wrong("1,2,3,4\n2,x,3,4\n"), "line 2: the row of `trajectory` is `x`, which is no number");
+        let far = "line 1: the row of `trajectory` is (20000000.0, 0.0), but no map reaches beyond 1e7 m";
+        assert_eq!(wrong("1,2e7,0,0\n"), far);
         assert_eq!(wrong("1,2,3\n"), "line 1: `trajectory` ends before its heading");
     }
 

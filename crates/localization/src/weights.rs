@@ -2,12 +2,17 @@
 
 use crate::fast::exp;
 
-/// Multiplies each weight by exp(share · score), up to a common factor.
-pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) {
+/// Multiplies each weight by exp(share · score), up to a common factor. Returns the logarithm of how their sum changes
+/// together with that factor: the evidence.
+pub(crate) fn multiply(weights: &mut [f32], scores: &[f32], share: f32) -> f64 {
     let best = scores.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let (mut before, mut after) = (0.0, 0.0);
     for (weight, score) in weights.iter_mut().zip(scores) {
+        before += f64::from(*weight);
         *weight *= exp(share * (score - best));
+        after += f64::from(*weight);
     }
+    f64::from(share * best) + (after / before).ln()
 }
 
 /// So many weights are computed at once.
