@@ -112,6 +112,14 @@ enum Error {
     #[error("{} has no laser message", .0.display())]
     #[diagnostic(help("a log of CARMEN has scans in lines that begin with FLASER or ROBOTLASER1"))]
     NoScan(PathBuf),
+    #[error("no scan of {} has a beam that hit anything within {reach} m", path.display())]
+    #[diagnostic(help("the laser's reach is the log's, or else 80 m; --max-range sets another"))]
+    Blind { path: PathBuf, reach: f64 },
+    #[error("{} cannot be used: {reason}", path.display())]
+    #[diagnostic(help(
+        "walls and free space of a map follow from occupied_thresh, free_thresh and negate in its YAML file"
+    ))]
+    Map { path: PathBuf, reason: LocalizationError },
     #[error("{} says nothing of when the log's scans were taken", .0.display())]
     #[diagnostic(help(
         "its times have to be the log's; a corrected log may differ in time if it has as many scans"
@@ -143,7 +151,13 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
     };
     let reach = args.max_range.or(first.range_max);
     parameters.beams.range_max = reach.unwrap_or(parameters.beams.range_max);
+    let reach = parameters.beams.range_max;
+    let blind = scans.iter().filter(|scan| !scan.scan().is_usable(reach)).count();
+    if blind == scans.len() {
+        return Err(Error::Blind { path: args.log.clone(), reach }.into());
+    }
     let field = Arc::new(LikelihoodField::new(&map, &parameters));
+    field.check().map_err(|reason| Error::Map { path: args.map.clone(), reason })?;
     let truth = |nth: usize| reference.as_ref().and_then(|r| r.at(nth, scans.len(), scans[nth].at));
     let localizer = if args.global {
         Localizer::anywhere(field, parameters, args.seed)
@@ -170,7 +184,14 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let told = told(&found, scans.len(), args.reference.as_ref().map(|path| (path, truth)))?;
+    let mut told = told(&found, scans.len(), args.reference.as_ref().map(|path| (path, truth)))?;
+    if blind > 0 {
+        writeln!(
+            told,
+            "warning: {blind} scans have no beam that hit anything within {reach} m; they are passed over"
+        )
+        .expect("writing into a string cannot fail");
+    }
     match &args.out {
         Some(path) => {
             let unwritable = |reason| Error::Unwritable { path: path.clone(), reason };

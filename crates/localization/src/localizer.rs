@@ -119,8 +119,9 @@ impl Localizer {
         covariance: &[f64; 9],
     ) -> Result<Self, LocalizationError> {
         valid(pose)?;
+        let most = FARTHEST * FARTHEST;
         // NaN is not within either.
-        if let Some(entry) = covariance.iter().find(|entry| !(entry.abs() <= FARTHEST * FARTHEST)) {
+        if let Some(entry) = covariance.iter().find(|entry| !(-most..=most).contains(*entry)) {
             return Err(LocalizationError::NoCovariance(*entry));
         }
         let mut localizer = Self::new(field, parameters, seed)?;

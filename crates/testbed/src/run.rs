@@ -142,6 +142,9 @@ pub enum RunError {
     /// A robot.
     #[error(transparent)]
     Robot(#[from] RobotError),
+    /// The map on which a robot is to be localized.
+    #[error(transparent)]
+    NotLocalized(#[from] cotorra_robot_middleware::NotLocalized),
     /// What is scripted for links.
     #[error(transparent)]
     Script(Box<ScriptError>),

@@ -84,3 +84,53 @@ fn a_log_that_is_none_is_told_with_its_line() {
     fs::remove_file(&log).unwrap();
     assert!(stderr(&localize(folder.path(), &[])).contains("cannot read"));
 }
+
+/// What is said, without the line breaks and bars of a diagnostic.
+fn in_one_line(said: &str) -> String {
+    said.split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
+}
+
+#[test]
+fn odometry_maps_and_scans_that_are_no_use_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    room(folder.path());
+    let at = |name: &str| folder.path().join(name);
+    let log = fs::read_to_string(at("log")).unwrap();
+    let told = |changed: &str| {
+        fs::write(at("log"), changed).unwrap();
+        let found = localize(folder.path(), &[]);
+        (found.status.code(), in_one_line(&stderr(&found)))
+    };
+    // The odometry of the second scan.
+    let (code, said) = told(&log.replacen(" 7.103 2 0", " 1e300 2 0", 2));
+    assert!(
+        code == Some(1) && said.contains("line 3: the laser's pose of `FLASER` is (1e300, 2.0)"),
+        "{said}"
+    );
+    let (code, said) = told(&log.replacen("FLASER 180", "FLASER -5", 1));
+    assert!(code == Some(1) && said.contains("announces -5 ranges, which is no count"), "{said}");
+    // Beams that hit nothing: in one scan, and in all.
+    let blind = |line: &str| {
+        let fields: Vec<&str> = line.split(' ').collect();
+        if fields[0] != "FLASER" {
+            return format!("{line}\n");
+        }
+        format!("FLASER 180{} {}\n", " 0".repeat(180), fields[182..].join(" "))
+    };
+    let line = log.lines().nth(5).unwrap();
+    let (code, said) = told(&log.replacen(&format!("{line}\n"), &blind(line), 1));
+    assert!(code == Some(0) && said.contains("warning: 1 scans have no beam"), "{said}");
+    let (code, said) = told(&log.lines().map(blind).collect::<String>());
+    assert!(code == Some(1) && said.contains("has a beam that hit anything within 80 m"), "{said}");
+
+    fs::write(at("log"), &log).unwrap();
+    for (level, missing) in [(254, "wall"), (0, "free cell")] {
+        let mut picture = b"P5\n124 84\n255\n".to_vec();
+        picture.resize(picture.len() + 124 * 84, level);
+        fs::write(at("room.pgm"), picture).unwrap();
+        let found = localize(folder.path(), &[]);
+        assert_eq!(found.status.code(), Some(1));
+        let said = in_one_line(&stderr(&found));
+        assert!(said.contains(&format!("the map has no {missing}")), "{said}");
+    }
+}

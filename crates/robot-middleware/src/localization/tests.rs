@@ -253,3 +253,40 @@ fn a_robot_that_is_nowhere_and_a_map_that_is_none_are_errors() {
     let unknown = LocalizationVnf::new(&nowhere, &id("robot1"), 1).unwrap_err();
     assert_eq!(unknown.to_string(), "testbed `test` has no map");
 }
+
+#[test]
+fn scans_without_beams_and_odometry_that_is_none_get_no_answer() {
+    let (mut drive, mut vnf) = (Drive::new(1), vnf());
+    let sent = loop {
+        if let Some(packet) = drive.look() {
+            break packet;
+        }
+    };
+    let (mut bytes, mut answer) = (Vec::new(), Vec::new());
+    let mut told = |packet: &ScanPacket| {
+        packet.encode(&mut bytes);
+        vnf.answer(&bytes, &mut answer).unwrap_err().to_string()
+    };
+    let blind = ScanPacket { ranges: vec![0; sent.ranges.len()], ..sent.clone() };
+    assert_eq!(told(&blind), "scan 0 has no beam that hit anything in reach");
+    let nowhere = ScanPacket { odometry: [1e300, 0.0, 0.0], ..sent.clone() };
+    assert!(told(&nowhere).ends_with("is no pose: not finite, or beyond 1e7 m"));
+    // Neither keeps the robot from being localized.
+    answered(&mut vnf, &sent);
+}
+
+#[test]
+fn a_map_without_walls_or_room_is_an_error() {
+    let map = |cell| {
+        let cells = vec![cell; 100];
+        cotorra_graph::OccupancyGrid::new(10, 10, 0.5, cotorra_graph::Position::default(), cells)
+    };
+    let told = |cell| {
+        let testbed = Testbed { map: map(cell), ..testbed() };
+        LocalizationVnf::new(&testbed, &id("robot1"), 1).unwrap_err().to_string()
+    };
+    let begin = "testbed `test` cannot localize `robot1`: the map has no ";
+    assert_eq!(told(cotorra_graph::Cell::Free), format!("{begin}wall, by which a robot could be found"));
+    let solid = told(cotorra_graph::Cell::Occupied);
+    assert_eq!(solid, format!("{begin}free cell, on which a robot could be"));
+}

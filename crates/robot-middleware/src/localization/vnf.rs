@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
-use cotorra_graph::{NodeId, Pose, Program, RobotModel, Testbed};
+use cotorra_graph::{NodeId, OccupancyGrid, Pose, Program, RobotModel, Testbed};
 use cotorra_localization::{LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan};
 use cotorra_plugin::wire::{PosePacket, ScanPacket, WireError};
 
@@ -20,6 +20,16 @@ pub enum NotLocalized {
     /// There is nothing to be localized on.
     #[error("testbed `{0}` has no map")]
     NoMap(String),
+    /// The map cannot serve to find it.
+    #[error("testbed `{testbed}` cannot localize `{robot}`: {reason}")]
+    Map {
+        /// Of this name.
+        testbed: String,
+        /// Which robot.
+        robot: NodeId,
+        /// Why not.
+        reason: LocalizationError,
+    },
 }
 
 /// Why a datagram gets no answer.
@@ -34,6 +44,9 @@ pub enum Rejected {
     /// A later scan was answered before.
     #[error("scan {0} was overtaken")]
     Overtaken(u32),
+    /// Nothing can be learned from it; the robot goes on by its odometry.
+    #[error("scan {0} has no beam that hit anything in reach")]
+    Blind(u32),
     /// What the robot believes is no place.
     #[error(transparent)]
     Nowhere(#[from] LocalizationError),
@@ -79,8 +92,7 @@ impl LocalizationVnf {
         let model =
             found.map(|(_, robot)| robot.model).ok_or_else(|| NotLocalized::NoRobot(robot.clone()))?;
         let map = testbed.map.as_ref().ok_or_else(|| NotLocalized::NoMap(testbed.name.clone()))?;
-        let field = Arc::new(LikelihoodField::new(map, &parameters(model)));
-        Ok(Self::with(robot.clone(), model, field, seed))
+        Ok(Self::with(robot.clone(), model, prepared(testbed, robot, model, map)?, seed))
     }
 
     fn with(robot: NodeId, model: RobotModel, field: Arc<LikelihoodField>, seed: u64) -> Self {
@@ -88,28 +100,31 @@ impl LocalizationVnf {
     }
 
     /// The localization VNF of each robot that has one; none without a map. They share what is prepared of it.
-    pub fn of_all(testbed: &Testbed, seed: u64) -> BTreeMap<NodeId, Self> {
+    ///
+    /// # Errors
+    /// [`NotLocalized::Map`].
+    pub fn of_all(testbed: &Testbed, seed: u64) -> Result<BTreeMap<NodeId, Self>, NotLocalized> {
         let wanted = |robot: &NodeId| {
             let mut services = testbed.services.iter().filter(|service| service.robot == *robot);
             services.any(|service| service.vnfs.iter().any(|vnf| vnf.program == Program::Localization))
         };
         let mut fields: Vec<(RobotModel, Arc<LikelihoodField>)> = Vec::new();
-        let robots = testbed.graph.robots().filter(|(node, _)| wanted(&node.id));
-        robots
-            .filter_map(|(node, robot)| {
-                let model = robot.model;
-                let known = fields.iter().find(|(of, _)| *of == model).map(|(_, field)| Arc::clone(field));
-                let field = match known {
-                    Some(field) => field,
-                    None => {
-                        let field = Arc::new(LikelihoodField::new(testbed.map.as_ref()?, &parameters(model)));
-                        fields.push((model, Arc::clone(&field)));
-                        field
-                    }
-                };
-                Some((node.id.clone(), Self::with(node.id.clone(), model, field, seed)))
-            })
-            .collect()
+        let mut all = BTreeMap::new();
+        let Some(map) = &testbed.map else { return Ok(all) };
+        for (node, robot) in testbed.graph.robots().filter(|(node, _)| wanted(&node.id)) {
+            let model = robot.model;
+            let known = fields.iter().find(|(of, _)| *of == model).map(|(_, field)| Arc::clone(field));
+            let field = match known {
+                Some(field) => field,
+                None => {
+                    let field = prepared(testbed, &node.id, model, map)?;
+                    fields.push((model, Arc::clone(&field)));
+                    field
+                }
+            };
+            all.insert(node.id.clone(), Self::with(node.id.clone(), model, field, seed));
+        }
+        Ok(all)
     }
 
     /// Which robot it serves.
@@ -140,16 +155,6 @@ impl LocalizationVnf {
             }
             _ => {}
         }
-        // Whoever answered last knows best; an answer of this one that got lost is no less true for that.
-        let continues = |served: &Served| packet.since.is_none_or(|since| since <= served.sequence);
-        let mut localizer = match self.served.take().filter(continues) {
-            Some(served) => served.localizer,
-            None => {
-                let start = believed(&packet.believed);
-                let field = Arc::clone(&self.field);
-                Localizer::at(field, self.parameters, self.seed, start.pose, &start.covariance)?
-            }
-        };
         self.ranges.clear();
         self.ranges.extend(packet.in_metres());
         let [x, y, heading] = packet.sweep.map(f64::from);
@@ -160,9 +165,36 @@ impl LocalizationVnf {
             mount: Pose2::default(),
             sweep: Pose2::new(x, y, heading),
         };
+        if !scan.is_usable(self.parameters.beams.range_max) {
+            return Err(Rejected::Blind(packet.sequence));
+        }
+        // Whoever answered last knows best; an answer of this one that got lost is no less true for that.
+        let continues = |served: &Served| packet.since.is_none_or(|since| since <= served.sequence);
+        let mut localizer = match self.served.take().filter(continues) {
+            Some(served) => served.localizer,
+            None => {
+                let start = believed(&packet.believed);
+                let field = Arc::clone(&self.field);
+                Localizer::at(field, self.parameters, self.seed, start.pose, &start.covariance)?
+            }
+        };
         let [x, y, heading] = packet.odometry;
         let answer = told(&localizer.observe(Pose2::new(x, y, heading), &scan)?.belief());
         self.served = Some(Served { localizer, sequence: packet.sequence, answer });
         Ok(answer)
     }
+}
+
+/// The map, prepared for a kind of robot.
+fn prepared(
+    testbed: &Testbed,
+    robot: &NodeId,
+    model: RobotModel,
+    map: &OccupancyGrid,
+) -> Result<Arc<LikelihoodField>, NotLocalized> {
+    let field = LikelihoodField::new(map, &parameters(model));
+    let checked = field.check();
+    let wrong = |reason| NotLocalized::Map { testbed: testbed.name.clone(), robot: robot.clone(), reason };
+    checked.map_err(wrong)?;
+    Ok(Arc::new(field))
 }

@@ -147,7 +147,7 @@ impl Misdeed {
         plugins.spawn(id(), plugin, &testbed, None, &now, tell.clone());
         let network = VirtualNetwork::new(Fabric::new(&testbed.graph, 1).unwrap());
         let network = Ticking { network, now: Arc::clone(&now) };
-        let engine = VirtualEngine::new(&testbed, 1, Serving::default());
+        let engine = VirtualEngine::new(&testbed, 1, Serving::default()).unwrap();
         let script = Script::load(&testbed).unwrap().0;
         let mut core =
             Core::new(Arc::clone(&testbed), 1, Nonces::seeded(1), network, engine, script, simulated)

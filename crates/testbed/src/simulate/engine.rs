@@ -10,7 +10,7 @@ use cotorra_brain::NavigationVnf;
 use cotorra_graph::{NodeId, Program, Testbed, Vnf, VnfId};
 use cotorra_network_control::vim::{Engine, EngineEvent, InstanceId, Outcome};
 use cotorra_plugin::wire;
-use cotorra_robot_middleware::LocalizationVnf;
+use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
 /// An instance of a bundled VNF.
@@ -145,9 +145,9 @@ pub(crate) struct VirtualEngine {
 
 impl VirtualEngine {
     /// Plans all walks, and prepares the map.
-    pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Self {
+    pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
         let navigations = NavigationVnf::of_all(testbed);
-        let localizations = LocalizationVnf::of_all(testbed, seed);
+        let localizations = LocalizationVnf::of_all(testbed, seed)?;
         let planned = testbed.services.iter().flat_map(|service| {
             let (navigations, localizations) = (&navigations, &localizations);
             service.vnfs.iter().filter_map(move |vnf| {
@@ -161,7 +161,7 @@ impl VirtualEngine {
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })
         });
-        Self { planned: planned.collect(), serving }
+        Ok(Self { planned: planned.collect(), serving })
     }
 }
 

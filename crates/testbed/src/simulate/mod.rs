@@ -118,7 +118,7 @@ impl Simulation {
         fabric.measure_flows(&testbed.services);
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();
-        let engine = VirtualEngine::new(&testbed, seed, serving.clone());
+        let engine = VirtualEngine::new(&testbed, seed, serving.clone())?;
         let mut core = Core::new(
             Arc::clone(&testbed),
             seed,
