@@ -262,8 +262,8 @@ const BLOCK: usize = 512;
 const BETWEEN_ROWS: u32 = 16;
 
 /// The square of the distance from each cell's centre to that of the nearest occupied one - beside a free one, if only
-/// `surfaces` count - in cells, row by row from the lower left; exact: up and down each column at once, then lower envelopes of parabolas along the rows (Felzenszwalb
-/// and Huttenlocher 2012).
+/// `surfaces` count - in cells, row by row from the lower left. It is exact: up and down each column at once, then lower
+/// envelopes of parabolas along the rows (Felzenszwalb and Huttenlocher 2012).
 fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
     let (width, height) = (map.width(), map.height());
     // Off the map, all is unknown.
