@@ -10,8 +10,9 @@
 //! correction is wrong elsewhere.
 //!
 //! Parameters were tuned on every second log in alphabetical order, from the first: acapulco, belgioioso, edmonton,
-//! freiburg-079, freiburg-campus, intel and seattle. The others are for testing alone: aces, csail, fhw, freiburg-101,
-//! infinite-corridor and orebro.
+//! freiburg-079, freiburg-campus, intel and seattle. The others are for testing: aces, csail, fhw, freiburg-101,
+//! infinite-corridor and orebro. Of these, three showed
+//! defects that were mended; docs/localization.md says which.
 
 use std::{env, error::Error, fmt, fs::File, io::BufReader, ops::Range, path::Path, sync::Arc, thread};
 

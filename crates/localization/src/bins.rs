@@ -118,8 +118,8 @@ pub(crate) struct Cluster {
     pub heading: f64,
     /// Covariance of column, row and heading, row by row.
     pub covariance: [f64; 9],
-    /// The same of all particles, about the mean of this cluster.
-    pub about: [f64; 9],
+    /// Its share of all weight.
+    pub share: f64,
 }
 
 impl Cluster {
@@ -152,34 +152,35 @@ impl Cluster {
             }
         }
         let members = || (0..particles.len()).filter(|&particle| cluster[number[particle]] == heaviest);
-        let mut heaviest = Self::moments(particles, members);
-        if cluster.iter().any(|other| *other != cluster[0]) {
-            heaviest.about = heaviest.second_moments(particles, 0..particles.len());
-        }
-        heaviest
+        let alone = cluster.iter().all(|other| *other == cluster[0]);
+        let share = if alone { 1.0 } else { sums[heaviest] / sums.iter().sum::<f64>() };
+        Self::moments(particles, share, members)
     }
 
-    fn moments<M: Iterator<Item = usize>>(particles: &Particles, members: impl Fn() -> M) -> Self {
+    fn moments<M: Iterator<Item = usize>>(
+        particles: &Particles,
+        share: f64,
+        members: impl Fn() -> M,
+    ) -> Self {
         let places = &particles.places;
         let (mut weight, mut column, mut row, mut sin, mut cos) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for i in members() {
-            let share = f64::from(particles.weight[i]);
+            let part = f64::from(particles.weight[i]);
             let (s, c) = sin_cos(places.heading[i]);
-            weight += share;
-            column += share * f64::from(places.column[i]);
-            row += share * f64::from(places.row[i]);
-            sin += share * f64::from(s);
-            cos += share * f64::from(c);
+            weight += part;
+            column += part * f64::from(places.column[i]);
+            row += part * f64::from(places.row[i]);
+            sin += part * f64::from(s);
+            cos += part * f64::from(c);
         }
         let (column, row, heading) = (column / weight, row / weight, sin.atan2(cos));
-        let mut mean = Self { column, row, heading, covariance: [0.0; 9], about: [0.0; 9] };
+        let mut mean = Self { column, row, heading, covariance: [0.0; 9], share };
         mean.covariance = mean.second_moments(particles, members());
-        mean.about = mean.covariance;
         mean
     }
 
-    /// Second moments of these particles about the mean.
-    fn second_moments(&self, particles: &Particles, members: impl Iterator<Item = usize>) -> [f64; 9] {
+    /// Second moments of these particles about the mean of this cluster.
+    pub fn second_moments(&self, particles: &Particles, members: impl Iterator<Item = usize>) -> [f64; 9] {
         let places = &particles.places;
         let (mut weight, mut moments) = (0.0, [0.0; 9]);
         for i in members {

@@ -31,7 +31,13 @@ pub struct LikelihoodField {
     range: [f32; 2],
     /// Free cells, as stretches of a row: index of the first, and how many there are up to this stretch's end.
     free: Vec<(usize, u64)>,
+    /// The same map in larger cells and with wider walls, on which a search of all of it begins.
+    coarse: Option<Box<Self>>,
 }
+
+/// So many cells are one of the coarse map, in each direction, and so wide are its walls, as deviation in metres.
+const COARSER: usize = 4;
+const COARSE_SIGMA: f64 = 0.25;
 
 /// A pose in the table's frame: in cells, the border included.
 #[derive(Debug, Clone, Copy, Default)]
@@ -60,6 +66,13 @@ impl Place {
 impl LikelihoodField {
     /// Prepares a map: some 30 ms per million cells.
     pub fn new(map: &OccupancyGrid, parameters: &Parameters) -> Self {
+        let mut wider = *parameters;
+        wider.beams.sigma_hit = wider.beams.sigma_hit.max(COARSE_SIGMA);
+        let coarse = coarser(map).map(|coarse| Box::new(Self::of(&coarse, &wider, None)));
+        Self::of(map, parameters, coarse)
+    }
+
+    fn of(map: &OccupancyGrid, parameters: &Parameters, coarse: Option<Box<Self>>) -> Self {
         let (width, height) = (map.width(), map.height());
         let (model, resolution) = (&parameters.beams, map.resolution());
         let shift = (width + 2).next_power_of_two().trailing_zeros();
@@ -112,7 +125,83 @@ impl LikelihoodField {
             shift,
             range: [scores[0], scores[most]],
             free,
+            coarse,
         }
+    }
+
+    /// Places all over the map where the scan fits best, as far as the coarse map tells, and no more than so many. All
+    /// free cells are looked at, in so many directions.
+    pub(crate) fn search(&self, beams: &Beams, headings: usize, most: usize) -> Places {
+        let mut found = Vec::new();
+        if let Some(coarse) = &self.coarse {
+            let shrunk = |ends: &[f32]| ends.iter().map(|end| end / COARSER as f32).collect();
+            let beams = Beams { x: shrunk(&beams.x), y: shrunk(&beams.y), ..beams.clone() };
+            coarse.search_each_cell(&beams, headings, most, &mut found);
+        }
+        let mut places = Places::default();
+        for (_, place) in found {
+            let fine = |coarse: f32| (coarse - 1.0) * COARSER as f32 + 1.0;
+            places.push(Place { column: fine(place.column), row: fine(place.row), ..place });
+        }
+        places
+    }
+
+    /// The same on this map. In one direction, a beam ends so many rows and columns off, whatever the cell: what is
+    /// looked up for neighbours are neighbours.
+    fn search_each_cell(&self, beams: &Beams, headings: usize, most: usize, found: &mut Vec<(f32, Place)>) {
+        let (width, height) = self.size;
+        let row_length = (1 << self.shift) + BETWEEN_ROWS as usize;
+        let mut scores = vec![0.0; width];
+        let mut least = f32::NEG_INFINITY;
+        for nth in 0..headings {
+            let heading = (nth as f64 / headings as f64 - 0.5) * 2.0 * PI;
+            let (sin, cos) = (heading.sin() as f32, heading.cos() as f32);
+            let ends = beams.x.iter().zip(&beams.y).zip(&beams.weight);
+            let ends: Vec<(isize, isize, f32)> = ends
+                .map(|((x, y), weight)| {
+                    ((cos * x - sin * y).round() as isize, (sin * x + cos * y).round() as isize, *weight)
+                })
+                .collect();
+            let mut before = 0;
+            for &(first, upto) in &self.free {
+                let (row, column) = (first / width + 1, first % width + 1);
+                let scores = &mut scores[..(upto - before) as usize];
+                before = upto;
+                scores.fill(0.0);
+                for &(x, y, weight) in &ends {
+                    let row = row as isize + y;
+                    if row < 1 || row > height as isize {
+                        continue;
+                    }
+                    // From where to where the beam ends on the map.
+                    let begin = (1 - column as isize - x).max(0);
+                    let end = (width as isize + 1 - column as isize - x).min(scores.len() as isize);
+                    if begin >= end {
+                        continue;
+                    }
+                    let cell = row as usize * row_length + (column as isize + x + begin) as usize;
+                    let scores = &mut scores[begin as usize..end as usize];
+                    for (score, at) in scores.iter_mut().zip(&self.table[cell..]) {
+                        *score += weight * (at - self.range[1]);
+                    }
+                }
+                for (nth, &score) in scores.iter().enumerate() {
+                    // The best of its neighbours stands for them.
+                    let beside = |nth: usize| scores.get(nth).is_some_and(|beside| *beside > score);
+                    if score > least && !beside(nth.wrapping_sub(1)) && !beside(nth + 1) {
+                        let column = (column + nth) as f32 + 0.5;
+                        found.push((score, Place { column, row: row as f32 + 0.5, heading: heading as f32 }));
+                    }
+                }
+                if found.len() > 4 * most {
+                    found.select_nth_unstable_by(most, |a, b| b.0.total_cmp(&a.0));
+                    least = found[most].0;
+                    found.truncate(most);
+                }
+            }
+        }
+        found.sort_by(|a, b| b.0.total_cmp(&a.0));
+        found.truncate(most);
     }
 
     /// Whether a robot can be found on it.
@@ -125,11 +214,6 @@ impl LikelihoodField {
         }
         let walls = self.table.iter().any(|score| *score != self.range[1]);
         if walls { Ok(()) } else { Err(LocalizationError::NoWall) }
-    }
-
-    /// Free space of the map, m².
-    pub(crate) fn free_area(&self) -> f64 {
-        self.free.last().map_or(0, |stretch| stretch.1) as f64 * self.resolution.powi(2)
     }
 
     /// A pose on free space, all alike; `None` if there is no free space.
@@ -298,6 +382,23 @@ fn squared_distances(map: &OccupancyGrid, surfaces: bool) -> Vec<f32> {
     distance
 }
 
+/// A map of larger cells: each is a wall if there is one in it, and else free if there is free space in it.
+fn coarser(map: &OccupancyGrid) -> Option<OccupancyGrid> {
+    let (width, height) = (map.width().div_ceil(COARSER), map.height().div_ceil(COARSER));
+    let mut cells = vec![Cell::Unknown; width * height];
+    for row in 0..map.height() {
+        for column in 0..map.width() {
+            let cell = &mut cells[row / COARSER * width + column / COARSER];
+            match map.cell(column, row) {
+                Cell::Occupied => *cell = Cell::Occupied,
+                Cell::Free if *cell == Cell::Unknown => *cell = Cell::Free,
+                _ => {}
+            }
+        }
+    }
+    OccupancyGrid::new(width, height, COARSER as f64 * map.resolution(), map.origin(), cells)
+}
+
 /// Parabolas, each with its place and from where on it is the lowest.
 #[derive(Default)]
 struct Envelope(Vec<(usize, f32, f64)>);
@@ -424,7 +525,6 @@ mod tests {
     fn anywhere_is_every_free_cell_alike_and_no_other() {
         let walls = [true, false, false, true, false, true, true, false];
         let field = LikelihoodField::new(&grid(4, &walls), &Parameters::default());
-        assert_eq!(field.free_area(), 1.0);
         let mut random = Stream::new(1);
         let mut counts = [0; 8];
         for _ in 0..4000 {
@@ -436,5 +536,33 @@ mod tests {
         }
         let walled = LikelihoodField::new(&grid(2, &[true; 4]), &Parameters::default());
         assert!(walled.anywhere(&mut random).is_none());
+    }
+
+    #[test]
+    fn the_search_of_the_whole_map_finds_where_a_scan_is_from() {
+        // An L of walls and a pillar, in cells of 0.05 m.
+        let size = 120;
+        let wall = |column: usize, row: usize| {
+            column == 2 || row == 2 || (70..78).contains(&column) && (90..94).contains(&row)
+        };
+        let cells = (0..size * size)
+            .map(|i| if wall(i % size, i / size) { Cell::Occupied } else { Cell::Free })
+            .collect();
+        let map = OccupancyGrid::new(size, size, 0.05, Position::default(), cells).unwrap();
+        let field = LikelihoodField::new(&map, &Parameters::default());
+        let place = field.place(Pose2::new(2.0, 2.6, 0.7));
+        let (sin, cos) = place.heading.sin_cos();
+        let mut beams = Beams::default();
+        for end in (0..size * size).step_by(3).filter(|&i| wall(i % size, i / size)) {
+            let (x, y) = ((end % size) as f32 + 1.5 - place.column, (end / size) as f32 + 1.5 - place.row);
+            beams.x.push(cos * x + sin * y);
+            beams.y.push(cos * y - sin * x);
+            beams.weight.push(1.0);
+        }
+        let found = field.search(&beams, 72, 10);
+        assert_eq!(found.len(), 10);
+        let best = found.at(0);
+        let off = (best.column - place.column).hypot(best.row - place.row);
+        assert!(off < 6.0 && (best.heading - place.heading).abs() < 0.1, "{best:?}");
     }
 }

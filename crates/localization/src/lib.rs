@@ -19,6 +19,7 @@ mod particles;
 mod random;
 mod relocate;
 mod scan;
+mod track;
 pub mod trajectory;
 mod weights;
 

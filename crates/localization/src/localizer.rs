@@ -4,17 +4,16 @@ use std::sync::Arc;
 
 use crate::{
     belief::{Belief, cholesky},
-    bins::{Binning, Cluster},
-    doubt::Doubt,
+    bins::Cluster,
+    doubt::{Odds, Usual, neutral},
     field::{LikelihoodField, Place},
     geometry::{FARTHEST, Pose2},
     motion::Motion,
-    parameters::{Parameters, Weighing},
-    particles::{Particles, Places},
-    random::Stream,
+    parameters::Parameters,
+    particles::Places,
     relocate::Candidates,
-    scan::{Beams, Scan},
-    weights,
+    scan::Scan,
+    track::{Bench, Track},
 };
 
 /// Where the filter believes the robot to be.
@@ -61,50 +60,47 @@ pub enum LocalizationError {
 /// It reads no clock and draws from one seed: the same calls give the same estimates, to the bit.
 #[derive(Debug, Clone)]
 pub struct Localizer {
-    field: Arc<LikelihoodField>,
-    parameters: Parameters,
-    binning: Binning,
-    random: Stream,
-    particles: Particles,
-    /// What the last drawing left over: room for the next.
-    spare: Particles,
-    beams: Beams,
-    scores: Vec<f32>,
+    bench: Bench,
+    /// Its heaviest cluster is the estimate.
+    followed: Track,
+    /// Where else the robot may be, if scans have fitted badly.
+    others: Vec<Track>,
+    usual: Usual,
     /// Odometry at the last update; `None` before the first.
     odometry: Option<Pose2>,
-    /// As of the last update.
-    cluster: Cluster,
+    /// Second moments about the estimate as of the last update, in cells.
+    about: [f64; 9],
     updates: u32,
-    doubt: Doubt,
     /// Nothing is known of where it is before the first scan.
     anywhere: bool,
 }
 
-/// Of the particles, no more than this share are lost to one step of weighing: a sharp likelihood is taken in steps.
-const LEAST_EFFECTIVE: f64 = 0.05;
-/// So many steps at most.
-const STEPS: usize = 5;
-/// Places looked at when nothing is known.
-const MOST_CANDIDATES: usize = 1_000_000;
-/// Places looked at after a scan that fits badly, and how often their number doubles with each further one.
-const CANDIDATES: usize = 50_000;
-const DOUBLED: u32 = 4;
 /// Of the beams, as many are enough to find candidates.
 const CANDIDATE_BEAMS: usize = 40;
-/// Logarithms of the odds that a robot whose scan fits badly slipped, or was carried away, to the one place near by, or
-/// anywhere, that fits best.
+/// Logarithm of the odds that a robot whose scan fits badly slipped to the one place near by that fits best.
 const SLIPPED: f64 = -11.5;
-const CARRIED_AWAY: f64 = -18.4;
-/// A scan says no more of where else the robot is than so many votes would: the place was chosen to fit.
+/// A scan says no more of where near by the robot is than so many votes would: the place was chosen to fit.
 const MOST_VOTES: f64 = 25.0;
-/// A place far away fits if such a share of the votes that usually are at walls is.
-const FITS: f64 = 0.65;
+/// Better places near by are looked for after a scan that fits worse than that.
+const NEAR: f64 = 0.8;
+/// A place far away is one to be followed if the scan fits so much better there.
+const BETTER: f64 = 0.1;
+/// A robot that stands is looked for anew if its scan fits so much worse than the last.
+const WORSE: f64 = 0.2;
 /// No odds need a larger logarithm.
 const LARGEST: f64 = 50.0;
 /// Less likely places are left out.
 const NEGLIGIBLE: f64 = 1e-4;
-/// Deviation of particles about a candidate, metres and radians.
-const ABOUT_CANDIDATE: [f64; 2] = [0.05, 0.02];
+/// So many other places are kept, with their surroundings.
+const OTHERS: usize = 2;
+/// An other place is followed instead when the logarithm of its odds is that much larger, also than that of a place that
+/// nobody knows of, and when such a share of its particles is in one cluster.
+const TAKES_OVER: f64 = 2.0;
+const CLEAR: f64 = 0.7;
+/// It is given up when the logarithm is that much smaller.
+const GIVEN_UP: f64 = 15.0;
+/// Clusters that near each other are the same place, metres.
+const SAME: f64 = 0.5;
 
 impl Localizer {
     /// A filter that knows about where the robot is: a normal distribution, its covariance row by row.
@@ -124,16 +120,13 @@ impl Localizer {
         if let Some(entry) = covariance.iter().find(|entry| !(-most..=most).contains(*entry)) {
             return Err(LocalizationError::NoCovariance(*entry));
         }
-        let mut localizer = Self::new(field, parameters, seed)?;
-        let centre = localizer.field.place(pose);
-        localizer.particles.clear();
-        for _ in 0..parameters.max_particles.min(4 * parameters.min_particles) {
-            localizer.particles.push(centre, 1.0);
-        }
-        let root = cholesky(&in_cells(covariance, localizer.field.resolution()));
-        localizer.jitter(&root);
-        localizer.settle();
-        Ok(localizer)
+        let mut bench = Self::bench(field, parameters, seed)?;
+        let centre = bench.field.place(pose);
+        let count = parameters.max_particles.min(4 * parameters.min_particles);
+        let mut followed = Track::new((0..count).map(|_| centre), Odds::sure(), &bench);
+        followed.jitter(&cholesky(&in_cells(covariance, bench.field.resolution())), &mut bench);
+        followed.settle(&bench);
+        Ok(Self::new(bench, followed))
     }
 
     /// A filter that knows nothing: the robot may be on any free cell, and look anywhere.
@@ -145,41 +138,36 @@ impl Localizer {
         parameters: Parameters,
         seed: u64,
     ) -> Result<Self, LocalizationError> {
-        let mut localizer = Self::new(field, parameters, seed)?;
-        for _ in 0..parameters.max_particles {
-            let place = localizer.field.anywhere(&mut localizer.random);
-            localizer.particles.push(place.ok_or(LocalizationError::NoFreeSpace)?, 1.0);
-        }
-        localizer.anywhere = true;
-        localizer.doubt = Doubt::even();
-        localizer.settle();
-        Ok(localizer)
+        let mut bench = Self::bench(field, parameters, seed)?;
+        let anywhere = |_| bench.field.anywhere(&mut bench.random);
+        let places: Option<Vec<Place>> = (0..parameters.max_particles).map(anywhere).collect();
+        let places = places.ok_or(LocalizationError::NoFreeSpace)?;
+        let followed = Track::new(places.into_iter(), Odds::even(), &bench);
+        Ok(Self { anywhere: true, ..Self::new(bench, followed) })
     }
 
-    fn new(
+    fn bench(
         field: Arc<LikelihoodField>,
         parameters: Parameters,
         seed: u64,
-    ) -> Result<Self, LocalizationError> {
+    ) -> Result<Bench, LocalizationError> {
         field.check()?;
-        let mut particles = Particles::default();
-        particles.push(field.place(Pose2::default()), 1.0);
-        let binning = Binning::new(field.resolution());
-        Ok(Self {
-            cluster: Cluster::heaviest(&particles, &binning),
-            particles: Particles::default(),
-            spare: Particles::default(),
-            random: Stream::new(seed),
-            beams: Beams::default(),
-            scores: Vec::new(),
+        Ok(Bench::new(field, parameters, seed))
+    }
+
+    fn new(bench: Bench, followed: Track) -> Self {
+        let mut localizer = Self {
+            bench,
+            followed,
+            others: Vec::new(),
+            usual: Usual::new(),
             odometry: None,
+            about: [0.0; 9],
             updates: 0,
-            doubt: Doubt::none(),
             anywhere: false,
-            binning,
-            field,
-            parameters,
-        })
+        };
+        localizer.about = localizer.mixture();
+        localizer
     }
 
     /// Takes in where odometry says that the robot is, in whatever frame it began, and what its lidar sees there.
@@ -192,218 +180,242 @@ impl Localizer {
             valid(pose)?;
         }
         let step = self.odometry.map(|last| last.step_to(odometry));
+        let parameters = self.bench.parameters;
         let far = |step: Pose2| {
-            step.x.hypot(step.y) >= self.parameters.update_distance
-                || step.heading.abs() >= self.parameters.update_angle
+            step.x.hypot(step.y) >= parameters.update_distance
+                || step.heading.abs() >= parameters.update_angle
         };
-        if let Some(step) = step
-            && self.updates > 0
-            && !far(step)
+        let near = step.filter(|step| self.updates > 0 && !far(*step));
+        if let Some(step) = near
+            && !self.bench.weighs_by_likelihood()
         {
             return Ok(self.moved_on(step));
         }
-        self.beams.take(scan, &self.parameters.beams, self.parameters.weighing);
-        if self.beams.votes == 0.0 {
+        let beams = &mut self.bench.beams;
+        beams.take(scan, &parameters.beams, parameters.weighing);
+        if beams.votes == 0.0 {
             // A lidar that sees nothing says nothing; the motion is sampled with the next scan that does.
             self.odometry = self.odometry.or(Some(odometry));
             return Ok(self.moved_on(step.unwrap_or_default()));
         }
-        let per_cell = self.field.resolution().recip() as f32;
-        self.beams.x.iter_mut().chain(&mut self.beams.y).for_each(|end| *end *= per_cell);
-        self.odometry = Some(odometry);
-        if let Some(step) = step {
-            let motion = Motion::new(step, &self.parameters.motion);
-            motion.sample(&mut self.particles.places, self.field.resolution(), &mut self.random);
+        let per_cell = self.bench.field.resolution().recip() as f32;
+        beams.x.iter_mut().chain(&mut beams.y).for_each(|end| *end *= per_cell);
+        if let Some(step) = near
+            && !self.startles(step)
+        {
+            return Ok(self.moved_on(step));
         }
-        if std::mem::take(&mut self.anywhere) && self.weighs_by_likelihood() {
+        self.odometry = Some(odometry);
+        self.update(step, near.is_some());
+        Ok(self.estimate(true))
+    }
+
+    /// Whether the scan of a robot that has hardly moved no longer fits: it may have been carried away.
+    fn startles(&mut self, step: Pose2) -> bool {
+        let Place { column, row, heading } = self.followed.place();
+        let pose = self.bench.field.pose(column.into(), row.into(), heading.into()) * step;
+        let mut places = Places::default();
+        places.push(self.bench.field.place(pose));
+        let score = self.bench.best(&places);
+        let fit = self.usual.relative(self.bench.hit_share(score));
+        fit < neutral(self.bench.beams.votes.into()) && fit < self.followed.fit - WORSE
+    }
+
+    fn update(&mut self, step: Option<Pose2>, startled: bool) {
+        let step = step.unwrap_or_default();
+        let motion = Motion::new(step, &self.bench.parameters.motion);
+        for track in std::iter::once(&mut self.followed).chain(&mut self.others) {
+            track.go(&motion, &mut self.bench);
+        }
+        if std::mem::take(&mut self.anywhere) && self.bench.weighs_by_likelihood() {
             self.scatter();
         }
-        self.weigh();
-        self.settle();
+        let [evidence, score] = self.followed.weigh(&mut self.bench);
         self.updates += 1;
-        self.draw_anew();
-        Ok(self.estimate(true))
+        if self.bench.weighs_by_likelihood() {
+            // A scan that no longer fits where the robot stands is news.
+            let way = if startled { f64::INFINITY } else { step.x.hypot(step.y) + step.heading.abs() };
+            self.judge(evidence, score, way);
+        }
+        self.followed.settle(&self.bench);
+        self.about = self.mixture();
+        // Else their number would grow with each look near by.
+        let crowded = self.followed.particles.len() > self.bench.parameters.max_particles;
+        let due = match self.bench.parameters.resample_interval {
+            Some(interval) => self.updates.is_multiple_of(interval.max(1)),
+            None => self.followed.particles.effective() < 0.5 * self.followed.particles.len() as f64,
+        };
+        if due || crowded {
+            self.followed.draw(&mut self.bench);
+        }
+    }
+
+    /// Takes in how well the scan fits where the robot is followed and elsewhere, and whether it is followed elsewhere
+    /// from now on.
+    fn judge(&mut self, evidence: f64, score: f64, way: f64) {
+        let votes = self.bench.beams.votes.into();
+        let neutral = neutral(votes);
+        let share = self.bench.hit_share(score);
+        let fit = self.usual.relative(share);
+        self.followed.odds.see(fit, votes, way);
+        if self.followed.odds.is_followed() && self.others.is_empty() {
+            self.usual.learn(share, fit < neutral);
+        }
+        self.followed.fit = fit;
+        let mut explained = fit >= neutral;
+        for track in &mut self.others {
+            let [_, score] = track.weigh(&mut self.bench);
+            let fit = self.usual.relative(self.bench.hit_share(score));
+            track.fit = fit;
+            track.odds.see(fit, votes, way);
+            explained |= fit >= neutral;
+            track.settle(&self.bench);
+            track.draw(&mut self.bench);
+        }
+        self.limit();
+        if fit < NEAR {
+            self.look_near(evidence);
+        }
+        self.followed.settle(&self.bench);
+        if !explained {
+            self.look_elsewhere(fit.max(neutral - BETTER));
+        }
+        self.weed();
+        let log = self.followed.odds.log();
+        let better =
+            |track: &Track| track.odds.log() > log.max(0.0) + TAKES_OVER && track.cluster.share >= CLEAR;
+        let best = (0..self.others.len()).filter(|&nth| better(&self.others[nth]));
+        let best = best.max_by(|&a, &b| self.others[a].odds.log().total_cmp(&self.others[b].odds.log()));
+        if let Some(best) = best {
+            std::mem::swap(&mut self.followed, &mut self.others[best]);
+        }
+    }
+
+    /// Takes from the odds of all others what those of one are too large.
+    fn limit(&mut self) {
+        let excess = self.followed.odds.limit();
+        self.others.iter_mut().for_each(|track| track.odds.lower(excess));
+        for nth in 0..self.others.len() {
+            let excess = self.others[nth].odds.limit();
+            let others = self.others.iter_mut().enumerate().filter(|(other, _)| *other != nth);
+            others.for_each(|(_, track)| track.odds.lower(excess));
+            self.followed.odds.lower(excess);
+        }
+    }
+
+    /// Gives up other places that are far less likely than the one that is followed, or the same as another.
+    fn weed(&mut self) {
+        let resolution = self.bench.field.resolution();
+        let same = |a: &Track, b: &Track| {
+            let off = (a.cluster.column - b.cluster.column).hypot(a.cluster.row - b.cluster.row);
+            off * resolution < SAME
+        };
+        let mut kept: Vec<Track> = Vec::new();
+        for track in self.others.drain(..) {
+            let unlikely = track.odds.log() < self.followed.odds.log() - GIVEN_UP;
+            if !unlikely && !same(&track, &self.followed) && !kept.iter().any(|other| same(other, &track)) {
+                kept.push(track);
+            }
+        }
+        self.others = kept;
     }
 
     /// The estimate as of the last update, with what odometry says since.
     fn moved_on(&self, step: Pose2) -> Estimate {
         let last = self.estimate(false);
-        let Belief { pose, covariance } = last.belief().moved_on(step, &self.parameters.motion);
+        let Belief { pose, covariance } = last.belief().moved_on(step, &self.bench.parameters.motion);
         Estimate { pose, covariance, ..last }
     }
 
     fn estimate(&self, updated: bool) -> Estimate {
-        let Cluster { column, row, heading, about: mut covariance, .. } = self.cluster;
-        let resolution = self.field.resolution();
-        let lost = if self.weighs_by_likelihood() { self.doubt.probability() } else { 0.0 };
-        for (entry, anywhere) in covariance.iter_mut().zip(self.field.anywhere_about(column, row)) {
-            *entry += lost * (anywhere - *entry);
-        }
-        let mut covariance = in_cells(&covariance, resolution.recip());
-        if self.weighs_by_likelihood() {
+        let Cluster { column, row, heading, .. } = self.followed.cluster;
+        let resolution = self.bench.field.resolution();
+        let mut covariance = in_cells(&self.about, resolution.recip());
+        if self.bench.weighs_by_likelihood() {
             // Walls are anywhere in their cells, alike for all scans: a uniform error, which no number of beams lessens.
             let cell = resolution.powi(2) / 12.0;
-            let [way, turn] = self.parameters.systematic;
+            let [way, turn] = self.bench.parameters.systematic;
             covariance[0] += cell + way * way;
             covariance[4] += cell + way * way;
             covariance[8] += turn * turn;
         }
         Estimate {
-            pose: self.field.pose(column, row, heading),
+            pose: self.bench.field.pose(column, row, heading),
             covariance,
-            particles: self.particles.len(),
+            particles: self.followed.particles.len(),
             updated,
         }
     }
 
-    fn weighs_by_likelihood(&self) -> bool {
-        matches!(self.parameters.weighing, Weighing::Likelihood { .. })
-    }
-
-    /// Normalizes the weights, and finds the heaviest hypothesis.
-    fn settle(&mut self) {
-        self.particles.normalize();
-        self.cluster = Cluster::heaviest(&self.particles, &self.binning);
-    }
-
-    fn score(&mut self) {
-        self.field.score(&self.particles.places, &self.beams, &mut self.scores);
-    }
-
-    /// Weighs the particles by the scan.
-    fn weigh(&mut self) {
-        self.score();
-        if !self.weighs_by_likelihood() {
-            let weights = self.particles.weight.iter_mut().zip(&self.scores);
-            return weights.for_each(|(weight, score)| *weight *= 1.0 + score);
+    /// Second moments about the estimate: of where the robot is followed, of other places, and of a robot that may be
+    /// anywhere on the map, each with its probability.
+    fn mixture(&self) -> [f64; 9] {
+        let cluster = &self.followed.cluster;
+        let all = |track: &Track| cluster.second_moments(&track.particles, 0..track.particles.len());
+        let followed = if cluster.share < 1.0 { all(&self.followed) } else { cluster.covariance };
+        if !self.bench.weighs_by_likelihood() {
+            return followed;
         }
-        let mut evidence = 0.0;
-        let mut rest = 1.0;
-        for _ in 1..STEPS {
-            let least = LEAST_EFFECTIVE * self.particles.len() as f64;
-            let share = weights::tempered(&self.particles.weight, &self.scores, least);
-            if share == 1.0 {
-                break;
-            }
-            evidence += weights::multiply(&mut self.particles.weight, &self.scores, share);
-            rest *= 1.0 - share;
-            self.settle();
-            self.spread();
-            self.score();
-            self.scores.iter_mut().for_each(|score| *score *= rest);
+        let anywhere = self.bench.field.anywhere_about(cluster.column, cluster.row);
+        let others = self.others.iter().map(|track| (track.odds.log().exp(), all(track)));
+        let parts = others.chain([(self.followed.odds.log().exp(), followed), (1.0, anywhere)]);
+        let (mut sum, mut moments) = (0.0, [0.0; 9]);
+        for (weight, part) in parts {
+            sum += weight;
+            moments.iter_mut().zip(part).for_each(|(moment, part)| *moment += weight * part);
         }
-        evidence += weights::multiply(&mut self.particles.weight, &self.scores, 1.0);
-        self.doubt.see(self.best_fit(rest), self.beams.votes.into());
-        if self.doubt.bad() > 0 {
-            self.look_elsewhere(evidence);
+        moments.map(|moment| moment / sum)
+    }
+
+    /// Adds places near by from which the scan could have been taken, with the probability that they have beside the
+    /// particles, whose evidence is given. They get half of it at most: the next scan, by which they were not chosen,
+    /// decides.
+    fn look_near(&mut self, evidence: f64) {
+        let trust = (MOST_VOTES / f64::from(self.bench.beams.votes)).min(1.0);
+        let beams = self.bench.beams.some(CANDIDATE_BEAMS);
+        // The particles' mean is not known anew yet.
+        self.followed.settle(&self.bench);
+        let place = self.followed.place();
+        let found = Candidates::near(place, &self.bench.field, &beams, &mut self.bench.random);
+        let better = trust * (self.bench.best(found.places()) - evidence);
+        let odds = (SLIPPED + better).min(LARGEST).exp();
+        let probability = (odds / (1.0 + odds)).min(0.5);
+        if probability > NEGLIGIBLE {
+            let count = self.bench.parameters.min_particles;
+            let added = Track::about(&found, count, Odds::even(), &mut self.bench);
+            self.followed.add(&added, probability);
         }
     }
 
-    /// Which share of the votes is at walls where the scan fits best; scores are this share of the whole ones.
-    fn best_fit(&self, whole: f32) -> f64 {
-        self.field.hit_share(best(&self.scores) / whole, self.beams.votes)
-    }
-
-    /// Adds places from which the scan could have been taken, near by and everywhere, with the probability that they
-    /// have beside the particles, whose evidence is given. They get half of it at most: the next scan, by which they
-    /// were not chosen, decides.
-    fn look_elsewhere(&mut self, evidence: f64) {
-        let trust = (MOST_VOTES / f64::from(self.beams.votes)).min(1.0);
-        let most = CANDIDATES << (self.doubt.bad() - 1).min(DOUBLED);
-        let far = self.candidates(most).map(|far| (far, CARRIED_AWAY));
-        let mut found = vec![(self.near(), SLIPPED)];
-        found.extend(far);
-        let mut odds = Vec::new();
-        for (candidates, prior) in &found {
-            self.field.score(candidates.places(), &self.beams, &mut self.scores);
-            let better = trust * (f64::from(best(&self.scores)) - evidence);
-            // A place far away that fits badly, too, is no better an explanation than a crowd about the robot.
-            let none = *prior == CARRIED_AWAY && self.doubt.relative(self.best_fit(1.0)) < FITS;
-            odds.push(if none { 0.0 } else { (prior + better).min(LARGEST).exp() });
+    /// Looks everywhere for places that the scan fits far better than where the robot is followed.
+    fn look_elsewhere(&mut self, fit: f64) {
+        let Some(found) = self.candidates() else { return };
+        let score = self.bench.best(found.places());
+        let there = self.usual.relative(self.bench.hit_share(score));
+        if there < fit + BETTER {
+            return;
         }
-        let all: f64 = odds.iter().sum();
-        let elsewhere = (all / (1.0 + all)).min(0.5);
-        self.particles.normalize();
-        self.particles.weight.iter_mut().for_each(|weight| *weight *= (1.0 - elsewhere) as f32);
-        let [way, turn] = [ABOUT_CANDIDATE[0] / self.field.resolution(), ABOUT_CANDIDATE[1]];
-        let count = self.parameters.min_particles;
-        for ((candidates, _), odds) in found.iter().zip(odds) {
-            let probability = elsewhere * odds / all;
-            // It is NaN if there is nothing elsewhere.
-            let kept = if probability > NEGLIGIBLE { count } else { 0 };
-            for _ in 0..kept {
-                let place =
-                    candidates.draw(&mut self.random).moved(way as f32, turn as f32, &mut self.random);
-                self.particles.push(place, (probability / count as f64) as f32);
-            }
+        if self.others.len() == OTHERS {
+            let log = |nth: &usize| self.others[*nth].odds.log();
+            let worst = (0..OTHERS).min_by(|a, b| log(a).total_cmp(&log(b)));
+            self.others.remove(worst.unwrap_or_default());
         }
-    }
-
-    /// Draws as many particles as there are, each a little off its parent: the kernel of a regularized filter (Musso,
-    /// Oudjane and Le Gland 2001, section 12.2.2), shaped as the heaviest hypothesis.
-    fn spread(&mut self) {
-        let count = self.particles.len();
-        let fixed = Parameters { min_particles: count, max_particles: count, ..self.parameters };
-        self.particles.draw(&mut self.spare, &fixed, &self.binning, &mut self.random);
-        std::mem::swap(&mut self.particles, &mut self.spare);
-        // Silverman's bandwidth in three dimensions, (4 / 5n)^(1/7).
-        let bandwidth = (0.8 / count as f64).powf(1.0 / 7.0);
-        let kernel = self.cluster.covariance.map(|entry| entry * bandwidth * bandwidth);
-        self.jitter(&cholesky(&kernel));
-    }
-
-    /// Moves each particle by a normal deviate, given the lower root of its covariance, in cells.
-    fn jitter(&mut self, root: &[f64; 9]) {
-        let root = root.map(|entry| entry as f32);
-        let Places { column, row, heading } = &mut self.particles.places;
-        for ((column, row), heading) in column.iter_mut().zip(row).zip(heading) {
-            let [a, b, c] = [(); 3].map(|()| self.random.bell());
-            *column += root[0] * a;
-            *row += root[3] * a + root[4] * b;
-            *heading += root[6] * a + root[7] * b + root[8] * c;
-        }
+        let count = 4 * self.bench.parameters.min_particles;
+        let other = Track::about(&found, count, Odds::chosen(), &mut self.bench);
+        self.others.push(other);
     }
 
     /// Puts all particles where the scan could have been taken.
     fn scatter(&mut self) {
-        let Some(candidates) = self.candidates(MOST_CANDIDATES) else { return };
-        let count = self.parameters.max_particles.min(10 * self.parameters.min_particles);
-        self.particles.clear();
-        for _ in 0..count {
-            self.particles.push(candidates.draw(&mut self.random), 1.0);
-        }
-        let [way, turn] = ABOUT_CANDIDATE;
-        let way = way / self.field.resolution();
-        self.jitter(&[way, 0.0, 0.0, 0.0, way, 0.0, 0.0, 0.0, turn]);
-        self.particles.normalize();
+        let Some(found) = self.candidates() else { return };
+        let count = self.bench.parameters.max_particles.min(10 * self.bench.parameters.min_particles);
+        self.followed = Track::about(&found, count, Odds::even(), &mut self.bench);
     }
 
-    fn candidates(&mut self, most: usize) -> Option<Candidates> {
-        Candidates::find(&self.field, &self.beams.some(CANDIDATE_BEAMS), most, &mut self.random)
+    fn candidates(&mut self) -> Option<Candidates> {
+        let Bench { field, beams, random, .. } = &mut self.bench;
+        Candidates::find(field, &beams.some(CANDIDATE_BEAMS), random)
     }
-
-    fn near(&mut self) -> Candidates {
-        let Cluster { column, row, heading, .. } = self.cluster;
-        let place = Place { column: column as f32, row: row as f32, heading: heading as f32 };
-        Candidates::near(place, &self.field, &self.beams.some(CANDIDATE_BEAMS), &mut self.random)
-    }
-
-    /// Draws particles anew when it is time: as many as KLD-sampling asks for.
-    fn draw_anew(&mut self) {
-        let due = match self.parameters.resample_interval {
-            Some(interval) => self.updates.is_multiple_of(interval.max(1)),
-            None => self.particles.effective() < 0.5 * self.particles.len() as f64,
-        };
-        // Else their number would grow with each look elsewhere.
-        if due || self.doubt.bad() > 0 {
-            self.particles.draw(&mut self.spare, &self.parameters, &self.binning, &mut self.random);
-            std::mem::swap(&mut self.particles, &mut self.spare);
-        }
-    }
-}
-
-fn best(scores: &[f32]) -> f32 {
-    scores.iter().copied().fold(f32::NEG_INFINITY, f32::max)
 }
 
 fn valid(pose: Pose2) -> Result<(), LocalizationError> {

@@ -129,7 +129,7 @@ impl Default for Parameters {
             },
             weighing: Weighing::Likelihood { correlation_length: 0.5 },
             motion: MotionNoise { alpha: [0.1, 0.02, 0.02, 0.01], variance_as_deviation: false },
-            systematic: [0.03, 0.007],
+            systematic: [0.034, 0.008],
             update_distance: 0.25,
             update_angle: 0.2,
             resample_interval: None,

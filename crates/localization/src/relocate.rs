@@ -10,13 +10,14 @@ use crate::{
     weights,
 };
 
-/// Candidates per m² of free space: one for each 0.2 m × 0.2 m × 8°.
-const DENSITY: f64 = 25.0 * 45.0;
+/// Directions in which each cell is looked at.
+const HEADINGS: usize = 72;
 /// So many places about one are looked at, and how far they are from it: deviations, metres and radians.
 const MOST_NEAR: usize = 4000;
-const NEAR: [f32; 2] = [0.7, 0.35];
+const NEAR: [f32; 2] = [0.4, 0.3];
 /// So many of the best are moved uphill.
-const KEPT: usize = 400;
+const KEPT: usize = 1000;
+const KEPT_NEAR: usize = 400;
 /// Steps uphill, and the deviation of the first, metres and radians; each next one is a little shorter.
 const STEPS: usize = 40;
 const FIRST_STEP: [f32; 2] = [0.15, 0.1];
@@ -30,14 +31,10 @@ pub(crate) struct Candidates {
 }
 
 impl Candidates {
-    /// Looks for them among no more than `most` places of the map; `None` if it has no free space.
-    pub fn find(field: &LikelihoodField, beams: &Beams, most: usize, random: &mut Stream) -> Option<Self> {
-        let count = ((field.free_area() * DENSITY) as usize).clamp(KEPT, most.max(KEPT));
-        let mut pool = Places::default();
-        for _ in 0..count {
-            pool.push(field.anywhere(random)?);
-        }
-        Some(Self::among(pool, field, beams, random))
+    /// Looks for them on all of the map; `None` if there is none.
+    pub fn find(field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Option<Self> {
+        let found = field.search(beams, HEADINGS, KEPT);
+        (found.len() > 0).then(|| Self::uphill(found, field, beams, random))
     }
 
     /// Looks for them about a place, to which odometry has led, but badly.
@@ -52,19 +49,22 @@ impl Candidates {
                 heading: place.heading + off(turn),
             });
         }
-        Self::among(pool, field, beams, random)
-    }
-
-    fn among(pool: Places, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
         let mut scores = Vec::new();
         field.score(&pool, beams, &mut scores);
         let mut order: Vec<usize> = (0..pool.len()).collect();
-        order.select_nth_unstable_by(KEPT - 1, |&a, &b| scores[b].total_cmp(&scores[a]));
-        let mut best: Vec<(f32, Place)> =
-            order[..KEPT].iter().map(|&nth| (scores[nth], pool.at(nth))).collect();
+        order.select_nth_unstable_by(KEPT_NEAR - 1, |&a, &b| scores[b].total_cmp(&scores[a]));
+        let mut best = Places::default();
+        order[..KEPT_NEAR].iter().for_each(|&nth| best.push(pool.at(nth)));
+        Self::uphill(best, field, beams, random)
+    }
+
+    /// Moves each of these places to where the scan fits better.
+    fn uphill(places: Places, field: &LikelihoodField, beams: &Beams, random: &mut Stream) -> Self {
+        let kept = places.len();
+        let mut best: Vec<(f32, Place)> = (0..kept).map(|nth| (f32::NEG_INFINITY, places.at(nth))).collect();
         let in_cells = (FIRST_STEP[0] as f64 / field.resolution()) as f32;
-        let (mut steps, mut length) = (Places::default(), 1.0);
-        for _ in 0..STEPS {
+        let (mut steps, mut length, mut scores) = (Places::default(), 0.0, Vec::new());
+        for step in 0..STEPS {
             steps.clear();
             for (_, place) in &best {
                 steps.push(Place {
@@ -77,12 +77,13 @@ impl Candidates {
             for (nth, best) in best.iter_mut().enumerate().filter(|(nth, best)| scores[*nth] > best.0) {
                 *best = (scores[nth], steps.at(nth));
             }
-            length *= SHORTER;
+            // The first is none, but tells how well each place fits.
+            length = if step == 0 { 1.0 } else { length * SHORTER };
         }
         // How likely one is beside another is not trusted far: one scan says little of which corridor it was.
         let scores: Vec<f32> = best.iter().map(|(score, _)| *score).collect();
-        let alike = vec![(KEPT as f32).recip(); KEPT];
-        let share = weights::tempered(&alike, &scores, KEPT as f64 / 8.0);
+        let alike = vec![(kept as f32).recip(); kept];
+        let share = weights::tempered(&alike, &scores, kept as f64 / 8.0);
         let mut weight = alike;
         weights::multiply(&mut weight, &scores, share);
         let mut sum = 0.0;

@@ -111,11 +111,19 @@ impl Drive {
     }
 
     fn observe(&self, localizer: &mut Localizer) -> Option<Estimate> {
+        self.observe_past(localizer, 0.0)
+    }
+
+    /// The same while people stand half a metre off and hide such a share of the beams.
+    fn observe_past(&self, localizer: &mut Localizer, share: f64) -> Option<Estimate> {
         let turn = self.robot.scan()?;
+        let mut ranges = turn.ranges.clone();
+        let hidden = (share * ranges.len() as f64) as usize;
+        ranges.iter_mut().take(hidden).for_each(|range| *range = range.min(0.5));
         let scan = Scan {
             angle_min: turn.first_angle,
             angle_increment: turn.angle_step,
-            ranges: &turn.ranges,
+            ranges: &ranges,
             mount: Pose2::default(),
             sweep: self.sweep,
         };
@@ -210,13 +218,13 @@ fn a_robot_that_was_carried_away_is_found_again() {
     }
 }
 
-/// The rooms with walls up to 15 cm off, here to one side, there to the other. How far was chosen so that errors are about
+/// The rooms with walls up to 20 cm off, here to one side, there to the other. How far was chosen so that errors are about
 /// as large as the deviation of [`Parameters::systematic`]: with 5 or 10 cm, every pose is inside the ellipse.
 fn roughly_mapped_rooms() -> OccupancyGrid {
     let rooms = rooms();
     let (width, height) = (rooms.width(), rooms.height());
     let moved = |at: usize, along: usize, length: usize| {
-        let off = (3.0 * (along as f64 / 15.0).sin()).round() as isize;
+        let off = (3.6 * (along as f64 / 15.0).sin()).round() as isize;
         at.saturating_add_signed(off).min(length - 1)
     };
     let cells = (0..width * height)
@@ -267,18 +275,16 @@ fn a_lost_robot_claims_no_small_deviation_and_is_found_within_some_metres() {
         let before = drive.odometry();
         let mut drive = Drive::new(&world, seed, places);
         drive.carried = before * drive.odometry().inverse();
-        let (mut gone, mut last, mut found, mut looked) = (0.0, drive.truth(), 0.0, false);
+        let (mut gone, mut last, mut found) = (0.0, drive.truth(), 0.0);
         while gone < 12.0 && drive.go_on() {
             gone += last.distance(drive.truth());
             last = drive.truth();
             let Some(estimate) = drive.observe(&mut localizer) else { continue };
-            // Until it has gone far enough, no scan is looked at.
-            looked |= estimate.updated;
             if estimate.pose.distance(last) > 0.5 {
                 found = gone;
-                lost += usize::from(looked);
+                lost += 1;
                 let claimed = (estimate.covariance[0] + estimate.covariance[4]).sqrt();
-                vain += usize::from(looked && claimed < 0.3);
+                vain += usize::from(claimed < 0.3);
             }
         }
         recovery.push(found);
@@ -286,6 +292,66 @@ fn a_lost_robot_claims_no_small_deviation_and_is_found_within_some_metres() {
     recovery.sort_by(f64::total_cmp);
     assert!(lost > 0 && vain * 10 <= lost, "{vain} of {lost} lost scans claim to know");
     assert!(recovery[4] <= 3.0 && recovery[7] <= 10.0, "{recovery:?}");
+}
+
+/// Two rooms alike, 8 m × 5 m, with a corridor along both; only the second has a cupboard, but for the world.
+fn twins(cupboards: usize) -> OccupancyGrid {
+    let (width, height) = (340, 160);
+    let wall = |row: usize, column: usize| {
+        let edge = row == 0 || column == 0 || row == height - 1 || column == width - 1;
+        let beside = row == 100 && !(60..82).contains(&(column % 170));
+        let between = row < 100 && column.is_multiple_of(170);
+        let cupboard = (20..60).contains(&row) && (110..150).contains(&(column % 170));
+        edge || beside || between || cupboard && column / 170 >= 2 - cupboards
+    };
+    let cells = (0..width * height)
+        .map(|i| if wall(i / width, i % width) { Cell::Occupied } else { Cell::Free })
+        .collect();
+    OccupancyGrid::new(width, height, 0.05, Position::default(), cells).unwrap()
+}
+
+#[test]
+fn what_the_map_does_not_know_and_a_room_alike_do_not_make_the_estimate_jump() {
+    let parameters = Parameters::turtlebot2();
+    // Since the map was drawn, a cupboard came to the first room, where the second had one.
+    let (map, world) = (twins(1), Arc::new(World::new(&twins(2))));
+    let field = Arc::new(LikelihoodField::new(&map, &parameters));
+    for seed in SEEDS {
+        let mut drive = Drive::new(&world, seed, &[(3.5, 6.5), (3.5, 3.5), (5.5, 3.2), (2.0, 1.5)]);
+        let mut localizer =
+            Localizer::at(Arc::clone(&field), parameters, seed, drive.truth(), &ABOUT).unwrap();
+        let (mut gone, mut last) = (0.0, drive.truth());
+        while drive.go_on() {
+            gone += last.distance(drive.truth());
+            last = drive.truth();
+            // People hide half of all beams for half a metre of each three, and then leave.
+            let hidden = if gone % 3.0 > 2.5 { 0.5 } else { 0.0 };
+            let Some(estimate) = drive.observe_past(&mut localizer, hidden) else { continue };
+            let off = estimate.pose.distance(last);
+            assert!(off < 0.3, "seed {seed}: {off} m off after {gone} m");
+        }
+        assert!(gone > 10.0, "{gone}");
+    }
+}
+
+#[test]
+fn a_robot_that_is_carried_away_while_it_stands_is_looked_for_at_once() {
+    let (map, parameters) = (rooms(), Parameters::turtlebot2());
+    let (world, field) = (Arc::new(World::new(&map)), Arc::new(LikelihoodField::new(&map, &parameters)));
+    let mut drive = Drive::new(&world, 1, &[(2.0, 6.0), (4.0, 6.0)]);
+    let mut localizer = Localizer::at(field, parameters, 1, drive.truth(), &ABOUT).unwrap();
+    drive.follow(&mut localizer);
+    let deviation = |estimate: &Estimate| (estimate.covariance[0] + estimate.covariance[4]).sqrt();
+    let stands = drive.observe(&mut localizer).unwrap();
+    assert!(!stands.updated && deviation(&stands) < 0.1, "{stands:?}");
+    let before = drive.odometry();
+    let mut drive = Drive::new(&world, 1, &[(18.0, 10.5), (15.0, 9.0)]);
+    assert!(drive.go_on());
+    drive.carried = before * drive.odometry().inverse();
+    let carried = drive.observe(&mut localizer).unwrap();
+    assert!(carried.updated && deviation(&carried) > 1.0, "{carried:?}");
+    // Once: it says no more when it is told again.
+    assert!(!drive.observe(&mut localizer).unwrap().updated);
 }
 
 #[test]
