@@ -107,7 +107,11 @@ fn figures(summary: &Summary) -> Table {
             table.row([format!("service time{of}"), text]);
         }
         if let Some(above) = its.above_target {
-            let text = format!("{:.1} % of the samples took more than {} ms", above * 100.0, its.service_time_target_ms);
+            let text = format!(
+                "{:.1} % of the samples took more than {} ms",
+                above * 100.0,
+                its.service_time_target_ms
+            );
             table.row([format!("above target{of}"), text]);
         }
     }

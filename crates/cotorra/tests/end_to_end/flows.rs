@@ -37,8 +37,9 @@ fn samples(run: &Run, service: &str) -> Vec<Option<f64>> {
         let places = [&sample["robot"], &sample["server"], &sample["attachment"]];
         assert_eq!(places, ["robot", "edge", "unit"], "{sample}");
     });
-    let mut by_number: Vec<_> =
-        checked.map(|sample| (sample["sequence"].as_u64().unwrap(), sample["took_ms"].as_f64())).collect();
+    let mut by_number: Vec<_> = checked
+        .map(|sample| (sample["sequence"].as_u64().unwrap(), sample["service_time_ms"].as_f64()))
+        .collect();
     by_number.sort_by_key(|(number, _)| *number);
     assert!(by_number.iter().map(|(number, _)| *number).eq(0..by_number.len() as u64));
     by_number.into_iter().map(|(_, took)| took).collect()

@@ -129,7 +129,7 @@ fn programs_of_ros_that_nobody_changed_speak_across_the_emulated_network() {
     // The same is measured of the same scans where they leave and enter the robot.
     let page = run.get("/api/v1/measurements/service-times?limit=10000");
     let flow = page["items"].as_array().unwrap().iter().filter(|sample| sample["service"] == "relay");
-    let mut took: Vec<_> = flow.filter_map(|sample| sample["took_ms"].as_f64()).collect();
+    let mut took: Vec<_> = flow.filter_map(|sample| sample["service_time_ms"].as_f64()).collect();
     took.sort_by(f64::total_cmp);
     assert!(took.len() >= 15 && took[0] > 11.0, "{took:?}");
     let listed = cotorra(["exec", "--api", run.address(), "cloud", "--"])

@@ -61,7 +61,9 @@ impl<'a> Panel<'a> {
     pub fn of_services(title: &str, report: &'a Report) -> Vec<Self> {
         let services: Vec<_> = report.services().into_iter().filter(|its| its.samples > 0).collect();
         if services.len() < 2 {
-            let target_ms = services.first().map_or(report.service_time_target_ms(), |its| Some(its.service_time_target_ms));
+            let target_ms = services
+                .first()
+                .map_or(report.service_time_target_ms(), |its| Some(its.service_time_target_ms));
             return vec![Self { target_ms, ..Self::of(title.to_owned(), report) }];
         }
         let panel = |its: ServiceSummary| {
