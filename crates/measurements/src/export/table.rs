@@ -69,10 +69,10 @@ const TEXTS: &[&str] = &[
 #[rustfmt::skip]
 const REALS: &[&str] = &[
     "x", "y", "z", "heading", "roll", "pitch", "linear", "vertical", "angular",
-    "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst", "duplication",
-    "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
+    "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst",
+    "duplication", "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
 ];
-const UNITS_OF_REALS: &[&str] = &["_m", "_dbm", "_ms", "_us"];
+const UNITS_OF_REALS: &[&str] = &["_m", "_mps", "_dbm", "_ms", "_us"];
 
 /// What a column holds, as the schema says.
 fn type_of(column: &str) -> Type {

@@ -617,7 +617,13 @@ mod tests {
         let summary = report.summary(Timestamp::from_secs_f64(4.0), "finished", Losses::default());
         assert_eq!((summary.above_target, summary.notices), (Some(0.4), vec!["mind".to_owned()]));
         let plain = |s: &ServiceSummary| {
-            (s.samples, s.unanswered, s.service_time_target_ms, s.above_target, s.service_time_ms.unwrap().max)
+            (
+                s.samples,
+                s.unanswered,
+                s.service_time_target_ms,
+                s.above_target,
+                s.service_time_ms.unwrap().max,
+            )
         };
         let services: Vec<_> = summary.services.iter().map(plain).collect();
         assert_eq!(services, [(2, 0, 15.0, Some(0.5), 16.0), (3, 1, 100.0, Some(1.0 / 3.0), 90.0)]);
