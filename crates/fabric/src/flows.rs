@@ -62,6 +62,11 @@ impl Flows {
                 Protocol::Ros1 { request, answer, id: id(its) }
             }
             FlowProtocol::Ros1Service { service } => Protocol::Ros1Service { service },
+            FlowProtocol::Ros2 { request, answer, id: its } => {
+                Protocol::Ros2 { request, answer, id: id(its) }
+            }
+            FlowProtocol::Ros2Service { service } => Protocol::Ros2Service { service },
+            FlowProtocol::Ros2Action { action } => Protocol::Ros2Action { action },
         };
         let meter = Meter::new(protocol, flow.timeout);
         let (service, robot) = (service.id.clone(), service.robot.clone());
@@ -146,7 +151,7 @@ impl Flows {
 }
 
 fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
-    let Counts { requests, unclear, forgotten, given_up } = counts;
+    let Counts { requests, unclear, forgotten, refused, given_up } = counts;
     let mut remarks = Vec::new();
     if requests == 0 {
         remarks.push(format!("flow of service `{service}`: no request seen"));
@@ -162,9 +167,10 @@ fn remarks(service: &ServiceId, counts: Counts) -> Vec<String> {
          `id`, or a shorter `timeout`",
     );
     not_measured(forgotten, "requests are not measured, because too many were under way");
+    not_measured(refused, "requests are not measured, because the server refused them");
     not_measured(
         given_up,
-        "connections were not followed to their end: too many, too much out of order, or another protocol",
+        "connections or writers were not followed to their end: too many, too much out of order, or another protocol",
     );
     remarks
 }

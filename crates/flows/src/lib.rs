@@ -11,6 +11,8 @@ mod meter;
 mod packet;
 mod requests;
 mod ros1;
+mod ros2;
+mod rtps;
 mod stream;
 mod tcp;
 #[cfg(test)]

@@ -5,6 +5,7 @@ use std::time::Duration;
 use crate::{
     requests::{Counts, Sample},
     ros1,
+    ros2::{self, Ros2},
     tcp::{Kind, Tcp},
     udp::{Id, Udp},
 };
@@ -56,12 +57,32 @@ pub enum Protocol {
         /// The service.
         service: String,
     },
+    /// A message of a topic of ROS 2 from the port, and one of another topic to it.
+    Ros2 {
+        /// The topic of requests.
+        request: String,
+        /// The topic of answers.
+        answer: String,
+        /// What tells messages apart: bytes of both, behind what says how they are serialized.
+        id: Option<Id>,
+    },
+    /// A call of a service of ROS 2.
+    Ros2Service {
+        /// The service.
+        service: String,
+    },
+    /// A goal of an action of ROS 2, and its result.
+    Ros2Action {
+        /// The action.
+        action: String,
+    },
 }
 
 #[derive(Debug)]
 enum Followed {
     Udp(Udp),
     Tcp(Tcp),
+    Ros2(Ros2),
 }
 
 /// Measures one flow at one host's port. See the [crate's documentation](crate).
@@ -82,6 +103,15 @@ impl Meter {
             Protocol::Ros1Service { service } => {
                 Followed::Tcp(Tcp::new(Kind::Ros1(ros1::Measured::Service(service)), timeout))
             }
+            Protocol::Ros2 { request, answer, id } => {
+                Followed::Ros2(Ros2::new(ros2::Measured::Topics { request, answer, id }, timeout))
+            }
+            Protocol::Ros2Service { service } => {
+                Followed::Ros2(Ros2::new(ros2::Measured::Service(service), timeout))
+            }
+            Protocol::Ros2Action { action } => {
+                Followed::Ros2(Ros2::new(ros2::Measured::Action(action), timeout))
+            }
         })
     }
 
@@ -90,6 +120,7 @@ impl Meter {
         match &mut self.0 {
             Followed::Udp(udp) => udp.entered(at, frame, mark),
             Followed::Tcp(tcp) => tcp.passed(at, frame, mark, true),
+            Followed::Ros2(ros) => ros.passed(at, frame, mark, true),
         }
     }
 
@@ -98,6 +129,7 @@ impl Meter {
         match &mut self.0 {
             Followed::Udp(udp) => udp.delivered(at, frame),
             Followed::Tcp(tcp) => tcp.passed(at, frame, 0, false),
+            Followed::Ros2(ros) => ros.passed(at, frame, 0, false),
         }
     }
 
@@ -106,6 +138,7 @@ impl Meter {
         match &mut self.0 {
             Followed::Udp(udp) => udp.requests.expire(now),
             Followed::Tcp(tcp) => tcp.requests.expire(now),
+            Followed::Ros2(ros) => ros.requests.expire(now),
         }
     }
 
@@ -114,6 +147,7 @@ impl Meter {
         match &self.0 {
             Followed::Udp(udp) => udp.requests.deadline(),
             Followed::Tcp(tcp) => tcp.requests.deadline(),
+            Followed::Ros2(ros) => ros.requests.deadline(),
         }
     }
 
@@ -122,6 +156,7 @@ impl Meter {
         match &mut self.0 {
             Followed::Udp(udp) => udp.requests.poll(),
             Followed::Tcp(tcp) => tcp.requests.poll(),
+            Followed::Ros2(ros) => ros.requests.poll(),
         }
     }
 
@@ -130,6 +165,7 @@ impl Meter {
         match &self.0 {
             Followed::Udp(udp) => udp.requests.counts,
             Followed::Tcp(tcp) => tcp.requests.counts,
+            Followed::Ros2(ros) => ros.requests.counts,
         }
     }
 }

@@ -27,7 +27,10 @@ pub struct Counts {
     pub unclear: u64,
     /// Requests forgotten because too many were under way.
     pub forgotten: u64,
-    /// Connections that were not followed any more: too many, too much out of order, or another protocol.
+    /// Requests that the server refused.
+    pub refused: u64,
+    /// Connections, and writers of ROS 2, that were not followed any more: too many, too much out of order, or another
+    /// protocol.
     pub given_up: u64,
 }
 
@@ -71,11 +74,31 @@ impl<K: PartialEq> Requests<K> {
         self.pending.iter().any(|pending| pending.key == *key)
     }
 
+    /// The key of the first request for which this holds.
+    pub fn find(&mut self, is_it: impl Fn(&K) -> bool) -> Option<&mut K> {
+        self.pending.iter_mut().map(|pending| &mut pending.key).find(|key| is_it(key))
+    }
+
+    /// Forgets the first request for which this holds: there will be no answer, and the client knows.
+    pub fn refuse(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
+        self.expire(at);
+        let place = self.pending.iter().position(|pending| is_it(&pending.key));
+        if let Some(place) = place {
+            self.pending.remove(place);
+            self.counts.refused += 1;
+        }
+    }
+
     /// An answer to the request with this key was delivered; an answer to no request is ignored. One that could be to several
     /// makes all of them unclear.
     pub fn answer(&mut self, key: &K, at: Duration) {
+        self.answer_to(|its| its == key, at);
+    }
+
+    /// The same, to the request for whose key this holds.
+    pub fn answer_to(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
         self.expire(at);
-        let mut its = self.pending.iter_mut().enumerate().filter(|(_, pending)| pending.key == *key);
+        let mut its = self.pending.iter_mut().enumerate().filter(|(_, pending)| is_it(&pending.key));
         let Some((place, first)) = its.next() else { return };
         let mut is_clear = !first.unclear;
         for (_, other) in its {

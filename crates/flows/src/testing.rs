@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use crate::{Frame, Meter, Sample};
 
+pub(crate) mod rtps;
+
 /// A host's last byte and a port.
 pub(crate) type End = (u8, u16);
 

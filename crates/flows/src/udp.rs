@@ -41,9 +41,12 @@ pub(crate) struct Udp {
     answers: Fragments,
 }
 
+/// What of a datagram is kept: its header, and its id wherever that may be.
+const HEAD: usize = 256;
+
 impl Udp {
     pub fn new(port: u16, id: Option<Id>, timeout: Duration) -> Self {
-        Self { port, id, requests: Requests::new(timeout), answers: Fragments::default() }
+        Self { port, id, requests: Requests::new(timeout), answers: Fragments::new(HEAD) }
     }
 
     pub fn entered(&mut self, at: Duration, frame: &Frame<'_>, mark: u64) {
@@ -76,7 +79,7 @@ impl Udp {
                 }
             }
             Some(fragment) => {
-                let Some(whole) = self.answers.take(&packet, fragment) else { return };
+                let Some(whole) = self.answers.take((at, 0), &packet, fragment) else { return };
                 let payload = whole.head.get(UDP_HEADER..).unwrap_or_default();
                 self.answer(at, (whole.source, whole.destination), &whole.head, payload);
             }
@@ -106,7 +109,7 @@ fn is_broadcast(address: IpAddr) -> bool {
 }
 
 /// The payloads of the datagrams in a packet: several in a super-packet.
-fn datagrams<'a>(bytes: &'a [u8], frame: &Frame<'_>) -> impl Iterator<Item = &'a [u8]> {
+pub(crate) fn datagrams<'a>(bytes: &'a [u8], frame: &Frame<'_>) -> impl Iterator<Item = &'a [u8]> {
     let payload = bytes.get(UDP_HEADER..).unwrap_or_default();
     let size = frame.segment.map_or(payload.len(), usize::from).max(1);
     // A datagram without payload is one, too.

@@ -62,6 +62,26 @@ pub enum FlowProtocol {
         /// The service.
         service: String,
     },
+    /// A message of one topic of ROS 2 that the node publishes, and one of another topic to which it subscribes.
+    Ros2 {
+        /// The topic of requests.
+        request: String,
+        /// The topic of answers.
+        answer: String,
+        /// What an answer repeats of its request; without it, one request is under way at a time.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        id: Option<FlowId>,
+    },
+    /// A call of a service of ROS 2, and its reply.
+    Ros2Service {
+        /// The service.
+        service: String,
+    },
+    /// A goal of an action of ROS 2, and its result.
+    Ros2Action {
+        /// The action.
+        action: String,
+    },
 }
 
 /// Bytes of a datagram's payload, or of a message, that the answer repeats at the same place.

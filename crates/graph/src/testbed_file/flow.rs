@@ -37,6 +37,17 @@ impl Builder<'_> {
             FlowRecord::Ros1Service(ros) => {
                 (&ros.at, FlowProtocol::Ros1Service { service: self.ros_name(&ros.service) })
             }
+            FlowRecord::Ros2(ros) => {
+                let id = ros.id.as_ref().map(|id| self.flow_id(id));
+                let (request, answer) = (self.ros_name(&ros.request), self.ros_name(&ros.answer));
+                (&ros.at, FlowProtocol::Ros2 { request, answer, id })
+            }
+            FlowRecord::Ros2Service(ros) => {
+                (&ros.at, FlowProtocol::Ros2Service { service: self.ros_name(&ros.service) })
+            }
+            FlowRecord::Ros2Action(ros) => {
+                (&ros.at, FlowProtocol::Ros2Action { action: self.ros_name(&ros.action) })
+            }
         };
         let FlowWhereRecord { from, timeout } = at;
         let target = service_time.value;
@@ -50,7 +61,9 @@ impl Builder<'_> {
             None => record.robot.value.clone(),
         };
         let usual = match protocol {
-            FlowProtocol::Udp { id: None, .. } | FlowProtocol::Ros1 { id: None, .. } => target * 2,
+            FlowProtocol::Udp { id: None, .. }
+            | FlowProtocol::Ros1 { id: None, .. }
+            | FlowProtocol::Ros2 { id: None, .. } => target * 2,
             _ => PATIENCE.max(target * 2),
         };
         Some(Some(Flow { from, timeout: timeout.as_ref().map_or(usual, |timeout| timeout.value), protocol }))
@@ -69,7 +82,7 @@ impl Builder<'_> {
         if !name.value.starts_with('/') {
             self.sink
                 .error(&name.span, format!("`{}` is no global name of ROS", name.value))
-                .help("write it as `rostopic list` or `rosservice list` do, such as `/scan`");
+                .help("write it as ROS lists it, such as `/scan`");
         }
         name.value.clone()
     }

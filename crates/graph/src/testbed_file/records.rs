@@ -571,6 +571,9 @@ tagged! {
         "http" => Http(FlowHttpRecord),
         "ros1" => Ros1(FlowRos1Record),
         "ros1_service" => Ros1Service(FlowRos1ServiceRecord),
+        "ros2" => Ros2(FlowRos2Record),
+        "ros2_service" => Ros2Service(FlowRos2ServiceRecord),
+        "ros2_action" => Ros2Action(FlowRos2ActionRecord),
     }
 }
 
@@ -625,6 +628,38 @@ record! {
     FlowRos1ServiceRecord {
         /// The service, such as `/plan`.
         service: Spanned<String>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A message of one topic of ROS 2 that the node publishes, and one of another topic to which it subscribes.
+    FlowRos2Record {
+        /// The topic of requests, such as `/camera/image`.
+        request: Spanned<String>,
+        /// The topic of answers, such as `/cmd_vel`.
+        answer: Spanned<String>,
+        /// Bytes of a serialized message that an answer repeats of its request; `{ offset: 0, length: 8 }` is the stamp of a
+        /// `Header`. Without it, one request may be under way at a time.
+        id: Option<Spanned<FlowIdRecord>>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A call of a service of ROS 2, and its reply.
+    FlowRos2ServiceRecord {
+        /// The service, such as `/plan`.
+        service: Spanned<String>,
+        ..at: FlowWhereRecord,
+    }
+}
+
+record! {
+    /// A goal of an action of ROS 2, and its result.
+    FlowRos2ActionRecord {
+        /// The action, such as `/dock`.
+        action: Spanned<String>,
         ..at: FlowWhereRecord,
     }
 }
