@@ -34,6 +34,7 @@ mod process;
 mod recording;
 mod ros1;
 mod ros2;
+mod ros_flows;
 mod run;
 mod stamp;
 mod steer;

@@ -4,7 +4,7 @@
 
 #[path = "../../../ros1/tests/interop/ros.rs"]
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
-mod ros;
+pub mod ros;
 
 use std::{collections::BTreeSet, path::Path};
 

@@ -4,7 +4,7 @@
 
 #[path = "../../../ros2/tests/interop/peer.rs"]
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
-mod peer;
+pub mod peer;
 
 use std::path::Path;
 

@@ -1,5 +1,8 @@
 // A peer that is Fast DDS 2: fastdds DOMAIN ACTION TYPE TOPIC QOS, as cyclone.py has them. Its types are declared here, so
 // that no code generator is needed.
+//
+// Besides, on all interfaces: serve (the service TOPIC, whose requests and replies are of the type) and call (it, again and
+// again; prints the number and the ms of each), as rmw_fastrtps does.
 
 #include <chrono>
 #include <cstdint>
@@ -125,15 +128,73 @@ template <class Target> void set(Target& target, const std::string& qos) {
     target.history().depth = qos == "sensors" ? 5 : qos == "commands" ? 10 : 1;
 }
 
+DataWriter* writer_of(DomainParticipant* participant, Topic* topic, std::string qos) {
+    DataWriterQos its = DATAWRITER_QOS_DEFAULT;
+    set(its, qos);
+    return participant->create_publisher(PUBLISHER_QOS_DEFAULT)->create_datawriter(topic, its);
+}
+
+DataReader* reader_of(DomainParticipant* participant, Topic* topic, std::string qos) {
+    DataReaderQos its = DATAREADER_QOS_DEFAULT;
+    set(its, qos);
+    return participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, its);
+}
+
+template <class T> void serve(DomainParticipant* participant, Topic* requests, Topic* replies, std::string qos) {
+    auto reader = reader_of(participant, requests, qos);
+    auto writer = writer_of(participant, replies, qos);
+    for (T sample;;) {
+        SampleInfo info;
+        reader->wait_for_unread_message({3600, 0});
+        while (reader->take_next_sample(&sample, &info) == ReturnCode_t::RETCODE_OK) {
+            if (!info.valid_data) continue;
+            // The request's number, and where its client awaits the reply.
+            eprosima::fastrtps::rtps::WriteParams params;
+            params.related_sample_identity().writer_guid() = info.related_sample_identity.writer_guid();
+            params.related_sample_identity().sequence_number() = info.sample_identity.sequence_number();
+            writer->write(&sample, params);
+        }
+    }
+}
+
+template <class T> void call(DomainParticipant* participant, Topic* requests, Topic* replies, std::string qos) {
+    auto writer = writer_of(participant, requests, qos);
+    auto reader = reader_of(participant, replies, qos);
+    PublicationMatchedStatus there;
+    SubscriptionMatchedStatus back;
+    do {
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        writer->get_publication_matched_status(there), reader->get_subscription_matched_status(back);
+    } while (!there.current_count || !back.current_count);
+    T sample;
+    for (int number = 0;; number++) {
+        eprosima::fastrtps::rtps::WriteParams params;
+        params.related_sample_identity().writer_guid() = reader->guid();
+        auto began = std::chrono::steady_clock::now();
+        writer->write(&sample, params);
+        SampleInfo info;
+        while (reader->wait_for_unread_message({2, 0})) {
+            if (reader->take_next_sample(&sample, &info) != ReturnCode_t::RETCODE_OK || !info.valid_data) continue;
+            if (info.related_sample_identity.sequence_number() != params.sample_identity().sequence_number()) continue;
+            std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - began;
+            std::cout << "plan " << number << ' ' << took.count() << std::endl;
+            break;
+        }
+    }
+}
+
 template <class T> void run(DomainParticipant* participant, std::string action, std::string name, std::string qos) {
     TypeSupport(new Support<T>()).register_type(participant);
+    if (action == "call" || action == "serve") {
+        auto requests = participant->create_topic("rq" + name + "Request", T::name, TOPIC_QOS_DEFAULT);
+        auto replies = participant->create_topic("rr" + name + "Reply", T::name, TOPIC_QOS_DEFAULT);
+        std::cout << "ready" << std::endl;
+        (action == "call" ? call<T> : serve<T>)(participant, requests, replies, qos);
+    }
     Topic* topic = participant->create_topic(name, T::name, TOPIC_QOS_DEFAULT);
     std::cout << "ready" << std::endl;
     if (action == "print") {
-        DataReaderQos reader_qos = DATAREADER_QOS_DEFAULT;
-        set(reader_qos, qos);
-        auto subscriber = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
-        auto reader = subscriber->create_datareader(topic, reader_qos);
+        auto reader = reader_of(participant, topic, qos);
         for (T sample;; sample = T()) {
             SampleInfo info;
             reader->wait_for_unread_message({3600, 0});
@@ -144,10 +205,7 @@ template <class T> void run(DomainParticipant* participant, std::string action, 
             }
         }
     }
-    DataWriterQos writer_qos = DATAWRITER_QOS_DEFAULT;
-    set(writer_qos, qos);
-    auto publisher = participant->create_publisher(PUBLISHER_QOS_DEFAULT);
-    auto writer = publisher->create_datawriter(topic, writer_qos);
+    auto writer = writer_of(participant, topic, qos);
     for (T sample;;) {
         writer->write(&sample);
         std::this_thread::sleep_for(std::chrono::milliseconds(action == "latch" ? 3600'000 : 20));
@@ -159,12 +217,13 @@ int main(int count, char** args) {
     std::string action = args[2], type = args[3], topic = args[4], qos = args[5];
     DomainParticipantQos participant_qos = PARTICIPANT_QOS_DEFAULT;
     auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
-    transport->interfaceWhiteList = {"127.0.0.1"};
+    bool is_alone = action != "call" && action != "serve";
+    if (is_alone) transport->interfaceWhiteList = {"127.0.0.1"};
     participant_qos.transport().use_builtin_transports = false;
     participant_qos.transport().user_transports.push_back(transport);
     eprosima::fastrtps::rtps::Locator_t peer;
     eprosima::fastrtps::rtps::IPLocator::setIPv4(peer, "127.0.0.1");
-    participant_qos.wire_protocol().builtin.initialPeersList.push_back(peer);
+    if (is_alone) participant_qos.wire_protocol().builtin.initialPeersList.push_back(peer);
     auto participant = DomainParticipantFactory::get_instance()->create_participant(std::atoi(args[1]), participant_qos);
     if (!participant) return 1;
     if (type == "Twist") run<Twist>(participant, action, topic, qos);

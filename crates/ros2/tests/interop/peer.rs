@@ -99,8 +99,19 @@ impl Meeting {
 
     /// Starts Fast DDS: see `fastdds.cpp`. `None`, and a message, where it is not installed.
     pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
-        let mut command = Command::new(fast_dds_program()?);
-        command.args([&self.domain.to_string(), action, kind, &self.dds_topic(topic), qos]);
+        self.fast_dds_by(Command::new("/usr/bin/env"), action, kind, &self.dds_topic(topic), qos)
+    }
+
+    /// The same, by a command that runs what follows it. The topic is as DDS calls it, the service as ROS does.
+    pub fn fast_dds_by(
+        &self,
+        mut command: Command,
+        action: &str,
+        kind: &str,
+        topic: &str,
+        qos: &str,
+    ) -> Option<Process> {
+        command.arg(fast_dds_program()?).args([&self.domain.to_string(), action, kind, topic, qos]);
         Some(start(&mut command))
     }
 
