@@ -557,9 +557,10 @@ impl Fabric {
     /// Shows a frame to the flows at the port that it is delivered at.
     #[cold]
     fn observe_delivery(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
-        if let Some(flows) = self.flows.as_mut().filter(|flows| flows.watch(port)) {
-            flows.delivered(now, port, frame, |port| self.ports[port.0].node.clone());
-        }
+        let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
+        let from = frame.source().and_then(|address| self.owner(address));
+        flows.delivered(now, (from, port), frame, |port| self.ports[port.0].node.clone());
+        self.flows = Some(flows);
     }
 
     /// Gives up requests of flows that were not answered in time.

@@ -89,25 +89,25 @@ impl Flows {
         self.set_deadline();
     }
 
-    /// A frame is delivered at a port.
+    /// A frame of a host, if that is known, is delivered at a port.
     pub fn delivered(
         &mut self,
         now: Timestamp,
-        port: PortId,
+        (from, port): (Option<PortId>, PortId),
         frame: &Frame,
         name: impl Fn(PortId) -> NodeId,
     ) {
         for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
             flow.meter.delivered(since_start(now), &seen(frame));
         }
-        self.tell(now, name);
+        self.tell(now, from, name);
     }
 
     /// Gives up requests that were not answered in time.
     pub fn expire(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
         if self.deadline.is_some_and(|deadline| deadline <= now) {
             self.flows.iter_mut().for_each(|flow| flow.meter.expire(since_start(now)));
-            self.tell(now, name);
+            self.tell(now, None, name);
         }
     }
 
@@ -124,10 +124,13 @@ impl Flows {
         self.deadline = deadlines.min().map(|deadline| Timestamp::ZERO + deadline);
     }
 
-    fn tell(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
+    /// Tells the samples of what came from this host, if anything did.
+    fn tell(&mut self, now: Timestamp, from: Option<PortId>, name: impl Fn(PortId) -> NodeId) {
         for flow in &mut self.flows {
             while let Some(Sample { sequence, entered, took, mark }) = flow.meter.poll() {
                 let Mark { server, attachment } = Mark::unpack(mark);
+                // Who answers what went to a group is its server.
+                let server = server.or(from.filter(|_| took.is_some()));
                 let sample = ServiceTime {
                     service: flow.service.clone(),
                     robot: flow.robot.clone(),
@@ -135,7 +138,7 @@ impl Flows {
                     emitted: Timestamp::ZERO + entered,
                     took,
                     attachment: attachment.map(&name),
-                    // Nobody has the address: it went nowhere.
+                    // It went to nobody, or to several who did not answer.
                     server: name(server.unwrap_or(flow.from)),
                 };
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });

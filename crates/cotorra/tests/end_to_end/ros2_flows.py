@@ -1,7 +1,7 @@
 """Programs over Cyclone DDS that know nothing of cotorra: python3 ros2_flows.py DOMAIN ROLE
 
 ROLE: `client` sends images, calls a service and an action, and prints what each took, in ms; `server` answers all of
-them; `follow` answers each scan of an offered robot with a command. Calls and goals are as rmw_cyclonedds has them: the
+them; `follow` answers each scan of an offered robot with a command; `watch` only looks at images. Calls and goals are as rmw_cyclonedds has them: the
 client and the number of its call stand in front of them.
 """
 
@@ -206,6 +206,14 @@ def follow(participant):
         time.sleep(0.0005)
 
 
+def watch(participant):
+    images = Ends(participant, "rt/unused", Image, "rt/camera", Image)
+    while True:
+        if image := images.take():
+            print("seen", image.header.stamp.sec, flush=True)
+        time.sleep(0.0005)
+
+
 domain, role = sys.argv[1:]
 print("ready", flush=True)
-{"client": client, "server": server, "follow": follow}[role](DomainParticipant(int(domain)))
+{"client": client, "server": server, "follow": follow, "watch": watch}[role](DomainParticipant(int(domain)))

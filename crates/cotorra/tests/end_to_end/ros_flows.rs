@@ -46,6 +46,13 @@ fn inside(run: &Run, node: &str) -> Command {
     cotorra(["exec", "--api", run.address(), node, "--"])
 }
 
+/// A program over Cyclone DDS in a node: see `ros2_flows.py`.
+fn cyclone(python: &Path, run: &Run, meeting: &Meeting, node: &str, role: &str) -> Process {
+    let mut command = inside(run, node);
+    command.arg(python).args(["-u", "-c", include_str!("ros2_flows.py")]);
+    peer::start(command.args([&meeting.domain().to_string(), role]))
+}
+
 /// What a client measured, by name and number.
 fn measured(client: &Process, name: &str) -> BTreeMap<u64, f64> {
     let said = client.output();
@@ -103,17 +110,7 @@ fn topics_services_and_actions_over_cyclone_dds_are_measured() {
             ("nobody", "protocol: ros2_action, action: /undock"),
         ],
     );
-    let start = |node: &str, role: &str| {
-        let mut command = inside(&run, node);
-        command.arg(&python).args([
-            "-u",
-            "-c",
-            include_str!("ros2_flows.py"),
-            &meeting.domain().to_string(),
-            role,
-        ]);
-        peer::start(&mut command)
-    };
+    let start = |node: &str, role: &str| cyclone(&python, &run, &meeting, node, role);
     let _server = start("edge", "server");
     let client = start("robot", "client");
     // 30 kB each way, in fragments of DDS and of IP, take 2.4 ms each at 100 Mbit/s.
@@ -128,6 +125,22 @@ fn topics_services_and_actions_over_cyclone_dds_are_measured() {
     let (_, printed) = run.report();
     assert!(printed.contains("flow of service `nobody`: no request seen"), "{printed}");
     assert!(printed.contains("because the server refused them"), "{printed}");
+}
+
+/// Images to several subscribers go to a group. Who answers is their server.
+#[test]
+fn images_that_several_subscribe_to_are_measured_to_who_answers() {
+    let meeting = Meeting::new();
+    let Some(python) = peer::python("cyclonedds", "Cyclone DDS") else { return };
+    let folder = TempDir::new().unwrap();
+    let flow = "protocol: ros2, request: /camera, answer: /camera_back, id: { offset: 0, length: 8 }";
+    let run = flows(folder.path(), &[("image", flow)]);
+    let start = |node: &str, role: &str| cyclone(&python, &run, &meeting, node, role);
+    let watcher = start("unit", "watch");
+    let _server = start("edge", "server");
+    let client = start("robot", "client");
+    watcher.prints("seen 10");
+    compare(&run, "image", &client, "image", DELAYS_MS + 4.8);
 }
 
 #[test]
@@ -157,15 +170,7 @@ services:
     vnfs: {}
 ";
     let run = Run::start(&testbed(folder.path(), "offered", &offered, rest), &[]);
-    let mut command = inside(&run, "cloud");
-    command.arg(&python).args([
-        "-u",
-        "-c",
-        include_str!("ros2_flows.py"),
-        &meeting.domain().to_string(),
-        "follow",
-    ]);
-    let _follower = peer::start(&mut command);
+    let _follower = cyclone(&python, &run, &meeting, "cloud", "follow");
     let took = || {
         let page = run.get("/api/v1/measurements/service-times?limit=10000");
         let all = page["items"].as_array().unwrap();
