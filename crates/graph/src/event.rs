@@ -15,7 +15,8 @@ use crate::{
     },
     goal::GoalEvent,
     hardware::Direction,
-    id::{LinkId, NodeId, PluginId, VnfId},
+    id::{LinkId, NodeId, PluginId, SensorId, VnfId},
+    sensor::SensorReading,
     units::{Position, Timestamp, millis},
 };
 
@@ -84,6 +85,8 @@ pub enum Event {
         /// The robot.
         robot: NodeId,
     },
+    /// A sensor that a robot declares was read, at its rate.
+    Sensor(SensorReading),
     /// Something that a user should know, and that nothing else tells.
     Notice {
         /// What.
@@ -164,6 +167,15 @@ pub enum Instruction {
         robot: NodeId,
         /// The goal, which takes the place of the one before; null lets the robot go on with its walk.
         goal: Option<Position>,
+    },
+    /// Report what a sensor of kind `vector` measures. The sensor's next reading tells it, the last report of several.
+    Report {
+        /// The robot.
+        robot: NodeId,
+        /// Its sensor.
+        sensor: SensorId,
+        /// As many finite numbers as the sensor has components.
+        values: Vec<f64>,
     },
     /// Let a robot's radio leave its channel and scan all others.
     Scan {
@@ -271,6 +283,7 @@ impl Instruction {
             Self::Move { .. } => "move",
             Self::LimitSpeed { .. } => "limit_speed",
             Self::NavigateTo { .. } => "navigate_to",
+            Self::Report { .. } => "report",
             Self::Scan { .. } => "scan",
             Self::Attach { .. } => "attach",
             Self::Place { .. } => "place",

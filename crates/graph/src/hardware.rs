@@ -15,6 +15,7 @@ use crate::{
     exposure::IpNetwork,
     id::{DomainId, LinkId, NodeId},
     medium::Medium,
+    sensor::Sensor,
     units::{BitRate, Dbm, Position, millis},
 };
 
@@ -190,6 +191,9 @@ pub struct Robot {
     /// What moves it.
     #[serde(default)]
     pub driver: Driver,
+    /// What is read of it beside its contexts, in the file's order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Sensor>,
 }
 
 /// Bases that the simulated robot knows.

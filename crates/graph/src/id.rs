@@ -131,6 +131,14 @@ id! {
     /// A plug-in, as the testbed file names it.
     PluginId, LONGEST
 }
+id! {
+    /// A sensor of a robot.
+    SensorId, LONGEST
+}
+id! {
+    /// One of the numbers that a sensor reads.
+    ComponentId, LONGEST
+}
 
 impl LinkId {
     /// The name that a wired link between two nodes has by default.

@@ -23,6 +23,7 @@ mod propagation;
 mod routing;
 pub mod schedule;
 pub mod seed;
+pub mod sensor;
 pub mod service;
 pub mod testbed;
 pub mod testbed_file;
@@ -49,11 +50,12 @@ pub use hardware::{
     PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
-pub use id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId};
+pub use id::{ComponentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
+pub use sensor::{Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,

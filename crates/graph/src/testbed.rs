@@ -75,6 +75,8 @@ pub struct Retentions {
     pub radio_units: Option<Retention>,
     /// d, λ, ψ and δ of links.
     pub links: Option<Retention>,
+    /// Readings of sensors.
+    pub sensors: Option<Retention>,
 }
 
 /// How long samples are kept. Their age counts to the present of their run.

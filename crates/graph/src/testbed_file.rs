@@ -8,6 +8,7 @@ mod machines;
 mod records;
 mod ros;
 mod script;
+mod sensors;
 mod setting;
 
 use std::{io, path::Path};

@@ -9,5 +9,5 @@ mod tree;
 
 pub(crate) use diagnostics::Sink;
 pub use diagnostics::{Diagnostic, Diagnostics};
-pub(crate) use quantity::{Angle, Bytes, Decibels, Metres, Speed};
+pub(crate) use quantity::{Angle, Bytes, Decibels, Frequency, Metres, Speed};
 pub(crate) use tree::{Span, parse};

@@ -63,6 +63,7 @@ impl Drive {
             heading,
             roaming: Roaming::Instructed,
             driver: Driver::default(),
+            sensors: Vec::new(),
         };
         let node = Node {
             id: NodeId::new("robot").unwrap(),

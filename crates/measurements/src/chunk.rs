@@ -40,12 +40,9 @@ const fn early(kind: Kind) -> usize {
     }
 }
 
-/// Columns of the one kind whose chunks hold figures of child rows.
-const WIDTH_WITH_CHILDREN: usize = places(Kind::Robot).len();
-
 /// Whether a kind has chunks.
 pub(crate) const fn has_chunks(kind: Kind) -> bool {
-    !places(kind).is_empty()
+    !places(kind).is_empty() || matches!(kind, Kind::Sensor)
 }
 
 /// What is read of a chunk.
@@ -55,16 +52,21 @@ pub(crate) enum Part {
     Column { place: usize, is_duration: bool },
     /// One of those behind so many and the figures of child rows, of which its kind has none.
     LateColumn { early: usize, place: usize, is_duration: bool },
-    /// The figures of child rows that are of what has this id.
-    Children(i64),
+    /// The figures of child rows that are of what has this id, behind so many columns.
+    Children { columns: usize, of: i64 },
 }
 
 impl Part {
+    /// The figures of child rows of a kind that are of what has this id.
+    pub fn children(kind: Kind, of: i64) -> Self {
+        Self::Children { columns: places(kind).len(), of }
+    }
+
     /// The place of the column among all that chunks of its kind hold.
     pub fn column(self) -> Option<usize> {
         match self {
             Self::Column { place, .. } | Self::LateColumn { place, .. } => Some(place),
-            Self::Children(_) => None,
+            Self::Children { .. } => None,
         }
     }
 }
@@ -103,6 +105,7 @@ pub(crate) fn empty(kind: Kind) -> Vec<u8> {
 pub(crate) fn of_child<'a>(kind: Kind, row: &[Value<'a>]) -> Option<(&'a str, f64)> {
     match (kind, row) {
         (Kind::Robot, [Value::Name(radio_unit), _, Value::Real(signal)]) => Some((radio_unit, *signal)),
+        (Kind::Sensor, [Value::Name(component), Value::Real(value)]) => Some((component, *value)),
         _ => None,
     }
 }
@@ -183,7 +186,8 @@ impl Chunk {
         }
         let late = early(kind)..width;
         // Of a link that nobody probes there is nothing to say.
-        let known = figures.chunks(width).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
+        let known =
+            figures.chunks(width.max(1)).any(|row| row[late.clone()].iter().any(|figure| !figure.is_nan()));
         if known {
             late.for_each(|column| write_column(column, &mut bytes));
         }
@@ -248,8 +252,8 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
             bytes.skip((place - early) * count)?;
             read_column(&mut bytes, &times, is_duration, each)?;
         }
-        Part::Children(wanted) => {
-            bytes.skip(WIDTH_WITH_CHILDREN * count)?;
+        Part::Children { columns, of: wanted } => {
+            bytes.skip(columns * count)?;
             if bytes.0.is_empty() {
                 return Ok(false);
             }
@@ -281,7 +285,7 @@ pub(crate) fn read(chunk: &[u8], part: Part, mut each: impl FnMut(i64, f64)) -> 
 
 #[cfg(test)]
 mod tests {
-    use proptest::{collection::vec, prelude::*};
+    use proptest::{collection::vec, prelude::*, sample::select};
 
     use super::*;
 
@@ -325,19 +329,20 @@ mod tests {
         fn no_bytes_make_it_panic(bytes in vec(any::<u8>(), 0..100), place in 0..6_usize) {
             let _ = read(&bytes, Part::Column { place, is_duration: false }, |_, _| ());
             let _ = read(&bytes, Part::LateColumn { early: 4, place: 4 + place, is_duration: true }, |_, _| ());
-            let _ = read(&bytes, Part::Children(place as i64), |_, _| ());
+            let _ = read(&bytes, Part::Children { columns: place, of: place as i64 }, |_, _| ());
         }
 
         #[test]
         fn child_rows_are_read_by_what_they_are_of(
             samples in vec((0..50_i64, vec((1..4_i64, any::<u64>()), 0..4)), 0..30), of in 1..5_i64,
+            kind in select(vec![Kind::Robot, Kind::Sensor]),
         ) {
             let mut chunk = Chunk::default();
             for (t, children) in &samples {
-                chunk.push(Kind::Robot, *t, &vec![Value::Null; 40]);
+                chunk.push(kind, *t, &vec![Value::Null; table(kind).columns.len()]);
                 children.iter().for_each(|(of, bits)| chunk.push_child(*of, f64::from_bits(*bits)));
             }
-            let bytes = chunk.finish(Kind::Robot).unwrap();
+            let bytes = chunk.finish(kind).unwrap();
             let mut sorted = samples;
             sorted.sort_by_key(|(t, _)| *t);
             let its = |(t, children): (i64, Vec<(i64, u64)>)| {
@@ -345,7 +350,7 @@ mod tests {
             };
             let wanted: Vec<_> = sorted.into_iter().flat_map(its).collect();
             let mut found = Vec::new();
-            prop_assert!(read(&bytes, Part::Children(of), |t, x| found.push((t, x.to_bits()))).unwrap());
+            prop_assert!(read(&bytes, Part::children(kind, of), |t, x| found.push((t, x.to_bits()))).unwrap());
             prop_assert_eq!(found, wanted);
         }
     }

@@ -89,6 +89,11 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),
         Kind::Notice => plain(&["message"]),
         Kind::AnswersRejected => plain(&["robot", "late", "forged", "repeated", "unknown", "invalid"]),
+        Kind::Sensor => Table {
+            columns: &["robot", "sensor", "measured_ns"],
+            series: &["robot", "sensor"],
+            children: Some(("sensor_value", &["component", "value"])),
+        },
         Kind::Goal => plain(&["robot", "x", "y", "z", "state", "remaining_m", "reason"]),
     }
 }
@@ -162,6 +167,9 @@ pub(crate) fn storable(stamped: &Stamped) -> bool {
                 instruction: Instruction::LimitSpeed { speed_limit_mps: Some(limit), .. },
                 ..
             }) => limit.is_finite(),
+            Event::Decision(Decision { instruction: Instruction::Report { values, .. }, .. }) => {
+                values.iter().all(|value| value.is_finite())
+            }
             Event::Decision(Decision {
                 instruction: Instruction::NavigateTo { goal: Some(Position { x, y, z }), .. },
                 ..

@@ -2,7 +2,7 @@
 
 use std::{fmt, str::FromStr};
 
-use cotorra_graph::{Direction, Event, LinkId, NodeId, ServiceId, millis};
+use cotorra_graph::{ComponentId, Direction, Event, LinkId, NodeId, SensorId, SensorKind, ServiceId, millis};
 use serde::{Deserialize, Serialize};
 
 use crate::kind::{Kind, Series};
@@ -94,7 +94,8 @@ quantities! {
 /// A figure. As text, its name and what it is of, with colons between: `delay:LINK:DIRECTION`, `throughput:…`,
 /// `delay_scale:…`, `drop_scale:…`, `probed_delay:…`, `probed_jitter:…`, `probed_loss:…` (forward if no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`,
 /// `vertical:…`, `angular:…`, `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` (of all robots or
-/// services if they are not said); `handover_gap:ROBOT` (likewise); `lateness_p50`, `lateness_p99`, `lateness_max`.
+/// services if they are not said); `handover_gap:ROBOT` (likewise);
+/// `sensor:ROBOT:SENSOR:COMPONENT`; `lateness_p50`, `lateness_p99`, `lateness_max`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Figure {
@@ -123,6 +124,15 @@ pub enum Figure {
         /// Of one robot only.
         robot: Option<NodeId>,
     },
+    /// One of the numbers that a sensor of a robot reads.
+    Sensor {
+        /// The robot.
+        robot: NodeId,
+        /// Its sensor.
+        sensor: SensorId,
+        /// Which number.
+        component: ComponentId,
+    },
     /// The emulator's lateness.
     Lateness(LatenessQuantity),
 }
@@ -141,8 +151,9 @@ pub(crate) struct Kept<'a> {
 
 impl Figure {
     /// Its unit; empty for a bare number.
-    pub const fn unit(&self) -> &'static str {
+    pub fn unit(&self) -> &'static str {
         match self {
+            Self::Sensor { component, .. } => SensorKind::unit(component),
             Self::Link(_, _, quantity) => quantity.unit(),
             Self::Robot(_, quantity) => quantity.unit(),
             Self::Signal { .. } => "dBm",
@@ -179,6 +190,11 @@ impl Figure {
                 let named = robot.iter().map(|robot| ("robot", robot.as_str())).collect();
                 Kept { named, ..plain(Kind::Handover, "gap_ms") }
             }
+            Self::Sensor { robot, sensor, component } => Kept {
+                series: Some(Series::Sensor(robot.clone(), sensor.clone())),
+                child: Some(("component", component.as_str())),
+                ..plain(Kind::Sensor, "value")
+            },
             Self::Lateness(quantity) => plain(Kind::Lateness, quantity.column()),
         }
     }
@@ -232,6 +248,11 @@ impl Figure {
                 if robot.as_ref().is_none_or(|robot| handover.robot == *robot) =>
             {
                 each(millis::of(handover.gap));
+            }
+            (Self::Sensor { robot, sensor, component }, Event::Sensor(reading))
+                if reading.robot == *robot && reading.sensor == *sensor =>
+            {
+                reading.values.get(component).copied().into_iter().for_each(each);
             }
             (Self::Lateness(quantity), Event::Lateness(lateness)) => each(match quantity {
                 LatenessQuantity::P50 => lateness.p50_us,
@@ -300,6 +321,7 @@ impl fmt::Display for Figure {
             }
             Self::HandoverGap { robot: None } => f.write_str("handover_gap"),
             Self::HandoverGap { robot: Some(robot) } => write!(f, "handover_gap:{robot}"),
+            Self::Sensor { robot, sensor, component } => write!(f, "sensor:{robot}:{sensor}:{component}"),
             Self::Lateness(quantity) => f.write_str(quantity.as_str()),
         }
     }
@@ -310,7 +332,8 @@ impl fmt::Display for Figure {
 #[error(
     "`{0}` is not a figure: say delay, throughput, delay_scale, drop_scale, probed_delay, probed_jitter or probed_loss \
      with :LINK or :LINK:DIRECTION; x, y, z, heading, speed, climb, turn or obstacle with :ROBOT; signal:ROBOT:RADIO_UNIT; load:RADIO_UNIT; service_time, with :SERVICE \
-     or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; lateness_p50, lateness_p99 or lateness_max"
+     or :SERVICE:ROBOT if you like; handover_gap, with :ROBOT if you like; sensor:ROBOT:SENSOR:COMPONENT; \
+     lateness_p50, lateness_p99 or lateness_max"
 )]
 pub struct InvalidFigure(String);
 
@@ -354,6 +377,11 @@ fn parse(text: &str) -> Option<Figure> {
             Figure::ServiceTime { service: service(of)?, robot: Some(node(robot)?) }
         }
         ("handover_gap", []) => Figure::HandoverGap { robot: None },
+        ("sensor", [robot, sensor, component]) => Figure::Sensor {
+            robot: node(robot)?,
+            sensor: SensorId::new(sensor).ok()?,
+            component: ComponentId::new(component).ok()?,
+        },
         ("handover_gap", [robot]) => Figure::HandoverGap { robot: Some(node(robot)?) },
         _ => return None,
     })

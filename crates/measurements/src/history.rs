@@ -8,7 +8,7 @@ use std::{
 
 use cotorra_graph::{
     Direction, Event, Handover, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
-    ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
+    SensorReading, ServiceTime, Stamped, Timestamp, VirtualLinkMapping,
 };
 use serde::{Deserialize, Serialize};
 
@@ -69,6 +69,9 @@ pub struct GraphState {
     pub placements: Vec<Sample<Placement>>,
     /// a(n1,n2), by the ends of the virtual link.
     pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
+    /// What sensors read, by robot and sensor; left out where there is none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Sample<SensorReading>>,
 }
 
 impl History {
@@ -311,6 +314,7 @@ impl History {
                 Event::Link(value) => state.links.push(Sample { at, value }),
                 Event::Placement(value) => state.placements.push(Sample { at, value }),
                 Event::VirtualLink(value) => state.virtual_links.push(Sample { at, value }),
+                Event::Sensor(value) => state.sensors.push(Sample { at, value }),
                 _ => unreachable!("only these kinds make series"),
             }
         }

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use cotorra_graph::{Direction, Event, LinkId, NodeId, VnfId};
+use cotorra_graph::{Direction, Event, LinkId, NodeId, SensorId, VnfId};
 use serde::{Deserialize, Serialize};
 
 macro_rules! kinds {
@@ -59,12 +59,14 @@ kinds! {
     AnswersRejected = "answers_rejected",
     /// What became of robots' goals.
     Goal = "goal",
+    /// Readings of sensors.
+    Sensor = "sensor",
 }
 
 impl Kind {
     /// Kinds of which samples are rolled up when they are old: the embeddings that are sampled all the time. Of all
     /// others, whatever happens is kept.
-    pub const SAMPLED: [Self; 3] = [Self::Robot, Self::Radio, Self::Link];
+    pub const SAMPLED: [Self; 4] = [Self::Robot, Self::Radio, Self::Link, Self::Sensor];
 
     /// The kind of an event.
     pub const fn of(event: &Event) -> Self {
@@ -86,6 +88,7 @@ impl Kind {
             Event::Notice { .. } => Self::Notice,
             Event::AnswersRejected(_) => Self::AnswersRejected,
             Event::Goal(_) => Self::Goal,
+            Event::Sensor(_) => Self::Sensor,
         }
     }
 }
@@ -111,11 +114,13 @@ pub(crate) enum Series {
     Link(LinkId, Direction),
     Placement(VnfId),
     VirtualLink(VnfId, VnfId),
+    Sensor(NodeId, SensorId),
 }
 
 impl Series {
     /// Kinds of which series are made.
-    pub const KINDS: [Kind; 5] = [Kind::Robot, Kind::Radio, Kind::Link, Kind::Placement, Kind::VirtualLink];
+    pub const KINDS: [Kind; 6] =
+        [Kind::Robot, Kind::Radio, Kind::Link, Kind::Placement, Kind::VirtualLink, Kind::Sensor];
 
     /// The series that an event belongs to.
     pub fn of(event: &Event) -> Option<Self> {
@@ -125,6 +130,7 @@ impl Series {
             Event::Link(context) => Self::Link(context.link.clone(), context.direction),
             Event::Placement(placement) => Self::Placement(placement.vnf.clone()),
             Event::VirtualLink(mapping) => Self::VirtualLink(mapping.from.clone(), mapping.to.clone()),
+            Event::Sensor(reading) => Self::Sensor(reading.robot.clone(), reading.sensor.clone()),
             _ => return None,
         })
     }
@@ -141,6 +147,9 @@ impl Series {
             (Self::VirtualLink(from, to), Event::VirtualLink(mapping)) => {
                 *from == mapping.from && *to == mapping.to
             }
+            (Self::Sensor(robot, sensor), Event::Sensor(reading)) => {
+                *robot == reading.robot && *sensor == reading.sensor
+            }
             _ => false,
         }
     }
@@ -152,6 +161,7 @@ impl Series {
             Self::Link(..) => Kind::Link,
             Self::Placement(_) => Kind::Placement,
             Self::VirtualLink(..) => Kind::VirtualLink,
+            Self::Sensor(..) => Kind::Sensor,
         }
     }
 }

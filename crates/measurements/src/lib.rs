@@ -48,7 +48,7 @@ pub fn read_anything(bytes: &[u8]) {
     for part in [
         chunk::Part::Column { place: 2, is_duration: true },
         chunk::Part::LateColumn { early: 4, place: 5, is_duration: false },
-        chunk::Part::Children(1),
+        chunk::Part::children(Kind::Robot, 1),
     ] {
         let _ = chunk::read(bytes, part, |_, _| {});
     }

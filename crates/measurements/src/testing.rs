@@ -6,15 +6,15 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, ConditionChange, Conditions, Dbm, Decision, Direction,
-    Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
-    LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position,
-    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
-    ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm,
+    Decision, Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution,
+    Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose,
+    PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault,
+    Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested,
+    ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
-    collection::vec,
+    collection::{btree_map, vec},
     num::f64::{INFINITE, NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO},
     option::of,
     prelude::*,
@@ -75,6 +75,8 @@ names!(link: LinkId);
 names!(vnf: VnfId);
 names!(service: ServiceId);
 names!(plugin: PluginId);
+names!(sensor: SensorId);
+names!(component: ComponentId);
 
 fn direction() -> impl Strategy<Value = Direction> {
     select(vec![Direction::Forward, Direction::Backward])
@@ -258,6 +260,11 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         (node(), of(finite()))
             .prop_map(|(robot, speed_limit_mps)| Instruction::LimitSpeed { robot, speed_limit_mps }),
         (node(), of(position(finite))).prop_map(|(robot, goal)| Instruction::NavigateTo { robot, goal }),
+        (node(), sensor(), vec(finite(), 0..4)).prop_map(|(robot, sensor, values)| Instruction::Report {
+            robot,
+            sensor,
+            values
+        }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
         (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
@@ -330,6 +337,15 @@ prop_compose! {
     }
 }
 
+prop_compose! {
+    fn reading()(
+        robot in node(), sensor in sensor(), measured in any::<u64>(),
+        values in btree_map(component(), real(), 0..4),
+    ) -> SensorReading {
+        SensorReading { robot, sensor, measured: Timestamp::from_nanos(measured), values }
+    }
+}
+
 /// Any event that a history can hold.
 pub fn event() -> impl Strategy<Value = Event> {
     prop_oneof![
@@ -353,6 +369,7 @@ pub fn event() -> impl Strategy<Value = Event> {
             Event::Lateness(Lateness { frames, p50_us, p99_us, max_us })
         }),
         goal_event().prop_map(Event::Goal),
+        reading().prop_map(Event::Sensor),
         node().prop_map(|robot| Event::WalkFinished { robot }),
         ".*".prop_map(|message| Event::Notice { message }),
         (node(), any::<[u64; 5]>()).prop_map(|(robot, [late, forged, repeated, unknown, invalid])| {
@@ -389,6 +406,8 @@ pub fn figure() -> impl Strategy<Value = crate::Figure> {
         1 => node().prop_map(Figure::Load),
         2 => (of(service()), of(node())).prop_map(|(service, robot)| Figure::ServiceTime { service, robot }),
         1 => of(node()).prop_map(|robot| Figure::HandoverGap { robot }),
+        2 => (node(), sensor(), component())
+            .prop_map(|(robot, sensor, component)| Figure::Sensor { robot, sensor, component }),
         1 => select(LatenessQuantity::ALL.to_vec()).prop_map(Figure::Lateness),
     ]
 }

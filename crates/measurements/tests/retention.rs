@@ -14,7 +14,7 @@ use std::{
 
 use cotorra_graph::{
     Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
-    PoseSource, Retention, RobotContext, Scale, SensorData, Stamped, Timestamp, Velocity,
+    PoseSource, Retention, RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp, Velocity,
 };
 use cotorra_measurements::{
     CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
@@ -77,13 +77,28 @@ fn robot(n: u64) -> Stamped {
     Stamped { at: at(n), event: Event::Robot(context) }
 }
 
-/// A run of two links and a robot.
+fn charge(n: u64) -> f64 {
+    1.0 - n as f64 * 1e-4
+}
+
+fn reading(n: u64) -> Stamped {
+    let values = [("charge", charge(n)), ("voltage_v", 16.0)];
+    let reading = SensorReading {
+        robot: NodeId::new("robot").unwrap(),
+        sensor: "pack".parse().unwrap(),
+        measured: at(n),
+        values: values.map(|(name, value)| (name.parse().unwrap(), value)).into(),
+    };
+    Stamped { at: at(n), event: Event::Sensor(reading) }
+}
+
+/// A run of two links, a robot and its sensor.
 fn recorded(history: &History, ended: bool) -> RunId {
     let info = RunInfo { name: "old".into(), seed: 1, started_at_unix_ns: 0, testbed: String::new() };
     let run = history.begin_run(&info).unwrap();
     let recorder = history.recorder(run).unwrap();
     for n in 0..SAMPLES {
-        [link("a-b", n), link("b-c", n), robot(n)].into_iter().for_each(|s| recorder.record(s));
+        [link("a-b", n), link("b-c", n), robot(n), reading(n)].into_iter().for_each(|s| recorder.record(s));
     }
     recorder.flush().unwrap();
     if ended {
@@ -106,7 +121,14 @@ fn engines() -> Vec<(History, String, Option<Arc<MariaDb>>, tempfile::TempDir)> 
     all
 }
 
-const FIGURES: [&str; 5] = ["delay:a-b", "throughput:b-c", "x:robot", "signal:robot:R1", "signal:robot:R2"];
+const FIGURES: [&str; 6] = [
+    "delay:a-b",
+    "throughput:b-c",
+    "x:robot",
+    "signal:robot:R1",
+    "signal:robot:R2",
+    "sensor:robot:pack:charge",
+];
 
 fn curve(history: &History, run: RunId, figure: &str, points: usize) -> Vec<Values> {
     let figure: Figure = figure.parse().unwrap();
@@ -138,6 +160,10 @@ fn figures_are_the_same_before_and_after() {
         let run = recorded(&history, true);
         let other = recorded(&history, true);
         let before = FIGURES.map(|figure| [12, 1].map(|points| curve(&history, run, figure, points)));
+        let of_sensor = &before[5][1][0];
+        let least = charge(SAMPLES - 1);
+        let told_of = (of_sensor.count, of_sensor.min, of_sensor.max, of_sensor.last);
+        assert_eq!(told_of, (SAMPLES, least, charge(0), least));
         let state = |seconds: u64| history.state_at(run, at(seconds * 10 - 1)).unwrap();
         let states = [1, 60, 120].map(state);
 
@@ -145,7 +171,7 @@ fn figures_are_the_same_before_and_after() {
         assert!(history.retained(run).unwrap().is_empty(), "a dry run changes nothing");
         let did = prune(&history, run, &RETENTION, false);
         assert_eq!(would, did);
-        assert_eq!((did.rolled_up, did.points, did.dropped), (3 * 900, 3 * 90, 0));
+        assert_eq!((did.rolled_up, did.points, did.dropped), (4 * 900, 4 * 90, 0));
         assert_eq!(prune(&history, run, &RETENTION, false), Pruned::default(), "once is enough");
 
         let after = FIGURES.map(|figure| [12, 1].map(|points| curve(&history, run, figure, points)));
@@ -160,7 +186,10 @@ fn figures_are_the_same_before_and_after() {
         assert_eq!(kept.len(), 2 * (90 + 300));
         let retained = history.retained(run).unwrap();
         let told_of: Vec<_> = retained.iter().map(|r| (r.kind, r.rolled_up_to, r.step)).collect();
-        assert_eq!(told_of, [Kind::Robot, Kind::Link].map(|kind| (kind, at(900), Duration::from_secs(1))));
+        assert_eq!(
+            told_of,
+            [Kind::Robot, Kind::Link, Kind::Sensor].map(|kind| (kind, at(900), Duration::from_secs(1)))
+        );
         let difference = history.difference(run, other).unwrap();
         for entry in &difference.links {
             let [a, b] = entry.runs.each_ref().map(|its| its.as_ref().unwrap().delay_ms.as_ref().unwrap());
@@ -170,7 +199,7 @@ fn figures_are_the_same_before_and_after() {
         // The last bits of the past go.
         let short = Retention { keep: Some(Duration::from_secs(60)), ..RETENTION };
         let dropped = prune(&history, run, &short, false);
-        assert_eq!((dropped.rolled_up, dropped.dropped), (0, 3 * 60));
+        assert_eq!((dropped.rolled_up, dropped.dropped), (0, 4 * 60));
         let rest = curve(&history, run, "x:robot", 1);
         assert_eq!((rest[0].count, rest[0].min), (600, 600.0));
         assert_eq!(history.retained(run).unwrap()[0].dropped_to, at(600));
@@ -257,6 +286,6 @@ fn kill_9_leaves_either_samples_or_points() {
         prune(&history, run, &RETENTION, false);
         assert_eq!(FIGURES.map(|figure| exact(&curve(&history, run, figure, 1)[0])), before);
         let all = history.events(run, &[], .., PageRequest::first(10_000)).unwrap().items;
-        assert_eq!(all.len(), 3 * (90 + 300));
+        assert_eq!(all.len(), 4 * (90 + 300));
     }
 }

@@ -409,6 +409,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             Instruction::Move { .. }
             | Instruction::LimitSpeed { .. }
             | Instruction::NavigateTo { .. }
+            | Instruction::Report { .. }
             | Instruction::Halt { .. }
             | Instruction::Go { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
         }

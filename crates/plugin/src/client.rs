@@ -11,8 +11,8 @@ use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
     Emulation, HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId,
-    PluginSpec, RadioContext, RobotContext, Service, ServiceTime, Testbed, Timestamp, VirtualLinkMapping,
-    WaisSettings, Walk, id::InvalidId,
+    PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed, Timestamp,
+    VirtualLinkMapping, WaisSettings, Walk, id::InvalidId,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
@@ -164,6 +164,9 @@ pub struct GraphState {
     pub placements: Vec<Sample<Placement>>,
     /// a(n1,n2).
     pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
+    /// What sensors read, by robot and sensor.
+    #[serde(default)]
+    pub sensors: Vec<Sample<SensorReading>>,
 }
 
 #[derive(Serialize)]

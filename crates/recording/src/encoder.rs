@@ -123,6 +123,7 @@ impl Encoder {
             | Event::Detached { .. }
             | Event::Goal(_)
             | Event::Scanned { .. }
+            | Event::Sensor(_)
             | Event::Vnf(_)
             | Event::PluginFault { .. }
             | Event::WalkFinished { .. }

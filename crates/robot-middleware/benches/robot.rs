@@ -41,6 +41,7 @@ fn robot(world: Arc<World>) -> SimulatedRobot {
         heading: 0.0,
         roaming: Roaming::Instructed,
         driver: Driver::default(),
+        sensors: Vec::new(),
     };
     let node = Node {
         id: NodeId::new("robot1").expect("a name"),

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, RobotFault, RobotModel, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, RobotFault, RobotModel, Sensor, SensorData, Timestamp, Velocity};
 
 use crate::{kobuki, lidar::Scan, quadrotor};
 
@@ -55,6 +55,12 @@ pub trait RobotDriver: Send {
 
     /// The last complete turn of its lidar; `None` before the first, and without one.
     fn scan(&self) -> Option<&Scan>;
+
+    /// Reads one of its sensors of kind `battery` or `imu`, as of the last advance or command; `None` if it has none such.
+    /// Each call draws the errors of one reading.
+    fn sense(&mut self, _sensor: &Sensor) -> Option<Vec<f64>> {
+        None
+    }
 
     /// Where it really is, as of the last advance or command; `None` where nobody knows. For the radio, which goes by where
     /// things are, and for reports: nobody who decides is told.

@@ -39,6 +39,7 @@ pub fn robot(name: &str, position: Option<Position>) -> Node {
         heading: 0.0,
         roaming: Roaming::Instructed,
         driver: Driver::default(),
+        sensors: Vec::new(),
     };
     Node { id: id(name), domain: DomainId::new("main").unwrap(), position, kind: NodeKind::Robot(robot) }
 }

@@ -133,9 +133,9 @@ const WHEEL_DIFFERENCE: f64 = 0.002;
 /// Slip of a wheel, a random walk: 1 mm after a metre, 10 mm after a hundred. Metres per √metre.
 const SLIP: f64 = 0.001;
 /// Deviation between robots of the gyro's rest bias after calibration, rad/s (0.004 °/s).
-const GYRO_BIAS: f64 = 7e-5;
+pub(crate) const GYRO_BIAS: f64 = 7e-5;
 /// Angle random walk of the gyro (ST L3G4200D, 0.03 °/√s), rad/√s.
-const GYRO_WALK: f64 = 5.2e-4;
+pub(crate) const GYRO_WALK: f64 = 5.2e-4;
 
 /// Where wheels and gyro say that the robot is. As in Kobuki's own node, ways come from the encoders and the heading
 /// from the gyro, and both drift.

@@ -6,11 +6,13 @@
 //! [`RosDriver`], which has a [`RosRobot`] at the other end of a [`RosLink`].
 #![forbid(unsafe_code)]
 
+mod battery;
 mod driver;
 mod errand;
 #[cfg(test)]
 mod fixtures;
 mod heard;
+mod imu;
 mod kobuki;
 mod lidar;
 mod localization;
@@ -26,6 +28,7 @@ mod ros2;
 mod ros_driver;
 mod ros_offer;
 mod ros_robot;
+mod sensing;
 mod service;
 mod simulated;
 mod watch;
@@ -43,6 +46,7 @@ pub use ros_offer::{OfferedRobot, OfferedTime, RosOffer};
 pub use ros_robot::RosRobot;
 pub use ros1::{Ros1Link, Ros1Offer};
 pub use ros2::{Ros2Link, Ros2Offer};
+pub use sensing::ReportRefused;
 pub use service::{Answer, ServiceEndpoint};
 pub use simulated::{SimulatedRobot, SimulationError};
 pub use watch::Topic;

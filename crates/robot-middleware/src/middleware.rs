@@ -10,7 +10,7 @@ use std::{
 
 use cotorra_graph::{
     AnswersRejected, Attachment, Event, GoalState, Node, NodeId, NodeKind, OccupancyGrid, Position, Program,
-    RobotContext, RobotFault, RobotModel, SensorData, Stamped, Testbed, Timestamp, Velocity,
+    RobotContext, RobotFault, RobotModel, SensorData, SensorId, Stamped, Testbed, Timestamp, Velocity,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
@@ -21,6 +21,7 @@ use crate::{
     localization::{LocalizationEndpoint, believed, planar},
     nonce::Nonces,
     rejection::Rejection,
+    sensing::{ReportRefused, Sensing},
     service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
@@ -42,7 +43,7 @@ pub struct Route {
     pub address: Option<SocketAddrV4>,
 }
 
-/// Why a robot was not moved.
+/// Why a robot was not moved, or does not take a report.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MoveRefused {
     /// There is no such robot.
@@ -75,6 +76,14 @@ pub enum MoveRefused {
     /// It cannot be limited to that speed, m/s.
     #[error("a speed limit is a number of m/s from 0 on, and {0} is none")]
     NotALimit(f64),
+    /// That cannot be what one of its sensors measures.
+    #[error("robot `{robot}`: {reason}")]
+    Report {
+        /// The robot.
+        robot: NodeId,
+        /// Why not.
+        reason: ReportRefused,
+    },
     /// The robot cannot do that.
     #[error("robot `{robot}`: {reason}")]
     Command {
@@ -135,6 +144,8 @@ struct Managed {
     /// m/s.
     speed_limit: Option<f64>,
     rejected: Rejected,
+    /// What it declares beside what its base tells.
+    sensing: Sensing,
 }
 
 /// What a robot rejected, and what was told of it.
@@ -243,6 +254,10 @@ impl RobotMiddleware {
             if let Some(managed) = middleware.robots.get_mut(&node.id).filter(|_| navigated) {
                 managed.navigated = Some(robot.model);
             }
+            if let Some(managed) = middleware.robots.get_mut(&node.id) {
+                managed.sensing = Sensing::new(&robot.sensors);
+            }
+            middleware.note_due(&node.id);
             if of_robot().any(|service| runs(service, Program::Localization)) {
                 middleware.localize(node);
             }
@@ -278,6 +293,7 @@ impl RobotMiddleware {
             halted,
             speed_limit,
             rejected,
+            sensing: Sensing::default(),
         };
         let before = self.robots.insert(robot.clone(), managed);
         if let Some(at) = before.and_then(|before| before.due) {
@@ -290,7 +306,8 @@ impl RobotMiddleware {
     fn note_due(&mut self, robot: &NodeId) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let service = managed.service.as_ref().and_then(ServiceEndpoint::next_deadline);
-        let next = service.into_iter().chain(managed.scan_deadline()).min();
+        let next =
+            service.into_iter().chain(managed.scan_deadline()).chain(managed.sensing.next_deadline()).min();
         let before = std::mem::replace(&mut managed.due, next);
         if before != next {
             before.map(|at| self.due.remove(&(at, robot.clone())));
@@ -367,6 +384,7 @@ impl RobotMiddleware {
             while let Some(missing) = managed.service.as_mut().and_then(|service| service.expire(now)) {
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
+            managed.read_sensors(now, &mut self.events);
             if context_due {
                 managed.driver.advance(now);
                 managed.note_health(now, &mut self.events);
@@ -572,6 +590,22 @@ impl RobotMiddleware {
         Ok(())
     }
 
+    /// Takes what a sensor of a robot measures ([`cotorra_graph::Instruction::Report`]).
+    ///
+    /// # Errors
+    /// [`MoveRefused::UnknownRobot`] and [`MoveRefused::Report`].
+    pub fn report(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        sensor: &SensorId,
+        values: &[f64],
+    ) -> Result<(), MoveRefused> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+        let done = managed.sensing.report(now, sensor, values);
+        done.map_err(|reason| MoveRefused::Report { robot: robot.clone(), reason })
+    }
+
     /// Stops a robot, if there is one of that name.
     pub fn stop(&mut self, now: Timestamp, robot: &NodeId) {
         if let Some(managed) = self.robots.get_mut(robot) {
@@ -676,6 +710,17 @@ impl Managed {
         };
         self.health = health.to_vec();
         events.push_back(Stamped { at: now, event: Event::Notice { message } });
+    }
+
+    /// Reads its sensors that are due.
+    fn read_sensors(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
+        if self.sensing.next_deadline().is_some_and(|next| next <= now) {
+            self.driver.advance(now);
+            let readings = self.sensing.read(now, &mut *self.driver);
+            events.extend(
+                readings.into_iter().map(|reading| Stamped { at: now, event: Event::Sensor(reading) }),
+            );
+        }
     }
 
     /// Its last scan, if it was not told before.

@@ -3,7 +3,7 @@
 
 use std::{sync::Arc, thread, time::Duration};
 
-use cotorra_graph::{NodeId, Pose, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, Pose, Sensor, SensorData, Timestamp, Velocity};
 use parking_lot::{Condvar, Mutex};
 
 use crate::{
@@ -170,6 +170,10 @@ impl RobotDriver for OfferedRobot {
 
     fn scan(&self) -> Option<&Scan> {
         self.scan.as_ref()
+    }
+
+    fn sense(&mut self, sensor: &Sensor) -> Option<Vec<f64>> {
+        self.shared.state.lock().robot.sense(sensor)
     }
 
     fn truth(&self) -> Option<Pose> {

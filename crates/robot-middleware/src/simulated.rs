@@ -6,10 +6,14 @@
 
 use std::{sync::Arc, time::Duration};
 
-use cotorra_graph::{Node, NodeId, NodeKind, Pose, RobotModel, SensorData, Timestamp, Velocity, Walk};
+use cotorra_graph::{
+    Node, NodeId, NodeKind, Pose, RobotModel, Sensor, SensorData, SensorKind, Timestamp, Velocity, Walk,
+};
 
 use crate::{
+    battery::Battery,
     driver::{CommandRefused, RobotDriver, limited},
+    imu::Imu,
     kobuki::{Base, COMMAND_TIMEOUT, Odometer},
     lidar::{Lidar, RAYS, Scan},
     quadrotor::{Airframe, FlightOdometer},
@@ -69,6 +73,10 @@ pub struct SimulatedRobot {
     /// The last command, and until when it is followed.
     wanted: (Velocity, Timestamp),
     lidar: Lidar,
+    /// If it has such a sensor.
+    battery: Option<Battery>,
+    /// If it has such a sensor.
+    imu: Option<Imu>,
 }
 
 impl SimulatedRobot {
@@ -106,6 +114,12 @@ impl SimulatedRobot {
                 Body::Quadrotor(airframe, odometer)
             }
         };
+        let battery = robot.sensors.iter().find_map(|sensor| match sensor.kind {
+            SensorKind::Battery { charge } => Some(Battery::new(charge)),
+            _ => None,
+        });
+        let has_imu = robot.sensors.iter().any(|sensor| sensor.kind == SensorKind::Imu);
+        let imu = has_imu.then(|| Imu::new(seed, &node.id, body.pose()));
         let fastest = robot.model.max_speed();
         Ok(Self {
             speed_limit: walk.map_or(fastest, |walk| walk.speed_limit.clamp(0.0, fastest)),
@@ -113,6 +127,8 @@ impl SimulatedRobot {
             lidar: Lidar::new(seed, &node.id),
             body,
             wanted: (Velocity::default(), Timestamp::ZERO),
+            battery,
+            imu,
             world,
             id: node.id.clone(),
             model: robot.model,
@@ -147,6 +163,12 @@ impl RobotDriver for SimulatedRobot {
             self.at = self.at + Self::STEP;
             let rays = RAYS / Self::STEPS_A_TURN;
             let pose = self.pose();
+            if let (Some(battery), Body::Turtlebot2(base, _)) = (&mut self.battery, &self.body) {
+                battery.advance(base.velocity, Self::STEP);
+            }
+            if let Some(imu) = &mut self.imu {
+                imu.advance(&pose, Self::STEP);
+            }
             self.lidar.sweep(self.at, rays, &self.world, pose.position(), pose.heading);
         }
     }
@@ -177,6 +199,14 @@ impl RobotDriver for SimulatedRobot {
 
     fn scan(&self) -> Option<&Scan> {
         self.lidar.scan()
+    }
+
+    fn sense(&mut self, sensor: &Sensor) -> Option<Vec<f64>> {
+        match sensor.kind {
+            SensorKind::Battery { .. } => self.battery.as_ref().map(Battery::read),
+            SensorKind::Imu => self.imu.as_mut().map(|imu| imu.read(sensor.interval)),
+            SensorKind::Odometry | SensorKind::Vector { .. } => None,
+        }
     }
 
     fn truth(&self) -> Option<Pose> {

@@ -311,6 +311,10 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
                 let done = self.middleware.navigate_to(now, robot, *goal);
                 done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
             }
+            Instruction::Report { robot, sensor, values } => {
+                let done = self.middleware.report(now, robot, sensor, values);
+                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+            }
             Instruction::Halt { robot } | Instruction::Go { robot } => {
                 let halted = matches!(instruction, Instruction::Halt { .. });
                 let done = self.middleware.halt(now, robot, halted);

@@ -172,6 +172,7 @@ impl DomainView {
             Event::Placement(placement) => self.sees_vnf(&placement.vnf, &placement.node),
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
             Event::Goal(goal) => self.owns(&goal.robot),
+            Event::Sensor(reading) => self.owns(&reading.robot),
             Event::ServiceTime(sample) => self.owns(&sample.robot),
             Event::AnswersRejected(counts) => self.owns(&counts.robot),
             Event::Handover(handover) => self.owns(&handover.robot),
@@ -211,6 +212,7 @@ impl DomainView {
             Instruction::Move { robot, .. }
             | Instruction::LimitSpeed { robot, .. }
             | Instruction::NavigateTo { robot, .. }
+            | Instruction::Report { robot, .. }
             | Instruction::Scan { robot }
             | Instruction::Halt { robot }
             | Instruction::Go { robot }

@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
-    Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext,
-    ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    Direction, Event, Lateness, LinkContext, LinkId, NodeId, Placement, RadioContext, RobotContext, SensorId,
+    SensorReading, ServiceId, ServiceTime, Stamped, Timestamp, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use parking_lot::RwLock;
 use serde::Serialize;
@@ -37,6 +37,9 @@ pub struct Snapshot {
     pub vnfs: BTreeMap<VnfId, VnfEvent>,
     /// The last service time of every service.
     pub service_times: BTreeMap<ServiceId, ServiceTime>,
+    /// The last reading of every sensor, and when it was told.
+    #[serde(skip)]
+    pub sensors: BTreeMap<(NodeId, SensorId), (Timestamp, SensorReading)>,
     /// The emulator's lateness.
     pub lateness: Lateness,
     /// Robots at the end of their walk.
@@ -95,6 +98,9 @@ impl Live {
             }
             Event::ServiceTime(sample) => {
                 now.service_times.insert(sample.service.clone(), sample);
+            }
+            Event::Sensor(reading) => {
+                now.sensors.insert((reading.robot.clone(), reading.sensor.clone()), (*at, reading));
             }
             Event::Lateness(lateness) => now.lateness = lateness,
             Event::WalkFinished { robot } => now.finished.push(robot),

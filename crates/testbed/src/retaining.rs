@@ -33,7 +33,12 @@ impl Retaining {
         live: &Live,
     ) -> io::Result<Option<Self>> {
         let kept = testbed.retention;
-        let of = [(Kind::Robot, kept.robots), (Kind::Radio, kept.radio_units), (Kind::Link, kept.links)];
+        let of = [
+            (Kind::Robot, kept.robots),
+            (Kind::Radio, kept.radio_units),
+            (Kind::Link, kept.links),
+            (Kind::Sensor, kept.sensors),
+        ];
         let of: Vec<_> = of.into_iter().filter_map(|(kind, kept)| Some((kind, kept?))).collect();
         if of.is_empty() {
             return Ok(None);

@@ -43,9 +43,10 @@ pub enum History {
 
 /// Roll old samples up to points, one for each step of time, and drop what is older still
 ///
-/// Of samples that are older than --raw there is left, for each robot, radio unit and direction of a link and each step,
-/// the last sample, and the count, least, greatest and mean of all. Everything that happened otherwise is kept. It says what
-/// it would do, and does it with --yes. Without --raw it keeps to what the run's testbed file says under history.retention.
+/// Of samples that are older than --raw there is left, for each robot, radio unit, direction of a link and sensor and each
+/// step, the last sample, and the count, least, greatest and mean of all. Everything that happened otherwise is kept. It
+/// says what it would do, and does it with --yes. Without --raw it keeps to what the run's testbed file says under
+/// history.retention.
 ///
 /// Age counts to now; in virtual time, to the run's end. It can be stopped at any time, and goes on where it was; runs may
 /// go on meanwhile.
@@ -71,8 +72,8 @@ pub struct PruneArgs {
     /// Drop points that are older
     #[arg(long, value_name = "DURATION", value_parser = parse_time, requires = "raw")]
     pub keep: Option<Duration>,
-    /// Of these kinds only: robot, radio, link
-    #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link"])]
+    /// Of these kinds only: robot, radio, link, sensor
+    #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link", "sensor"])]
     pub kinds: Vec<String>,
     /// Do it
     #[arg(long)]

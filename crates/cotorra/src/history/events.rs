@@ -98,6 +98,11 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             }
             text
         }
+        Event::Sensor(reading) => {
+            let values: Vec<_> =
+                reading.values.iter().map(|(name, value)| format!("{name} {value}")).collect();
+            format!("{} {}: {}", reading.robot, reading.sensor, values.join(", "))
+        }
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),
         Event::Vnf(event) => {
             let state = format!("{:?}", event.state).to_lowercase();
@@ -135,6 +140,7 @@ fn instruction(instruction: &Instruction) -> String {
         Instruction::NavigateTo { robot, goal: Some(goal) } => format!("send {robot} to {goal}"),
         Instruction::NavigateTo { robot, goal: None } => format!("send {robot} back to its walk"),
         Instruction::LimitSpeed { robot, speed_limit_mps: None } => format!("limit {robot} no more"),
+        Instruction::Report { robot, sensor, values } => format!("report {values:?} as {sensor} of {robot}"),
         Instruction::Scan { robot } => format!("scan with {robot}"),
         Instruction::Attach { robot, radio_unit } => format!("attach {robot} to {radio_unit}"),
         Instruction::Place { vnf, node } => format!("place {vnf} on {node}"),

@@ -80,14 +80,19 @@ fn every_run(history: &History) -> cotorra_measurements::Result<Vec<Run>> {
 
 /// What is to be kept of a run: as it was typed, or as its testbed file says.
 fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
-    let of: [(Kind, Option<Retention>); 3] = match args.raw {
+    let of: [(Kind, Option<Retention>); 4] = match args.raw {
         Some(raw) => {
             let typed = Retention { raw, step: args.step, keep: args.keep };
             Kind::SAMPLED.map(|kind| (kind, Some(typed)))
         }
         None => {
             let kept = testbed_file::retentions(&run.info.testbed).unwrap_or_default();
-            [(Kind::Robot, kept.robots), (Kind::Radio, kept.radio_units), (Kind::Link, kept.links)]
+            [
+                (Kind::Robot, kept.robots),
+                (Kind::Radio, kept.radio_units),
+                (Kind::Link, kept.links),
+                (Kind::Sensor, kept.sensors),
+            ]
         }
     };
     let asked = |kind: Kind| args.kinds.is_empty() || args.kinds.iter().any(|name| name == kind.as_str());

@@ -94,10 +94,11 @@ fn names(source: &Source) -> String {
         if names.len() > 20 { shown + ", ..." } else { shown }
     };
     format!(
-        "links: {}; robots: {}; radio units: {}",
+        "links: {}; robots: {}; radio units: {}; sensors: {}",
         list(state.links.iter().map(|s| s.value.link.as_str()).collect()),
         list(state.robots.iter().map(|s| s.value.robot.as_str()).collect()),
         list(state.radio_units.iter().map(|s| s.value.radio_unit.as_str()).collect()),
+        list(state.sensors.iter().map(|s| s.value.sensor.as_str()).collect()),
     )
 }
 

@@ -79,6 +79,14 @@ fn describe(state: &GraphState) -> String {
         virtual_links.row([from.to_string(), to.to_string(), over(links), path, seconds(*at)]);
     }
     section("Virtual links", virtual_links, state.virtual_links.len());
+
+    let mut sensors = Table::new("<<><");
+    sensors.row(["robot", "sensor", "at, s", "values"]);
+    for Sample { at, value } in state.sensors.iter().take(ROWS) {
+        let values: Vec<_> = value.values.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+        sensors.row([value.robot.to_string(), value.sensor.to_string(), seconds(*at), values.join(", ")]);
+    }
+    section("Sensors", sensors, state.sensors.len());
     if text.is_empty() { "nothing was known yet\n".to_owned() } else { text }
 }
 

@@ -5,6 +5,7 @@ use std::{
     fs,
 };
 
+use cotorra_graph::SensorKind;
 use serde_json::Value;
 
 use crate::harness::{corridor, cotorra, project_file, stderr, stdout};
@@ -15,11 +16,11 @@ const STATISTICS: [&str; 8] = ["p50", "p95", "p99", "min", "max", "mean", "low",
 const OF: [&str; 9] =
     ["odometry", "probed", "tested", "jitter", "queue", "loss", "handover", "asked", "effective"];
 /// Numbers that are no quantities: places, limits and names of rows, and what statistics are made of.
-const NO_QUANTITIES: [&str; 11] =
-    ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "walked"];
+const NO_QUANTITIES: [&str; 12] =
+    ["a", "b", "after", "fast", "last", "limit", "mac", "number", "points", "quantiles", "values", "walked"];
 
 /// Units by the end of a name.
-const UNITS: [(&str, &str); 9] = [
+const UNITS: [(&str, &str); 10] = [
     ("_ns", "ns"),
     ("_ms", "ms"),
     ("_us", "µs"),
@@ -28,10 +29,12 @@ const UNITS: [(&str, &str); 9] = [
     ("_db", "dB"),
     ("_mps", "m/s"),
     ("_m", "m"),
+    ("_v", "V"),
     ("bytes", "bytes"),
 ];
 /// Units of names that have none at their end: those of poses, and bare numbers.
-const BARE: [&str; 9] = ["m", "m/s", "rad", "rad/s", "share", "factor", "count", "number", "m², m rad, rad²"];
+const BARE: [&str; 10] =
+    ["m", "m/s", "m/s²", "rad", "rad/s", "share", "factor", "count", "number", "m², m rad, rad²"];
 
 /// The rows of the page: units by name.
 fn fields() -> BTreeMap<String, String> {
@@ -164,6 +167,16 @@ fn every_figure_has_its_name_and_unit_from_the_page() {
     }
     in_tables(&read("crates/measurements/src/schema/1.sql"), used.entry("the history").or_default());
     in_messages(&read("crates/recording/src/messages/own.rs"), used.entry("recordings").or_default());
+
+    for kind in [SensorKind::Odometry, SensorKind::Battery { charge: 1.0 }, SensorKind::Imu] {
+        for (component, unit) in kind.components() {
+            let told = fields
+                .get(component.as_str())
+                .unwrap_or_else(|| panic!("docs/fields.md lacks `{component}`"));
+            assert_eq!(told, if unit.is_empty() { "share" } else { unit }, "{component}");
+            used.entry("sensors").or_default().insert(component.to_string());
+        }
+    }
 
     let out = tempfile::tempdir().unwrap();
     let run = cotorra(["run", "--headless", "--simulate", "--until", "20s", "--out"])

@@ -77,6 +77,7 @@ fn robot(name: &str, x: f64, roaming: Roaming) -> Node {
         heading: 0.0,
         roaming,
         driver: Driver::default(),
+        sensors: Vec::new(),
     };
     node(name, x, NodeKind::Robot(robot))
 }

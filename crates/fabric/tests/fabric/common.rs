@@ -75,6 +75,7 @@ impl Network {
             heading: 0.0,
             roaming: Roaming::Instructed,
             driver: Driver::default(),
+            sensors: Vec::new(),
         };
         self.node(name, x, NodeKind::Robot(robot))
     }

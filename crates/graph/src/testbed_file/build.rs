@@ -15,7 +15,7 @@ use super::{
         ProbesRecord, ProbesWord, ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord,
         TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
     },
-    ros, script,
+    ros, script, sensors,
 };
 use crate::{
     active::Probing,
@@ -109,7 +109,12 @@ pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentio
         }
         Some(Retention { raw: *raw, step: step.value, keep: *keep })
     };
-    Retentions { robots: of(&record.robots), radio_units: of(&record.radio_units), links: of(&record.links) }
+    Retentions {
+        robots: of(&record.robots),
+        radio_units: of(&record.radio_units),
+        links: of(&record.links),
+        sensors: of(&record.sensors),
+    }
 }
 
 /// Whether programs of cotorra's run on it.
@@ -292,6 +297,7 @@ impl Builder<'_> {
                     tx_power: r.tx_power,
                     heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
                     roaming: r.roaming,
+                    sensors: sensors::sensors(r, driver.as_ref(), self.sink),
                     driver: driver?,
                 };
                 (Some(position?), NodeKind::Robot(robot))

@@ -7,12 +7,12 @@ use crate::{
     driver::RosNetwork,
     exposure::IpNetwork,
     hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
-    id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
     service::LinuxCapability,
     testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
     yaml::{
-        Angle, Bytes, Decibels, Metres, Speed,
+        Angle, Bytes, Decibels, Frequency, Metres, Speed,
         decode::{Amount, Either, Spanned, Table, choice, record, tagged},
     },
 };
@@ -126,6 +126,8 @@ record! {
         radio_units: Option<RetentionRecord>,
         /// Delay, throughput and conditions of links.
         links: Option<RetentionRecord>,
+        /// Readings of robots' sensors.
+        sensors: Option<RetentionRecord>,
     }
 }
 
@@ -274,10 +276,60 @@ record! {
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
         /// How a simulated robot is offered to others. A word, or a mapping.
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
+        /// What is read of it beside its contexts, by name.
+        sensors: Table<SensorId, SensorRecord> = {},
         /// CPUs for VNFs.
         cpus: Amount = 2,
         /// Memory for VNFs.
         memory: Bytes = "8 GB",
+    }
+}
+
+tagged! {
+    /// A sensor of a robot.
+    SensorRecord by kind {
+        "odometry" => Odometry(OdometryRecord),
+        "battery" => Battery(BatteryRecord),
+        "imu" => Imu(ImuRecord),
+        "vector" => Vector(VectorRecord),
+    }
+}
+
+record! {
+    /// Pose and velocity by its wheels, or what takes their place.
+    OdometryRecord {
+        /// How often it is read.
+        rate: Spanned<Frequency> = "10 Hz",
+    }
+}
+
+record! {
+    /// Charge and voltage of a simulated TurtleBot 2's battery.
+    BatteryRecord {
+        /// How often it is read.
+        rate: Spanned<Frequency> = "1 Hz",
+        /// Its charge when the run begins.
+        charge: Probability = "100 %",
+    }
+}
+
+record! {
+    /// Angular velocity and acceleration of a simulated robot.
+    ImuRecord {
+        /// How often it is read.
+        rate: Spanned<Frequency> = "50 Hz",
+    }
+}
+
+record! {
+    /// Numbers that plug-ins or programs report by the instruction `report`.
+    VectorRecord {
+        /// How many numbers a reading has.
+        size: Spanned<u8>,
+        /// How often it is read at most: of several reports in between, the last counts.
+        rate: Spanned<Frequency> = "10 Hz",
+        /// Their unit, as you call it.
+        unit: Spanned<String> = "",
     }
 }
 

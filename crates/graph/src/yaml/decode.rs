@@ -6,7 +6,7 @@ pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
 use crate::{
     exposure::IpNetwork,
-    id::{DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId},
+    id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
     units::Position,
 };
 
@@ -490,7 +490,7 @@ macro_rules! ids {
     )*};
 }
 
-ids!(DomainId, LinkId, NodeId, PluginId, ServiceId, VnfId);
+ids!(DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId);
 
 impl Name for String {
     fn schema() -> Json {

@@ -29,6 +29,10 @@ pub(crate) struct Metres(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Speed(pub f64);
 
+/// How often something happens, in Hz, 0 or more.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Frequency(pub f64);
+
 /// An angle in radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Angle(pub f64);
@@ -193,6 +197,8 @@ const LENGTH: Kind = Kind {
 };
 const SPEED: Kind =
     Kind { what: "a speed", example: "0.3 m/s", units: &[("m/s", 1.0)], signed: false, most: 100.0 };
+const FREQUENCY: Kind =
+    Kind { what: "a frequency", example: "10 Hz", units: &[("Hz", 1.0)], signed: false, most: 1000.0 };
 const ANGLE: Kind = Kind {
     what: "an angle",
     example: "90 deg",
@@ -223,6 +229,7 @@ quantity!(Dbm, POWER, |(dbm, _)| Self(dbm));
 quantity!(Decibels, RATIO, |(db, _)| Self(db));
 quantity!(Metres, LENGTH, |(metres, _)| Self(metres));
 quantity!(Speed, SPEED, |(speed, _)| Self(speed));
+quantity!(Frequency, FREQUENCY, |(hertz, _)| Self(hertz));
 quantity!(Angle, ANGLE, |(radians, _)| Self(radians));
 quantity!(Probability, SHARE, |(share, _)| Self::new(share).expect("the kind bounds it"));
 quantity!(QueueLimit, QUEUE, |(amount, unit)| {

@@ -3,11 +3,12 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState,
-    Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss,
-    NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit,
-    RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, StationContext,
-    Tested, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event,
+    GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
+    LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position,
+    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
+    SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::direction_of;
@@ -284,6 +285,12 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                 known.ok_or_else(|| unreadable(format_args!("`{state}` is not a state of a goal")))?;
             Event::Goal(GoalEvent { robot, goal, state, remaining_m: row.0.real()?, reason: row.0.text()? })
         }
+        Kind::Sensor => {
+            let (robot, sensor) = (row.name()?, row.name()?);
+            let measured = Timestamp::from_nanos(row.unsigned()?);
+            let values = children(source, |mut row| Ok((row.name::<ComponentId>()?, row.real()?)))?;
+            Event::Sensor(SensorReading { robot, sensor, measured, values: values.into_iter().collect() })
+        }
         Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
         Kind::Lateness => Event::Lateness(Lateness {
             frames: row.unsigned()?,
@@ -313,6 +320,11 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         "navigate_to" => {
             Instruction::NavigateTo { robot: robot()?, goal: change.as_deref().map(json).transpose()? }
         }
+        "report" => Instruction::Report {
+            robot: robot()?,
+            sensor: required(object.as_deref())?.parse().map_err(unreadable)?,
+            values: json(&required(change)?)?,
+        },
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },

@@ -4,7 +4,7 @@ use std::{borrow::Cow, time::Duration};
 
 use cotorra_graph::{
     AccessPoint, AnswersRejected, Conditions, Direction, Event, GoalEvent, Instruction, JitterDistribution,
-    Loss, Pose, PoseSource, QueueLimit, Rate, RobotFault, VnfState, millis,
+    Loss, Pose, PoseSource, QueueLimit, Rate, RobotFault, SensorReading, VnfState, millis,
 };
 
 use super::{Role, Value, direction_code};
@@ -198,6 +198,12 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(*remaining_m, Fields::real)
                 .optional(reason.as_deref(), Fields::text);
         }
+        Event::Sensor(SensorReading { robot, sensor, measured, values }) => {
+            row.name(robot.as_str()).name(sensor.as_str()).unsigned(measured.as_nanos());
+            for (component, value) in values {
+                children.name(component.as_str()).real(*value);
+            }
+        }
         Event::PluginFault { plugin, reason } => {
             row.name(plugin.as_str()).text(reason.as_str());
         }
@@ -245,6 +251,11 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             row.optional(goal.as_ref(), |row, goal| {
                 row.text(serde_json::to_string(goal).expect("finite numbers are JSON"))
             });
+        }
+        Instruction::Report { robot, sensor, values } => {
+            put("report", robot.as_str(), Some(sensor.as_str()));
+            row.0.extend([const { Value::Null }; 4]);
+            row.text(serde_json::to_string(values).expect("finite numbers are JSON"));
         }
         Instruction::Scan { robot } => {
             put("scan", robot.as_str(), None);

@@ -64,11 +64,11 @@ impl Shape {
 const TEXTS: &[&str] = &[
     "robot", "radio_unit", "link", "vnf", "node", "from_vnf", "to_vnf", "service", "attachment", "server",
     "from_radio_unit", "to_radio_unit", "state", "detail", "plugin", "instruction", "subject", "object", "change",
-    "reason", "refused", "message", "health", "path", "jitter_distribution", "loss", "trace_ms",
+    "reason", "refused", "message", "health", "sensor", "component", "path", "jitter_distribution", "loss", "trace_ms",
 ];
 #[rustfmt::skip]
 const REALS: &[&str] = &[
-    "x", "y", "z", "heading", "roll", "pitch", "linear", "vertical", "angular",
+    "x", "y", "z", "value", "heading", "roll", "pitch", "linear", "vertical", "angular",
     "load", "downlink_bps", "uplink_bps", "throughput_bps", "delay_scale", "drop_scale", "loss_share", "loss_mean_burst",
     "duplication", "corruption", "reordering", "probed_loss", "tested_throughput_bps", "tested_offered_bps",
 ];

@@ -29,8 +29,8 @@ CREATE TABLE name (
 );
 
 -- In which stretches of 5 s a series has samples. A series is one robot (kind 0), radio unit (1), link and
--- direction (2), VNF's placement (3) or virtual link's mapping (4); a is the id of its name, b its direction or the id
--- of its second name, or 0.
+-- direction (2), VNF's placement (3), virtual link's mapping (4) or robot and sensor (17); a is the id of its name, b its
+-- direction or the id of its second name, or 0.
 CREATE TABLE presence (
     run     INTEGER NOT NULL,
     kind    INTEGER NOT NULL,
@@ -312,14 +312,14 @@ CREATE TABLE decision (
     at_ns       INTEGER NOT NULL,
     seq         INTEGER NOT NULL,
     plugin      INTEGER NOT NULL,
-    instruction TEXT    NOT NULL,      -- move, limit_speed, navigate_to, scan, attach, place, map, condition
+    instruction TEXT    NOT NULL,      -- move, limit_speed, navigate_to, report, scan, attach, place, map, condition
     subject     INTEGER NOT NULL,
     object      INTEGER,
     "linear"    REAL,                  -- of limit_speed: the limit; NULL: none
     angular     REAL,
     waypoint    INTEGER,
     direction   INTEGER,               -- NULL: both
-    "change"    TEXT,                  -- JSON: the wished change of conditions, or goal
+    "change"    TEXT,                  -- JSON: the wished change of conditions, goal, or values
     reason      TEXT,
     refused     TEXT,                  -- NULL: it was done
     vertical    REAL,                  -- of a move
@@ -368,6 +368,27 @@ CREATE TABLE goal (
     remaining_m REAL,                   -- of the way, of progress
     reason      TEXT,                   -- of a failure
     PRIMARY KEY (run, at_ns, seq)
+) WITHOUT ROWID;
+
+-- What a sensor of a robot read; the numbers are in `sensor_value`, by the names of their components.
+CREATE TABLE sensor (
+    run         INTEGER NOT NULL,
+    at_ns       INTEGER NOT NULL,
+    seq         INTEGER NOT NULL,
+    robot       INTEGER NOT NULL,
+    sensor      INTEGER NOT NULL,
+    measured_ns INTEGER NOT NULL,       -- or reported
+    PRIMARY KEY (run, at_ns, seq)
+) WITHOUT ROWID;
+
+CREATE TABLE sensor_value (
+    run       INTEGER NOT NULL,
+    at_ns     INTEGER NOT NULL,
+    seq       INTEGER NOT NULL,
+    place     INTEGER NOT NULL,
+    component INTEGER NOT NULL,
+    "value"   REAL,
+    PRIMARY KEY (run, at_ns, seq, place)
 ) WITHOUT ROWID;
 
 CREATE TABLE notice (

@@ -319,6 +319,7 @@ impl Reader {
             }
             Series::Placement(vnf) => (self.id(vnf.as_str())?, Some(0)),
             Series::VirtualLink(from, to) => (self.id(from.as_str())?, self.id(to.as_str())?),
+            Series::Sensor(robot, sensor) => (self.id(robot.as_str())?, self.id(sensor.as_str())?),
         };
         Ok(a.zip(b).map(|(a, b)| [a, b]))
     }
@@ -356,7 +357,7 @@ impl Reader {
             let named = [&ids[..width], &named].concat();
             let part = match kept.child {
                 None => chunk::column(kept.kind, kept.column),
-                Some(_) => named.last().map(|id| Part::Children(*id)),
+                Some(_) => named.last().map(|id| Part::children(kept.kind, *id)),
             };
             let of = match (part.and_then(Part::column), kept.child) {
                 (Some(place), _) => Of::Column(place),

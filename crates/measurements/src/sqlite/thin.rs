@@ -84,6 +84,7 @@ fn ids(transaction: &Transaction<'_>, series: &Series) -> Fallible<Option<[i64; 
         Series::Link(link, direction) => (id(link.as_str())?, Some(direction_code(*direction))),
         Series::Placement(vnf) => (id(vnf.as_str())?, Some(0)),
         Series::VirtualLink(from, to) => (id(from.as_str())?, id(to.as_str())?),
+        Series::Sensor(robot, sensor) => (id(robot.as_str())?, id(sensor.as_str())?),
     };
     Ok(a.zip(b).map(|(a, b)| [a, b]))
 }

@@ -270,6 +270,7 @@ impl<'t> Batch<'t> {
             Series::Link(link, direction) => [self.name(link.as_str())?, codec::direction_code(*direction)],
             Series::Placement(vnf) => [self.name(vnf.as_str())?, 0],
             Series::VirtualLink(from, to) => [self.name(from.as_str())?, self.name(to.as_str())?],
+            Series::Sensor(robot, sensor) => [self.name(robot.as_str())?, self.name(sensor.as_str())?],
         };
         let place = self.known.of_series.len();
         self.known.of_series.push(KnownSeries {

@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi as _;
 
-use super::{measurements, routes, stream};
+use super::{measurements, routes, sensors, stream};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -19,6 +19,7 @@ use super::{measurements, routes, stream};
         routes::node,
         routes::robots,
         routes::robot,
+        sensors::sensors,
         routes::links,
         routes::test_throughput,
         routes::radio_units,

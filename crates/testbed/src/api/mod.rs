@@ -7,6 +7,7 @@ mod connections;
 mod document;
 mod measurements;
 mod routes;
+mod sensors;
 mod serve;
 mod stream;
 mod types;
@@ -98,12 +99,13 @@ pub enum ApiError {
 }
 
 /// Every path, and what answers there: [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 23] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 24] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
         ("/api/v1/robots", get(routes::robots)),
         ("/api/v1/robots/{id}", get(routes::robot)),
+        ("/api/v1/robots/{id}/sensors", get(sensors::sensors)),
         ("/api/v1/network/links", get(routes::links)),
         ("/api/v1/network/links/{id}/throughput-test", post(routes::test_throughput)),
         ("/api/v1/network/radio-units", get(routes::radio_units)),

@@ -163,7 +163,8 @@ pub(super) fn plugin(
     caller.name(named, &context.hosted)
 }
 
-/// Give an instruction: move, send, slow, halt or attach a robot, place a VNF, map a path, deploy a vAP, change a link.
+/// Give an instruction: move, send, slow, halt or attach a robot, report its sensor, place a VNF, map a path, deploy a
+/// vAP, change a link.
 ///
 /// The decision is recorded under the name of who asks. A plug-in that the run started is known by its secret; anybody else
 /// chooses a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.

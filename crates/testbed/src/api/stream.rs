@@ -8,7 +8,7 @@ use axum::{
     http::HeaderMap,
     response::sse::{Event as SseEvent, KeepAlive, Sse},
 };
-use cotorra_graph::{PluginId, Stamped, Timestamp};
+use cotorra_graph::{Event, PluginId, SensorId, Stamped, Timestamp};
 use cotorra_measurements::Kind;
 use serde::Deserialize;
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
@@ -29,9 +29,28 @@ use crate::{core_loop::Message, domain};
 pub(crate) struct Follower {
     /// Whose.
     pub(crate) plugin: PluginId,
-    kinds: Option<Vec<Kind>>,
+    wanted: Wanted,
     caller: Caller,
     tell: UnboundedSender<Told>,
+}
+
+/// Which events somebody asked for; all where nothing is said.
+#[derive(Debug, Default)]
+struct Wanted {
+    kinds: Option<Vec<Kind>>,
+    /// Readings of sensors of these names.
+    sensors: Option<Vec<SensorId>>,
+}
+
+impl Wanted {
+    fn holds(&self, event: &Event) -> bool {
+        let of_sensor = |sensors: &Vec<SensorId>| match event {
+            Event::Sensor(reading) => sensors.contains(&reading.sensor),
+            _ => true,
+        };
+        self.kinds.as_ref().is_none_or(|kinds| kinds.contains(&Kind::of(event)))
+            && self.sensors.as_ref().is_none_or(of_sensor)
+    }
 }
 
 /// What such a stream tells.
@@ -52,12 +71,12 @@ impl Follower {
     #[cfg(test)]
     pub(crate) fn of(plugin: PluginId) -> (Self, tokio::sync::mpsc::UnboundedReceiver<Told>) {
         let (tell, told) = unbounded_channel();
-        (Self { plugin, kinds: None, caller: Caller::default(), tell }, told)
+        (Self { plugin, wanted: Wanted::default(), caller: Caller::default(), tell }, told)
     }
 
     /// What it is told of an event, if it asked for its kind.
     pub(crate) fn sees(&self, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
-        seen(&self.caller, self.kinds.as_deref(), event)
+        seen(&self.caller, &self.wanted, event)
     }
 
     /// Tells it; false if nobody reads any more.
@@ -79,6 +98,8 @@ impl Follower {
 pub(super) struct Which {
     /// Kinds of events, with commas between; all if it is left out.
     kinds: Option<String>,
+    /// Names of sensors, with commas between, of which readings are told; all if it is left out.
+    sensors: Option<String>,
 }
 
 /// Events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody: an event named
@@ -97,7 +118,10 @@ pub(super) async fn events(
     headers: HeaderMap,
     Query(which): Query<Which>,
 ) -> Result<Sse<impl Stream<Item = Result<SseEvent, Infallible>>>, Failure> {
-    let kinds = which.kinds.as_deref().map(parse_kinds).transpose()?;
+    let wanted = Wanted {
+        kinds: which.kinds.as_deref().map(parse_kinds).transpose()?,
+        sensors: which.sensors.as_deref().map(parse_sensors).transpose()?,
+    };
     let is_waited_for = |plugin: &PluginId| {
         let plugins = context.lockstep.as_ref().map(|lockstep| &lockstep.plugins);
         plugins.is_some_and(|these| these.as_ref().is_none_or(|these| these.contains(plugin)))
@@ -106,13 +130,13 @@ pub(super) async fn events(
         match plugin(&context, &caller, &headers)?.filter(is_waited_for) {
             Some(plugin) => {
                 let (tell, told) = unbounded_channel();
-                let follower = Follower { plugin, kinds, caller, tell };
+                let follower = Follower { plugin, wanted, caller, tell };
                 context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
                 Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
             }
             None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
                 match received {
-                    Ok(event) => seen(&caller, kinds.as_deref(), &event).map(|event| Ok(encode(&event))),
+                    Ok(event) => seen(&caller, &wanted, &event).map(|event| Ok(encode(&event))),
                     Err(BroadcastStreamRecvError::Lagged(missed)) => {
                         Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
                     }
@@ -152,10 +176,16 @@ pub(super) async fn done(
     Ok(Json(Done { done: true }))
 }
 
-/// What a caller is told of an event, if it asked for its kind.
-fn seen(caller: &Caller, kinds: Option<&[Kind]>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
+/// What a caller is told of an event, if it asked for such.
+fn seen(caller: &Caller, wanted: &Wanted, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
     let seen = domain::seen(caller.view.as_deref(), event)?;
-    kinds.is_none_or(|kinds| kinds.contains(&Kind::of(&seen.event))).then_some(seen)
+    wanted.holds(&seen.event).then_some(seen)
+}
+
+/// Names of sensors with commas between.
+fn parse_sensors(names: &str) -> Result<Vec<SensorId>, Failure> {
+    let parse = |name: &str| SensorId::new(name.trim()).map_err(|e| Failure::bad_request(e.to_string()));
+    names.split(',').map(parse).collect()
 }
 
 /// Names of kinds with commas between.

@@ -45,7 +45,18 @@ fn serve_within(replay: bool, limits: Limits, patience: Patience) -> Served {
 }
 
 fn serve_found_in(found_in: Option<&Runs>, replay: bool, limits: Limits, patience: Patience) -> Served {
-    let text = "name: served\nnodes:\n  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }\n";
+    let text = "
+name: served
+wireless: { lab: {} }
+nodes:
+  left: { kind: server, tier: fog, cpus: 1, memory: 1 GB }
+  ap: { kind: radio_unit, position: [0, 3], channel: 1 }
+  robot:
+    kind: robot
+    position: [0, 0]
+    sensors: { pack: { kind: battery }, gripper: { kind: vector, size: 2, unit: N } }
+links: [{ ends: [left, ap] }]
+";
     let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
     let history = Arc::new(History::in_memory().unwrap());
     let begin = |seed| {
@@ -229,6 +240,48 @@ fn a_reader_that_does_not_read_loses_the_oldest_is_told_how_many_and_slows_nobod
     }
 }
 
+#[test]
+fn sensors_tell_what_they_are_and_what_they_read_last_and_are_followed_by_name() {
+    let served = serve(false);
+    let reading = |at: u64, sensor: &str, values: Value| -> Stamped {
+        let event = json!({
+            "at_ns": at, "event": "sensor", "robot": "robot", "sensor": sensor, "measured_ns": at - 1, "values": values,
+        });
+        serde_json::from_value(event).unwrap()
+    };
+    let gripper = json!({
+        "declared": { "sensor": "gripper", "interval_ms": 100.0, "kind": "vector", "size": 2, "unit": "N" },
+        "components": [{ "component": "0", "unit": "N" }, { "component": "1", "unit": "N" }],
+        "last": null,
+    });
+    let told = served.answer("robots/robot/sensors");
+    assert_eq!((told[1].clone(), told[0]["last"].clone()), (gripper, Value::Null));
+    assert_eq!(told[0]["components"][1], json!({ "component": "voltage_v", "unit": "V" }));
+    assert_eq!(served.get("robots/left/sensors").0, 404);
+
+    let (_, mut followed) = served.open("events?kinds=sensor,notice&sensors=pack,other");
+    let all = [
+        reading(5, "gripper", json!({ "0": 1.0, "1": 2.0 })),
+        reading(6, "pack", json!({ "charge": 0.5, "voltage_v": 14.9 })),
+        notice(7),
+    ];
+    for event in &all {
+        served.live.absorb(event);
+        served.events.send(Arc::new(event.clone())).unwrap();
+    }
+    let mut next = || loop {
+        let mut line = String::new();
+        assert!(followed.read_line(&mut line).unwrap() > 0);
+        if let Some(data) = line.trim_end().strip_prefix("data: ") {
+            break serde_json::from_str::<Stamped>(data).unwrap();
+        }
+    };
+    assert_eq!([next(), next()], [all[1].clone(), all[2].clone()]);
+    let last = served.answer("robots/robot/sensors")[0]["last"].clone();
+    assert_eq!((&last["at_ns"], &last["values"]["charge"]), (&json!(6), &json!(0.5)));
+    assert_eq!(served.get("events?sensors=a,%20,b").0, 400);
+}
+
 /// A testbed of two domains, each with a token of its own; the first has a robot.
 struct Domains {
     server: Server,
@@ -334,6 +387,7 @@ fn a_domains_token_opens_what_is_of_its_own_nodes_and_nothing_else() {
     for (own, other, path) in [
         (ONE, TWO, "network/nodes/A"),
         (ONE, TWO, "measurements/robots/robot"),
+        (ONE, TWO, "robots/robot/sensors"),
         (ONE, TWO, "measurements/links/A-left"),
         (OPERATOR, ONE, "measurements/state"),
         (OPERATOR, TWO, "measurements/runs"),

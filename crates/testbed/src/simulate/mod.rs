@@ -466,4 +466,6 @@ impl Lockstep for Simulation {
 #[cfg(test)]
 mod federation_tests;
 #[cfg(test)]
+mod sensor_tests;
+#[cfg(test)]
 mod tests;

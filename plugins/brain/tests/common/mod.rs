@@ -34,6 +34,7 @@ pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed 
         heading: 0.0,
         roaming: Roaming::Instructed,
         driver: Driver::default(),
+        sensors: Vec::new(),
     };
     Testbed {
         name: "corridor".to_owned(),

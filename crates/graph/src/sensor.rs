@@ -1,0 +1,149 @@
+//! Sensors that a robot has beside what its base tells: what is declared of them, and what they read. All of them, and
+//! the base's, are σ(r).
+
+use std::{collections::BTreeMap, time::Duration};
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    id::{ComponentId, NodeId, SensorId},
+    units::{Timestamp, millis},
+};
+
+/// A component of σ(r): a sensor that is read at a rate of its own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Sensor {
+    /// Its name.
+    #[serde(rename = "sensor")]
+    pub id: SensorId,
+    /// From one reading to the next.
+    #[serde(rename = "interval_ms", with = "millis")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub interval: Duration,
+    /// What it measures.
+    #[serde(flatten)]
+    pub kind: SensorKind,
+}
+
+/// What a sensor measures.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum SensorKind {
+    /// Where the wheels, or what takes their place, have the robot, and what they do.
+    Odometry,
+    /// The battery's charge and voltage.
+    Battery {
+        /// Its charge when the run begins, as a share.
+        charge: f64,
+    },
+    /// Angular velocity and acceleration.
+    Imu,
+    /// Numbers that a plug-in, or a program, reports ([`crate::Instruction::Report`]).
+    Vector {
+        /// How many.
+        size: u8,
+        /// Their unit, in the user's words.
+        unit: String,
+    },
+}
+
+/// Names and units of what a reading consists of.
+type Components = &'static [(&'static str, &'static str)];
+
+const ODOMETRY: Components = &[
+    ("x", "m"),
+    ("y", "m"),
+    ("z", "m"),
+    ("heading", "rad"),
+    ("linear", "m/s"),
+    ("vertical", "m/s"),
+    ("angular", "rad/s"),
+];
+const BATTERY: Components = &[("charge", ""), ("voltage_v", "V")];
+const IMU: Components = &[
+    ("angular_x", "rad/s"),
+    ("angular_y", "rad/s"),
+    ("angular_z", "rad/s"),
+    ("acceleration_x", "m/s²"),
+    ("acceleration_y", "m/s²"),
+    ("acceleration_z", "m/s²"),
+];
+
+impl SensorKind {
+    /// Numbers of the largest vector.
+    pub const LARGEST: u8 = 64;
+
+    /// Names and units of what a reading consists of, in order; a share has no unit.
+    pub fn components(&self) -> Vec<(ComponentId, &str)> {
+        let name = |name: &str| ComponentId::new(name).expect("it is a name");
+        let named = |all: Components| all.iter().map(|(of, unit)| (name(of), *unit)).collect();
+        match self {
+            Self::Odometry => named(ODOMETRY),
+            Self::Battery { .. } => named(BATTERY),
+            Self::Imu => named(IMU),
+            Self::Vector { size, unit } => {
+                (0..*size).map(|n| (name(&n.to_string()), unit.as_str())).collect()
+            }
+        }
+    }
+
+    /// The unit of a component of that name, whatever sensor it is of; empty for a share, and for those of vectors.
+    pub fn unit(component: &ComponentId) -> &'static str {
+        let mut all = ODOMETRY.iter().chain(BATTERY).chain(IMU);
+        all.find(|(name, _)| *component == *name).map_or("", |(_, unit)| unit)
+    }
+}
+
+/// What a sensor read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SensorReading {
+    /// The robot.
+    pub robot: NodeId,
+    /// Its sensor.
+    pub sensor: SensorId,
+    /// When it was measured, or reported.
+    #[serde(rename = "measured_ns")]
+    pub measured: Timestamp,
+    /// Finite numbers, by the names of [`SensorKind::components`].
+    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, f64>))]
+    pub values: BTreeMap<ComponentId, f64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reading_is_read_as_it_is_written() {
+        let reading = SensorReading {
+            robot: NodeId::new("r").unwrap(),
+            sensor: SensorId::new("gripper").unwrap(),
+            measured: Timestamp::from_nanos(7),
+            values: SensorKind::Vector { size: 2, unit: "N".to_owned() }
+                .components()
+                .into_iter()
+                .map(|(name, _)| (name, 1.5))
+                .collect(),
+        };
+        let event = crate::Stamped { at: Timestamp::from_nanos(9), event: crate::Event::Sensor(reading) };
+        let json = serde_json::to_string(&event).unwrap();
+        assert_eq!(
+            json,
+            r#"{"at_ns":9,"event":"sensor","robot":"r","sensor":"gripper","measured_ns":7,"values":{"0":1.5,"1":1.5}}"#
+        );
+        assert_eq!(serde_json::from_str::<crate::Stamped>(&json).unwrap(), event);
+    }
+
+    #[test]
+    fn a_sensor_is_read_as_it_is_written() {
+        let kind = SensorKind::Battery { charge: 0.5 };
+        let sensor =
+            Sensor { id: SensorId::new("pack").unwrap(), interval: Duration::from_millis(1500), kind };
+        let json = serde_json::to_string(&sensor).unwrap();
+        assert_eq!(json, r#"{"sensor":"pack","interval_ms":1500.0,"kind":"battery","charge":0.5}"#);
+        assert_eq!(serde_json::from_str::<Sensor>(&json).unwrap(), sensor);
+    }
+}

@@ -1,0 +1,74 @@
+//! Sensors that a robot declares.
+
+use std::time::Duration;
+
+use super::records::{RobotRecord, SensorRecord};
+use crate::{
+    driver::Driver,
+    hardware::RobotModel,
+    id::SensorId,
+    sensor::{Sensor, SensorKind},
+    yaml::{Frequency, Sink, Span, decode::Spanned},
+};
+
+/// Readings a second, at least and at most.
+const RATES: (f64, f64) = (0.001, 1000.0);
+/// The simulation moves a robot so often in a second: between its steps there is nothing to be read.
+const SIMULATED: f64 = 50.0;
+/// Characters of the longest unit.
+const LONGEST_UNIT: usize = 16;
+
+/// The sensors of a robot. One whose driver cannot be has it reported elsewhere.
+pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut Sink) -> Vec<Sensor> {
+    let is_simulated = driver.is_none_or(|driver| matches!(driver, Driver::Simulated { .. }));
+    let mut batteries = 0;
+    let records = &robot.sensors.0;
+    let build = |(id, record): &(Spanned<SensorId>, SensorRecord)| {
+        let span = &id.span;
+        let (rate, kind) = match record {
+            SensorRecord::Odometry(its) => (&its.rate, SensorKind::Odometry),
+            SensorRecord::Battery(its) => {
+                batteries += 1;
+                if robot.model != RobotModel::Turtlebot2 {
+                    sink.error(span, "no battery is simulated but a TurtleBot 2's")
+                        .help("remove it, or declare a `kind: vector` that a plug-in reports");
+                } else if batteries > 1 {
+                    sink.error(span, "a robot has one battery").help("remove one of them");
+                }
+                (&its.rate, SensorKind::Battery { charge: its.charge.get() })
+            }
+            SensorRecord::Imu(its) => (&its.rate, SensorKind::Imu),
+            SensorRecord::Vector(its) => {
+                if !(1..=SensorKind::LARGEST).contains(&its.size.value) {
+                    sink.error(&its.size.span, format!("a vector of {} numbers", its.size.value))
+                        .help(format!("write 1 to {}", SensorKind::LARGEST));
+                }
+                if its.unit.value.chars().count() > LONGEST_UNIT {
+                    sink.error(&its.unit.span, "this unit is too long")
+                        .help(format!("use {LONGEST_UNIT} characters at most"));
+                }
+                (&its.rate, SensorKind::Vector { size: its.size.value, unit: its.unit.value.clone() })
+            }
+        };
+        let of_simulation = matches!(kind, SensorKind::Battery { .. } | SensorKind::Imu);
+        if of_simulation && !is_simulated {
+            sink.error(span, "only a simulated robot has this sensor")
+                .help("declare a `kind: vector` that a plug-in or program reports");
+        }
+        let is_moved = !matches!(kind, SensorKind::Vector { .. });
+        let most = if is_simulated && is_moved { SIMULATED } else { RATES.1 };
+        let interval = interval(rate.value, most, &rate.span, sink)?;
+        Some(Sensor { id: id.value.clone(), interval, kind })
+    };
+    records.iter().filter_map(build).collect()
+}
+
+/// From one reading to the next; `None` if there can be no such rate, which the sink then knows.
+fn interval(Frequency(rate): Frequency, most: f64, span: &Span, sink: &mut Sink) -> Option<Duration> {
+    if (RATES.0..=most).contains(&rate) {
+        return Some(Duration::from_nanos((1e9 / rate).round() as u64));
+    }
+    sink.error(span, format!("this sensor cannot be read {rate} times a second"))
+        .help(format!("write a rate from {} Hz to {most} Hz", RATES.0));
+    None
+}

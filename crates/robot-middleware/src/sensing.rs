@@ -1,0 +1,204 @@
+//! The sensors that a robot declares: when each is read, and what it reads.
+
+use std::collections::BTreeMap;
+
+use cotorra_graph::{ComponentId, Sensor, SensorId, SensorKind, SensorReading, Timestamp};
+
+use crate::driver::RobotDriver;
+
+/// Sensors of a robot. Each is read at whole multiples of its interval; what was missed is not made up for.
+#[derive(Debug, Default)]
+pub(crate) struct Sensing(Vec<Sensed>);
+
+#[derive(Debug)]
+struct Sensed {
+    sensor: Sensor,
+    components: Vec<ComponentId>,
+    next: Timestamp,
+    /// Of a vector: what was reported since the last reading, and when.
+    reported: Option<(Timestamp, Vec<f64>)>,
+}
+
+/// Why a report is of no use.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ReportRefused {
+    /// It has no such sensor.
+    #[error("it has no sensor `{0}`")]
+    UnknownSensor(SensorId),
+    /// That one measures by itself.
+    #[error("its sensor `{0}` is no vector: nobody reports what it measures")]
+    NotAVector(SensorId),
+    /// There are too many numbers, or too few.
+    #[error("its sensor `{sensor}` has {expected} numbers, and here are {found}")]
+    Size {
+        /// The sensor.
+        sensor: SensorId,
+        /// How many it has.
+        expected: usize,
+        /// How many there are.
+        found: usize,
+    },
+    /// They are NaN or infinite.
+    #[error("not all values for its sensor `{0}` are finite numbers")]
+    NotFinite(SensorId),
+}
+
+impl Sensing {
+    /// These sensors, of which none was read.
+    pub fn new(sensors: &[Sensor]) -> Self {
+        let sensed = |sensor: &Sensor| Sensed {
+            components: sensor.kind.components().into_iter().map(|(name, _)| name).collect(),
+            sensor: sensor.clone(),
+            next: Timestamp::ZERO,
+            reported: None,
+        };
+        Self(sensors.iter().map(sensed).collect())
+    }
+
+    /// When a sensor is to be read.
+    pub fn next_deadline(&self) -> Option<Timestamp> {
+        self.0.iter().map(|sensed| sensed.next).min()
+    }
+
+    /// Reads the sensors that are due, in order.
+    pub fn read(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Vec<SensorReading> {
+        let due = self.0.iter_mut().filter(|sensed| sensed.next <= now);
+        due.filter_map(|sensed| {
+            let interval = sensed.sensor.interval.as_nanos() as u64;
+            sensed.next = Timestamp::from_nanos((now.as_nanos() / interval + 1) * interval);
+            let (measured, values) = sensed.measure(now, driver)?;
+            let values: BTreeMap<_, _> = sensed.components.iter().cloned().zip(values).collect();
+            let (robot, sensor) = (driver.robot().clone(), sensed.sensor.id.clone());
+            values.values().all(|x| x.is_finite()).then_some(SensorReading {
+                robot,
+                sensor,
+                measured,
+                values,
+            })
+        })
+        .collect()
+    }
+
+    /// Takes what a vector measures; told with its next reading.
+    pub fn report(&mut self, now: Timestamp, sensor: &SensorId, values: &[f64]) -> Result<(), ReportRefused> {
+        let sensed = self.0.iter_mut().find(|sensed| sensed.sensor.id == *sensor);
+        let sensed = sensed.ok_or_else(|| ReportRefused::UnknownSensor(sensor.clone()))?;
+        let (expected, found) = (sensed.components.len(), values.len());
+        if !matches!(sensed.sensor.kind, SensorKind::Vector { .. }) {
+            Err(ReportRefused::NotAVector(sensor.clone()))
+        } else if expected != found {
+            Err(ReportRefused::Size { sensor: sensor.clone(), expected, found })
+        } else if !values.iter().all(|x| x.is_finite()) {
+            Err(ReportRefused::NotFinite(sensor.clone()))
+        } else {
+            sensed.reported = Some((now, values.to_vec()));
+            Ok(())
+        }
+    }
+}
+
+impl Sensed {
+    /// When that was measured, and what; `None` where there is nothing new.
+    fn measure(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Option<(Timestamp, Vec<f64>)> {
+        match self.sensor.kind {
+            SensorKind::Vector { .. } => self.reported.take(),
+            // What a robot senses that is not well may be from anywhere.
+            _ if !driver.health().is_empty() => None,
+            SensorKind::Odometry => {
+                let sensed = driver.sensors();
+                let (pose, velocity) = (sensed.odometry, sensed.velocity);
+                let pose = [pose.x, pose.y, pose.z, pose.heading];
+                Some((now, [&pose[..], &[velocity.linear, velocity.vertical, velocity.angular]].concat()))
+            }
+            SensorKind::Battery { .. } | SensorKind::Imu => Some((now, driver.sense(&self.sensor)?)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use cotorra_graph::{NodeId, Pose, PoseSource, RobotFault, SensorData, Velocity};
+
+    use super::*;
+    use crate::{driver::CommandRefused, fixtures::id, lidar::Scan};
+
+    /// Stands, and is as well as it is told.
+    struct Standing(NodeId, Vec<RobotFault>);
+
+    impl RobotDriver for Standing {
+        fn robot(&self) -> &NodeId {
+            &self.0
+        }
+        fn command_timeout(&self) -> Duration {
+            Duration::from_millis(600)
+        }
+        fn advance(&mut self, _now: Timestamp) {}
+        fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+            Ok(velocity)
+        }
+        fn stop(&mut self, _now: Timestamp) {}
+        fn sensors(&self) -> SensorData {
+            let pose = Pose::planar(1.0, 2.0, 0.5, [0.0; 9], PoseSource::Odometry);
+            let velocity = Velocity::planar(0.3, 0.1);
+            SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None }
+        }
+        fn scan(&self) -> Option<&Scan> {
+            None
+        }
+        fn health(&self) -> &[RobotFault] {
+            &self.1
+        }
+    }
+
+    fn sensor(name: &str, ms: u64, kind: SensorKind) -> Sensor {
+        Sensor { id: SensorId::new(name).unwrap(), interval: Duration::from_millis(ms), kind }
+    }
+
+    fn at(ms: u64) -> Timestamp {
+        Timestamp::from_nanos(ms * 1_000_000)
+    }
+
+    fn names(readings: &[SensorReading]) -> Vec<&str> {
+        readings.iter().map(|reading| reading.sensor.as_str()).collect()
+    }
+
+    #[test]
+    fn each_is_read_at_multiples_of_its_interval_and_what_was_missed_is_not_made_up_for() {
+        let sensors = [sensor("a", 20, SensorKind::Odometry), sensor("b", 50, SensorKind::Odometry)];
+        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new()));
+        assert_eq!(sensing.next_deadline(), Some(at(0)));
+        let first = sensing.read(at(0), &mut driver);
+        assert_eq!(names(&first), ["a", "b"]);
+        let values: Vec<_> = first[0].values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let told = [("angular", 0.1), ("heading", 0.5), ("linear", 0.3), ("vertical", 0.0)];
+        assert_eq!(values, [&told[..], &[("x", 1.0), ("y", 2.0), ("z", 0.0)]].concat());
+        assert_eq!((sensing.next_deadline(), sensing.read(at(19), &mut driver)), (Some(at(20)), Vec::new()));
+        // It is late, and then on time again.
+        assert_eq!(names(&sensing.read(at(75), &mut driver)), ["a", "b"]);
+        assert_eq!(sensing.next_deadline(), Some(at(80)));
+        assert_eq!(names(&sensing.read(at(80), &mut driver)), ["a"]);
+        assert_eq!(names(&sensing.read(at(100), &mut driver)), ["a", "b"]);
+    }
+
+    #[test]
+    fn a_robot_that_is_not_well_is_not_read_but_reports_are_told() {
+        let vector = SensorKind::Vector { size: 1, unit: String::new() };
+        let sensors = [
+            sensor("wheels", 20, SensorKind::Odometry),
+            sensor("imu", 20, SensorKind::Imu),
+            sensor("v", 20, vector),
+        ];
+        let (mut sensing, mut driver) =
+            (Sensing::new(&sensors), Standing(id("robot1"), vec![RobotFault::Silent]));
+        sensing.report(at(1), &sensors[2].id, &[7.0]).unwrap();
+        assert_eq!(names(&sensing.read(at(20), &mut driver)), ["v"]);
+        driver.1.clear();
+        assert_eq!(
+            names(&sensing.read(at(40), &mut driver)),
+            ["wheels"],
+            "it has no IMU, and reported nothing"
+        );
+    }
+}
