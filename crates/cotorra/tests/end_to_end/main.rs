@@ -36,6 +36,7 @@ mod ros1;
 mod ros2;
 mod ros_flows;
 mod run;
+mod sensors;
 mod stamp;
 mod steer;
 mod sweep;
