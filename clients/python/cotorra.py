@@ -86,6 +86,10 @@ class Client:
         """κ of every robot; `health` lists what is wrong with it, and is empty for one that is well."""
         return self._ask("robots")
 
+    def sensors(self, robot: str) -> list[JSON]:
+        """The sensors of a robot beside what its context has, each with its last reading."""
+        return self._ask(f"robots/{parse.quote(robot)}/sensors")
+
     def links(self) -> list[JSON]:
         """d, λ and conditions of every link, in both directions."""
         return self._ask("network/links")
@@ -157,13 +161,17 @@ class Client:
 
     # What happens, and what is to be done.
 
-    def stream(self, *kinds: str, wake_every_s: Optional[float] = None) -> Iterator[JSON]:
-        """What happens, as it happens, of these kinds or of all, until the run ends.
+    def stream(
+        self, *kinds: str, wake_every_s: Optional[float] = None, sensors: Sequence[str] = ()
+    ) -> Iterator[JSON]:
+        """What happens, as it happens, of these kinds or of all, until the run ends; of readings, those of these sensors or
+        of all.
 
         Who reads too slowly loses the oldest events; `missed` counts them. In virtual time nothing is lost: time stands
         still until the body of the loop is done. There, and only there, `wake_every_s` has the run stop at least so
         often, for an event `{"event": "wake", "at_ns": …}` of the client's own."""
-        which = parse.urlencode({"kinds": ",".join(kinds)} if kinds else {})
+        asked = {"kinds": ",".join(kinds), "sensors": ",".join(sensors)}
+        which = parse.urlencode({name: these for name, these in asked.items() if these})
         name = mark = ""
         stream = self._open(f"events?{which}")
         try:
