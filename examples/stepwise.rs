@@ -82,7 +82,7 @@ impl Stepwise {
             service.late = 0;
             let here = self.servers.iter().position(|server| *server == sample.server).unwrap_or(0);
             let node = self.servers[(here + 1) % self.servers.len()].clone();
-            let place = Instruction::Place { vnf: service.vnf.clone(), node };
+            let place = Instruction::Place { vnf: service.vnf.clone(), node: node.into() };
             actions.instruct_because(place, format!("{PATIENCE} answers in a row were late"));
         }
     }

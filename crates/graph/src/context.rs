@@ -9,6 +9,7 @@ use crate::{
     conditions::{ConditionChange, Conditions, Jitter, JitterDistribution, Scale},
     hardware::Direction,
     id::{LinkId, NodeId, ServiceId, VnfId},
+    nodes::Nodes,
     units::{Dbm, Position, Timestamp, is_zero, millis},
 };
 
@@ -163,6 +164,9 @@ pub struct AnswersRejected {
     pub forged: u64,
     /// Answers that came again.
     pub repeated: u64,
+    /// To a packet that went to several instances, of which another had answered first.
+    #[serde(default)]
+    pub redundant: u64,
     /// To no packet that the robot remembers.
     pub unknown: u64,
     /// Not packets of the service, or with what cannot be.
@@ -172,7 +176,7 @@ pub struct AnswersRejected {
 impl AnswersRejected {
     /// None of this robot yet.
     pub const fn none(robot: NodeId) -> Self {
-        Self { robot, late: 0, forged: 0, repeated: 0, unknown: 0, invalid: 0 }
+        Self { robot, late: 0, forged: 0, repeated: 0, redundant: 0, unknown: 0, invalid: 0 }
     }
 }
 
@@ -330,14 +334,14 @@ pub struct LinkCounters {
     pub corrupted: u64,
 }
 
-/// a(n): where a VNF runs.
+/// a(n): where a VNF runs. Its instances are known by their nodes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Placement {
     /// The VNF.
     pub vnf: VnfId,
-    /// The node.
-    pub node: NodeId,
+    /// The node, or those of its instances.
+    pub node: Nodes,
 }
 
 /// a(n1,n2): which hardware links carry one direction of a virtual link.
@@ -352,6 +356,23 @@ pub struct VirtualLinkMapping {
     pub links: Vec<LinkId>,
     /// Why these.
     #[serde(default)]
+    pub path: PathKind,
+    /// Where one of the two VNFs has several instances: the same of each other pair. The above is of their first ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub others: Vec<InstancePath>,
+}
+
+/// The hardware links between two instances.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct InstancePath {
+    /// From the instance on this node …
+    pub from: NodeId,
+    /// … to the one on this …
+    pub to: NodeId,
+    /// … over these links.
+    pub links: Vec<LinkId>,
+    /// Why these.
     pub path: PathKind,
 }
 

@@ -16,6 +16,7 @@ use crate::{
     goal::GoalEvent,
     hardware::Direction,
     id::{LinkId, NodeId, PluginId, SensorId, VnfId},
+    nodes::Nodes,
     sensor::SensorReading,
     units::{Position, Timestamp, millis},
 };
@@ -43,7 +44,7 @@ pub enum Event {
     Radio(RadioContext),
     /// d, λ and conditions of a link, periodically and at every change.
     Link(LinkContext),
-    /// A VNF runs on another node now; a(n) changed.
+    /// A VNF runs on another node now, or on others; a(n) changed.
     Placement(Placement),
     /// One direction of a virtual link is carried by other links now; a(n1,n2) changed.
     VirtualLink(VirtualLinkMapping),
@@ -189,12 +190,13 @@ pub enum Instruction {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// Run a VNF on a node: started there first, then packets go over, then the old one stops.
+    /// Run a VNF on a node, or an instance of it on each of several: started there first, then packets go over, then old
+    /// ones stop. Instances that are there already stay.
     Place {
         /// The VNF.
         vnf: VnfId,
-        /// The node.
-        node: NodeId,
+        /// The node, or one for each instance.
+        node: Nodes,
     },
     /// Map the virtual links between two nodes, a(n1,n2): packets from one node to the other take this path, and the rate
     /// of these virtual links is reserved on it in that direction. It stays for these nodes, whatever runs on them.

@@ -17,6 +17,7 @@ pub mod id;
 pub mod map;
 pub mod map_server;
 pub mod medium;
+mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
 mod propagation;
@@ -36,9 +37,9 @@ pub use conditions::{
     ConditionChange, Conditions, Jitter, JitterDistribution, Loss, QueueLimit, Rate, Scale, Trace,
 };
 pub use context::{
-    AnswersRejected, Attachment, Handover, Lateness, LinkContext, LinkCounters, PathKind, Placement, Pose,
-    PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime, StationContext, Velocity,
-    VirtualLinkMapping,
+    AnswersRejected, Attachment, Handover, InstancePath, Lateness, LinkContext, LinkCounters, PathKind,
+    Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
+    StationContext, Velocity, VirtualLinkMapping,
 };
 pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
@@ -53,10 +54,11 @@ pub use hardware::{
 pub use id::{ComponentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
+pub use nodes::{InvalidNodes, Nodes};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
 pub use sensor::{Sensor, SensorKind, SensorReading};
-pub use service::{Granted, Kpis, LinuxCapability, Program, Rights, Service, VirtualLink, Vnf};
+pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };

@@ -8,6 +8,7 @@ use crate::{
     flow::Flow,
     hardware::WifiStandard,
     id::{NodeId, ServiceId, VnfId},
+    nodes::Nodes,
     units::{BitRate, Position, millis},
 };
 
@@ -25,6 +26,29 @@ pub struct Service {
     pub virtual_links: Vec<VirtualLink>,
     /// What it must keep.
     pub kpis: Kpis,
+    /// Where a robot's requests go, of instances of the bundled VNFs.
+    #[serde(default, skip_serializing_if = "Requests::are_usual")]
+    pub requests: Requests,
+}
+
+/// Where requests to a VNF go that has several instances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Requests {
+    /// To the first that serves.
+    #[default]
+    One,
+    /// To the one that serves with the least delay from the robot.
+    Nearest,
+    /// To all that serve; the first answer wins.
+    All,
+}
+
+impl Requests {
+    fn are_usual(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// A virtual network function.
@@ -41,8 +65,8 @@ pub struct Vnf {
     pub memory_bytes: u64,
     /// The one node that can carry it, if it cannot move.
     pub pinned_to: Option<NodeId>,
-    /// Where it runs at the start; the pinned one if it is pinned.
-    pub node: NodeId,
+    /// Where it runs at the start, each instance on a node of its own; the pinned one if it is pinned.
+    pub node: Nodes,
     /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,

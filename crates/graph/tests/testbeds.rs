@@ -49,9 +49,9 @@ fn corridor_service_and_walk() {
         service.vnfs.iter().map(|v| &v.program).collect::<Vec<_>>(),
         [&Program::RobotDriver, &Program::Navigation]
     );
-    assert_eq!(service.vnfs[1].node, "cloud");
+    assert_eq!(service.vnfs[1].node.only().unwrap(), "cloud");
     let localization = &corridor.services[1].vnfs[1];
-    assert_eq!((&localization.program, localization.node.as_str()), (&Program::Localization, "edge"));
+    assert_eq!((&localization.program, localization.node.first().as_str()), (&Program::Localization, "edge"));
     // It fits beside navigation wherever that goes.
     for server in ["fog", "edge", "cloud"] {
         let capacity = corridor.graph.node(&id(server)).unwrap().capacity().unwrap();

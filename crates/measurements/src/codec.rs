@@ -68,9 +68,13 @@ pub(crate) const fn table(kind: Kind) -> Table {
             series: &["link", "direction"],
             children: None,
         },
-        Kind::Placement => Table { columns: &["vnf", "node"], series: &["vnf"], children: None },
+        Kind::Placement => Table {
+            columns: &["vnf", "node"],
+            series: &["vnf"],
+            children: Some(("replica_node", &["node"])),
+        },
         Kind::VirtualLink => Table {
-            columns: &["from_vnf", "to_vnf", "path"],
+            columns: &["from_vnf", "to_vnf", "path", "others"],
             series: &["from_vnf", "to_vnf"],
             children: Some(("hop", &["link"])),
         },
@@ -88,7 +92,9 @@ pub(crate) const fn table(kind: Kind) -> Table {
         Kind::PluginFault => plain(&["plugin", "reason"]),
         Kind::Lateness => plain(&["frames", "p50_us", "p99_us", "max_us"]),
         Kind::Notice => plain(&["message"]),
-        Kind::AnswersRejected => plain(&["robot", "late", "forged", "repeated", "unknown", "invalid"]),
+        Kind::AnswersRejected => {
+            plain(&["robot", "late", "forged", "repeated", "unknown", "invalid", "redundant"])
+        }
         Kind::Sensor => Table {
             columns: &["robot", "sensor", "measured_ns"],
             series: &["robot", "sensor"],

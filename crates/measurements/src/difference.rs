@@ -175,8 +175,8 @@ struct Side {
     links: BTreeMap<LinkOf, Links>,
     handovers: BTreeMap<HandoverOf, (u64, u64, Gathered)>,
     placements: BTreeMap<PlacementOf, Placements>,
-    /// Where each VNF is.
-    placed: BTreeMap<VnfId, (NodeId, Timestamp)>,
+    /// Where each VNF is, and since when.
+    placed: BTreeMap<VnfId, BTreeMap<NodeId, Timestamp>>,
     decisions: BTreeMap<DecisionOf, Decisions>,
     vnfs: BTreeMap<VnfOf, Vnfs>,
     doubts: Doubts,
@@ -260,8 +260,8 @@ impl Side {
             }
         }
         let end = run.ended.unwrap_or(side.last);
-        for (vnf, (node, since)) in std::mem::take(&mut side.placed) {
-            side.stayed(vnf, node, since, end);
+        for (vnf, nodes) in std::mem::take(&mut side.placed) {
+            nodes.into_iter().for_each(|(node, since)| side.stayed(vnf.clone(), node, since, end));
         }
         Ok(side)
     }
@@ -276,12 +276,22 @@ impl Side {
         let ms = |took: Duration| took.as_secs_f64() * 1e3;
         match event {
             Event::Placement(placement) => {
-                let (vnf, node) = (placement.vnf, placement.node);
-                if let Some((before, since)) = self.placed.insert(vnf.clone(), (node.clone(), at)) {
-                    self.stayed(vnf.clone(), before, since, at);
+                let (vnf, nodes) = (placement.vnf, placement.node.all());
+                let mut before = self.placed.remove(&vnf).unwrap_or_default();
+                let mut placed = BTreeMap::new();
+                for node in nodes {
+                    // Others of its instances came or went.
+                    let stays = nodes.len() > 1 || before.len() > 1;
+                    let since = if stays { before.remove(node) } else { None };
+                    placed.insert(node.clone(), since.unwrap_or(at));
+                    if since.is_none() {
+                        let of = PlacementOf { vnf: vnf.clone(), node: node.clone() };
+                        let new = Placements { count: 0, first: at, duration_ms: 0.0 };
+                        self.placements.entry(of).or_insert(new).count += 1;
+                    }
                 }
-                let new = Placements { count: 0, first: at, duration_ms: 0.0 };
-                self.placements.entry(PlacementOf { vnf, node }).or_insert(new).count += 1;
+                before.into_iter().for_each(|(node, since)| self.stayed(vnf.clone(), node, since, at));
+                self.placed.insert(vnf, placed);
             }
             Event::ServiceTime(time) => {
                 let service = ServiceOf { service: time.service.clone(), robot: time.robot.clone() };

@@ -571,7 +571,7 @@ mod tests {
         });
         let decision = Event::Decision(Decision {
             plugin: PluginId::new("okpi").unwrap(),
-            instruction: Instruction::Place { vnf: VnfId::new("brain").unwrap(), node: node("edge") },
+            instruction: Instruction::Place { vnf: VnfId::new("brain").unwrap(), node: node("edge").into() },
             reason: Some("delay".to_owned()),
             refused: None,
         });
@@ -624,5 +624,30 @@ mod tests {
         assert_eq!(told.doubts[0].lateness_p99_us, Some(7.0));
         let json = serde_json::to_string(&told).unwrap();
         assert_eq!(serde_json::from_str::<Difference>(&json).unwrap(), told);
+    }
+
+    #[test]
+    fn of_several_instances_each_node_has_the_time_of_its_own() {
+        use cotorra_graph::{Nodes, VnfId};
+        let placed = |seconds: u64, nodes: &[&str]| Stamped {
+            at: Timestamp::from_nanos(seconds * 1_000_000_000),
+            event: Event::Placement(Placement {
+                vnf: VnfId::new("brain").unwrap(),
+                node: Nodes::new(nodes.iter().map(|name| NodeId::new(name).unwrap()).collect()).unwrap(),
+            }),
+        };
+        let last = placed(6, &["edge", "cloud"]);
+        let (history, run) =
+            recorded(&[placed(0, &["fog"]), placed(2, &["fog", "edge"]), placed(5, &["edge"]), last.clone()]);
+        history.end_run(run, Timestamp::from_nanos(10_000_000_000)).unwrap();
+        let told = history.difference(run, run).unwrap().placements;
+        let times = told.iter().map(|entry| {
+            let of = entry.runs[0].as_ref().unwrap();
+            (entry.of.node.as_str(), of.count, of.duration_ms)
+        });
+        assert_eq!(times.collect::<Vec<_>>(), [("cloud", 1, 4e3), ("edge", 1, 8e3), ("fog", 1, 5e3)]);
+        let state = history.state_at(run, Timestamp::from_nanos(7_000_000_000)).unwrap();
+        let Event::Placement(value) = last.event else { unreachable!() };
+        assert_eq!(state.placements.iter().map(|sample| &sample.value).collect::<Vec<_>>(), [&value]);
     }
 }

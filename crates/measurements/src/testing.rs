@@ -6,12 +6,7 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm,
-    Decision, Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution,
-    Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose,
-    PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault,
-    Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested,
-    ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -38,7 +33,10 @@ pub fn notice(at: u64, message: &str) -> Stamped {
 
 pub fn placement(at: u64, vnf: &str, node: &str) -> Stamped {
     let (vnf, node) = (VnfId::new(vnf).unwrap(), NodeId::new(node).unwrap());
-    Stamped { at: Timestamp::from_nanos(at), event: Event::Placement(Placement { vnf, node }) }
+    Stamped {
+        at: Timestamp::from_nanos(at),
+        event: Event::Placement(Placement { vnf, node: NodeId::into(node) }),
+    }
 }
 
 /// Any number but NaN, which equals nothing.
@@ -267,7 +265,7 @@ fn instruction() -> impl Strategy<Value = Instruction> {
         }),
         node().prop_map(|robot| Instruction::Scan { robot }),
         (node(), node()).prop_map(|(robot, radio_unit)| Instruction::Attach { robot, radio_unit }),
-        (vnf(), node()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
+        (vnf(), nodes()).prop_map(|(vnf, node)| Instruction::Place { vnf, node }),
         (node(), node(), vec(link(), 0..4)).prop_map(|(from, to, links)| Instruction::Map {
             from,
             to,
@@ -296,6 +294,17 @@ fn instruction() -> impl Strategy<Value = Instruction> {
             Instruction::TestThroughput { link, direction, test }
         }),
     ]
+}
+
+/// One node or several.
+fn nodes() -> impl Strategy<Value = Nodes> {
+    proptest::collection::btree_set(node(), 1..4)
+        .prop_map(|nodes| Nodes::new(nodes.into_iter().rev().collect()).unwrap())
+}
+
+fn instance_path() -> impl Strategy<Value = InstancePath> {
+    (node(), node(), vec(link(), 0..4), select(PathKind::ALL.to_vec()))
+        .prop_map(|(from, to, links, path)| InstancePath { from, to, links, path })
 }
 
 fn access_point() -> impl Strategy<Value = AccessPoint> {
@@ -352,10 +361,11 @@ pub fn event() -> impl Strategy<Value = Event> {
         robot_context().prop_map(Event::Robot),
         radio_context().prop_map(Event::Radio),
         link_context().prop_map(Event::Link),
-        (vnf(), node()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
-        (vnf(), vnf(), vec(link(), 0..4), select(PathKind::ALL.to_vec())).prop_map(
-            |(from, to, links, path)| Event::VirtualLink(VirtualLinkMapping { from, to, links, path })
-        ),
+        (vnf(), nodes()).prop_map(|(vnf, node)| Event::Placement(Placement { vnf, node })),
+        (vnf(), vnf(), instance_path(), vec(instance_path(), 0..3)).prop_map(|(from, to, first, others)| {
+            let InstancePath { links, path, .. } = first;
+            Event::VirtualLink(VirtualLinkMapping { from, to, links, path, others })
+        }),
         service_time().prop_map(Event::ServiceTime),
         (node(), of(node()), node(), any::<bool>(), duration()).prop_map(|(robot, from, to, fast, gap)| {
             Event::Handover(Handover { robot, from, to, fast, gap })
@@ -372,8 +382,10 @@ pub fn event() -> impl Strategy<Value = Event> {
         reading().prop_map(Event::Sensor),
         node().prop_map(|robot| Event::WalkFinished { robot }),
         ".*".prop_map(|message| Event::Notice { message }),
-        (node(), any::<[u64; 5]>()).prop_map(|(robot, [late, forged, repeated, unknown, invalid])| {
-            Event::AnswersRejected(AnswersRejected { robot, late, forged, repeated, unknown, invalid })
+        (node(), any::<[u64; 6]>()).prop_map(|(robot, counts)| {
+            let [late, forged, repeated, redundant, unknown, invalid] = counts;
+            let counts = AnswersRejected { robot, late, forged, repeated, redundant, unknown, invalid };
+            Event::AnswersRejected(counts)
         }),
     ]
 }

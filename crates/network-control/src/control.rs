@@ -1,12 +1,12 @@
 //! What Network Control offers to plug-ins and to the API: contexts of the network, and changes to it.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
-    Attachment, ConditionChange, Direction, Event, Instruction, Lateness, LinkContext, LinkId, NodeId,
-    PathKind, Placement, Position, Testbed, ThroughputTest, Timestamp, VirtualLink, VirtualLinkMapping,
-    VnfId,
+    Attachment, ConditionChange, Direction, Event, InstancePath, Instruction, Lateness, LinkContext, LinkId,
+    NodeId, PathKind, Placement, Position, Testbed, ThroughputTest, Timestamp, VirtualLink,
+    VirtualLinkMapping, VnfId,
 };
 
 use crate::{
@@ -157,9 +157,38 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.all_ready()
     }
 
-    /// The node on which a VNF runs.
+    /// The node on which a VNF runs; of several, the one that is preferred.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
         self.vim.node(vnf)
+    }
+
+    /// The nodes of a VNF's instances that serve, in the order in which they are preferred.
+    pub fn serving(&self, vnf: &VnfId) -> Vec<&NodeId> {
+        self.vim.serving(vnf)
+    }
+
+    /// Returns the nodes of each VNF's instances by their delay from a host, the nearest first: of the links on the way as
+    /// they are now, there and back. Of several with the same delay, the one over fewer links is nearer, then the first by
+    /// name.
+    ///
+    /// # Errors
+    /// [`NetworkGone`].
+    pub fn by_distance(&self, pairs: Vec<(NodeId, VnfId)>) -> Result<Vec<Vec<NodeId>>, NetworkGone> {
+        let known = |(from, vnf): (NodeId, VnfId)| (from, self.vim.nodes(&vnf).cloned().collect());
+        let pairs: Vec<(NodeId, Vec<NodeId>)> = pairs.into_iter().map(known).collect();
+        self.network.with(move |fabric, _| {
+            let near = |(from, nodes): (NodeId, Vec<NodeId>)| {
+                let distance = |node: &NodeId| {
+                    let (delay, links) =
+                        fabric.round_trip(&from, node).unwrap_or((Duration::MAX, usize::MAX));
+                    (delay, links, node.clone())
+                };
+                let mut nodes = nodes;
+                nodes.sort_by_cached_key(distance);
+                nodes
+            };
+            pairs.into_iter().map(near).collect()
+        })
     }
 
     /// a(n) of all nodes.
@@ -167,7 +196,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.placements()
     }
 
-    /// Returns every VNF with its instances, by name.
+    /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.vim.managed()
     }
@@ -284,25 +313,30 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         let both =
             self.virtual_links.iter().flat_map(|link| [(&link.from, &link.to), (&link.to, &link.from)]);
         let wanted: BTreeMap<_, _> = both
-            .filter_map(|(from, to)| {
-                let ends = (self.vim.node(from)?.clone(), self.vim.node(to)?.clone());
-                Some(((from.clone(), to.clone()), ends))
+            .map(|(from, to)| {
+                let ends = self.vim.nodes(from).flat_map(|a| self.vim.nodes(to).map(move |b| (a, b)));
+                ((from.clone(), to.clone()), ends.map(|(a, b)| (a.clone(), b.clone())).collect::<Vec<_>>())
             })
             .collect();
         let routes: Vec<_> = self.network.with(move |fabric, _| {
-            let route = |(key, ends): (_, (NodeId, NodeId))| {
-                (key, fabric.route(&ends.0, &ends.1).unwrap_or_default(), ends)
-            };
-            wanted.into_iter().map(route).collect()
+            let route = |(a, b): (NodeId, NodeId)| (fabric.route(&a, &b).unwrap_or_default(), a, b);
+            let routes = |(key, ends): (_, Vec<_>)| (key, ends.into_iter().map(route).collect::<Vec<_>>());
+            wanted.into_iter().map(routes).collect()
         })?;
         let mut events = Vec::new();
-        for (key, links, (from, to)) in routes {
-            let path = match self.mappings.get(&from, &to) {
-                None => PathKind::Shortest,
-                Some(mapping) if mapping.is_used() && mapping.links == links => PathKind::Mapped,
-                Some(_) => PathKind::Fallback,
+        for (key, routes) in routes {
+            let path = |(links, from, to): (Vec<LinkId>, NodeId, NodeId)| {
+                let path = match self.mappings.get(&from, &to) {
+                    None => PathKind::Shortest,
+                    Some(mapping) if mapping.is_used() && mapping.links == links => PathKind::Mapped,
+                    Some(_) => PathKind::Fallback,
+                };
+                InstancePath { from, to, links, path }
             };
-            let mapping = VirtualLinkMapping { from: key.0.clone(), to: key.1.clone(), links, path };
+            let mut paths = routes.into_iter().map(path);
+            let Some(InstancePath { links, path, .. }) = paths.next() else { continue };
+            let (from, to) = key.clone();
+            let mapping = VirtualLinkMapping { from, to, links, path, others: paths.collect() };
             if self.told.get(&key) != Some(&mapping) {
                 self.told.insert(key, mapping.clone());
                 events.push(Event::VirtualLink(mapping));

@@ -83,9 +83,11 @@ impl Encoder {
             Event::ServiceTime(sample) => self.service_time(at, sample, out),
             Event::Handover(handover) => self.handover(at, handover, out),
             Event::Placement(placement) => {
-                self.placements.insert(placement.vnf.clone(), placement.node.clone());
-                let (vnf, node) = (placement.vnf.to_string(), placement.node.to_string());
-                let message = messages::Placement { header: Header::new(at, ""), vnf, node };
+                self.placements.insert(placement.vnf.clone(), placement.node.first().clone());
+                let mut nodes = placement.node.all().iter().map(ToString::to_string);
+                let (vnf, node) = (placement.vnf.to_string(), nodes.next().unwrap_or_default());
+                let others = nodes.collect();
+                let message = messages::Placement { header: Header::new(at, ""), vnf, node, others };
                 self.tell("/placement", at, &message, out);
             }
             Event::VirtualLink(mapping) => {

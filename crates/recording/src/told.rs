@@ -27,10 +27,11 @@ pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
         }
         Event::Detached { robot, from } => (WARN, robot.as_str(), format!("lost {from}")),
         Event::AnswersRejected(counts) => {
-            let AnswersRejected { robot, late, forged, repeated, unknown, invalid } = counts;
+            let AnswersRejected { robot, late, forged, repeated, redundant, unknown, invalid } = counts;
             let level = if *forged > 0 { WARN } else { INFO };
             let counts = format!(
-                "rejected {late} late, {forged} forged, {repeated} repeated, {unknown} unknown and {invalid} invalid answers"
+                "rejected {late} late, {forged} forged, {repeated} repeated, {redundant} redundant, {unknown} unknown and {invalid} \
+                 invalid answers"
             );
             (level, robot.as_str(), counts)
         }

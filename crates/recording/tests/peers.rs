@@ -53,12 +53,13 @@ fn pose(x: f64, y: f64, heading: f64) -> Pose {
 fn events() -> Vec<Event> {
     let velocity = Velocity::planar(0.25, -0.5);
     vec![
-        Event::Placement(Placement { vnf: vnf("navigation"), node: node("edge") }),
+        Event::Placement(Placement { vnf: vnf("navigation"), node: node("edge").into() }),
         Event::VirtualLink(VirtualLinkMapping {
             from: vnf("driver"),
             to: vnf("navigation"),
             links: vec![LinkId::new("tb2~R-1").unwrap(), LinkId::new("R-1-edge").unwrap()],
             path: PathKind::Mapped,
+            others: Vec::new(),
         }),
         Event::Vnf(VnfEvent {
             vnf: vnf("navigation"),

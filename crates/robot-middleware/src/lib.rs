@@ -6,6 +6,7 @@
 //! [`RosDriver`], which has a [`RosRobot`] at the other end of a [`RosLink`].
 #![forbid(unsafe_code)]
 
+mod asked;
 mod battery;
 mod driver;
 mod errand;
@@ -34,6 +35,7 @@ mod simulated;
 mod watch;
 mod world;
 
+pub use asked::Addressed;
 pub use driver::{CommandRefused, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use lidar::Scan;

@@ -16,6 +16,7 @@ use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
 
 use crate::{
+    asked::{Addressed, Asked},
     driver::{CommandRefused, RobotDriver},
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
@@ -37,10 +38,9 @@ const REJECTIONS: Duration = Duration::from_secs(1);
 pub struct Route {
     /// The radio unit that the robot is attached to; `None` if it is to none.
     pub attachment: Option<NodeId>,
-    /// The node that runs the navigation VNF.
-    pub server: NodeId,
-    /// Where that one listens; `None` if nobody can answer.
-    pub address: Option<SocketAddrV4>,
+    /// The nodes of the navigation VNF's instances that are asked, one at least, and where they listen; `None` where nobody
+    /// can answer.
+    pub servers: Vec<(NodeId, Option<SocketAddrV4>)>,
 }
 
 /// Why a robot was not moved, or does not take a report.
@@ -411,13 +411,13 @@ impl RobotMiddleware {
         }
     }
 
-    /// A position packet that is due, to be sent along the route that `route` tells of its robot; `None` when no
-    /// more are. Its emission is `now`: call it right before sending.
+    /// A position packet that is due, to be sent along the route that `route` tells of its robot, to each that is asked;
+    /// `None` when no more are. Its emission is `now`: call it right before sending.
     pub fn poll_position(
         &mut self,
         now: Timestamp,
         route: impl FnOnce(&NodeId) -> Route,
-    ) -> Option<PositionPacket> {
+    ) -> Option<Addressed<PositionPacket>> {
         let is_due = |robot: &NodeId| {
             let service = self.robots.get(robot).and_then(|managed| managed.service.as_ref());
             service.is_some_and(|service| service.is_due(now))
@@ -429,7 +429,7 @@ impl RobotMiddleware {
             let service = managed.service.as_mut()?;
             // Where a robot is that is not well, nobody knows; and it would not follow the answer.
             if managed.driver.health().is_empty() {
-                let packet = service.emit(now, &pose, route(&robot), self.nonces.draw());
+                let packet = service.emit(now, &pose, route(&robot), &mut self.nonces);
                 self.note_due(&robot);
                 return packet;
             }
@@ -439,23 +439,26 @@ impl RobotMiddleware {
         None
     }
 
-    /// A scan that is due, and where it is to be sent; `None` when no more are. Its emission is `now`. `address` tells where a
-    /// robot's localization VNF listens: where none does, the scan is left out.
+    /// A scan that is due, and where it is to be sent; `None` when no more are. Its emission is `now`. `addresses` tells
+    /// where the instances of a robot's localization VNF listen that are asked: where none does, the scan is left out.
     ///
     /// It goes out while no position packet is under way, if such a moment comes soon: it is ten times as long as one, and
     /// would hold one up on the air.
     pub fn poll_localization(
         &mut self,
         now: Timestamp,
-        address: impl Fn(&NodeId) -> Option<SocketAddrV4>,
-    ) -> Option<(SocketAddrV4, ScanPacket)> {
+        addresses: impl Fn(&NodeId) -> Vec<SocketAddrV4>,
+    ) -> Option<Addressed<ScanPacket>> {
         self.due_by(now).into_iter().find_map(|robot| {
             let managed = self.robots.get_mut(&robot)?;
             let quiet = managed.is_quiet();
-            let (to, nonce) = (address(&robot), self.nonces.draw());
-            let packet = managed.localization.as_mut()?.endpoint.emit(now, quiet, to, nonce)?;
+            let endpoint = &mut managed.localization.as_mut()?.endpoint;
+            endpoint.next_deadline(quiet).filter(|at| *at <= now)?;
+            let asked = Asked::of(addresses(&robot).into_iter().map(Some), &mut self.nonces);
+            let copies = asked.copies();
+            let packet = endpoint.emit(now, quiet, asked)?;
             self.note_due(&robot);
-            Some((to?, packet))
+            (!copies.is_empty()).then_some(Addressed { packet, copies })
         })
     }
 

@@ -14,6 +14,9 @@ pub enum Rejection {
     /// It answers a packet that was answered.
     #[error("the answer is repeated")]
     Repeated,
+    /// It answers a packet that went to several instances, of which another answered first.
+    #[error("another instance answered first")]
+    Redundant,
     /// It answers no packet of this robot's.
     #[error("the answer is to no packet that is known")]
     Unknown,
@@ -29,6 +32,7 @@ impl Rejection {
             Self::Late => &mut counts.late,
             Self::Forged => &mut counts.forged,
             Self::Repeated => &mut counts.repeated,
+            Self::Redundant => &mut counts.redundant,
             Self::Unknown => &mut counts.unknown,
             Self::Invalid => &mut counts.invalid,
         } += 1;

@@ -8,14 +8,22 @@ use cotorra_graph::{
 };
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
-use crate::{errand::Errand, middleware::Route, random::Stream, rejection::Rejection};
+use crate::{
+    asked::{Addressed, Asked},
+    errand::Errand,
+    middleware::Route,
+    nonce::Nonces,
+    random::Stream,
+    rejection::Rejection,
+};
 
 /// The robot's end of the navigation service, as a state machine.
 ///
-/// A position packet is answered within the robot's command timeout, by whom it was sent to and with its nonce, or counts as
-/// unanswered. Each is measured once. The robot follows an answer only if it is to a newer position packet than any that it
-/// followed before: one that was overtaken is measured and not followed. So is one to a packet from before the robot was
-/// given another goal, or none. Everything else is rejected ([`Rejection`]).
+/// A position packet is answered within the robot's command timeout, by whom it was sent to and with its nonce, or
+/// counts as unanswered. Each is measured once: of several that were asked, the first that answers. The robot follows an
+/// answer only if it is to a newer position packet than any that it followed before: one that was overtaken is measured
+/// and not followed. So is one to a packet from before the robot was given another goal, or none. Everything else is
+/// rejected ([`Rejection`]).
 #[derive(Debug, Clone)]
 pub struct ServiceEndpoint {
     service: ServiceId,
@@ -44,16 +52,18 @@ pub struct ServiceEndpoint {
 struct Pending {
     sequence: u32,
     emitted: Timestamp,
-    nonce: u64,
-    route: Route,
+    asked: Asked,
+    attachment: Option<NodeId>,
+    /// The nodes of those that were asked.
+    servers: Vec<NodeId>,
     /// How often the goal had changed, and whether there was one.
     errand: (u32, bool),
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Past {
     sequence: u32,
-    nonce: u64,
+    asked: Asked,
     answered: bool,
 }
 
@@ -160,9 +170,15 @@ impl ServiceEndpoint {
         !self.is_idle() && self.next_emission <= now
     }
 
-    /// The position packet that is due at `now`, if one is, with the robot's pose then; it takes the route given. One that is due for more than
-    /// an interval is not made up for.
-    pub fn emit(&mut self, now: Timestamp, pose: &Pose, route: Route, nonce: u64) -> Option<PositionPacket> {
+    /// The position packet that is due at `now`, if one is, with the robot's pose then; it takes the route given, with a
+    /// nonce for each that is asked. One that is due for more than an interval is not made up for.
+    pub fn emit(
+        &mut self,
+        now: Timestamp,
+        pose: &Pose,
+        route: Route,
+        nonces: &mut Nonces,
+    ) -> Option<Addressed<PositionPacket>> {
         if !self.is_due(now) {
             return None;
         }
@@ -171,8 +187,12 @@ impl ServiceEndpoint {
         self.sequence = sequence.wrapping_add(1);
         let goal = self.errand.as_ref().map(Errand::goal);
         let errand = (self.errands, goal.is_some());
-        self.pending.push_back(Pending { sequence, emitted: now, nonce, route, errand });
-        Some(PositionPacket {
+        let Route { attachment, servers } = route;
+        let asked = Asked::of(servers.iter().map(|(_, address)| *address), nonces);
+        let servers = servers.into_iter().map(|(server, _)| server).collect();
+        let (nonce, copies) = (asked.nonce(), asked.copies());
+        self.pending.push_back(Pending { sequence, emitted: now, asked, attachment, servers, errand });
+        let packet = PositionPacket {
             sequence,
             emitted: now,
             nonce,
@@ -180,7 +200,8 @@ impl ServiceEndpoint {
             goal,
             robot: self.robot.clone(),
             pose: pose.into(),
-        })
+        };
+        Some(Addressed { packet, copies })
     }
 
     /// Leaves out what is due at `now`.
@@ -205,25 +226,23 @@ impl ServiceEndpoint {
         packet: &NavigationPacket,
     ) -> Result<Answer, Rejection> {
         let Some(place) = self.pending.iter().position(|p| p.sequence == packet.sequence) else {
-            return Err(self.reject_past(packet));
+            return Err(self.reject_past(from, packet));
         };
-        let asked = &self.pending[place];
-        let is_answer = (asked.nonce, asked.emitted) == (packet.nonce, packet.emitted);
-        if !is_answer || asked.route.address != Some(from) {
-            return Err(Rejection::Forged);
-        }
-        let took = now.since(asked.emitted);
+        let pending = &self.pending[place];
+        let by = pending.asked.answered_by(from, packet.nonce).filter(|_| pending.emitted == packet.emitted);
+        let by = by.ok_or(Rejection::Forged)?;
+        let took = now.since(pending.emitted);
         if took >= self.timeout {
             // It is given up at the next `expire`.
             return Err(Rejection::Late);
         }
-        if packet.headway.is_some() != asked.errand.1 {
+        if packet.headway.is_some() != pending.errand.1 {
             return Err(Rejection::Invalid);
         }
-        let pending = self.pending.remove(place).expect("`position` found it there");
-        self.remember(&pending, true);
+        let mut pending = self.pending.remove(place).expect("`position` found it there");
         let of_this_errand = pending.errand.0 == self.errands;
-        let service_time = self.measured(pending, Some(took));
+        pending.asked.hear(by);
+        let service_time = self.measured(pending, Some((by, took)));
         let mut answer = Answer { service_time, velocity: None, finished: false, goal: None };
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
         if !newest || !of_this_errand {
@@ -245,38 +264,41 @@ impl ServiceEndpoint {
     }
 
     /// Why an answer is rejected that is to no packet under way.
-    fn reject_past(&self, packet: &NavigationPacket) -> Rejection {
-        match self.past.iter().find(|past| past.sequence == packet.sequence) {
+    fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> Rejection {
+        match self.past.iter_mut().find(|past| past.sequence == packet.sequence) {
             None => Rejection::Unknown,
-            Some(past) if past.nonce != packet.nonce => Rejection::Forged,
-            Some(past) if past.answered => Rejection::Repeated,
+            Some(past) if !past.asked.has_nonce(packet.nonce) => Rejection::Forged,
+            Some(past) if past.answered => past.asked.hear_again(from, packet.nonce),
             Some(_) => Rejection::Late,
         }
-    }
-
-    fn remember(&mut self, pending: &Pending, answered: bool) {
-        if self.past.len() == Self::REMEMBERED {
-            self.past.pop_front();
-        }
-        self.past.push_back(Past { sequence: pending.sequence, nonce: pending.nonce, answered });
     }
 
     /// Gives up the oldest position packet that was not answered in time; `None` if there is none.
     pub fn expire(&mut self, now: Timestamp) -> Option<ServiceTime> {
         let pending = self.pending.pop_front_if(|p| now.since(p.emitted) >= self.timeout)?;
-        self.remember(&pending, false);
         Some(self.measured(pending, None))
     }
 
-    fn measured(&self, pending: Pending, took: Option<Duration>) -> ServiceTime {
+    /// What became of a packet, which is remembered: the answer of one of those that were asked, after so long, or none.
+    fn measured(&mut self, mut pending: Pending, answer: Option<(usize, Duration)>) -> ServiceTime {
+        if self.past.len() == Self::REMEMBERED {
+            self.past.pop_front();
+        }
+        let (by, took) = answer.unzip();
+        self.past.push_back(Past {
+            sequence: pending.sequence,
+            asked: pending.asked,
+            answered: took.is_some(),
+        });
         ServiceTime {
             service: self.service.clone(),
             robot: self.robot.clone(),
             sequence: pending.sequence,
             emitted: pending.emitted,
             took,
-            attachment: pending.route.attachment,
-            server: pending.route.server,
+            attachment: pending.attachment,
+            // Without an answer, the one that was preferred.
+            server: pending.servers.swap_remove(by.unwrap_or(0)),
         }
     }
 }

@@ -10,6 +10,7 @@ use std::{
 use cotorra_datapath::Confinement;
 use cotorra_graph::{Granted, Program, Rights, Testbed, Vnf};
 use cotorra_measurements::Location;
+use cotorra_network_control::vim::replica_name;
 
 use crate::{
     report::{Place, RunFolder},
@@ -69,14 +70,14 @@ impl Confined {
         &self.folder
     }
 
-    /// What confines a VNF, if anything does.
-    pub(crate) fn of(&self, vnf: &Vnf) -> io::Result<Option<Confinement>> {
+    /// What confines an instance of a VNF, if anything does. Each replica has a home of its own.
+    pub(crate) fn of(&self, vnf: &Vnf, replica: u32) -> io::Result<Option<Confinement>> {
         let (Program::Command(_), Rights::Confined(Granted { capabilities, readable })) =
             (&vnf.program, &vnf.rights)
         else {
             return Ok(None);
         };
-        let home = self.homes.join(vnf.id.as_str());
+        let home = self.homes.join(replica_name(&vnf.id, replica));
         // Nobody else may look in: what a VNF of root's makes there is root's, whatever its mode.
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&home)?;
         let shown = std::iter::once(self.folder.clone());

@@ -10,17 +10,20 @@ use std::{
 
 use cotorra_graph::{
     Attachment, Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, Stamped,
-    Testbed, Timestamp, VnfId,
+    Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{
     Network, NetworkControl, NetworkGone, Refused,
     vim::{Engine, Managed},
 };
-use cotorra_plugin::wire::{self, Answer};
-use cotorra_robot_middleware::{Nonces, RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot};
+use cotorra_plugin::wire::Answer;
+use cotorra_robot_middleware::{
+    Addressed, Nonces, RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot,
+};
 
 use crate::{
+    answerers::Answerer,
     domain::Domains,
     plugins::host::{Controlled, Fault},
     robots::RobotError,
@@ -57,10 +60,12 @@ pub(crate) struct Core<N, E> {
     domains: Domains,
     middleware: RobotMiddleware,
     control: NetworkControl<N, E>,
-    /// The navigation VNF of each robot, and its port.
-    navigators: BTreeMap<NodeId, (VnfId, u16)>,
-    /// The localization VNF of each robot that has one, and its port.
-    localizers: BTreeMap<NodeId, (VnfId, u16)>,
+    /// The navigation VNF of each robot.
+    navigators: BTreeMap<NodeId, Answerer>,
+    /// The localization VNF of each robot that has one.
+    localizers: BTreeMap<NodeId, Answerer>,
+    /// Datagrams that are to be sent at once.
+    outbox: VecDeque<Datagram>,
     /// φ of each robot as last seen.
     attachments: BTreeMap<NodeId, Vec<Attachment>>,
     events: VecDeque<Stamped>,
@@ -89,8 +94,7 @@ impl<N: Network, E: Engine> Core<N, E> {
     ) -> Result<Self, RobotError> {
         let of_robots = |program: Program| {
             let of_service = |service: &cotorra_graph::Service| {
-                let vnf = service.vnfs.iter().find(|vnf| vnf.program == program)?;
-                Some((service.robot.clone(), (vnf.id.clone(), wire::port(&testbed, &vnf.id)?)))
+                Some((service.robot.clone(), Answerer::of(&testbed, service, &program)?))
             };
             testbed.services.iter().filter_map(of_service).collect()
         };
@@ -99,6 +103,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             control: NetworkControl::new(&testbed, network, engine),
             navigators: of_robots(Program::Navigation),
             localizers: of_robots(Program::Localization),
+            outbox: VecDeque::new(),
             attachments: BTreeMap::new(),
             domains: Domains::new(&testbed),
             testbed,
@@ -162,6 +167,23 @@ impl<N: Network, E: Engine> Core<N, E> {
         let robots: Vec<_> = places.iter().map(|(robot, _)| robot.clone()).collect();
         let attachments = self.control.locate(places)?;
         self.attachments = robots.into_iter().zip(attachments).collect();
+        self.find_nearest()
+    }
+
+    /// Learns from the network which instances are near to robots, where that matters.
+    fn find_nearest(&mut self) -> Result<(), NetworkGone> {
+        let answerers =
+            || self.navigators.iter().chain(&self.localizers).filter(|(_, of)| of.is_by_distance());
+        let wanted: Vec<_> = answerers().map(|(robot, of)| (robot.clone(), of.vnf.clone())).collect();
+        if wanted.is_empty() {
+            return Ok(());
+        }
+        let nearest = self.control.by_distance(wanted)?;
+        let answerers = self.navigators.values_mut().chain(self.localizers.values_mut());
+        answerers
+            .filter(|of| of.is_by_distance())
+            .zip(nearest)
+            .for_each(|(of, nearest)| of.nearest = nearest);
         Ok(())
     }
 
@@ -177,40 +199,61 @@ impl<N: Network, E: Engine> Core<N, E> {
         if !self.begun {
             return None;
         }
-        self.poll_position(now).or_else(|| self.poll_scan_packet(now))
+        if self.outbox.is_empty() {
+            self.write_position(now);
+        }
+        if self.outbox.is_empty() {
+            self.write_scan_packet(now);
+        }
+        self.outbox.pop_front()
     }
 
-    fn poll_position(&mut self, now: Timestamp) -> Option<Datagram> {
-        loop {
-            let mut to = None;
-            let packet = self.middleware.poll_position(now, |robot| {
-                let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
-                let navigator = self.navigators.get(robot);
-                let server = navigator.and_then(|(vnf, _)| self.control.node(vnf));
+    fn write_position(&mut self, now: Timestamp) {
+        let route = |robot: &NodeId| {
+            let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
+            let to = |node: NodeId, port: u16| {
+                let address = address(&self.testbed, &node, port);
+                (node, address)
+            };
+            let servers = match self.navigators.get(robot) {
+                Some(of) => of.asked(&self.control).into_iter().map(|node| to(node, of.port)).collect(),
                 // Without a navigation VNF the robot talks to itself, and nobody answers.
-                let server = server.unwrap_or(robot).clone();
-                let port = navigator.map_or(DISCARD, |(_, port)| *port);
-                to = address(&self.testbed, &server, port);
-                Route { attachment: attached.map(|a| a.radio_unit.clone()), server, address: to }
-            })?;
-            let Some(to) = to else { continue };
-            let mut bytes = Vec::with_capacity(512);
-            packet.encode(&mut bytes);
-            return Some(Datagram { robot: packet.robot, to, bytes });
+                None => vec![to(robot.clone(), DISCARD)],
+            };
+            Route { attachment: attached.map(|a| a.radio_unit.clone()), servers }
+        };
+        while self.outbox.is_empty()
+            && let Some(Addressed { mut packet, copies }) = self.middleware.poll_position(now, route)
+        {
+            for (to, nonce) in copies {
+                packet.nonce = nonce;
+                let mut bytes = Vec::with_capacity(512);
+                packet.encode(&mut bytes);
+                self.outbox.push_back(Datagram { robot: packet.robot.clone(), to, bytes });
+            }
         }
     }
 
-    fn poll_scan_packet(&mut self, now: Timestamp) -> Option<Datagram> {
-        let (to, packet) = self.middleware.poll_localization(now, |robot| {
-            let (vnf, port) = self.localizers.get(robot)?;
-            address(&self.testbed, self.control.node(vnf)?, *port)
-        })?;
-        let mut bytes = Vec::with_capacity(1024);
-        packet.encode(&mut bytes);
-        Some(Datagram { robot: packet.robot, to, bytes })
+    fn write_scan_packet(&mut self, now: Timestamp) {
+        let addresses = |robot: &NodeId| {
+            let all = self.localizers.get(robot).map(|of| {
+                let nodes = of.asked(&self.control).into_iter();
+                nodes.filter_map(|node| address(&self.testbed, &node, of.port)).collect()
+            });
+            all.unwrap_or_default()
+        };
+        let Some(Addressed { mut packet, copies }) = self.middleware.poll_localization(now, addresses) else {
+            return;
+        };
+        for (to, nonce) in copies {
+            packet.nonce = nonce;
+            let mut bytes = Vec::with_capacity(1024);
+            packet.encode(&mut bytes);
+            self.outbox.push_back(Datagram { robot: packet.robot.clone(), to, bytes });
+        }
     }
 
-    /// Returns every VNF with its instances, by name.
+    /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.control.managed()
     }

@@ -8,8 +8,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, PluginId, RobotContext,
-    Stamped, Testbed, VirtualLinkMapping, VnfId,
+    AccessPoint, Decision, DomainId, Event, Handover, Instruction, LinkId, NodeId, Nodes, Placement,
+    PluginId, RobotContext, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 
 /// All domains of a testbed, and the plug-ins that are bound to one.
@@ -117,6 +117,15 @@ impl DomainView {
         self.vnfs.contains(vnf) || self.owns(node)
     }
 
+    /// a(n) of one of its VNFs, or of another's as far as that is on its nodes.
+    pub(crate) fn placement(&self, placement: &Placement) -> Option<Placement> {
+        if self.vnfs.contains(&placement.vnf) {
+            return Some(placement.clone());
+        }
+        let own = placement.node.all().iter().filter(|node| self.owns(node)).cloned().collect();
+        Some(Placement { vnf: placement.vnf.clone(), node: Nodes::new(own).ok()? })
+    }
+
     /// Whether it sees a link: one of the two ends is the domain's.
     pub(crate) fn sees_link(&self, link: &LinkId) -> bool {
         self.ends(link).is_some_and(|ends| ends.iter().any(|end| self.owns(end)))
@@ -150,6 +159,9 @@ impl DomainView {
         let seen = || {
             let mut mapping = mapping.clone();
             mapping.links.retain(|link| self.sees_link(link));
+            for other in &mut mapping.others {
+                other.links.retain(|link| self.sees_link(link));
+            }
             mapping
         };
         own.then(seen)
@@ -169,7 +181,7 @@ impl DomainView {
             // A radio unit knows its stations, whosever they are.
             Event::Radio(context) => self.owns(&context.radio_unit),
             Event::Link(context) => self.sees_link(&context.link),
-            Event::Placement(placement) => self.sees_vnf(&placement.vnf, &placement.node),
+            Event::Placement(placement) => return changed(Event::Placement(self.placement(placement)?)),
             Event::Vnf(vnf) => self.sees_vnf(&vnf.vnf, &vnf.node),
             Event::Goal(goal) => self.owns(&goal.robot),
             Event::Sensor(reading) => self.owns(&reading.robot),
@@ -220,7 +232,7 @@ impl DomainView {
             | Instruction::Provision { robot, .. } => node(robot),
             Instruction::Deploy { radio_unit, .. } | Instruction::Remove { radio_unit } => node(radio_unit),
             Instruction::Place { vnf, .. } if !self.vnfs.contains(vnf) => not_own(format!("the VNF `{vnf}`")),
-            Instruction::Place { node: to, .. } => node(to),
+            Instruction::Place { node: to, .. } => to.all().iter().try_for_each(node),
             Instruction::Map { from, to, links } => {
                 node(from)?;
                 node(to)?;

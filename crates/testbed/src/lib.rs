@@ -3,6 +3,7 @@
 //! [`Run::start`] is the way in, [`Run::finish`] the way out.
 #![forbid(unsafe_code)]
 
+mod answerers;
 mod api;
 mod bundled;
 mod carried;

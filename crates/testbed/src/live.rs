@@ -83,12 +83,14 @@ impl Live {
             Event::Vnf(event) => {
                 match event.state {
                     VnfState::Started => {
-                        let placement = Placement { vnf: event.vnf.clone(), node: event.node.clone() };
-                        now.placements.insert(event.vnf.clone(), placement);
+                        // What else is placed is told apart; of a vAP nothing is.
+                        let placed = || Placement { vnf: event.vnf.clone(), node: event.node.clone().into() };
+                        now.placements.entry(event.vnf.clone()).or_insert_with(placed);
                     }
                     // An instance that another node's took over from is stopped later.
                     VnfState::Stopped
-                        if now.placements.get(&event.vnf).is_some_and(|p| p.node == event.node) =>
+                        if now.placements.get(&event.vnf).and_then(|p| p.node.only())
+                            == Some(&event.node) =>
                     {
                         now.placements.remove(&event.vnf);
                     }

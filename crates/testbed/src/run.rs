@@ -535,6 +535,7 @@ impl Launcher for NodeLauncher {
     fn launch(
         &self,
         vnf: &Vnf,
+        replica: u32,
         node: &NodeId,
         mut command: Command,
         cgroups: Vec<PathBuf>,
@@ -543,7 +544,7 @@ impl Launcher for NodeLauncher {
         if matches!(vnf.program, Program::Command(_)) {
             command.current_dir(self.confined.folder());
         }
-        let confinement = self.confined.of(vnf)?;
+        let confinement = self.confined.of(vnf, replica)?;
         let options = SpawnOptions { cgroups, confinement: confinement.as_ref(), ..SpawnOptions::default() };
         let child = self.datapath.spawn(node, command, options).map_err(io::Error::other)?;
         Ok(Box::new(NodeProcess(child)))

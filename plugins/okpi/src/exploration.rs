@@ -554,7 +554,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         let Infrastructure { nodes, links } = self.decision.infrastructure;
         let placement = chain.iter().zip(&service.vnfs);
         let placement = placement
-            .map(|(label, vnf)| Placement { vnf: vnf.id.clone(), node: nodes[label.node].id.clone() })
+            .map(|(label, vnf)| Placement { vnf: vnf.id.clone(), node: nodes[label.node].id.clone().into() })
             .collect();
         let ways: Vec<Vec<usize>> = chain.iter().map(|label| self.links(label)).collect();
         let mut used = ways.concat();

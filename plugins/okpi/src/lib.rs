@@ -175,7 +175,7 @@ fn decide(
     let reason = reason(service, &placed, location);
     let paths = paths(service, &placed);
     for Placement { vnf, node } in placed.placement {
-        if now.wants_place(&vnf, &node) {
+        if now.wants_place(&vnf, node.first()) {
             actions.instruct_because(Instruction::Place { vnf, node }, &reason);
         }
     }
@@ -203,9 +203,10 @@ fn paths(service: &Service, placed: &Placed) -> BTreeMap<(NodeId, NodeId), Vec<L
         if links.is_empty() || service.virtual_links.iter().find(ends).is_none() {
             continue;
         }
-        paths.entry((a.node.clone(), b.node.clone())).or_insert_with(|| links.clone());
+        let (a, b) = (a.node.first(), b.node.first());
+        paths.entry((a.clone(), b.clone())).or_insert_with(|| links.clone());
         let back = || links.iter().rev().cloned().collect();
-        paths.entry((b.node.clone(), a.node.clone())).or_insert_with(back);
+        paths.entry((b.clone(), a.clone())).or_insert_with(back);
     }
     paths
 }
@@ -215,7 +216,7 @@ fn reason(service: &Service, placed: &Placed, location: Position) -> String {
     let attachment = placed.attachment.iter();
     let moved = placed.placement.iter().zip(&service.vnfs).filter(|(_, vnf)| vnf.pinned_to.is_none());
     let names: Vec<_> =
-        attachment.chain(moved.map(|(placement, _)| &placement.node)).map(NodeId::as_str).collect();
+        attachment.chain(moved.map(|(placement, _)| placement.node.first())).map(NodeId::as_str).collect();
     let (taken, slack) = (placed.service_time.as_secs_f64() * 1e3, placed.slack.service_time_ms);
     let spare = if slack < 0.0 { "too much" } else { "to spare" };
     let mut reason = format!(

@@ -8,8 +8,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Rate,
-    Scale, Service, ServiceId, Testbed, Trace, VnfEvent, VnfId, VnfState,
+    Conditions, Direction, Event, HardwareGraph, Instruction, LinkContext, LinkId, NodeId, NodeKind, Nodes,
+    Rate, Scale, Service, ServiceId, Testbed, Trace, VnfEvent, VnfId, VnfState,
 };
 
 use crate::model::{self, Infrastructure, Queue};
@@ -45,7 +45,7 @@ pub(crate) struct Now {
     pub(crate) graph: HardwareGraph,
     services: Arc<[Service]>,
     /// a(n).
-    placements: BTreeMap<VnfId, NodeId>,
+    placements: BTreeMap<VnfId, Nodes>,
     /// Where VNFs were asked to go and do not serve yet.
     moves: BTreeMap<VnfId, NodeId>,
     /// The radio units that robots were asked to attach to and are not with yet.
@@ -93,7 +93,7 @@ impl Now {
             }
             Event::Placement(placement) => {
                 let before = self.placements.insert(placement.vnf.clone(), placement.node.clone());
-                if self.end_move(&placement.vnf, &placement.node) {
+                if placement.node.only().is_some_and(|node| self.end_move(&placement.vnf, node)) {
                     Concerned::Others(&placement.vnf)
                 } else if before.as_ref() != Some(&placement.node) {
                     Concerned::All
@@ -129,7 +129,7 @@ impl Now {
             // What was refused or failed is asked for again at the next location, if it is wanted then.
             Event::Decision(decision) if decision.refused.is_some() => {
                 match &decision.instruction {
-                    Instruction::Place { vnf, node } => drop(self.end_move(vnf, node)),
+                    Instruction::Place { vnf, node } => drop(self.end_move(vnf, node.first())),
                     Instruction::Attach { robot, radio_unit } => self.end_handover(robot, radio_unit),
                     Instruction::Map { from, to, links } => {
                         let ends = (from.clone(), to.clone());
@@ -174,7 +174,7 @@ impl Now {
 
     /// Wants a VNF on a node: whether that has to be asked for, which is noted.
     pub(crate) fn wants_place(&mut self, vnf: &VnfId, node: &NodeId) -> bool {
-        let serves = self.placements.get(vnf) == Some(node);
+        let serves = self.placements.get(vnf).and_then(Nodes::only) == Some(node);
         match self.moves.get(vnf) {
             Some(under_way) if under_way == node => false,
             // A move that is given up ends without a word.
@@ -241,7 +241,8 @@ impl Now {
         for other in self.services.iter().filter(|other| other.id != service.id) {
             for vnf in &other.vnfs {
                 // While it moves it has two instances.
-                let at = self.placements.get(&vnf.id).into_iter().chain(self.moves.get(&vnf.id));
+                let placed = self.placements.get(&vnf.id).map_or(&[][..], Nodes::all);
+                let at = placed.iter().chain(self.moves.get(&vnf.id));
                 for &at in at.filter_map(|node| place.get(node)) {
                     nodes[at].cpus -= vnf.cpus;
                     nodes[at].memory_bytes = nodes[at].memory_bytes.saturating_sub(vnf.memory_bytes);
@@ -423,7 +424,7 @@ walks:
     }
 
     fn placed(vnf: &str, node: &str) -> Event {
-        Event::Placement(Placement { vnf: vnf_id(vnf), node: node_id(node) })
+        Event::Placement(Placement { vnf: vnf_id(vnf), node: node_id(node).into() })
     }
 
     fn handed_over(robot: &str, to: &str) -> Event {
@@ -457,7 +458,13 @@ walks:
         let mapping = |link: &str| {
             let links = vec![LinkId::new(link).unwrap()];
             let (from, to) = (vnf_id("q-driver"), vnf_id("q-brain"));
-            Event::VirtualLink(VirtualLinkMapping { from, to, links, path: PathKind::Shortest })
+            Event::VirtualLink(VirtualLinkMapping {
+                from,
+                to,
+                links,
+                path: PathKind::Shortest,
+                others: Vec::new(),
+            })
         };
         assert_eq!(concerned(&mut now, &mapping("lan-far")), ["first"]);
         assert!(concerned(&mut now, &mapping("lan-far")).is_empty());
@@ -550,7 +557,7 @@ walks:
         assert!(now.wants_place(&vnf, &far), "the move is given up");
         assert!(!now.wants_place(&vnf, &far));
         let failed = VnfEvent { vnf: vnf.clone(), node: near.clone(), state: VnfState::Failed, detail: None };
-        let refused = refused(Instruction::Place { vnf: vnf.clone(), node: near.clone() });
+        let refused = refused(Instruction::Place { vnf: vnf.clone(), node: near.clone().into() });
         for end in [refused, Event::Vnf(failed)] {
             assert!(now.wants_place(&vnf, &near));
             now.learn(&end);
@@ -597,7 +604,13 @@ walks:
         assert_eq!((free(&now, "far"), free(&now, "near")), ((4.0, 8), (3.0, 6)));
         let links = vec![LinkId::new("lan-near").unwrap()];
         let (from, to) = (vnf_id("q-driver"), vnf_id("q-brain"));
-        now.learn(&Event::VirtualLink(VirtualLinkMapping { from, to, links, path: PathKind::Mapped }));
+        now.learn(&Event::VirtualLink(VirtualLinkMapping {
+            from,
+            to,
+            links,
+            path: PathKind::Mapped,
+            others: Vec::new(),
+        }));
         let seen = now.infrastructure(&testbed.services[0], &[]);
         let free = |name: &str| seen.links.iter().find(|l| l.id == name).unwrap().free_bps;
         assert_eq!((free("lan-near"), free("lan-far")), (8e6, 10e6));

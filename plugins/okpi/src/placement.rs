@@ -36,7 +36,7 @@ impl Search {
 /// Where a service goes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {
-    /// a(n) for each VNF, in order.
+    /// a(n) for each VNF, in order: one node each.
     pub placement: Vec<Placement>,
     /// a(n1,n2): the links from each VNF to the next.
     pub paths: Vec<Vec<LinkId>>,

@@ -248,7 +248,10 @@ fn all_services_are_orchestrated_unless_some_are_named() {
     let mut actions = Actions::default();
     okpi.start(Timestamp::ZERO, &corridor(), &mut actions);
     let asked = told(&mut okpi, &context((25.5, -27.8), "R1"));
-    let place = Instruction::Place { vnf: "localization".parse().unwrap(), node: "cloud".parse().unwrap() };
+    let place = Instruction::Place {
+        vnf: "localization".parse().unwrap(),
+        node: NodeId::new("cloud").unwrap().into(),
+    };
     assert_eq!(asked, [place], "it is cheapest there");
 }
 
@@ -309,6 +312,7 @@ fn a_handover_under_way_is_not_asked_for_again() {
         to: vnf.clone(),
         links: vec![LinkId::new("R3-edge").unwrap()],
         path: PathKind::Shortest,
+        others: Vec::new(),
     };
     for event in [
         Event::Placement(Placement { vnf, node }),

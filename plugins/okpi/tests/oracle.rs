@@ -189,7 +189,7 @@ fn two_servers() -> (Chain, Infrastructure) {
 }
 
 fn server(placed: &Placed) -> &str {
-    placed.placement[1].node.as_str()
+    placed.placement[1].node.first().as_str()
 }
 
 #[test]

@@ -66,8 +66,19 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         }
         Event::Placement(placement) => format!("{} on {}", placement.vnf, placement.node),
         Event::VirtualLink(mapping) => {
-            let VirtualLinkMapping { from, to, links, path } = mapping;
-            format!("{from} to {to} over {}, {}", over(links), path.as_str())
+            let VirtualLinkMapping { from, to, links, path, others } = mapping;
+            let mut text = format!("{from} to {to} over {}, {}", over(links), path.as_str());
+            for other in others {
+                let _ = write!(
+                    text,
+                    "; {} to {} over {}, {}",
+                    other.from,
+                    other.to,
+                    over(&other.links),
+                    other.path.as_str()
+                );
+            }
+            text
         }
         Event::ServiceTime(sample) => {
             let took =
@@ -84,8 +95,14 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             if handover.fast { ", fast" } else { "" }
         ),
         Event::AnswersRejected(counts) => format!(
-            "{} rejected {} late, {} forged, {} repeated, {} unknown and {} invalid answers so far",
-            counts.robot, counts.late, counts.forged, counts.repeated, counts.unknown, counts.invalid
+            "{} rejected {} late, {} forged, {} repeated, {} redundant, {} unknown and {} invalid answers so far",
+            counts.robot,
+            counts.late,
+            counts.forged,
+            counts.repeated,
+            counts.redundant,
+            counts.unknown,
+            counts.invalid
         ),
         Event::Detached { robot, from } => format!("{robot} lost {from}"),
         Event::Goal(GoalEvent { robot, goal, state, remaining_m, reason }) => {

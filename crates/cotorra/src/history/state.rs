@@ -72,7 +72,7 @@ fn describe(state: &GraphState) -> String {
 
     let mut virtual_links = Table::new("<<<<>");
     virtual_links.row(["from", "to", "over", "path", "since, s"]);
-    for Sample { at, value: VirtualLinkMapping { from, to, links, path } } in
+    for Sample { at, value: VirtualLinkMapping { from, to, links, path, .. } } in
         state.virtual_links.iter().take(ROWS)
     {
         let path = path.as_str().to_owned();

@@ -23,7 +23,8 @@ pub fn describe(
     let mut hosts = Table::new("<<<<<");
     for node in testbed.graph.hosts() {
         let address = testbed.graph.address(&node.id);
-        let vnfs = testbed.services.iter().flat_map(|s| &s.vnfs).filter(|vnf| vnf.node == node.id);
+        let vnfs =
+            testbed.services.iter().flat_map(|s| &s.vnfs).filter(|vnf| vnf.node.all().contains(&node.id));
         hosts.row([
             node.id.to_string(),
             kind(&node.kind).to_owned(),

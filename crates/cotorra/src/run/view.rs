@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::Path, time::Duration};
 
-use cotorra_graph::{NodeId, Program, RobotContext, Service, Testbed, Walk};
+use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Walk};
 use cotorra_testbed::Snapshot;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
@@ -220,7 +220,7 @@ fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
 }
 
 /// Where a robot's navigation runs.
-fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'a NodeId> {
+fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'a Nodes> {
     let of_robot = testbed.services.iter().filter(|service| service.robot == *robot);
     let vnf = of_robot.flat_map(|service| &service.vnfs).find(|vnf| vnf.program == Program::Navigation)?;
     now.placements.get(&vnf.id).map(|placement| &placement.node)

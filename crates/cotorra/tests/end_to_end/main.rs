@@ -32,6 +32,7 @@ mod plugin;
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 mod process;
 mod recording;
+mod replicas;
 mod ros1;
 mod ros2;
 mod ros_flows;

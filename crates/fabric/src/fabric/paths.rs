@@ -1,7 +1,7 @@
 //! Paths of one's own choice: frames from one host to another can be pinned to any path between them, in that direction
 //! alone. All others take the shortest.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Direction, LinkId, NodeId};
 
@@ -120,6 +120,23 @@ impl Fabric {
         };
         let wired = edges.into_iter().map(|edge| self.links[edge / 2].clone());
         Some(air(from, start).into_iter().chain(wired).chain(air(to, end)).collect())
+    }
+
+    /// The delay of all wired links that frames between two hosts would cross now, there and back, and how many these are;
+    /// `None` where no path is, or one of them loses every packet.
+    pub fn round_trip(&self, a: &NodeId, b: &NodeId) -> Option<(Duration, usize)> {
+        let mut all = (Duration::ZERO, 0);
+        for (from, to) in [(a, b), (b, a)] {
+            let links = self.route(from, to)?;
+            for (link, direction) in self.walk(from, to, &links).ok()?.hops {
+                if self.carries(&link, direction)?.is_cut {
+                    return None;
+                }
+                let delay = self.effective(&link).map(|both| both[direction as usize].delay);
+                all = (all.0.saturating_add(delay.unwrap_or_default()), all.1 + 1);
+            }
+        }
+        Some(all)
     }
 
     /// The path that a frame is pinned to which enters the wired network at a vertex.

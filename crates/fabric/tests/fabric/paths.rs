@@ -148,3 +148,26 @@ fn a_link_tells_what_it_carries() {
     fabric.change(ms(0.0), &"p~R2".parse().unwrap(), None, &change(all)).unwrap();
     assert!(carries(&fabric, "p~R2").unwrap().1);
 }
+
+#[test]
+fn a_round_trip_adds_up_the_delays_of_both_ways_as_they_are_now() {
+    let mut fabric = square();
+    let trip = |fabric: &Fabric, to: &str| {
+        let trip = fabric.round_trip(&node("a"), &node(to));
+        trip.map(|(delay, links)| (delay.as_millis(), links))
+    };
+    assert_eq!([trip(&fabric, "b"), trip(&fabric, "a")], [Some((4, 4)), Some((0, 0))]);
+    assert_eq!(trip(&fabric, "p"), Some((8, 6)), "the air adds nothing");
+    pin(&mut fabric, "a", "b", &["a-t", "t-b"]);
+    assert_eq!(trip(&fabric, "b"), Some((12, 4)));
+    let link: LinkId = "a-t".parse().unwrap();
+    let slow = ConditionChange { delay_ms: Some(9.0), ..ConditionChange::default() };
+    fabric.change(Timestamp::ZERO, &link, None, &slow).unwrap();
+    assert_eq!(trip(&fabric, "b"), Some((16, 4)));
+    let cut = Loss::Independent { rate: Probability::ONE };
+    let cut = ConditionChange { loss: Some(cut), ..ConditionChange::default() };
+    fabric.change(Timestamp::ZERO, &link, Some(Direction::Backward), &cut).unwrap();
+    assert_eq!(trip(&fabric, "b"), Some((16, 4)), "the way back leads elsewhere");
+    fabric.change(Timestamp::ZERO, &link, Some(Direction::Forward), &cut).unwrap();
+    assert_eq!(trip(&fabric, "b"), None);
+}

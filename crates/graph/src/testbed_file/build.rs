@@ -29,7 +29,8 @@ use crate::{
     id::{DomainId, LinkId, NodeId, PluginId, ServiceId},
     map::OccupancyGrid,
     map_server,
-    service::{Granted, Kpis, Program, Rights, Service, VirtualLink, Vnf},
+    nodes::Nodes,
+    service::{Granted, Kpis, Program, Requests, Rights, Service, VirtualLink, Vnf},
     testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk},
     units::{BitRate, Position, Probability},
     yaml::{
@@ -683,11 +684,12 @@ impl Builder<'_> {
             vnfs: vnfs?,
             virtual_links: virtual_links?,
             kpis,
+            requests: record.requests.as_ref().map_or_else(Requests::default, |requests| requests.value),
         })
     }
 
-    /// What a VNF runs, the node that it is pinned to, and the node where it starts.
-    fn vnf(&mut self, span: &Span, record: &VnfRecord) -> Option<(Program, Option<NodeId>, NodeId)> {
+    /// What a VNF runs, the node that it is pinned to, and the nodes where it starts.
+    fn vnf(&mut self, span: &Span, record: &VnfRecord) -> Option<(Program, Option<NodeId>, Nodes)> {
         let program = match (&record.program, &record.command) {
             (Some(word), None) => match word.value {
                 ProgramWord::RobotDriver => Some(Program::RobotDriver),
@@ -712,9 +714,9 @@ impl Builder<'_> {
         let (pinned, node) = match (&record.pinned_to, &record.node) {
             (Some(pinned), None) => {
                 let node = self.node(pinned);
-                (node.clone(), node)
+                (node.clone(), node.map(Nodes::from))
             }
-            (None, Some(node)) => (None, self.node(node)),
+            (None, Some(node)) => (None, self.hosts_of(node)),
             (None, None) => {
                 self.sink
                     .error(span, "nothing says where this VNF runs")
@@ -728,7 +730,37 @@ impl Builder<'_> {
                 (None, None)
             }
         };
-        Some((program?, pinned, node?))
+        let node = node?;
+        if let Some(replicas) = record.replicas.as_ref().filter(|r| usize::from(r.value) != node.all().len())
+        {
+            let (wanted, nodes) = (replicas.value, node.all().len());
+            let s = if nodes == 1 { "" } else { "s" };
+            let help = if pinned.is_some() {
+                "leave `replicas` out: a VNF that is pinned has one instance".to_owned()
+            } else {
+                let most = Nodes::MOST;
+                format!(
+                    "each has a node of its own: list as many under `node:`, such as `[a, b]`, {most} at most"
+                )
+            };
+            self.sink.error(&replicas.span, format!("{wanted} instances on {nodes} node{s}")).help(help);
+            return None;
+        }
+        Some((program?, pinned, node))
+    }
+
+    /// The nodes of a VNF's instances.
+    fn hosts_of(&mut self, record: &Spanned<Either<Spanned<NodeId>, Vec<Spanned<NodeId>>>>) -> Option<Nodes> {
+        let several = match &record.value {
+            Either::Short(one) => return self.node(one).map(Nodes::from),
+            Either::Long(several) => each(several, |node| self.node(node))?,
+        };
+        Nodes::new(several)
+            .map_err(|wrong| {
+                let help = "name different nodes, one for each instance, such as `[a, b]`";
+                self.sink.error(&record.span, wrong.to_string()).help(help);
+            })
+            .ok()
     }
 
     fn command(&mut self, command: &Spanned<Vec<String>>) -> Option<Vec<String>> {

@@ -6,12 +6,12 @@ use std::collections::{HashMap, HashSet};
 use super::{
     flow,
     machines::machines,
-    records::{NodeRecord, ServiceRecord, TestbedRecord},
+    records::{NodeRecord, ServiceRecord, TestbedRecord, VnfRecord},
 };
 use crate::{
     driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
     hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
-    id::NodeId,
+    id::{NodeId, VnfId},
     routing::{Edge, Topology},
     service::{Program, Service, Vnf},
     testbed::Testbed,
@@ -213,38 +213,50 @@ fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
                 sink.error(&id.span, format!("the VNF `{}` is here twice", vnf.id))
                     .help("rename one of them: VNFs of all services have names of their own");
             }
-            let place = r.pinned_to.as_ref().or(r.node.as_ref()).map_or(&id.span, |node| &node.span);
-            let node = graph.node(&vnf.node).expect("the builder found it");
-            let Some(capacity) = node.capacity() else {
-                let what = match node.kind {
-                    NodeKind::Machine(_) => "a real machine, on which cotorra runs nothing",
-                    _ => "a switch, and a switch runs no VNF",
+            for (node, place) in vnf.node.all().iter().zip(starts(id, r)) {
+                let node = graph.node(node).expect("the builder found it");
+                let Some(capacity) = node.capacity() else {
+                    let what = match node.kind {
+                        NodeKind::Machine(_) => "a real machine, on which cotorra runs nothing",
+                        _ => "a switch, and a switch runs no VNF",
+                    };
+                    sink.error(place, format!("`{}` is {what}", node.id))
+                        .help(format!("place it on one of {}", words(&able(graph, vnf))));
+                    continue;
                 };
-                sink.error(place, format!("`{}` is {what}", node.id))
-                    .help(format!("place it on one of {}", words(&able(graph, vnf))));
-                continue;
-            };
-            let all = used.entry(&vnf.node).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
-            all.cpus += vnf.cpus;
-            all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
-            let able = able(graph, vnf);
-            if able.is_empty() {
-                sink.error(
-                    &id.span,
-                    format!("`{}` fits no node: it takes {}", vnf.id, amount(vnf.cpus, vnf.memory_bytes)),
-                )
-                .help("let it take less, or give a node more");
-            } else if all.cpus > capacity.cpus || all.memory_bytes > capacity.memory_bytes {
-                sink.error(
-                    place,
-                    format!("`{}` has {}", node.id, amount(capacity.cpus, capacity.memory_bytes)),
-                )
-                .label(format!("its VNFs take {}", amount(all.cpus, all.memory_bytes)))
-                .help(format!("`{}` alone would fit {}", vnf.id, words(&able)));
+                let all = used.entry(&node.id).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
+                all.cpus += vnf.cpus;
+                all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
+                let able = able(graph, vnf);
+                if able.is_empty() {
+                    sink.error(
+                        &id.span,
+                        format!("`{}` fits no node: it takes {}", vnf.id, amount(vnf.cpus, vnf.memory_bytes)),
+                    )
+                    .help("let it take less, or give a node more");
+                    break;
+                } else if all.cpus > capacity.cpus || all.memory_bytes > capacity.memory_bytes {
+                    sink.error(
+                        place,
+                        format!("`{}` has {}", node.id, amount(capacity.cpus, capacity.memory_bytes)),
+                    )
+                    .label(format!("its VNFs take {}", amount(all.cpus, all.memory_bytes)))
+                    .help(format!("`{}` alone would fit {}", vnf.id, words(&able)));
+                }
             }
         }
         driver(r, service, testbed, sink);
         flow::check(r, service, sink);
+    }
+}
+
+/// Where each node of a VNF stands in the file.
+fn starts<'a>(id: &'a Spanned<VnfId>, record: &'a VnfRecord) -> Vec<&'a Span> {
+    match (&record.pinned_to, record.node.as_ref().map(|node| &node.value)) {
+        (Some(pinned), _) => vec![&pinned.span],
+        (None, Some(Either::Short(one))) => vec![&one.span],
+        (None, Some(Either::Long(several))) => several.iter().map(|node| &node.span).collect(),
+        (None, None) => vec![&id.span],
     }
 }
 
@@ -287,6 +299,11 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
             }
             _ => {}
         }
+    }
+    let is_asked = |vnf: &Vnf| matches!(vnf.program, Program::Navigation | Program::Localization);
+    if let Some(requests) = record.requests.as_ref().filter(|_| !service.vnfs.iter().any(is_asked)) {
+        sink.error(&requests.span, "`requests` of a service that the robot asks nothing")
+            .help("leave it out: where requests of your own programs go, these programs decide");
     }
     if service.vnfs.is_empty() && service.kpis.flow.is_none() {
         sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))

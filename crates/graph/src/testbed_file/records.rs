@@ -8,7 +8,7 @@ use crate::{
     exposure::IpNetwork,
     hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
-    service::LinuxCapability,
+    service::{LinuxCapability, Requests},
     testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
     yaml::{
@@ -590,6 +590,8 @@ record! {
         robot: Spanned<NodeId>,
         /// What it must keep.
         kpis: KpisRecord,
+        /// Where requests of the robot go, if a bundled VNF has several instances. Without it: `one`.
+        requests: Option<Spanned<Requests>>,
         /// Its VNFs by name, in the order in which packets visit them.
         vnfs: Table<VnfId, VnfRecord>,
         /// Links between its VNFs.
@@ -739,7 +741,7 @@ record! {
 
 record! {
     /// A virtual network function. It runs a `program` or a `command`, on the node that it is `pinned_to` or first on
-    /// `node`.
+    /// `node`, or an instance on each of several.
     VnfRecord {
         /// A bundled program.
         program: Option<Spanned<ProgramWord>>,
@@ -755,11 +757,13 @@ record! {
         trusted: Spanned<bool> = false,
         /// The one node that can carry it.
         pinned_to: Option<Spanned<NodeId>>,
-        /// Where it runs at the start.
-        node: Option<Spanned<NodeId>>,
-        /// CPUs that it takes of its node.
+        /// Where it runs at the start: a node, or a list of nodes with an instance on each.
+        node: Option<Spanned<Either<Spanned<NodeId>, Vec<Spanned<NodeId>>>>>,
+        /// How many instances it has at the start, 1 to 16. Without it: as many as `node` names.
+        replicas: Option<Spanned<u8>>,
+        /// CPUs that it takes of its node, each instance.
         cpus: Amount = 1,
-        /// Memory that it takes of its node.
+        /// Memory that it takes of its node, each instance.
         memory: Bytes = "256 MB",
     }
 }
@@ -906,6 +910,11 @@ choice!(LinuxCapability, "capability", {
     "net_raw" => Self::NetRaw, "raw and packet sockets: ping, tcpdump";
     "ipc_lock" => Self::IpcLock, "memory that is never swapped out";
     "sys_nice" => Self::SysNice, "real-time priority";
+});
+choice!(Requests, "way of requests", {
+    "one" => Self::One, "to the first instance that serves";
+    "nearest" => Self::Nearest, "to the instance that serves with the least delay from the robot";
+    "all" => Self::All, "to all instances that serve; the first answer wins";
 });
 choice!(ProgramWord, "bundled program", {
     "robot_driver" => Self::RobotDriver, "the robot's own driver: position packets out, navigation packets in";

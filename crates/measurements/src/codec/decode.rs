@@ -3,12 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event,
-    GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
-    LinkCounters, LinkId, Loss, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, Position,
-    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
-    SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
-    VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::direction_of;
@@ -217,7 +212,12 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             probed: row.probed()?,
             tested: row.tested()?,
         }),
-        Kind::Placement => Event::Placement(Placement { vnf: row.name()?, node: row.name()? }),
+        Kind::Placement => {
+            let (vnf, first) = (row.name()?, row.name()?);
+            let mut nodes = vec![first];
+            nodes.extend(children(source, |mut row| row.name::<NodeId>())?);
+            Event::Placement(Placement { vnf, node: Nodes::new(nodes).map_err(unreadable)? })
+        }
         Kind::VirtualLink => {
             let (from, to): (VnfId, VnfId) = (row.name()?, row.name()?);
             let path = match row.0.text()? {
@@ -227,8 +227,9 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
                     .find(|kind| kind.as_str() == path)
                     .ok_or_else(|| unreadable(format_args!("`{path}` is not a kind of path")))?,
             };
+            let others = row.0.text()?.as_deref().map(json).transpose()?.unwrap_or_default();
             let links = children(source, |mut row| row.name::<LinkId>())?;
-            Event::VirtualLink(VirtualLinkMapping { from, to, links, path })
+            Event::VirtualLink(VirtualLinkMapping { from, to, links, path, others })
         }
         Kind::ServiceTime => Event::ServiceTime(ServiceTime {
             service: row.name::<ServiceId>()?,
@@ -255,6 +256,7 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
             repeated: row.unsigned()?,
             unknown: row.unsigned()?,
             invalid: row.unsigned()?,
+            redundant: row.unsigned()?,
         }),
         Kind::WalkFinished => Event::WalkFinished { robot: row.name()? },
         Kind::Vnf => Event::Vnf(VnfEvent {
@@ -327,7 +329,11 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         },
         "scan" => Instruction::Scan { robot: robot()? },
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
-        "place" => Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node: node()? },
+        "place" => {
+            let several = change.as_deref().map(json).transpose()?;
+            let node = several.map_or_else(|| Ok(node()?.into()), Ok)?;
+            Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node }
+        }
         "map" => Instruction::Map { from: robot()?, to: node()?, links: json(&required(change)?)? },
         "test_throughput" => Instruction::TestThroughput {
             link: subject.parse().map_err(unreadable)?,

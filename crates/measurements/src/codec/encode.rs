@@ -137,10 +137,17 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(tested.map(|tested| tested.age), Fields::duration);
         }
         Event::Placement(placement) => {
-            row.name(placement.vnf.as_str()).name(placement.node.as_str());
+            row.name(placement.vnf.as_str()).name(placement.node.first().as_str());
+            for node in &placement.node.all()[1..] {
+                children.name(node.as_str());
+            }
         }
         Event::VirtualLink(mapping) => {
             row.name(mapping.from.as_str()).name(mapping.to.as_str()).text(mapping.path.as_str());
+            let others = Some(&mapping.others).filter(|others| !others.is_empty());
+            row.optional(others, |row, others| {
+                row.text(serde_json::to_string(others).expect("names are JSON"))
+            });
             for link in &mapping.links {
                 children.name(link.as_str());
             }
@@ -214,9 +221,9 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
             row.text(message.as_str());
         }
         Event::AnswersRejected(counts) => {
-            let AnswersRejected { robot, late, forged, repeated, unknown, invalid } = counts;
+            let AnswersRejected { robot, late, forged, repeated, redundant, unknown, invalid } = counts;
             row.name(robot.as_str());
-            for count in [late, forged, repeated, unknown, invalid] {
+            for count in [late, forged, repeated, unknown, invalid, redundant] {
                 row.unsigned(*count);
             }
         }
@@ -266,8 +273,12 @@ fn encode_instruction<'a>(instruction: &'a Instruction, row: &mut Fields<'a>) {
             row.0.extend([const { Value::Null }; 5]);
         }
         Instruction::Place { vnf, node } => {
-            put("place", vnf.as_str(), Some(node.as_str()));
-            row.0.extend([const { Value::Null }; 5]);
+            put("place", vnf.as_str(), Some(node.first().as_str()));
+            row.0.extend([const { Value::Null }; 4]);
+            let several = Some(node).filter(|node| node.only().is_none());
+            row.optional(several, |row, nodes| {
+                row.text(serde_json::to_string(nodes).expect("names are JSON"))
+            });
         }
         Instruction::Map { from, to, links } => {
             put("map", from.as_str(), Some(to.as_str()));

@@ -227,8 +227,18 @@ CREATE TABLE placement (
     at_ns INTEGER NOT NULL,
     seq   INTEGER NOT NULL,
     vnf   INTEGER NOT NULL,
-    node  INTEGER NOT NULL,
+    node  INTEGER NOT NULL,            -- of several instances, that of the first
     PRIMARY KEY (run, at_ns, seq)
+) WITHOUT ROWID;
+
+-- Of several instances: nodes of all but the first.
+CREATE TABLE replica_node (
+    run   INTEGER NOT NULL,
+    at_ns INTEGER NOT NULL,
+    seq   INTEGER NOT NULL,
+    place INTEGER NOT NULL,
+    node  INTEGER NOT NULL,
+    PRIMARY KEY (run, at_ns, seq, place)
 ) WITHOUT ROWID;
 
 -- a(n1,n2); the links are in `hop`, in order.
@@ -239,6 +249,7 @@ CREATE TABLE virtual_link (
     from_vnf INTEGER NOT NULL,
     to_vnf   INTEGER NOT NULL,
     path     TEXT    NOT NULL,         -- shortest, mapped, fallback
+    others   TEXT,                     -- between other instances, as in JSON
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 
@@ -401,15 +412,16 @@ CREATE TABLE notice (
 
 -- Answers that a robot did not follow, counted since the run began.
 CREATE TABLE answers_rejected (
-    run      INTEGER NOT NULL,
-    at_ns    INTEGER NOT NULL,
-    seq      INTEGER NOT NULL,
-    robot    INTEGER NOT NULL,
-    late     INTEGER NOT NULL,
-    forged   INTEGER NOT NULL,
-    repeated INTEGER NOT NULL,
-    unknown  INTEGER NOT NULL,
-    invalid  INTEGER NOT NULL,
+    run       INTEGER NOT NULL,
+    at_ns     INTEGER NOT NULL,
+    seq       INTEGER NOT NULL,
+    robot     INTEGER NOT NULL,
+    late      INTEGER NOT NULL,
+    forged    INTEGER NOT NULL,
+    repeated  INTEGER NOT NULL,
+    unknown   INTEGER NOT NULL,
+    invalid   INTEGER NOT NULL,
+    redundant INTEGER NOT NULL,
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 

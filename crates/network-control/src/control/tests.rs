@@ -80,7 +80,7 @@ impl Lab {
 
     /// Moves a brain, up to its first packets there.
     fn place(&mut self, vnf: &str, on: &str) -> Told {
-        let place = Instruction::Place { vnf: vnf.parse().unwrap(), node: node(on) };
+        let place = Instruction::Place { vnf: vnf.parse().unwrap(), node: node(on).into() };
         let mut events = self.0.instruct(Timestamp::ZERO, &place).unwrap();
         events.extend(self.0.poll(Timestamp::ZERO).unwrap());
         events.extend(self.0.remap().unwrap());
@@ -216,7 +216,10 @@ fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
     assert_eq!(lab.reserved().len(), 0, "there is no virtual link between them");
     // What is mapped before a VNF is there holds once it is.
     lab.0
-        .instruct(Timestamp::ZERO, &Instruction::Place { vnf: "q-brain".parse().unwrap(), node: node("two") })
+        .instruct(
+            Timestamp::ZERO,
+            &Instruction::Place { vnf: "q-brain".parse().unwrap(), node: node("two").into() },
+        )
         .unwrap();
     assert_eq!(lab.map("q", "two", "q~R R-wide wide-two").unwrap(), Told::default());
     assert_eq!(lab.place("q-brain", "two").0, ["q-brain q-driver shortest", "q-driver q-brain mapped"]);
@@ -231,7 +234,10 @@ fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
 fn a_path_to_where_a_robot_is_not_attached_waits_for_it() {
     let mut lab = Lab::new();
     lab.0
-        .instruct(Timestamp::ZERO, &Instruction::Place { vnf: "r-brain".parse().unwrap(), node: node("two") })
+        .instruct(
+            Timestamp::ZERO,
+            &Instruction::Place { vnf: "r-brain".parse().unwrap(), node: node("two").into() },
+        )
         .unwrap();
     let (mapped, notices) = lab.map("r", "one", "r~S wide-S wide-one").unwrap();
     assert_eq!((mapped, notices.len()), (vec!["r-driver r-brain fallback".to_owned()], 0));

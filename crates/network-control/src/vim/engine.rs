@@ -31,11 +31,11 @@ pub enum Outcome {
 /// `start` and `stop` return at once; what came of a start is told by `poll`: exactly one `Ready`, then at most one
 /// `Died`; or one `Failed`. A stopped instance may still say one last thing, or nothing.
 pub trait Engine {
-    /// Begins to start an instance.
+    /// Begins to start an instance. `replica` is its number, from 0, among those that serve at once as the VNF.
     ///
     /// # Errors
     /// Why it cannot even be tried, for people.
-    fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String>;
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String>;
 
     /// Begins to stop an instance; unknown ones are ignored.
     fn stop(&mut self, instance: InstanceId);

@@ -40,7 +40,7 @@ impl InMemoryEngine {
 }
 
 impl Engine for InMemoryEngine {
-    fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
         if self.failing.contains(node) {
             return Err(format!("`{node}` starts nothing"));
         }

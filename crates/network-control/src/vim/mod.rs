@@ -1,6 +1,6 @@
 //! The virtual infrastructure manager: where each VNF runs, a(n), and how it gets from one node to another without a
 //! gap: the new instance first, packets over to it when it is ready, the old one down when what is under way to it has
-//! arrived.
+//! arrived. A VNF can have several instances, each on a node of its own.
 
 mod cgroup;
 mod engine;
@@ -10,13 +10,14 @@ mod process;
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{
-    Event, HardwareGraph, NodeId, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId, VnfState,
+    Event, HardwareGraph, NodeId, Nodes, Placement, Program, Service, Timestamp, Vnf, VnfEvent, VnfId,
+    VnfState,
 };
 
 pub use cgroup::{CgroupError, Cgroups};
 pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
 pub use memory::InMemoryEngine;
-pub use process::{Launcher, Process, ProcessEngine, READY};
+pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};
 
 /// After a VNF died it is started again after so long, twice as long each time …
 const FIRST_BACKOFF: Duration = Duration::from_millis(100);
@@ -63,11 +64,13 @@ pub enum VimError {
     },
 }
 
-/// An instance of a VNF.
+/// A process of a VNF, or what stands for one.
 #[derive(Debug, Clone)]
 struct Instance {
     id: InstanceId,
     node: NodeId,
+    /// The replica that it was started as.
+    replica: u32,
     since: Timestamp,
     ready: bool,
 }
@@ -83,51 +86,176 @@ pub enum Stage {
     Draining(Timestamp),
 }
 
-/// A VNF and its instances, for checks.
+/// A replica of a VNF and its instances, for checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Managed<'a> {
     /// The VNF.
     pub vnf: &'a Vnf,
-    /// a(n), also while nothing runs.
+    /// Where the replica belongs, also while nothing runs.
     pub node: &'a NodeId,
-    /// Its instances.
+    /// Its instances. With the first replica are all of the VNF's that drain.
     pub instances: Vec<(InstanceId, &'a NodeId, Stage)>,
     /// Time of its next start.
     pub restart_at: Option<Timestamp>,
 }
 
-/// A VNF and its instances.
+/// One of those that serve at once as a VNF, each on a node of its own.
 #[derive(Debug)]
 struct Slot {
-    vnf: Vnf,
-    /// The one that serves; its node is a(n).
+    /// Its number, from 0: the lowest that no other had when it was added.
+    replica: u32,
+    /// The one that serves.
     current: Option<Instance>,
     /// The one that will, once it is ready.
     next: Option<Instance>,
-    /// Those that did, and answer what is under way to them, until then.
-    last: Vec<(Timestamp, Instance)>,
-    /// Where the VNF belongs, also while nothing runs.
+    /// Where it belongs, also while nothing runs.
     node: NodeId,
+    /// Whether an instance served there; a(n) has no other nodes.
+    is_placed: bool,
+    /// It serves only until all others do.
+    is_leaving: bool,
     /// When to start it again, after it died.
     restart_at: Option<Timestamp>,
     backoff: Duration,
 }
 
 impl Slot {
+    fn new(replica: u32, node: NodeId) -> Self {
+        Self {
+            replica,
+            current: None,
+            next: None,
+            node,
+            is_placed: false,
+            is_leaving: false,
+            restart_at: None,
+            backoff: FIRST_BACKOFF,
+        }
+    }
+
     /// Whether it runs on a node, or is on its way there.
     fn is_on(&self, node: &NodeId) -> bool {
         self.node == *node || self.next.as_ref().is_some_and(|next| next.node == *node)
     }
 
-    /// From now on packets go to this instance.
-    fn switch(&mut self, now: Timestamp, to: Instance, events: &mut Vec<Event>) {
+    /// Whether it serves where it is to be.
+    fn has_arrived(&self) -> bool {
+        self.current.is_some() && self.next.is_none()
+    }
+
+    /// From now on packets go to this instance. Returns the one before.
+    fn switch(&mut self, to: Instance) -> Option<Instance> {
         self.node = to.node.clone();
-        self.restart_at = None;
-        if self.current.as_ref().is_none_or(|old| old.node != to.node) {
-            events.push(Event::Placement(Placement { vnf: self.vnf.id.clone(), node: to.node.clone() }));
+        (self.restart_at, self.is_placed) = (None, true);
+        self.current.replace(to)
+    }
+
+    fn restart(&mut self, now: Timestamp) {
+        self.restart_at = Some(now + self.backoff);
+        self.backoff = (self.backoff * 2).min(LONGEST_BACKOFF);
+    }
+}
+
+/// A VNF and what serves as it.
+#[derive(Debug)]
+struct Group {
+    vnf: Vnf,
+    /// In the order in which they are preferred, those that leave last. There is one at least.
+    slots: Vec<Slot>,
+    /// Instances that served, and answer what is under way to them, until then.
+    last: Vec<(Timestamp, Instance)>,
+    /// a(n) as it was told last.
+    told: Vec<NodeId>,
+}
+
+impl Group {
+    fn new(vnf: &Vnf) -> Self {
+        let slots = vnf.node.all().iter().zip(0..).map(|(node, replica)| Slot::new(replica, node.clone()));
+        Self { vnf: vnf.clone(), slots: slots.collect(), last: Vec::new(), told: Vec::new() }
+    }
+
+    /// Whether an instance runs on a node, or is on its way there.
+    fn is_on(&self, node: &NodeId) -> bool {
+        self.slots.iter().any(|slot| slot.is_on(node))
+    }
+
+    /// a(n).
+    fn placement(&self) -> Placement {
+        let placed = self.slots.iter().filter(|slot| slot.is_placed).map(|slot| slot.node.clone());
+        // Before anything serves, where it is about to.
+        let node = Nodes::new(placed.collect()).unwrap_or_else(|_| self.slots[0].node.clone().into());
+        Placement { vnf: self.vnf.id.clone(), node }
+    }
+
+    /// Whether no slot but the one at this place has that number.
+    fn is_free(&self, replica: u32, place: usize) -> bool {
+        self.slots.iter().enumerate().all(|(other, slot)| other == place || slot.replica != replica)
+    }
+
+    /// Packets go to this instance of a slot from now on.
+    fn switch(&mut self, now: Timestamp, place: usize, to: Instance) {
+        let node = to.node.clone();
+        let old = self.slots[place].switch(to);
+        if old.as_ref().is_none_or(|old| old.node != node) {
+            self.told.clear();
         }
-        let old = self.current.replace(to);
         self.last.extend(old.map(|old| (now + LAST_PACKETS, old)));
+    }
+
+    /// Lets those go that leave, if they may, and tells a(n) if it changed.
+    fn settle(&mut self, now: Timestamp, events: &mut Vec<Event>) {
+        let arrived = self.slots.iter().filter(|slot| !slot.is_leaving).all(Slot::has_arrived);
+        let may_go = |slot: &mut Slot| slot.is_leaving && (arrived || slot.current.is_none());
+        let gone: Vec<_> = self.slots.extract_if(.., may_go).filter_map(|slot| slot.current).collect();
+        self.last.extend(gone.into_iter().map(|instance| (now + LAST_PACKETS, instance)));
+        let placement = self.placement();
+        if self.slots.iter().any(|slot| slot.is_placed) && placement.node.all() != self.told {
+            self.told = placement.node.all().to_vec();
+            events.push(Event::Placement(placement));
+        }
+    }
+
+    /// Gives each of these nodes a slot, in their order: one that is there, else one that is on its way there, else one
+    /// that moves, else a new one. All others leave. Returns the instances whose start is given up, and the slots that are
+    /// to be started on the node.
+    fn assign(&mut self, nodes: &[NodeId]) -> (Vec<Instance>, Vec<(usize, NodeId)>) {
+        let mut assigned: Vec<Option<Slot>> = nodes.iter().map(|_| None).collect();
+        let mut take = |is_fit: &dyn Fn(&Slot, &NodeId) -> bool| {
+            for (slot, node) in assigned.iter_mut().zip(nodes).filter(|(slot, _)| slot.is_none()) {
+                let found = self.slots.iter().position(|slot| is_fit(slot, node));
+                *slot = found.map(|place| self.slots.remove(place));
+            }
+        };
+        take(&|slot, node| slot.node == *node);
+        take(&Slot::is_on);
+        take(&|_, _| true);
+        let mut leaving = std::mem::take(&mut self.slots);
+        let mut numbers: Vec<_> =
+            assigned.iter().flatten().chain(&leaving).map(|slot| slot.replica).collect();
+        let (mut given_up, mut starts) = (Vec::new(), Vec::new());
+        for (place, (slot, node)) in assigned.into_iter().zip(nodes).enumerate() {
+            let mut slot = slot.unwrap_or_else(|| {
+                let free = (0..).find(|number| !numbers.contains(number)).unwrap_or(u32::MAX);
+                numbers.push(free);
+                Slot::new(free, node.clone())
+            });
+            slot.is_leaving = false;
+            if !slot.is_placed {
+                slot.node = node.clone();
+            }
+            given_up.extend(slot.next.take_if(|next| next.node != *node));
+            let is_there = slot.node == *node && (slot.current.is_some() || slot.restart_at.is_some());
+            if slot.next.is_none() && !is_there {
+                starts.push((place, node.clone()));
+            }
+            self.slots.push(slot);
+        }
+        for slot in &mut leaving {
+            given_up.extend(slot.next.take());
+            (slot.is_leaving, slot.restart_at) = (true, None);
+        }
+        self.slots.append(&mut leaving);
+        (given_up, starts)
     }
 }
 
@@ -141,7 +269,7 @@ pub struct Vim<E> {
     engine: E,
     graph: HardwareGraph,
     /// By name. They are looked at in each step of virtual time: a map would take longer.
-    slots: Vec<Slot>,
+    groups: Vec<Group>,
     /// Room that others take on nodes: CPUs and bytes.
     reserved: BTreeMap<VnfId, (NodeId, f64, u64)>,
     instances: u64,
@@ -150,102 +278,113 @@ pub struct Vim<E> {
 impl<E: Engine> Vim<E> {
     /// Manages the VNFs of these services; nothing runs before [`Vim::start`].
     pub fn new(graph: HardwareGraph, services: &[Service], engine: E) -> Self {
-        let slot = |vnf: &Vnf| Slot {
-            vnf: vnf.clone(),
-            current: None,
-            next: None,
-            last: Vec::new(),
-            node: vnf.node.clone(),
-            restart_at: None,
-            backoff: FIRST_BACKOFF,
-        };
-        let mut slots: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(slot).collect();
-        slots.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
-        Self { engine, graph, slots, reserved: BTreeMap::new(), instances: 0 }
+        let mut groups: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(Group::new).collect();
+        groups.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
+        Self { engine, graph, groups, reserved: BTreeMap::new(), instances: 0 }
     }
 
     /// Starts every VNF where the testbed file puts it.
     pub fn start(&mut self, now: Timestamp) -> Vec<Event> {
         let mut events = Vec::new();
-        for index in 0..self.slots.len() {
-            let node = self.slots[index].node.clone();
-            self.launch(now, index, node, &mut events);
+        for index in 0..self.groups.len() {
+            for place in 0..self.groups[index].slots.len() {
+                let node = self.groups[index].slots[place].node.clone();
+                self.launch(now, (index, place), node, &mut events);
+            }
+            self.groups[index].settle(now, &mut events);
         }
         events
     }
 
-    /// Where a VNF runs, or is about to for the first time.
+    /// The node that is preferred of those where a VNF runs, or is about to for the first time.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
-        self.index(vnf).map(|index| &self.slots[index].node)
+        self.group(vnf).map(|group| &group.slots[0].node)
     }
 
-    /// Whether a VNF runs on a node, or is on its way there.
+    /// The nodes where a VNF runs, or is about to, in the order in which they are preferred.
+    pub fn nodes(&self, vnf: &VnfId) -> impl Iterator<Item = &NodeId> {
+        self.group(vnf).into_iter().flat_map(|group| group.slots.iter().map(|slot| &slot.node))
+    }
+
+    /// The nodes of a VNF's instances that serve, in the order in which they are preferred: those that stay first.
+    pub fn serving(&self, vnf: &VnfId) -> Vec<&NodeId> {
+        let slots = self.group(vnf).into_iter().flat_map(|group| &group.slots);
+        let mut serving: Vec<_> = slots.filter(|slot| slot.current.is_some()).collect();
+        serving.sort_by_key(|slot| (slot.is_leaving, slot.next.is_some()));
+        serving.into_iter().map(|slot| &slot.node).collect()
+    }
+
+    /// Whether an instance of a VNF runs on a node, or is on its way there.
     pub fn is_on(&self, vnf: &VnfId, node: &NodeId) -> bool {
-        self.index(vnf).is_some_and(|index| self.slots[index].is_on(node))
+        self.group(vnf).is_some_and(|group| group.is_on(node))
     }
 
     /// Where every VNF runs.
     pub fn placements(&self) -> Vec<Placement> {
-        self.slots.iter().map(|s| Placement { vnf: s.vnf.id.clone(), node: s.node.clone() }).collect()
+        self.groups.iter().map(Group::placement).collect()
     }
 
-    /// Returns every VNF with its instances, by name.
+    /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
-        self.slots.iter().map(|slot| {
-            let starting = slot.next.iter().map(|i| (i.id, &i.node, Stage::Starting));
-            let serving = slot.current.iter().map(|i| (i.id, &i.node, Stage::Serving));
-            let draining = slot.last.iter().map(|(until, i)| (i.id, &i.node, Stage::Draining(*until)));
-            Managed {
-                vnf: &slot.vnf,
-                node: &slot.node,
-                instances: starting.chain(serving).chain(draining).collect(),
-                restart_at: slot.restart_at,
-            }
+        self.groups.iter().flat_map(|group| {
+            group.slots.iter().enumerate().map(|(place, slot)| {
+                let starting = slot.next.iter().map(|i| (i.id, &i.node, Stage::Starting));
+                let serving = slot.current.iter().map(|i| (i.id, &i.node, Stage::Serving));
+                let last = if place == 0 { &group.last[..] } else { &[] };
+                let draining = last.iter().map(|(until, i)| (i.id, &i.node, Stage::Draining(*until)));
+                Managed {
+                    vnf: &group.vnf,
+                    node: &slot.node,
+                    instances: starting.chain(serving).chain(draining).collect(),
+                    restart_at: slot.restart_at,
+                }
+            })
         })
     }
 
-    /// Whether every VNF runs and is ready.
+    /// Whether every VNF runs with all its instances, and they are ready.
     pub fn all_ready(&self) -> bool {
-        self.slots.iter().all(|s| s.current.as_ref().is_some_and(|i| i.ready))
+        let mut slots = self.groups.iter().flat_map(|group| &group.slots);
+        slots.all(|slot| slot.current.as_ref().is_some_and(|i| i.ready))
     }
 
-    /// Begins to move a VNF; [`Event::Placement`] tells when packets go to the new node. Does nothing where it runs
-    /// there already. A move to another node that was still under way is given up.
+    /// Begins to move a VNF, or to give it more or fewer instances: one on each of these nodes, in this order;
+    /// [`Event::Placement`] tells when packets go to other nodes than before. Instances that are there already stay. Others
+    /// go once all serve that are to. A move to another node that was still under way is given up.
     ///
     /// # Errors
     /// [`VimError`]; then nothing changed.
-    pub fn place(&mut self, now: Timestamp, vnf: &VnfId, node: &NodeId) -> Result<Vec<Event>, VimError> {
+    pub fn place(&mut self, now: Timestamp, vnf: &VnfId, nodes: &Nodes) -> Result<Vec<Event>, VimError> {
         let index = self.index(vnf).ok_or_else(|| VimError::UnknownVnf(vnf.clone()))?;
-        let slot = &self.slots[index];
-        if let Some(pinned) = slot.vnf.pinned_to.as_ref().filter(|pinned| *pinned != node) {
+        let group = &self.groups[index];
+        if let Some(pinned) = group.vnf.pinned_to.as_ref().filter(|pinned| nodes.only() != Some(pinned)) {
             return Err(VimError::Pinned { vnf: vnf.clone(), node: pinned.clone() });
         }
-        if slot.next.as_ref().is_some_and(|next| next.node == *node) {
-            return Ok(Vec::new());
-        }
-        if slot.node != *node {
-            self.check_room(vnf, slot.vnf.cpus, slot.vnf.memory_bytes, node)?;
+        for node in nodes.all().iter().filter(|node| !group.is_on(node)) {
+            self.check_room(vnf, group.vnf.cpus, group.vnf.memory_bytes, node)?;
         }
         let mut events = Vec::new();
-        let slot = &mut self.slots[index];
-        if let Some(given_up) = slot.next.take() {
-            self.engine.stop(given_up.id);
-        }
-        if slot.node == *node {
-            // The instance that served there died, and its successor is given up.
-            if slot.current.is_none() && slot.restart_at.is_none() {
-                self.launch(now, index, node.clone(), &mut events);
+        let (given_up, starts) = self.groups[index].assign(nodes.all());
+        given_up.into_iter().for_each(|instance| self.engine.stop(instance.id));
+        for (place, node) in starts {
+            let group = &mut self.groups[index];
+            let there = group.last.iter().position(|(_, instance)| instance.node == node);
+            match there.map(|there| group.last.swap_remove(there).1) {
+                // It was there until a moment ago, and still is.
+                Some(instance) if group.is_free(instance.replica, place) => {
+                    group.slots[place].replica = instance.replica;
+                    group.switch(now, place, instance);
+                }
+                // Another has its number now.
+                Some(instance) => {
+                    events.push(life(vnf, &node, VnfState::Stopped, None));
+                    self.engine.stop(instance.id);
+                    self.launch(now, (index, place), node, &mut events);
+                }
+                None => self.launch(now, (index, place), node, &mut events),
             }
-            return Ok(events);
         }
-        match slot.last.iter().position(|(_, instance)| instance.node == *node) {
-            // It was there until a moment ago, and still is.
-            Some(place) => {
-                let (_, instance) = slot.last.swap_remove(place);
-                slot.switch(now, instance, &mut events);
-            }
-            None => self.launch(now, index, node.clone(), &mut events),
-        }
+        self.groups[index].settle(now, &mut events);
         Ok(events)
     }
 
@@ -253,19 +392,23 @@ impl<E: Engine> Vim<E> {
     pub fn poll(&mut self, now: Timestamp) -> Vec<Event> {
         let mut events = Vec::new();
         while let Some(happened) = self.engine.poll() {
-            self.absorb(now, happened, &mut events);
+            if let Some(index) = self.absorb(now, happened, &mut events) {
+                self.groups[index].settle(now, &mut events);
+            }
         }
-        for slot in &mut self.slots {
-            for (_, old) in slot.last.extract_if(.., |(until, _)| *until <= now) {
-                events.push(life(&slot.vnf.id, &old.node, VnfState::Stopped, None));
+        for group in &mut self.groups {
+            for (_, old) in group.last.extract_if(.., |(until, _)| *until <= now) {
+                events.push(life(&group.vnf.id, &old.node, VnfState::Stopped, None));
                 self.engine.stop(old.id);
             }
         }
-        for index in 0..self.slots.len() {
-            let slot = &mut self.slots[index];
-            if slot.restart_at.take_if(|at| *at <= now).is_some() {
-                let node = slot.node.clone();
-                self.launch(now, index, node, &mut events);
+        for index in 0..self.groups.len() {
+            for place in 0..self.groups[index].slots.len() {
+                let slot = &mut self.groups[index].slots[place];
+                if slot.restart_at.take_if(|at| *at <= now).is_some() {
+                    let node = slot.node.clone();
+                    self.launch(now, (index, place), node, &mut events);
+                }
             }
         }
         events
@@ -273,19 +416,23 @@ impl<E: Engine> Vim<E> {
 
     /// When [`Vim::poll`] has something to do by itself.
     pub fn next_deadline(&self) -> Option<Timestamp> {
-        let of_slot =
-            |slot: &Slot| slot.restart_at.into_iter().chain(slot.last.iter().map(|(until, _)| *until)).min();
-        self.slots.iter().filter_map(of_slot).min()
+        let of_group = |group: &Group| {
+            let restarts = group.slots.iter().filter_map(|slot| slot.restart_at);
+            restarts.chain(group.last.iter().map(|(until, _)| *until)).min()
+        };
+        self.groups.iter().filter_map(of_group).min()
     }
 
     /// Stops everything and waits for it.
     pub fn shut_down(&mut self) {
-        for slot in &mut self.slots {
-            slot.restart_at = None;
-            let last = slot.last.drain(..).map(|(_, instance)| instance);
-            for instance in slot.current.take().into_iter().chain(slot.next.take()).chain(last) {
-                self.engine.stop(instance.id);
+        for group in &mut self.groups {
+            for slot in &mut group.slots {
+                slot.restart_at = None;
+                for instance in slot.current.take().into_iter().chain(slot.next.take()) {
+                    self.engine.stop(instance.id);
+                }
             }
+            group.last.drain(..).for_each(|(_, instance)| self.engine.stop(instance.id));
         }
         self.engine.shut_down();
     }
@@ -322,10 +469,10 @@ impl<E: Engine> Vim<E> {
         let node = self.graph.node(id).ok_or_else(|| VimError::UnknownNode(id.clone()))?;
         let capacity = node.capacity().ok_or_else(|| VimError::NotAHost(id.clone()))?;
         let others = || {
-            let slots = self.slots.iter().filter(|s| s.vnf.id != *vnf && s.is_on(id));
+            let groups = self.groups.iter().filter(|group| group.vnf.id != *vnf && group.is_on(id));
             let reserved = self.reserved.iter().filter(|(other, (node, ..))| *other != vnf && node == id);
-            slots
-                .map(|s| (s.vnf.cpus, s.vnf.memory_bytes))
+            groups
+                .map(|group| (group.vnf.cpus, group.vnf.memory_bytes))
                 .chain(reserved.map(|(_, (_, cpus, memory))| (*cpus, *memory)))
         };
         let cpus = capacity.cpus - others().map(|(cpus, _)| cpus).sum::<f64>();
@@ -345,64 +492,79 @@ impl<E: Engine> Vim<E> {
     }
 
     fn index(&self, vnf: &VnfId) -> Option<usize> {
-        self.slots.binary_search_by(|slot| slot.vnf.id.cmp(vnf)).ok()
+        self.groups.binary_search_by(|group| group.vnf.id.cmp(vnf)).ok()
     }
 
-    /// Starts an instance of a VNF on a node; it becomes the current one when it is ready.
-    fn launch(&mut self, now: Timestamp, index: usize, node: NodeId, events: &mut Vec<Event>) {
-        let slot = &mut self.slots[index];
+    fn group(&self, vnf: &VnfId) -> Option<&Group> {
+        self.index(vnf).map(|index| &self.groups[index])
+    }
+
+    /// Starts an instance of a VNF on a node, for one of its slots; it becomes the current one when it is ready.
+    fn launch(
+        &mut self,
+        now: Timestamp,
+        (index, place): (usize, usize),
+        node: NodeId,
+        events: &mut Vec<Event>,
+    ) {
+        let Group { vnf, slots, .. } = &mut self.groups[index];
+        let slot = &mut slots[place];
         self.instances += 1;
-        let id = InstanceId(self.instances);
-        slot.next = Some(Instance { id, node: node.clone(), since: now, ready: false });
+        let (id, replica) = (InstanceId(self.instances), slot.replica);
+        slot.next = Some(Instance { id, node: node.clone(), replica, since: now, ready: false });
         slot.restart_at = None;
-        if slot.vnf.program == Program::RobotDriver {
+        if vnf.program == Program::RobotDriver {
             // The robot's own driver runs in the Robot Middleware: nothing is to be started.
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Ready }, events);
-        } else if let Err(error) = self.engine.start(id, &slot.vnf, &node) {
+        } else if let Err(error) = self.engine.start(id, vnf, replica, &node) {
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Failed(error) }, events);
         }
     }
 
-    fn absorb(&mut self, now: Timestamp, happened: EngineEvent, events: &mut Vec<Event>) {
+    /// Returns the place of the VNF to which it happened; its slots are to settle.
+    fn absorb(&mut self, now: Timestamp, happened: EngineEvent, events: &mut Vec<Event>) -> Option<usize> {
         if let Outcome::Died(_) = happened.outcome {
             // One that was to stop soon anyway.
-            self.slots.iter_mut().for_each(|slot| slot.last.retain(|(_, i)| i.id != happened.instance));
+            let is_other = |(_, i): &(_, Instance)| i.id != happened.instance;
+            self.groups.iter_mut().for_each(|group| group.last.retain(is_other));
         }
         let is = |i: &Option<Instance>| i.as_ref().is_some_and(|i| i.id == happened.instance);
-        let Some(slot) = self.slots.iter_mut().find(|s| is(&s.current) || is(&s.next)) else {
-            return; // A stopped instance has its last word; nobody waits for it.
-        };
-        let vnf = slot.vnf.id.clone();
+        let in_group =
+            |group: &Group| group.slots.iter().position(|slot| is(&slot.current) || is(&slot.next));
+        // A stopped instance has its last word; nobody waits for it.
+        let mut groups = self.groups.iter().enumerate();
+        let (index, place) = groups.find_map(|(index, group)| Some((index, in_group(group)?)))?;
+        let group = &mut self.groups[index];
+        let (vnf, slot) = (group.vnf.id.clone(), &mut group.slots[place]);
         let life = |node: &NodeId, state, detail| life(&vnf, node, state, detail);
         match happened.outcome {
             Outcome::Ready => {
-                let Some(mut ready) = slot.next.take() else { return };
+                let mut ready = slot.next.take()?;
                 ready.ready = true;
                 events.push(life(&ready.node, VnfState::Started, None));
-                slot.switch(now, ready, events);
+                group.switch(now, place, ready);
             }
             Outcome::Died(detail) | Outcome::Failed(detail) if is(&slot.current) => {
-                let Some(died) = slot.current.take() else { return };
+                let died = slot.current.take()?;
                 if now.since(died.since) >= HEALTHY_AFTER {
                     slot.backoff = FIRST_BACKOFF;
                 }
                 events.push(life(&died.node, VnfState::Died, Some(detail)));
                 // One that was about to replace it will; else the same again.
-                if slot.next.is_none() {
-                    slot.restart_at = Some(now + slot.backoff);
-                    slot.backoff = (slot.backoff * 2).min(LONGEST_BACKOFF);
+                if slot.next.is_none() && !slot.is_leaving {
+                    slot.restart(now);
                 }
             }
             Outcome::Died(detail) | Outcome::Failed(detail) => {
-                let Some(failed) = slot.next.take() else { return };
+                let failed = slot.next.take()?;
                 events.push(life(&failed.node, VnfState::Failed, Some(detail)));
                 // A move that failed leaves the old one in service; a start that failed is tried again.
                 if slot.current.is_none() {
-                    slot.restart_at = Some(now + slot.backoff);
-                    slot.backoff = (slot.backoff * 2).min(LONGEST_BACKOFF);
+                    slot.restart(now);
                 }
             }
         }
+        Some(index)
     }
 }
 

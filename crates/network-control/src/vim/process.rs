@@ -13,7 +13,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{NodeId, Program, Vnf};
+use cotorra_graph::{NodeId, Program, Vnf, VnfId};
 
 use crate::environment::program_of_others;
 
@@ -56,6 +56,7 @@ pub trait Launcher: Send + Sync + 'static {
     fn launch(
         &self,
         vnf: &Vnf,
+        replica: u32,
         node: &NodeId,
         command: Command,
         cgroup_procs: Vec<PathBuf>,
@@ -67,6 +68,11 @@ pub trait Launcher: Send + Sync + 'static {
 
     /// Called from another thread when [`Engine::poll`] has something new.
     fn wake(&self);
+}
+
+/// A file name of a VNF's replica: the VNF's name for the first, `<vnf>@<replica>` for others, which is no VNF's name.
+pub fn replica_name(vnf: &VnfId, replica: u32) -> String {
+    if replica == 0 { vnf.to_string() } else { format!("{vnf}@{replica}") }
 }
 
 /// Runs VNFs as processes.
@@ -91,7 +97,8 @@ struct Watched {
 }
 
 impl<L: Launcher> ProcessEngine<L> {
-    /// Processes log into `logs/<vnf>.log`, which is appended to. Without cgroups they have no limits.
+    /// Processes log into `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` from 1 on, which is appended to. Without cgroups
+    /// they have no limits.
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
         let (tell, happened) = mpsc::channel();
         Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), happened, tell }
@@ -114,9 +121,10 @@ impl<L: Launcher> ProcessEngine<L> {
 }
 
 impl<L: Launcher> Engine for ProcessEngine<L> {
-    fn start(&mut self, instance: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
+    fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String> {
         let mut command = self.command(vnf, node)?;
-        let path = self.logs.join(format!("{}.log", vnf.id));
+        command.env("COTORRA_REPLICA", replica.to_string());
+        let path = self.logs.join(format!("{}.log", replica_name(&vnf.id, replica)));
         let in_log = |e: io::Error| format!("cannot write {}: {e}", path.display());
         let mut log = OpenOptions::new().create(true).append(true).open(&path).map_err(in_log)?;
         writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
@@ -149,7 +157,7 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
                     let _ = tell.send(EngineEvent { instance, outcome });
                     launcher.wake();
                 };
-                match launcher.launch(&vnf, &node, command, procs) {
+                match launcher.launch(&vnf, replica, &node, command, procs) {
                     Ok(mut child) => watch(&mut *child, log, output, &stopped, &say),
                     Err(error) => say(Outcome::Failed(format!("cannot start: {error}"))),
                 }

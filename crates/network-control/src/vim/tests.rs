@@ -26,7 +26,7 @@ fn vnf(id: &str, node: &str, pinned: bool) -> Vnf {
         cpus: 4.0,
         memory_bytes: 1 << 30,
         pinned_to: pinned.then(|| node.clone()),
-        node,
+        node: node.into(),
         env: Vec::new(),
         rights: Default::default(),
     }
@@ -58,6 +58,7 @@ fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
             radio: None,
             flow: None,
         },
+        requests: Default::default(),
     };
     let mut vim = Vim::new(graph, &[service], InMemoryEngine::default());
     vim.start(Timestamp::ZERO);
@@ -67,6 +68,11 @@ fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
 
 fn names<E: Engine>(vim: &Vim<E>) -> Vec<(String, String)> {
     vim.placements().into_iter().map(|p| (p.vnf.to_string(), p.node.to_string())).collect()
+}
+
+/// One node, or several with commas between.
+fn on(nodes: &str) -> Nodes {
+    Nodes::new(nodes.split(',').map(id).collect()).unwrap()
 }
 
 fn id<T: std::str::FromStr>(name: &str) -> T {
@@ -91,7 +97,7 @@ fn order(events: &[Event]) -> Vec<String> {
 fn a_move_starts_the_new_instance_before_it_stops_the_old_one() {
     let mut vim = vim();
     assert!(vim.all_ready());
-    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     // Both run until the new one is ready; packets still go to the old one.
     assert_eq!(instances(&vim), 2);
     assert_eq!(names(&vim)[1], ("moving".into(), "a".into()));
@@ -109,10 +115,10 @@ fn a_move_starts_the_new_instance_before_it_stops_the_old_one() {
 #[test]
 fn an_instance_that_is_about_to_stop_serves_again_at_once() {
     let mut vim = vim();
-    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     vim.poll(Timestamp::ZERO);
     let back = Timestamp::from_secs_f64(0.5);
-    assert_eq!(order(&vim.place(back, &id("moving"), &id("a")).unwrap()), ["placed a"]);
+    assert_eq!(order(&vim.place(back, &id("moving"), &on("a")).unwrap()), ["placed a"]);
     assert_eq!((names(&vim)[1].1.as_str(), instances(&vim), vim.all_ready()), ("a", 2, true));
     assert_eq!(order(&vim.poll(back + LAST_PACKETS)), ["Stopped b"]);
     assert_eq!(instances(&vim), 1);
@@ -128,7 +134,7 @@ fn what_cannot_be_is_refused_with_a_reason_and_changes_nothing() {
         ("fixed", "a", "VNF `fixed` is pinned to `b`"),
         ("moving", "c", "VNF `moving` needs 4 CPUs of `c`, which has 2 left"),
     ] {
-        let error = vim.place(Timestamp::ZERO, &id(vnf), &id(node)).unwrap_err();
+        let error = vim.place(Timestamp::ZERO, &id(vnf), &on(node)).unwrap_err();
         assert_eq!(error.to_string(), reason);
     }
     assert_eq!(names(&vim), before);
@@ -139,7 +145,7 @@ fn what_cannot_be_is_refused_with_a_reason_and_changes_nothing() {
 fn a_move_that_fails_leaves_the_old_instance_in_service() {
     let mut vim = vim();
     vim.engine.fail_on(id("b"));
-    let events = vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    let events = vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     assert!(matches!(&events[..], [Event::Vnf(VnfEvent { state: VnfState::Failed, .. })]), "{events:?}");
     assert_eq!(names(&vim)[1], ("moving".into(), "a".into()));
     assert!(vim.all_ready());
@@ -150,13 +156,13 @@ fn a_move_that_fails_leaves_the_old_instance_in_service() {
 fn two_vnfs_that_move_at_once_do_not_overfill_a_node() {
     let nodes = vec![server("a", 8.0), server("b", 4.0)];
     let mut vim = vim_of(nodes, vec![vnf("one", "a", false), vnf("two", "a", false)]);
-    vim.place(Timestamp::ZERO, &id("one"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("one"), &on("b")).unwrap();
     // The first is not there yet.
-    let refused = vim.place(Timestamp::ZERO, &id("two"), &id("b")).unwrap_err();
+    let refused = vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap_err();
     assert_eq!(refused.to_string(), "VNF `two` needs 4 CPUs of `b`, which has 0 left");
     // Once it stays where it is, there is.
-    vim.place(Timestamp::ZERO, &id("one"), &id("a")).unwrap();
-    vim.place(Timestamp::ZERO, &id("two"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("one"), &on("a")).unwrap();
+    vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap();
 }
 
 /// Kills what serves as the VNF that can move.
@@ -170,11 +176,11 @@ fn kill_moving(vim: &mut Vim<InMemoryEngine>) -> Vec<Event> {
 fn a_vnf_that_died_while_it_moved_is_started_where_it_is_to_stay() {
     let mut vim = vim();
     vim.engine.stall_on(id("b"));
-    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     kill_moving(&mut vim);
     assert!(!vim.all_ready());
     // What was to take over is given up.
-    vim.place(Timestamp::ZERO, &id("moving"), &id("a")).unwrap();
+    vim.place(Timestamp::ZERO, &id("moving"), &on("a")).unwrap();
     assert_eq!(order(&vim.poll(Timestamp::ZERO)), ["Started a", "placed a"]);
     assert!(vim.all_ready());
     assert_eq!(instances(&vim), 1);
@@ -186,7 +192,7 @@ fn a_vnf_that_died_and_is_moved_is_started_once() {
     kill_moving(&mut vim);
     let due = vim.next_deadline().unwrap();
     vim.engine.stall_on(id("b"));
-    vim.place(Timestamp::ZERO, &id("moving"), &id("b")).unwrap();
+    vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     assert_eq!(vim.next_deadline(), None, "it is under way");
     vim.poll(due);
     assert_eq!(instances(&vim), 1);
@@ -216,4 +222,137 @@ fn a_vnf_that_dies_is_started_again_each_time_later() {
     vim.engine.kill(instance, "killed by the test");
     vim.poll(now);
     assert_eq!(vim.next_deadline().unwrap().since(now), FIRST_BACKOFF);
+}
+
+/// Four servers with room for one each, and a VNF on these.
+fn replicated(nodes: &str) -> Vim<InMemoryEngine> {
+    let servers = ["a", "b", "c", "d"].map(|name| server(name, 4.0));
+    let vnf = Vnf { node: on(nodes), ..vnf("moving", "a", false) };
+    vim_of(servers.to_vec(), vec![vnf])
+}
+
+fn place(vim: &mut Vim<InMemoryEngine>, nodes: &str) -> Vec<String> {
+    let mut events = vim.place(Timestamp::ZERO, &id("moving"), &on(nodes)).unwrap();
+    events.extend(vim.poll(Timestamp::ZERO));
+    order(&events)
+}
+
+fn kill_on(vim: &mut Vim<InMemoryEngine>, on: &str) -> Vec<String> {
+    let (instance, ..) = vim.engine.running().find(|(.., node)| *node == on).unwrap();
+    vim.engine.kill(instance, "killed by the test");
+    order(&vim.poll(Timestamp::ZERO))
+}
+
+/// Where instances serve, in the order in which they are preferred.
+fn serving(vim: &Vim<InMemoryEngine>) -> String {
+    vim.serving(&id("moving")).into_iter().map(NodeId::as_str).collect()
+}
+
+/// Numbers of the instances that run, by node.
+fn numbers(vim: &Vim<InMemoryEngine>) -> Vec<(String, u32)> {
+    let group = vim.group(&id("moving")).unwrap();
+    let mut numbers: Vec<_> = group
+        .slots
+        .iter()
+        .filter_map(|slot| slot.current.as_ref())
+        .map(|i| (i.node.to_string(), i.replica))
+        .collect();
+    numbers.sort();
+    numbers
+}
+
+#[test]
+fn a_vnf_has_as_many_instances_as_nodes_and_each_is_started_again_where_it_was() {
+    let mut vim = replicated("b,a");
+    assert_eq!((serving(&vim).as_str(), names(&vim)[0].1.as_str(), vim.all_ready()), ("ba", "b, a", true));
+    assert_eq!(numbers(&vim), [("a".to_owned(), 1), ("b".to_owned(), 0)]);
+    assert_eq!(kill_on(&mut vim, "b"), ["Died b"]);
+    assert_eq!((serving(&vim).as_str(), vim.all_ready()), ("a", false));
+    let due = vim.next_deadline().unwrap();
+    assert_eq!(due, Timestamp::ZERO + FIRST_BACKOFF);
+    vim.poll(due);
+    assert_eq!(order(&vim.poll(due)), ["Started b", "placed b, a"]);
+    assert_eq!(serving(&vim), "ba");
+}
+
+#[test]
+fn place_gives_a_vnf_more_instances_and_fewer_and_leaves_alone_what_stays() {
+    let mut vim = replicated("a");
+    let first = vim.engine.running().next().unwrap().0;
+    assert_eq!(place(&mut vim, "a,b,c"), ["Started b", "placed a, b", "Started c", "placed a, b, c"]);
+    assert_eq!((serving(&vim).as_str(), instances(&vim)), ("abc", 3));
+    // Fewer, in another order: nothing is started.
+    assert_eq!(place(&mut vim, "c,a"), ["placed c, a"]);
+    assert_eq!(serving(&vim), "ca");
+    let end = vim.next_deadline().unwrap();
+    assert_eq!((instances(&vim), end), (3, Timestamp::ZERO + LAST_PACKETS), "b answers what is under way");
+    assert_eq!(order(&vim.poll(end)), ["Stopped b"]);
+    assert_eq!((instances(&vim), vim.next_deadline()), (2, None));
+    assert!(vim.engine.running().any(|(instance, ..)| instance == first));
+}
+
+#[test]
+fn those_that_go_serve_until_all_serve_that_are_to() {
+    let mut vim = replicated("a,b");
+    vim.engine.stall_on(id("d"));
+    assert_eq!(place(&mut vim, "c,d"), ["Started c", "placed c, b"]);
+    // `b` is on its way to `d`.
+    assert_eq!(serving(&vim), "cb");
+    // One that is to go and dies is not started again, one that is to stay is.
+    let mut vim = replicated("a,b,c");
+    vim.engine.stall_on(id("d"));
+    assert_eq!(place(&mut vim, "d"), Vec::<String>::new());
+    assert_eq!((serving(&vim).as_str(), instances(&vim)), ("abc", 4));
+    assert_eq!(kill_on(&mut vim, "c"), ["Died c", "placed a, b"]);
+    assert_eq!((serving(&vim).as_str(), vim.next_deadline()), ("ab", None));
+    // It comes after all.
+    let (waiting, ..) = vim.engine.running().find(|(.., node)| *node == "d").unwrap();
+    vim.absorb(Timestamp::ZERO, EngineEvent { instance: waiting, outcome: Outcome::Ready }, &mut Vec::new());
+    vim.groups[0].settle(Timestamp::ZERO, &mut Vec::new());
+    assert_eq!(serving(&vim), "d");
+}
+
+#[test]
+fn an_instance_that_goes_serves_as_long_as_the_one_that_stays_is_down() {
+    let mut vim = replicated("a,b");
+    kill_on(&mut vim, "a");
+    assert_eq!(place(&mut vim, "a"), Vec::<String>::new());
+    assert_eq!(serving(&vim), "b");
+    let due = vim.next_deadline().unwrap();
+    vim.poll(due);
+    assert_eq!(order(&vim.poll(due)), ["Started a", "placed a"]);
+    assert_eq!(serving(&vim), "a");
+    assert_eq!(order(&vim.poll(due + LAST_PACKETS)), ["Stopped b"]);
+}
+
+#[test]
+fn numbers_of_instances_differ_and_are_the_lowest() {
+    let mut vim = replicated("a,b");
+    place(&mut vim, "c,b");
+    assert_eq!(numbers(&vim), [("b".to_owned(), 1), ("c".to_owned(), 0)]);
+    // The one on `a` answers what is under way to it, as number 0.
+    place(&mut vim, "c,b,a");
+    assert_eq!(numbers(&vim), [("a".to_owned(), 2), ("b".to_owned(), 1), ("c".to_owned(), 0)]);
+    place(&mut vim, "a,c");
+    // It is still there.
+    assert_eq!(place(&mut vim, "b,c,a"), ["placed b, c, a"]);
+    assert_eq!(numbers(&vim)[1], ("b".to_owned(), 1));
+}
+
+#[test]
+fn room_is_looked_for_on_all_nodes_before_anything_changes() {
+    let nodes = ["a", "b", "c", "d"].map(|name| server(name, 4.0));
+    let vnfs = vec![vnf("moving", "a", false), vnf("fixed", "b", true), vnf("other", "d", false)];
+    let mut vim = vim_of(nodes.to_vec(), vnfs);
+    let refused = |vim: &mut Vim<_>, vnf: &str, nodes: &str| {
+        vim.place(Timestamp::ZERO, &id(vnf), &on(nodes)).unwrap_err().to_string()
+    };
+    let full = "VNF `moving` needs 4 CPUs of `b`, which has 0 left";
+    assert_eq!(refused(&mut vim, "moving", "c,b,a"), full);
+    assert_eq!(refused(&mut vim, "fixed", "b,c"), "VNF `fixed` is pinned to `b`");
+    assert_eq!((instances(&vim), serving(&vim).as_str(), vim.engine.running().count()), (1, "a", 3));
+    // Each instance takes room, also one that is on its way.
+    vim.engine.stall_on(id("c"));
+    vim.place(Timestamp::ZERO, &id("moving"), &on("a,c")).unwrap();
+    assert_eq!(refused(&mut vim, "other", "c"), "VNF `other` needs 4 CPUs of `c`, which has 0 left");
 }

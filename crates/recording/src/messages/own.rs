@@ -166,7 +166,7 @@ message! {
 }
 
 message! {
-    /// a(n): a VNF runs on this node from now on.
+    /// a(n): a VNF runs on this node from now on, and on these others if it has several instances.
     #[derive(Default)]
     pub struct Placement = "cotorra_msgs/msg/Placement" {
         /// When.
@@ -175,6 +175,8 @@ message! {
         vnf: String,
         /// The node.
         node: String,
+        /// Nodes of further instances.
+        others: Vec<String>,
     }
 }
 

@@ -7,7 +7,7 @@ use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use super::{believed, parameters, planar, told};
-use crate::{lidar::Scan, rejection::Rejection};
+use crate::{asked::Asked, lidar::Scan, rejection::Rejection};
 
 /// A scan without an answer for so long is followed by the next, however little the robot went since.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -41,7 +41,7 @@ pub(crate) struct LocalizationEndpoint {
 }
 
 /// Where the robot was when a scan was sent.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Mark {
     /// The scan; `None` where the robot was put down.
     scan: Option<Sent>,
@@ -50,12 +50,11 @@ pub(super) struct Mark {
 }
 
 /// A scan that was sent.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Sent {
     sequence: u32,
     emitted: Timestamp,
-    nonce: u64,
-    to: Option<SocketAddrV4>,
+    asked: Asked,
 }
 
 impl LocalizationEndpoint {
@@ -91,7 +90,8 @@ impl LocalizationEndpoint {
     pub fn look(&mut self, now: Timestamp, odometry: &Pose, scan: Option<&Scan>) {
         let odometry = planar(odometry);
         let before = self.looked.replace((now, odometry));
-        let given_up = |mark: &Mark| mark.scan.is_some_and(|sent| now.since(sent.emitted) > GIVEN_UP);
+        let given_up =
+            |mark: &Mark| mark.scan.as_ref().is_some_and(|sent| now.since(sent.emitted) > GIVEN_UP);
         while self.trail.get(1).is_some_and(given_up) {
             self.trail.pop_front();
         }
@@ -127,7 +127,7 @@ impl LocalizationEndpoint {
         let step = mark.odometry.step_to(odometry);
         let far = step.x.hypot(step.y) >= self.parameters.update_distance
             || step.heading.abs() >= self.parameters.update_angle;
-        let unanswered = match mark.scan {
+        let unanswered = match &mark.scan {
             None => true,
             Some(sent) => self.since != Some(sent.sequence) && now.since(sent.emitted) >= PATIENCE,
         };
@@ -140,20 +140,14 @@ impl LocalizationEndpoint {
         Some(if quiet { *since } else { *since + LONGEST_WAIT })
     }
 
-    /// The scan that is to be sent there, with this nonce.
-    pub fn emit(
-        &mut self,
-        now: Timestamp,
-        quiet: bool,
-        to: Option<SocketAddrV4>,
-        nonce: u64,
-    ) -> Option<ScanPacket> {
+    /// The scan that is to be sent to these.
+    pub fn emit(&mut self, now: Timestamp, quiet: bool, asked: Asked) -> Option<ScanPacket> {
         self.next_deadline(quiet).filter(|at| *at <= now)?;
         let (_, packet) = self.waiting.take()?;
-        let packet = ScanPacket { emitted: now, nonce, ..packet };
+        let packet = ScanPacket { emitted: now, nonce: asked.nonce(), ..packet };
         let [x, y, heading] = packet.odometry;
         self.trail.push_back(Mark {
-            scan: Some(Sent { sequence: packet.sequence, emitted: now, nonce, to }),
+            scan: Some(Sent { sequence: packet.sequence, emitted: now, asked }),
             odometry: Pose2::new(x, y, heading),
             believed: believed(&packet.believed),
         });
@@ -171,18 +165,17 @@ impl LocalizationEndpoint {
         from: SocketAddrV4,
         packet: &PosePacket,
     ) -> Result<(), Rejection> {
-        let sent = |mark: &Mark| mark.scan.filter(|sent| sent.sequence == packet.sequence);
-        let Some((place, sent)) =
-            self.trail.iter().enumerate().find_map(|(place, mark)| Some((place, sent(mark)?)))
-        else {
+        let is_of = |sent: &&mut Sent| sent.sequence == packet.sequence;
+        let mut marks = self.trail.iter_mut().enumerate();
+        let found = marks.find_map(|(place, mark)| Some((place, mark.scan.as_mut().filter(is_of)?)));
+        let Some((place, sent)) = found else {
             let was_sent = packet.sequence < self.sequence;
             return Err(if was_sent { Rejection::Late } else { Rejection::Unknown });
         };
-        if (sent.nonce, sent.emitted, sent.to) != (packet.nonce, packet.emitted, Some(from)) {
-            return Err(Rejection::Forged);
-        }
+        let by = sent.asked.answered_by(from, packet.nonce).filter(|_| sent.emitted == packet.emitted);
+        let by = by.ok_or(Rejection::Forged)?;
         if self.since == Some(packet.sequence) {
-            return Err(Rejection::Repeated);
+            return Err(sent.asked.hear_again(from, packet.nonce));
         }
         if now.since(sent.emitted) > GIVEN_UP {
             return Err(Rejection::Late);
@@ -190,16 +183,16 @@ impl LocalizationEndpoint {
         if [0, 4, 8].iter().any(|&entry| packet.pose.covariance[entry] < 0.0) {
             return Err(Rejection::Invalid);
         }
+        sent.asked.hear(by);
         self.since = Some(packet.sequence);
         self.trail.drain(..place);
-        let mut last = self.trail[0];
-        last.believed = believed(&packet.pose);
-        self.trail[0] = last;
+        let mut last = (self.trail[0].odometry, believed(&packet.pose));
+        self.trail[0].believed = last.1;
         // What was sent since then is believed from there.
         for mark in self.trail.iter_mut().skip(1) {
-            let step = last.odometry.step_to(mark.odometry);
-            mark.believed = last.believed.moved_on(step, &self.parameters.motion);
-            last = *mark;
+            let step = last.0.step_to(mark.odometry);
+            mark.believed = last.1.moved_on(step, &self.parameters.motion);
+            last = (mark.odometry, mark.believed);
         }
         Ok(())
     }

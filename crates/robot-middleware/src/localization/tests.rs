@@ -5,8 +5,10 @@ use cotorra_plugin::wire::{PosePacket, ScanPacket};
 
 use super::*;
 use crate::{
+    asked::Asked,
     driver::RobotDriver,
     fixtures::{SERVER, id, robot, room, walk},
+    nonce::Nonces,
     rejection::Rejection,
     simulated::SimulatedRobot,
     world::World,
@@ -33,6 +35,10 @@ fn vnf() -> LocalizationVnf {
     LocalizationVnf::new(&testbed(), &id("robot1"), 1).unwrap()
 }
 
+fn asked() -> Asked {
+    Asked::of([Some(SERVER)].into_iter(), &mut Nonces::seeded(7))
+}
+
 /// A robot that drives in a circle, looked at each 100 ms, as the middleware does.
 struct Drive {
     robot: SimulatedRobot,
@@ -54,12 +60,16 @@ impl Drive {
 
     /// Goes on to the next look, and gives the scan that is then sent.
     fn look(&mut self) -> Option<ScanPacket> {
+        self.look_and_ask(asked())
+    }
+
+    fn look_and_ask(&mut self, asked: Asked) -> Option<ScanPacket> {
         let circle = Velocity::planar(0.3, 0.3);
         self.robot.command(at(self.ms), circle).unwrap();
         self.ms += 100;
         self.robot.advance(at(self.ms));
         self.endpoint.look(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
-        self.endpoint.emit(at(self.ms), true, Some(SERVER), 7)
+        self.endpoint.emit(at(self.ms), true, asked)
     }
 
     fn believed(&self) -> Pose {
@@ -124,7 +134,7 @@ fn a_robot_that_stands_asks_again_until_it_is_answered() {
     let mut look = |ms: u64| {
         drive.robot.advance(at(ms));
         drive.endpoint.look(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
-        (drive.endpoint.emit(at(ms), true, Some(SERVER), 7), drive.endpoint.clone())
+        (drive.endpoint.emit(at(ms), true, asked()), drive.endpoint.clone())
     };
     let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
     assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
@@ -134,7 +144,7 @@ fn a_robot_that_stands_asks_again_until_it_is_answered() {
     let more = (36..80).filter_map(|i| {
         drive.robot.advance(at(100 * i));
         drive.endpoint.look(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
-        drive.endpoint.emit(at(100 * i), true, Some(SERVER), 7)
+        drive.endpoint.emit(at(100 * i), true, asked())
     });
     assert_eq!(more.count(), 0);
 }
@@ -220,10 +230,10 @@ fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
         }
     };
     assert_eq!(drive.endpoint.next_deadline(false), Some(at(emitted + 100)));
-    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, Some(SERVER), 7), None);
-    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, Some(SERVER), 7).unwrap();
+    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, asked()), None);
+    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, asked()).unwrap();
     assert_eq!(packet.emitted, at(emitted + 30));
-    assert!(drive.endpoint.emit(at(emitted + 100), false, Some(SERVER), 7).is_some());
+    assert!(drive.endpoint.emit(at(emitted + 100), false, asked()).is_some());
     assert_eq!(drive.endpoint.next_deadline(true), None);
 }
 
@@ -289,4 +299,22 @@ fn a_map_without_walls_or_room_is_an_error() {
     assert_eq!(told(cotorra_graph::Cell::Free), format!("{begin}wall, by which a robot could be found"));
     let solid = told(cotorra_graph::Cell::Occupied);
     assert_eq!(solid, format!("{begin}free cell, on which a robot could be"));
+}
+
+#[test]
+fn of_several_instances_the_first_answer_is_believed_and_the_other_is_redundant() {
+    const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7712);
+    let both = || Asked::of([Some(SERVER), Some(OTHER)].into_iter(), &mut Nonces::seeded(9));
+    let mut drive = Drive::new(1);
+    let packet = std::iter::repeat_with(|| drive.look_and_ask(both())).flatten().next().unwrap();
+    let now = at(drive.ms);
+    let nonces = both().copies();
+    let [by_first, by_second] =
+        [nonces[0].1, nonces[1].1].map(|nonce| answered(&mut vnf(), &ScanPacket { nonce, ..packet.clone() }));
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_second), Err(Rejection::Forged));
+    assert_eq!(drive.endpoint.receive(now, OTHER, &by_second), Ok(()));
+    let believed = drive.believed();
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(Rejection::Redundant));
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(Rejection::Repeated));
+    assert_eq!(drive.believed(), believed);
 }

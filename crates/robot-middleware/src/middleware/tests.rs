@@ -25,7 +25,7 @@ fn testbed() -> Testbed {
         cpus: 1.0,
         memory_bytes: 1 << 20,
         pinned_to: None,
-        node: id("robot1"),
+        node: NodeId::new("robot1").unwrap().into(),
         env: Vec::new(),
         rights: Default::default(),
     };
@@ -39,6 +39,7 @@ fn testbed() -> Testbed {
             rate: BitRate::from_bits_per_second(6_000_000).unwrap(),
         }],
         kpis: Kpis { service_time: ms(15), reliability: None, area: None, radio: None, flow: None },
+        requests: Default::default(),
     };
     Testbed {
         name: "room".to_owned(),
@@ -67,7 +68,7 @@ fn middleware() -> RobotMiddleware {
 }
 
 fn route(_: &NodeId) -> Route {
-    Route { attachment: Some(id("R1")), server: id("cloud"), address: Some(SERVER) }
+    Route { attachment: Some(id("R1")), servers: vec![(id("cloud"), Some(SERVER))] }
 }
 
 fn attached(_: &NodeId) -> Vec<Attachment> {
@@ -76,6 +77,10 @@ fn attached(_: &NodeId) -> Vec<Attachment> {
 
 fn events(middleware: &mut RobotMiddleware) -> Vec<Stamped> {
     std::iter::from_fn(|| middleware.poll_event()).collect()
+}
+
+fn position(middleware: &mut RobotMiddleware, now: Timestamp) -> Option<PositionPacket> {
+    middleware.poll_position(now, route).map(|sent| sent.packet)
 }
 
 /// Runs the loop in virtual time against a brain that drives straight on and answers after `delay`.
@@ -90,7 +95,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
             return (middleware, told);
         }
         middleware.advance(now, attached);
-        while let Some(packet) = middleware.poll_position(now, route) {
+        while let Some(packet) = position(&mut middleware, now) {
             let pose = packet.pose.from_source(PoseSource::Simulator);
             let waypoint = if pose.x > 4.9 {
                 3
@@ -164,7 +169,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
     let mut middleware = middleware();
     let robot = id("robot1");
     middleware.advance(at(900), attached);
-    let packet = middleware.poll_position(at(900), route).unwrap();
+    let packet = position(&mut middleware, at(900)).unwrap();
     let answer = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
     middleware.receive(at(901), &robot, SERVER, &NavigationPacket { nonce: !packet.nonce, ..answer.clone() });
     middleware.receive(at(902), &robot, SERVER, &answer);
@@ -183,7 +188,8 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
         Event::AnswersRejected(counts) => Some(counts),
         _ => None,
     });
-    let expected = AnswersRejected { robot, late: 0, forged: 1, repeated: 1, unknown: 2, invalid: 1 };
+    let expected =
+        AnswersRejected { robot, late: 0, forged: 1, repeated: 1, redundant: 0, unknown: 2, invalid: 1 };
     assert_eq!(counts, Some(expected));
 }
 
@@ -193,7 +199,7 @@ fn without_answers_the_robot_stops() {
     let packet = loop {
         let now = middleware.next_deadline();
         middleware.advance(now, attached);
-        if let Some(packet) = middleware.poll_position(now, route) {
+        if let Some(packet) = position(&mut middleware, now) {
             break packet;
         }
     };
@@ -348,7 +354,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     assert!(walked > 1.05, "{walked}");
     middleware.halt(at(500), &robot, true).unwrap();
     assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveRefused::Halted(robot.clone())));
-    let packet = middleware.poll_position(at(600), route).unwrap();
+    let packet = position(&mut middleware, at(600)).unwrap();
     middleware.receive(at(600), &robot, SERVER, &NavigationPacket::answering(&packet, 1, forward.into()));
     let samples = events(&mut middleware);
     let measured =
@@ -382,7 +388,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
     let mut answered = |middleware: &mut RobotMiddleware, headway: Option<Headway>| {
         now += 200;
         middleware.advance(at(now), attached);
-        let packet = middleware.poll_position(at(now), route).unwrap();
+        let packet = position(middleware, at(now)).unwrap();
         let walks = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
         middleware.receive(at(now), &robot, SERVER, &NavigationPacket { headway, ..walks });
         packet.goal
@@ -455,12 +461,12 @@ fn a_robot_with_a_goal_has_not_finished() {
     middleware.navigate_to(at(1000), &robot, Some(Position::new(2.0, 1.0))).unwrap();
     assert!(!middleware.finished());
     middleware.advance(at(1200), attached);
-    let packet = middleware.poll_position(at(1200), route).unwrap();
+    let packet = position(&mut middleware, at(1200)).unwrap();
     assert_eq!((packet.waypoint, packet.goal), (3, Some(Position::new(2.0, 1.0))));
     middleware.navigate_to(at(1300), &robot, None).unwrap();
     assert!(middleware.finished());
     middleware.advance(at(1600), attached);
-    assert_eq!(middleware.poll_position(at(1600), route), None);
+    assert_eq!(position(&mut middleware, at(1600)), None);
 }
 
 /// Keeps what it is told.
@@ -508,7 +514,7 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
     let mut follows = |middleware: &mut RobotMiddleware| {
         now += 200;
         middleware.instruct(at(now), &robot, wanted, 1).unwrap();
-        let packet = middleware.poll_position(at(now), route).unwrap();
+        let packet = position(middleware, at(now)).unwrap();
         middleware.receive(at(now), &robot, SERVER, &NavigationPacket::answering(&packet, 1, wanted.into()));
         [told.try_recv().unwrap(), told.try_recv().unwrap()]
     };
@@ -578,18 +584,18 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
     let (mut scans, mut last) = (Vec::new(), None);
     for now in (0..8000).step_by(50) {
         middleware.advance(at(now), attached);
-        while let Some(position) = middleware.poll_position(at(now), route) {
+        while let Some(position) = position(&mut middleware, at(now)) {
             assert_eq!(position.pose, (&middleware.sensors(&id("robot1")).unwrap().pose).into());
             let velocity = Velocity::planar(0.3, 0.1);
             let answer = NavigationPacket::answering(&position, 1, velocity.into());
             assert_eq!(
-                middleware.poll_localization(at(now), |_| Some(SERVER)),
+                middleware.poll_localization(at(now), |_| vec![SERVER]),
                 None,
                 "a position packet is under way"
             );
             middleware.receive(at(now), &id("robot1"), SERVER, &answer);
         }
-        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now), |_| Some(SERVER))));
+        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now), |_| vec![SERVER])));
         last = service_times(&events(&mut middleware)).last().map(|time| time.service.clone()).or(last);
     }
     assert_eq!(last, Some(ServiceId::new("navigation").unwrap()));

@@ -13,7 +13,7 @@ fn endpoint(seed: u64) -> ServiceEndpoint {
 }
 
 fn route() -> Route {
-    Route { attachment: Some(id("R1")), server: id("cloud"), address: Some(SERVER) }
+    Route { attachment: Some(id("R1")), servers: vec![(id("cloud"), Some(SERVER))] }
 }
 
 fn pose() -> Pose {
@@ -26,8 +26,12 @@ fn ms(ms: u64) -> Duration {
 
 /// Emits the next packet when it is due.
 fn emit(endpoint: &mut ServiceEndpoint) -> PositionPacket {
-    let nonce = 1_000 + u64::from(endpoint.sequence);
-    endpoint.emit(endpoint.next_emission, &pose(), route(), nonce).unwrap()
+    emit_at(endpoint, endpoint.next_emission).unwrap()
+}
+
+fn emit_at(endpoint: &mut ServiceEndpoint, now: Timestamp) -> Option<PositionPacket> {
+    let mut nonces = Nonces::seeded(endpoint.sequence.into());
+    endpoint.emit(now, &pose(), route(), &mut nonces).map(|sent| sent.packet)
 }
 
 fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
@@ -46,7 +50,7 @@ fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
     let second = emit(&mut endpoint);
     assert_eq!((first.sequence, second.sequence), (0, 1));
     assert_eq!(second.emitted.since(first.emitted), ms(200));
-    assert!(endpoint.emit(second.emitted + ms(199), &pose(), route(), 7).is_none());
+    assert!(emit_at(&mut endpoint, second.emitted + ms(199)).is_none());
 }
 
 #[test]
@@ -102,10 +106,10 @@ fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
 fn packets_that_were_missed_are_not_made_up_for() {
     let mut endpoint = endpoint(1);
     let due = endpoint.next_deadline().unwrap();
-    let late = endpoint.emit(due + ms(450), &pose(), route(), 7).unwrap();
+    let late = emit_at(&mut endpoint, due + ms(450)).unwrap();
     assert_eq!(late.emitted, due + ms(450));
-    assert!(endpoint.emit(due + ms(599), &pose(), route(), 7).is_none());
-    assert_eq!(endpoint.emit(due + ms(600), &pose(), route(), 7).unwrap().sequence, 1);
+    assert!(emit_at(&mut endpoint, due + ms(599)).is_none());
+    assert_eq!(emit_at(&mut endpoint, due + ms(600)).unwrap().sequence, 1);
 }
 
 #[test]
@@ -219,7 +223,55 @@ fn the_walk_ends_once_and_packets_with_it() {
     assert!(endpoint.receive(packet.emitted + ms(5), SERVER, &answer(&packet, 3)).unwrap().finished);
     assert!(endpoint.finished());
     assert_eq!(endpoint.next_deadline(), None);
-    assert!(endpoint.emit(packet.emitted + ms(5000), &pose(), route(), 7).is_none());
+    assert!(emit_at(&mut endpoint, packet.emitted + ms(5000)).is_none());
     let again = endpoint.receive(packet.emitted + ms(6), SERVER, &answer(&packet, 3));
     assert_eq!(again, Err(Rejection::Repeated));
+}
+
+/// Another server than that of [`SERVER`].
+const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7711);
+
+/// Emits a packet to two instances; gives it as each of them receives it.
+fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
+    let servers = vec![(id("cloud"), Some(SERVER)), (id("edge"), Some(OTHER))];
+    let route = Route { attachment: Some(id("R1")), servers };
+    let mut nonces = Nonces::seeded(endpoint.sequence.into());
+    let Addressed { packet, copies } =
+        endpoint.emit(endpoint.next_emission, &pose(), route, &mut nonces).unwrap();
+    assert_eq!([copies[0].0, copies[1].0], [SERVER, OTHER]);
+    [copies[0].1, copies[1].1].map(|nonce| PositionPacket { nonce, ..packet.clone() })
+}
+
+#[test]
+fn the_first_answer_of_several_is_measured_and_followed_and_the_others_are_redundant() {
+    let mut endpoint = endpoint(1);
+    let [first, second] = emit_to_both(&mut endpoint);
+    assert_ne!(first.nonce, second.nonce, "nobody answers for another");
+    let [by_first, by_second] = [&first, &second].map(|packet| answer(packet, 1));
+    let at = |millis| first.emitted + ms(millis);
+    // Each has its own nonce.
+    assert_eq!(endpoint.receive(at(5), SERVER, &by_second), Err(Rejection::Forged));
+    assert_eq!(endpoint.receive(at(5), OTHER, &by_first), Err(Rejection::Forged));
+    let taken = endpoint.receive(at(7), OTHER, &by_second).unwrap();
+    assert_eq!((taken.service_time.took, taken.service_time.server), (Some(ms(7)), id("edge")));
+    assert!(taken.velocity.is_some() && endpoint.is_quiet());
+    assert_eq!(endpoint.receive(at(8), OTHER, &by_second), Err(Rejection::Repeated));
+    assert_eq!(endpoint.receive(at(8), OTHER, &by_first), Err(Rejection::Repeated), "from elsewhere");
+    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(Rejection::Redundant));
+    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(Rejection::Repeated));
+    let invented = NavigationPacket { nonce: !first.nonce, ..by_first };
+    assert_eq!(endpoint.receive(at(9), SERVER, &invented), Err(Rejection::Forged));
+}
+
+#[test]
+fn a_packet_is_unanswered_once_if_none_of_several_answers() {
+    let mut endpoint = endpoint(1);
+    let [first, second] = emit_to_both(&mut endpoint);
+    let given_up = endpoint.expire(first.emitted + COMMAND_TIMEOUT).unwrap();
+    assert_eq!((given_up.took, given_up.server), (None, id("cloud")), "the one that is preferred");
+    assert_eq!(endpoint.expire(first.emitted + COMMAND_TIMEOUT), None);
+    for (packet, from) in [(first, SERVER), (second, OTHER)] {
+        let late = packet.emitted + COMMAND_TIMEOUT;
+        assert_eq!(endpoint.receive(late, from, &answer(&packet, 1)), Err(Rejection::Late));
+    }
 }

@@ -101,7 +101,7 @@ fn events_of_other_domains_are_not_seen() {
             measured: Timestamp::ZERO,
             values: Default::default(),
         }),
-        Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id("s1") }),
+        Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id::<NodeId>("s1").into() }),
         Event::PluginFault { plugin: id("okpi"), reason: String::new() },
         Event::Detached { robot: id("r1"), from: id("A") },
         decision("api", Instruction::Scan { robot: id("r1") }),
@@ -111,6 +111,16 @@ fn events_of_other_domains_are_not_seen() {
     }
     let message = String::from("r2 stands still");
     assert_eq!(told(Event::Notice { message }), [None, None], "whose it is cannot be known");
+}
+
+#[test]
+fn of_anothers_vnf_a_domain_sees_the_instances_on_its_nodes() {
+    let placement = |nodes: &[&str]| {
+        let node = Nodes::new(nodes.iter().map(|name| id(name)).collect()).unwrap();
+        Event::Placement(Placement { vnf: id("nav1"), node })
+    };
+    let both = placement(&["s2", "s1"]);
+    assert_eq!(told(both.clone()), [Some(both), Some(placement(&["s2"]))]);
 }
 
 fn decision(plugin: &str, instruction: Instruction) -> Event {
@@ -184,7 +194,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
             Instruction::Provision { robot: robot(), radio_unit: id("B"), access_point: deployed.clone() },
             Instruction::Deploy { radio_unit: id(radio_unit), access_point: deployed },
             Instruction::Remove { radio_unit: id(radio_unit) },
-            Instruction::Place { vnf: id(&format!("nav{n}")), node: id(&format!("s{n}")) },
+            Instruction::Place { vnf: id(&format!("nav{n}")), node: id::<NodeId>(&format!("s{n}")).into() },
             Instruction::Map { from: robot(), to: id(&format!("s{n}")), links: vec![id(link)] },
             Instruction::Condition { link: id(link), direction: None, change: ConditionChange::default() },
         ]
@@ -201,7 +211,8 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
     for instruction in [
         Instruction::Condition { link: id("A-B"), direction: None, change: ConditionChange::default() },
         Instruction::Condition { link: id("r1~B"), direction: None, change: ConditionChange::default() },
-        Instruction::Place { vnf: id("nav1"), node: id("s2") },
+        Instruction::Place { vnf: id("nav1"), node: id::<NodeId>("s2").into() },
+        Instruction::Place { vnf: id("nav1"), node: Nodes::new(vec![id("s1"), id("s2")]).unwrap() },
         Instruction::Map { from: id("r1"), to: id("s2"), links: Vec::new() },
         Instruction::Map { from: id("r1"), to: id("s1"), links: vec![id("r1~A"), id("A-B")] },
     ] {

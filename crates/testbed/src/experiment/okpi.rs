@@ -404,7 +404,7 @@ impl Decided {
             return Self { robot: None, states: Vec::new() };
         };
         let first = report.samples().iter().find_map(|sample| sample.attachment.clone());
-        let mut state = first.map(|unit| (unit, navigation.node.clone()));
+        let mut state = first.map(|unit| (unit, navigation.node.first().clone()));
         let mut states: Vec<_> = state.iter().map(|state| (0.0, None, state.clone())).collect();
         for decision in report.decisions() {
             let Some((unit, server)) = &mut state else { break };
@@ -412,7 +412,7 @@ impl Decided {
                 Instruction::Attach { robot, radio_unit } if *robot == service.robot => {
                     *unit = radio_unit.clone()
                 }
-                Instruction::Place { vnf, node } if *vnf == navigation.id => *server = node.clone(),
+                Instruction::Place { vnf, node } if *vnf == navigation.id => *server = node.first().clone(),
                 _ => continue,
             }
             let (at, state) = (decision.at.as_secs_f64(), (unit.clone(), server.clone()));

@@ -118,11 +118,13 @@ pub(super) fn testbed(seed: u64) -> Generated {
 
     // Each less than the narrowest link carries, several more.
     let mut rates = Draw::new(seed, "rates");
+    let mut requests = Draw::new(seed, "requests");
     line(format_args!("services:"));
     for (robot, cpus) in (1..=robots).zip(&cpus) {
         line(format_args!("  navigation-{robot}:"));
         line(format_args!("    robot: robot-{robot}"));
         line(format_args!("    kpis: {{ service_time: 500 ms }}"));
+        line(format_args!("    requests: {}", requests.one(&["one", "nearest", "all"])));
         line(format_args!("    vnfs:"));
         line(format_args!(
             "      driver-{robot}: {{ program: robot_driver, pinned_to: robot-{robot}, cpus: 0.5 }}"

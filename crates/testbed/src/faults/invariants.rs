@@ -1,7 +1,7 @@
 //! Checkers of what a testbed promises whatever goes wrong. They take events and the state of the core after each step,
 //! and know nothing of simulations.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cotorra_fabric::Balance;
 use cotorra_graph::{
@@ -20,7 +20,7 @@ pub enum Invariant {
     Stops,
     /// No robot goes on faster than its speed limit.
     Slow,
-    /// One instance at most serves a VNF, and every instance that runs is managed.
+    /// One instance of a VNF at most serves on a node, and every instance that runs is managed.
     Served,
     /// A VNF without an instance is started again.
     Restarted,
@@ -54,7 +54,7 @@ impl Invariant {
             Self::Kept => "nothing acknowledged is lost",
             Self::Stops => "a robot without fresh commands stops within its timeout",
             Self::Slow => "a robot keeps its speed limit",
-            Self::Served => "a VNF is served by one instance at most",
+            Self::Served => "a VNF is served by one instance at most on a node",
             Self::Restarted => "a VNF that nothing serves is started again",
             Self::Fits => "resources are never over-committed",
             Self::Conserved => "packets are conserved",
@@ -199,7 +199,11 @@ pub(super) fn served(view: &View<'_>, checked: &mut Checked) -> Result<(), Broke
     let broken = |what: String| Err(Broken(Invariant::Served, what));
     let mut known = Vec::new();
     let mut several = false;
-    for Managed { vnf, instances, .. } in &view.managed {
+    let mut replicas = BTreeSet::new();
+    for Managed { vnf, node, instances, .. } in &view.managed {
+        if !replicas.insert((&vnf.id, *node)) {
+            return broken(format!("two replicas of {} are on {node}", vnf.id));
+        }
         let count = |stage: Stage| instances.iter().filter(|(.., at)| *at == stage).count();
         let (serving, starting) = (count(Stage::Serving), count(Stage::Starting));
         several |= instances.len() > 1;

@@ -3,8 +3,8 @@
 use std::{fmt, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, PluginId, Position,
-    Probability, Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
+    AccessPoint, ConditionChange, Direction, Instruction, LinkId, Loss, NodeId, NodeKind, Nodes, PluginId,
+    Position, Probability, Program, Rate, Testbed, ThroughputTest, Timestamp, Velocity, VnfId,
 };
 
 use super::{draw::Draw, invariants::SABOTEUR};
@@ -286,7 +286,13 @@ impl Names {
     }
 
     fn place(&self, draw: &mut Draw) -> Instruction {
-        Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: draw.one(&self.nodes).clone() }
+        let vnf = draw.one(&self.vnfs).clone();
+        let mut nodes = vec![draw.one(&self.nodes).clone()];
+        while draw.chance(0.3) {
+            let another = draw.one(&self.nodes);
+            nodes.extend((!nodes.contains(another) && nodes.len() < Nodes::MOST).then(|| another.clone()));
+        }
+        Instruction::Place { vnf, node: Nodes::new(nodes).expect("they differ, and are few") }
     }
 
     /// Draws any instruction. It may be refused.
@@ -330,7 +336,7 @@ impl Names {
         let change = ConditionChange { delay_ms: Some(-1.0), ..ConditionChange::default() };
         match draw.whole(0..=5) {
             0 => Instruction::Attach { robot: nobody, radio_unit: draw.one(&self.units).clone() },
-            1 => Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: nobody },
+            1 => Instruction::Place { vnf: draw.one(&self.vnfs).clone(), node: nobody.into() },
             2 => Instruction::Condition { link: draw.one(&self.links).clone(), direction: None, change },
             3 => {
                 let change = ConditionChange { rate: Some(Rate::Unlimited), ..ConditionChange::default() };

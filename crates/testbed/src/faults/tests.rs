@@ -58,7 +58,7 @@ fn brain(testbed: &Testbed) -> &Vnf {
 /// The brain with these instances.
 fn managed<'a>(vnf: &'a Vnf, instances: &[(u64, &'a NodeId, Stage)]) -> Managed<'a> {
     let instances = instances.iter().map(|(id, node, stage)| (InstanceId(*id), *node, *stage)).collect();
-    Managed { vnf, node: &vnf.node, instances, restart_at: None }
+    Managed { vnf, node: vnf.node.first(), instances, restart_at: None }
 }
 
 /// What the core looks like with these VNFs; all their instances run.
@@ -248,7 +248,14 @@ fn a_vnf_that_two_instances_serve_is_found() {
         check(vec![managed(vnf, &overdue)]).unwrap(),
         "an instance of brain on two was to stop at 4.900 s"
     );
-    assert_eq!((checked.checks, checked.exercised), (1, 1));
+    // Each replica has a node of its own.
+    let another = |place| {
+        let serves = [(9, place, Stage::Serving)];
+        vec![managed(vnf, &usual), Managed { node: place, ..managed(vnf, &serves) }]
+    };
+    assert_eq!(check(another(&two)), None);
+    assert_eq!(check(another(&one)).unwrap(), "two replicas of brain are on one");
+    assert_eq!((checked.checks, checked.exercised), (2, 2));
 }
 
 #[test]
@@ -285,7 +292,7 @@ fn a_vnf_that_is_left_dead_is_found() {
 fn a_node_that_carries_more_than_it_has_is_found() {
     let testbed = lab();
     let vnf = brain(&testbed);
-    let other = Vnf { id: "other".parse().unwrap(), node: node("two"), ..vnf.clone() };
+    let other = Vnf { id: "other".parse().unwrap(), node: node("two").into(), ..vnf.clone() };
     let (one, two) = (node("one"), node("two"));
     let mut fits = Fits::new(&testbed.graph);
     let mut checked = Checked::default();
@@ -300,7 +307,7 @@ fn a_node_that_carries_more_than_it_has_is_found() {
         "two has 1 CPUs and 1000 MB, and carries 2.000 CPUs and 512 MB: brain, other"
     );
     // So does a virtual access point, as long as it is there.
-    let at_unit = Vnf { node: node("unit"), ..vnf.clone() };
+    let at_unit = Vnf { node: node("unit").into(), ..vnf.clone() };
     let access_point = |state| {
         let (vnf, node) = ("vAP-unit".parse().unwrap(), node("unit"));
         stamped(1.0, Event::Vnf(VnfEvent { vnf, node, state, detail: None }))

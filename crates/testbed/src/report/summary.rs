@@ -3,8 +3,8 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_graph::{
-    Event, Instruction, Lateness, NodeId, PoseSource, Position, ServiceId, ServiceTime, Stamped, Testbed,
-    Timestamp, VnfId,
+    Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, ServiceId, ServiceTime,
+    Stamped, Testbed, Timestamp, VnfId,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -140,7 +140,8 @@ pub struct RegionSummary {
     pub service: ServiceId,
     /// Its radio unit; `None` while it had none.
     pub attachment: Option<NodeId>,
-    /// Where navigation ran, or the server of the service's flow.
+    /// Where navigation ran, or the server of the service's flow. Where all instances are asked, the one that answered the
+    /// first sample.
     pub server: NodeId,
     /// The first sample's emission.
     #[serde(rename = "from_ns")]
@@ -174,7 +175,7 @@ pub struct HandoverRecord {
     pub position: Option<Position>,
 }
 
-/// A VNF on a node.
+/// A VNF on a node, or on several.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlacementRecord {
     /// When.
@@ -182,8 +183,8 @@ pub struct PlacementRecord {
     pub at: Timestamp,
     /// The VNF.
     pub vnf: VnfId,
-    /// The node.
-    pub node: NodeId,
+    /// The node, or those of its instances.
+    pub node: Nodes,
     /// Where its service's robot was; `None` if that is not known.
     pub position: Option<Position>,
 }
@@ -304,6 +305,8 @@ pub struct Report {
     known: Known,
     /// The services, the target of each in milliseconds, and whether it is measured without fail.
     services: Vec<(ServiceId, f64, bool)>,
+    /// Services in which all instances are asked.
+    asking_all: Vec<ServiceId>,
     samples: Samples,
     driving: Driving,
     handovers: Vec<HandoverRecord>,
@@ -334,6 +337,12 @@ impl Report {
                 .services
                 .iter()
                 .map(|s| (s.id.clone(), s.kpis.service_time.as_secs_f64() * 1e3, s.kpis.flow.is_some()))
+                .collect(),
+            asking_all: testbed
+                .services
+                .iter()
+                .filter(|service| service.requests == Requests::All)
+                .map(|service| service.id.clone())
                 .collect(),
             samples: Samples::default(),
             driving: Driving::new(testbed),
@@ -519,7 +528,10 @@ impl Report {
             let ServiceTime { robot, service, emitted, attachment, server, .. } = sample;
             let its = robots.entry((robot.clone(), service.clone())).or_default();
             match its.last_mut() {
-                Some((region, all)) if (&region.attachment, &region.server) == (&attachment, &server) => {
+                Some((region, all))
+                    if region.attachment == attachment
+                        && (region.server == server || self.asking_all.contains(&region.service)) =>
+                {
                     region.until = emitted;
                     region.samples += 1;
                     all.extend(took);
@@ -630,6 +642,24 @@ mod tests {
         let regions: Vec<_> =
             summary.regions.iter().map(|r| (r.service.as_str(), r.server.as_str(), r.samples)).collect();
         assert_eq!(regions, [("detect", "edge", 3), ("navigation", "cloud", 2)]);
+    }
+
+    #[test]
+    fn regions_do_not_split_where_another_of_all_instances_answers() {
+        let servers = |asking_all: &[&str]| {
+            let asking_all = asking_all.iter().map(|id| id.parse().unwrap()).collect();
+            let mut report = Report { asking_all, ..report() };
+            for (sequence, server) in [(0, "edge"), (1, "fog"), (2, "edge")] {
+                let mut stamped = sample(sequence, "R1", Some(10));
+                if let Event::ServiceTime(sample) = &mut stamped.event {
+                    sample.server = server.parse().unwrap();
+                }
+                report.absorb(&stamped);
+            }
+            report.regions().iter().map(|r| (r.server.to_string(), r.samples)).collect::<Vec<_>>()
+        };
+        assert_eq!(servers(&["navigation"]), [("edge".to_owned(), 3)]);
+        assert_eq!(servers(&[]).len(), 3);
     }
 
     #[test]

@@ -111,6 +111,15 @@ impl Serving {
         }
     }
 
+    /// The instance of a VNF on a node dies.
+    #[cfg(test)]
+    pub(crate) fn kill_on(&self, vnf: &VnfId, node: &NodeId) {
+        let mut all = self.0.lock();
+        let here = all.by_node.entry(node.clone()).or_default();
+        let killed: Vec<_> = here.extract_if(.., |i| i.vnf == *vnf).map(|dead| dead.id).collect();
+        killed.into_iter().for_each(|instance| all.tell(instance, Outcome::Died("killed".to_owned())));
+    }
+
     /// All instances of a VNF answer so from now on.
     pub(crate) fn set_mood(&self, vnf: &VnfId, mood: Mood) {
         self.0.lock().all().filter(|i| i.vnf == *vnf).for_each(|instance| instance.mood = mood);
@@ -166,7 +175,7 @@ impl VirtualEngine {
 }
 
 impl Engine for VirtualEngine {
-    fn start(&mut self, id: InstanceId, vnf: &Vnf, node: &NodeId) -> Result<(), String> {
+    fn start(&mut self, id: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
         if !matches!(vnf.program, Program::Navigation | Program::Localization) {
             return Err("only the bundled VNFs run in virtual time".to_owned());
         }

@@ -255,7 +255,7 @@ impl Simulation {
         &self.serving
     }
 
-    /// Returns every VNF with its instances, by name.
+    /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.core.managed()
     }
@@ -465,6 +465,8 @@ impl Lockstep for Simulation {
 
 #[cfg(test)]
 mod federation_tests;
+#[cfg(test)]
+mod replica_tests;
 #[cfg(test)]
 mod sensor_tests;
 #[cfg(test)]

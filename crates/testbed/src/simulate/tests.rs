@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, OccupancyGrid, PoseSource,
-    Position, Probability, Program, RobotContext, Velocity, conditions::Loss,
+    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, Nodes, OccupancyGrid,
+    PoseSource, Position, Probability, Program, RobotContext, Velocity, conditions::Loss,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -206,6 +206,11 @@ fn goal_events(events: &[Stamped]) -> Vec<(f64, &GoalEvent)> {
     of.collect()
 }
 
+/// One node, or several with commas between.
+fn on(nodes: &str) -> Nodes {
+    Nodes::new(nodes.split(',').map(|node| node.parse().unwrap()).collect()).unwrap()
+}
+
 fn navigate_to(robot: &str, goal: Option<Position>) -> Instruction {
     Instruction::NavigateTo { robot: robot.parse().unwrap(), goal }
 }
@@ -214,7 +219,7 @@ fn navigate_to(robot: &str, goal: Option<Position>) -> Instruction {
 #[test]
 fn a_robot_goes_to_its_goal_stands_there_and_goes_on_with_its_walk() {
     let goal = Position::new(25.4, -27.6);
-    let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node: "edge".parse().unwrap() };
+    let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node: on("edge") };
     let (left, moved, back) = (15.0, 18.0, 45.0);
     let instructions =
         [(left, navigate_to("robot", Some(goal))), (moved, place), (back, navigate_to("robot", None))];
@@ -347,8 +352,7 @@ fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
         }
         if !moved && simulation.now().as_secs_f64() > 5.0 {
             moved = true;
-            let place =
-                Instruction::Place { vnf: "navigation".parse().unwrap(), node: "edge".parse().unwrap() };
+            let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node: on("edge") };
             simulation.instruct("test".parse().unwrap(), place, None).unwrap();
         }
     }
@@ -429,7 +433,7 @@ fn whenever_a_vnf_moves_every_position_packet_is_answered() {
             }
         }
         if let Some((_, place)) = moves.next_if(|(at, _)| *at <= now) {
-            let node = ["edge", "cloud"][usize::from(place)].parse().unwrap();
+            let node = on(["edge", "cloud"][usize::from(place)]);
             let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node };
             simulation.instruct("test".parse().unwrap(), place, None).unwrap();
         }
@@ -461,8 +465,7 @@ fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajector
             && let Some((_, node)) = moves.next()
         {
             next += 10.0;
-            let place =
-                Instruction::Place { vnf: "localization".parse().unwrap(), node: node.parse().unwrap() };
+            let place = Instruction::Place { vnf: "localization".parse().unwrap(), node: on(node) };
             simulation.instruct("test".parse().unwrap(), place, None).unwrap();
         }
     }

@@ -32,7 +32,7 @@ pub struct Measured {
     pub handover_gap_p50_ms: Option<f64>,
     /// The longest.
     pub handover_gap_max_ms: Option<f64>,
-    /// Placements after those at the start.
+    /// Changes of where VNFs run, after the start.
     pub migrations: usize,
     /// Plug-ins that were cut off.
     pub plugin_faults: usize,

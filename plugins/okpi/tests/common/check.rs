@@ -85,7 +85,7 @@ impl Used {
             |id: &NodeId| infrastructure.nodes.iter().position(|node| node.id == *id).expect("it is a node");
         let link =
             |id: &LinkId| infrastructure.links.iter().position(|link| link.id == *id).expect("it is a link");
-        let hosts: Vec<_> = placed.placement.iter().map(|placement| host(&placement.node)).collect();
+        let hosts: Vec<_> = placed.placement.iter().map(|placement| host(placement.node.first())).collect();
         let paths: Vec<Vec<_>> = placed.paths.iter().map(|path| path.iter().map(link).collect()).collect();
         assert_eq!(paths.len() + 1, hosts.len());
         for (path, ends) in paths.iter().zip(hosts.windows(2)) {
