@@ -6,7 +6,13 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm,
+    Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter,
+    JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind,
+    Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate,
+    RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped,
+    StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
+    VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},

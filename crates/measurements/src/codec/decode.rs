@@ -3,7 +3,12 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
+    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event,
+    GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
+    LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position,
+    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
+    SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
+    VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
 use super::direction_of;
