@@ -50,6 +50,10 @@ pub trait RobotDriver: Send {
     /// Stops as fast as the robot can.
     fn stop(&mut self, now: Timestamp);
 
+    /// Limits the speed, m/s, at which others than the testbed drive the robot: programs that it is offered to over ROS. 0
+    /// lets it stand still for them. Nothing, where the testbed alone drives it, or cannot stop others.
+    fn limit_others(&mut self, _limit: Option<f64>) {}
+
     /// σ as of the last advance or command.
     fn sensors(&self) -> SensorData;
 

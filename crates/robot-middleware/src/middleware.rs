@@ -542,6 +542,7 @@ impl RobotMiddleware {
     pub fn halt(&mut self, now: Timestamp, robot: &NodeId, halted: bool) -> Result<(), MoveRefused> {
         let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
         managed.halted = halted;
+        managed.limit_others();
         if halted {
             managed.driver.stop(now);
         }
@@ -587,6 +588,7 @@ impl RobotMiddleware {
             return Err(MoveRefused::NotALimit(limit));
         }
         managed.speed_limit = limit;
+        managed.limit_others();
         if limit == Some(0.0) {
             managed.driver.stop(now);
         }
@@ -634,6 +636,12 @@ impl RobotMiddleware {
 }
 
 impl Managed {
+    /// Lets programs that drive the robot beside the testbed do no more than the testbed may.
+    fn limit_others(&mut self) {
+        let limit = if self.halted { Some(0.0) } else { self.speed_limit };
+        self.driver.limit_others(limit);
+    }
+
     fn reject(&mut self, rejection: Rejection) {
         rejection.count(&mut self.rejected.counts);
     }
@@ -768,7 +776,7 @@ fn unreachable(
 }
 
 /// The part of a velocity that a speed limit, m/s, leaves, on the same curve. With 0 it does not even turn.
-fn slowed(wanted: Velocity, limit: f64) -> Velocity {
+pub(crate) fn slowed(wanted: Velocity, limit: f64) -> Velocity {
     let speed = wanted.linear.hypot(wanted.vertical);
     if speed > limit {
         wanted.scaled(limit / speed)

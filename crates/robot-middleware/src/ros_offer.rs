@@ -9,6 +9,7 @@ use parking_lot::{Condvar, Mutex};
 use crate::{
     driver::{CommandRefused, RobotDriver},
     lidar::Scan,
+    middleware::slowed,
     ros_driver::{AGAIN, Clock},
     simulated::SimulatedRobot,
 };
@@ -64,7 +65,19 @@ struct State {
     robot: SimulatedRobot,
     /// Time never falls, whichever thread read it.
     now: Timestamp,
+    /// The speed at which others may drive it, m/s.
+    limit: Option<f64>,
     ended: bool,
+}
+
+impl State {
+    /// Does what others ask, within the limit.
+    fn command(&mut self, velocity: Velocity) {
+        let velocity = self.limit.map_or(velocity, |limit| slowed(velocity, limit));
+        if let Err(error) = self.robot.command(self.now, velocity) {
+            tracing::debug!("robot {}: {error}", self.robot.robot());
+        }
+    }
 }
 
 impl OfferedRobot {
@@ -79,7 +92,7 @@ impl OfferedRobot {
         mut connect: impl FnMut() -> Result<O, E> + Send + 'static,
     ) -> std::io::Result<Self> {
         let id = robot.robot().clone();
-        let state = State { robot, now: Timestamp::ZERO, ended: false };
+        let state = State { robot, now: Timestamp::ZERO, limit: None, ended: false };
         let shared = Arc::new(Shared { state: Mutex::new(state), ended: Condvar::new() });
         let its = Arc::clone(&shared);
         let run = move || {
@@ -121,9 +134,7 @@ fn serve(shared: &Shared, clock: &Clock, mut offer: impl RosOffer) {
         state.now = state.now.max(clock());
         let now = state.now;
         while let Some(velocity) = offer.asked() {
-            if let Err(error) = state.robot.command(now, velocity) {
-                tracing::debug!("robot {}: {error}", state.robot.robot());
-            }
+            state.command(velocity);
         }
         state.robot.advance(now);
         let fresh = state.robot.scan().filter(|scan| told != Some(scan.at)).cloned();
@@ -164,6 +175,10 @@ impl RobotDriver for OfferedRobot {
         self.at(now, |robot, now| robot.stop(now));
     }
 
+    fn limit_others(&mut self, limit: Option<f64>) {
+        self.shared.state.lock().limit = limit;
+    }
+
     fn sensors(&self) -> SensorData {
         self.shared.state.lock().robot.sensors()
     }
@@ -189,5 +204,34 @@ impl Drop for OfferedRobot {
             // A thread that panicked has ended, too.
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{fixtures, world::World};
+
+    #[test]
+    fn others_drive_it_within_the_limit() {
+        let world = Arc::new(World::new(&fixtures::room(20.0, 4.0)));
+        let node = fixtures::robot("robot", None);
+        let walk = fixtures::walk("robot", &[(1.0, 1.0), (9.0, 1.0)]);
+        let robot = SimulatedRobot::new(&node, Some(&walk), world, 1).unwrap();
+        let mut state = State { robot, now: Timestamp::ZERO, limit: None, ended: false };
+        let mut speed_under = |limit| {
+            state.limit = limit;
+            // Commands hold for 600 ms.
+            for _ in 0..100 {
+                state.command(Velocity::planar(0.3, 0.0));
+                state.now = state.now + SimulatedRobot::STEP;
+                state.robot.advance(state.now);
+            }
+            state.robot.sensors().velocity.linear
+        };
+        assert!((speed_under(None) - 0.3).abs() < 0.01);
+        assert!((speed_under(Some(0.1)) - 0.1).abs() < 0.01);
+        assert!(speed_under(Some(0.0)).abs() < 0.01);
+        assert!((speed_under(None) - 0.3).abs() < 0.01);
     }
 }
