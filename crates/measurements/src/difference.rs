@@ -1,7 +1,7 @@
 //! Two runs side by side: what a researcher compares after a change, of plug-in, testbed or seed. Everything that the
 //! runs have in common is told in the same words for both, so that any two figures can be set against each other.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use cotorra_graph::{
     Direction, Event, LinkId, NodeId, PluginId, ServiceId, Timestamp, VnfId, VnfState, millis,
@@ -273,7 +273,6 @@ impl Side {
     }
 
     fn add(&mut self, at: Timestamp, event: Event) {
-        let ms = |took: Duration| took.as_secs_f64() * 1e3;
         match event {
             Event::Placement(placement) => {
                 let (vnf, nodes) = (placement.vnf, placement.node.all());
@@ -301,7 +300,7 @@ impl Side {
                     [self.services.entry(service).or_default(), self.regions.entry(region).or_default()];
                 for (unanswered, gathered) in both {
                     match time.took {
-                        Some(took) => gathered.add(ms(took)),
+                        Some(took) => gathered.add(millis::of(took)),
                         None => *unanswered += 1,
                     }
                 }
@@ -311,7 +310,7 @@ impl Side {
                 let (count, fast, gathered) = self.handovers.entry(of).or_default();
                 *count += 1;
                 *fast += u64::from(handover.fast);
-                gathered.add(ms(handover.gap));
+                gathered.add(millis::of(handover.gap));
             }
             Event::Vnf(vnf) => {
                 let vnfs = self.vnfs.entry(VnfOf { vnf: vnf.vnf }).or_default();

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use cotorra_graph::{
     Direction, Event, Handover, LinkContext, NodeId, Position, Program, RadioContext, RobotContext, Service,
-    ServiceTime, Stamped, Testbed, Timestamp, VnfId,
+    ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_plugin::messages::{Header, Message};
 use cotorra_robot_middleware::{SensedScan, ros};
@@ -188,7 +188,7 @@ impl Encoder {
         let server = robot.navigation.as_ref().and_then(|vnf| self.placements.get(vnf));
         words.extend(server.map(|server| format!(", {server}")));
         if let Some(sample) = &robot.last {
-            let took = sample.took.map(|took| format!(", {:.1} ms", took.as_secs_f64() * 1e3));
+            let took = sample.took.map(|took| format!(", {:.1} ms", millis::of(took)));
             words += &took.unwrap_or_else(|| ", no answer".to_owned());
         }
         words
@@ -205,7 +205,7 @@ impl Encoder {
             service: sample.service.to_string(),
             robot: sample.robot.to_string(),
             sequence: sample.sequence,
-            service_time_ms: sample.took.map_or(f64::NAN, |took| took.as_secs_f64() * 1e3),
+            service_time_ms: sample.took.map_or(f64::NAN, millis::of),
             attached_to: text(sample.attachment.as_ref()),
             server: sample.server.to_string(),
         };
@@ -220,7 +220,7 @@ impl Encoder {
             from_radio_unit: text(handover.from.as_ref()),
             to_radio_unit: handover.to.to_string(),
             fast: handover.fast,
-            gap_ms: handover.gap.as_secs_f64() * 1e3,
+            gap_ms: millis::of(handover.gap),
         };
         out(self.channels.encode(&format!("/{}/handover", robot.topic), Qos::Default, at, &message));
     }
@@ -248,27 +248,26 @@ impl Encoder {
             Direction::Forward => "forward",
             Direction::Backward => "backward",
         };
-        let ms = |duration: std::time::Duration| duration.as_secs_f64() * 1e3;
         let counters = &context.counters;
         let (probed, tested) = (&context.probed, &context.tested);
         let message = messages::LinkContext {
             header: Header::new(at, ""),
             link: context.link.to_string(),
             direction: direction.to_owned(),
-            delay_ms: context.delay.map_or(f64::NAN, ms),
+            delay_ms: context.delay.map_or(f64::NAN, millis::of),
             throughput_bps: context.throughput_bps,
-            probed_delay_ms: probed.and_then(|probed| probed.delay).map_or(f64::NAN, ms),
-            probed_jitter_ms: probed.and_then(|probed| probed.jitter).map_or(f64::NAN, ms),
-            probed_delay_age_ms: probed.and_then(|probed| probed.delay_age).map_or(f64::NAN, ms),
+            probed_delay_ms: probed.and_then(|probed| probed.delay).map_or(f64::NAN, millis::of),
+            probed_jitter_ms: probed.and_then(|probed| probed.jitter).map_or(f64::NAN, millis::of),
+            probed_delay_age_ms: probed.and_then(|probed| probed.delay_age).map_or(f64::NAN, millis::of),
             probed_loss: probed.and_then(|probed| probed.loss).unwrap_or(f64::NAN),
-            probed_loss_age_ms: probed.map_or(f64::NAN, |probed| ms(probed.loss_age)),
+            probed_loss_age_ms: probed.map_or(f64::NAN, |probed| millis::of(probed.loss_age)),
             tested_throughput_bps: tested.map_or(f64::NAN, |tested| tested.throughput_bps),
             tested_offered_bps: tested.map_or(f64::NAN, |tested| tested.offered_bps),
-            tested_age_ms: tested.map_or(f64::NAN, |tested| ms(tested.age)),
+            tested_age_ms: tested.map_or(f64::NAN, |tested| millis::of(tested.age)),
             delay_scale: context.scale.delay_scale,
             drop_scale: context.scale.drop_scale,
-            asked_delay_ms: ms(context.asked.delay),
-            effective_delay_ms: ms(context.effective.delay),
+            asked_delay_ms: millis::of(context.asked.delay),
+            effective_delay_ms: millis::of(context.effective.delay),
             packets: counters.packets,
             bytes: counters.bytes,
             lost: counters.lost,

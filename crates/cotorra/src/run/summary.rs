@@ -5,7 +5,7 @@ use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{Finished, Quantiles, Summary};
 
-use super::view::{clock, millis};
+use super::view::{clock, in_ms};
 use crate::{table::Table, testbed_file::count};
 
 /// A region with fewer samples is left out of the table, as what lies between two decisions of one moment.
@@ -126,7 +126,7 @@ fn figures(summary: &Summary) -> Table {
         table.row([format!("localization{robot}"), text]);
     }
     let gaps = Quantiles::of(summary.handovers.iter().map(|handover| handover.gap_ms).collect());
-    let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", millis(gaps.p50), millis(gaps.max)));
+    let gaps = gaps.map(|gaps| format!(", gap median {}, max {}", in_ms(gaps.p50), in_ms(gaps.max)));
     table.row(["handovers".to_owned(), format!("{}{}", summary.handovers.len(), gaps.unwrap_or_default())]);
     let verdict =
         if summary.fidelity.valid { style("valid").green() } else { style("NOT VALID").red().bold() };

@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::Path, time::Duration};
 
-use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Walk};
+use cotorra_graph::{NodeId, Nodes, Program, RobotContext, Service, Testbed, Walk, millis};
 use cotorra_testbed::Snapshot;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
@@ -207,7 +207,7 @@ fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
     let services = || testbed.services.iter().filter(|service| service.robot == *id);
     let samples: Vec<_> = services().filter_map(|service| now.service_times.get(&service.id)).collect();
     for sample in &samples {
-        let time = sample.took.map_or("no answer".to_owned(), |took| millis(took.as_secs_f64() * 1e3));
+        let time = sample.took.map_or("no answer".to_owned(), |took| in_ms(millis::of(took)));
         parts.push(if services().nth(1).is_some() { format!("{} {time}", sample.service) } else { time });
     }
     if samples.is_empty() {
@@ -228,7 +228,7 @@ fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'
 
 fn summary(testbed: &Testbed, tally: &Tally) -> String {
     let Some(median) = tally.median_ms() else { return "no service time yet".to_owned() };
-    let mut text = format!("median {}", millis(median));
+    let mut text = format!("median {}", in_ms(median));
     let above = tally.above().unwrap_or(0.0) * 100.0;
     match &testbed.services[..] {
         [] => {}
@@ -241,11 +241,11 @@ fn summary(testbed: &Testbed, tally: &Tally) -> String {
 }
 
 fn target_ms(service: &Service) -> f64 {
-    service.kpis.service_time.as_secs_f64() * 1e3
+    millis::of(service.kpis.service_time)
 }
 
 /// `28.7 ms`.
-pub fn millis(ms: f64) -> String {
+pub fn in_ms(ms: f64) -> String {
     format!("{ms:.1} ms")
 }
 

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use cotorra_graph::{
     Event, Instruction, Lateness, NodeId, Nodes, PoseSource, Position, Requests, ServiceId, ServiceTime,
-    Stamped, Testbed, Timestamp, VnfId,
+    Stamped, Testbed, Timestamp, VnfId, millis,
 };
 use cotorra_localization::trajectory::Errors;
 use serde::Serialize;
@@ -35,7 +35,7 @@ pub struct Summary {
     pub version: &'static str,
     /// The run's seed.
     pub seed: u64,
-    /// How long it ran, seconds.
+    /// How long it ran, milliseconds.
     pub duration_ms: f64,
     /// Why it ended.
     pub ended: &'static str,
@@ -336,7 +336,7 @@ impl Report {
             services: testbed
                 .services
                 .iter()
-                .map(|s| (s.id.clone(), s.kpis.service_time.as_secs_f64() * 1e3, s.kpis.flow.is_some()))
+                .map(|s| (s.id.clone(), millis::of(s.kpis.service_time), s.kpis.flow.is_some()))
                 .collect(),
             asking_all: testbed
                 .services
@@ -396,7 +396,7 @@ impl Report {
                 robot: h.robot.clone(),
                 from: h.from.clone(),
                 to: h.to.clone(),
-                gap_ms: h.gap.as_secs_f64() * 1e3,
+                gap_ms: millis::of(h.gap),
                 fast: h.fast,
                 position: self.positions.get(&h.robot).copied(),
             }),
@@ -459,26 +459,34 @@ impl Report {
 
     /// The service times of each service that has some, or a flow, in the file's order.
     pub fn services(&self) -> Vec<ServiceSummary> {
-        let mut all: BTreeMap<ServiceId, (usize, Vec<f64>)> = BTreeMap::new();
+        self.summarize(self.by_service())
+    }
+
+    /// The samples of each service that has some.
+    fn by_service(&self) -> BTreeMap<ServiceId, OfService> {
+        let mut all: BTreeMap<ServiceId, OfService> = BTreeMap::new();
         for sample in self.samples.iter() {
             let took = service_time_ms(&sample);
             let its = all.entry(sample.service).or_default();
-            its.0 += 1;
-            its.1.extend(took);
+            its.samples += 1;
+            its.answered.extend(took);
         }
+        all
+    }
+
+    fn summarize(&self, mut all: BTreeMap<ServiceId, OfService>) -> Vec<ServiceSummary> {
         let summary = |(service, target_ms, is_flow): &(ServiceId, f64, bool)| {
-            let (samples, answered) = match all.remove(service) {
+            let its = match all.remove(service) {
                 None if !is_flow => return None,
                 its => its.unwrap_or_default(),
             };
-            let above = samples - answered.iter().filter(|ms| *ms <= target_ms).count();
             Some(ServiceSummary {
                 service: service.clone(),
-                samples,
-                unanswered: samples - answered.len(),
+                samples: its.samples,
+                unanswered: its.samples - its.answered.len(),
                 service_time_target_ms: *target_ms,
-                above_target: (samples > 0).then(|| above as f64 / samples as f64),
-                service_time_ms: Quantiles::of(answered),
+                above_target: (its.samples > 0).then(|| its.above(*target_ms) as f64 / its.samples as f64),
+                service_time_ms: Quantiles::of(its.answered),
             })
         };
         self.services.iter().filter_map(summary).collect()
@@ -486,26 +494,27 @@ impl Report {
 
     /// The summary, for a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
-        let answered: Vec<f64> = self.samples.iter().filter_map(|sample| service_time_ms(&sample)).collect();
-        let targets: BTreeMap<_, _> =
-            self.services.iter().map(|(id, target_ms, _)| (id, *target_ms)).collect();
-        let is_above = |sample: &ServiceTime| {
-            let target = targets.get(&sample.service);
-            service_time_ms(sample).is_none_or(|ms| target.is_some_and(|target| ms > *target))
+        let by_service = self.by_service();
+        let answered: Vec<f64> = by_service.values().flat_map(|its| &its.answered).copied().collect();
+        let above = || {
+            let of =
+                |(id, target_ms, _): &(ServiceId, f64, bool)| Some(by_service.get(id)?.above(*target_ms));
+            let above: usize = self.services.iter().filter_map(of).sum();
+            above as f64 / self.samples.len() as f64
         };
-        let above = || self.samples.iter().filter(is_above).count() as f64 / self.samples.len() as f64;
+        let above_target = (!self.services.is_empty() && !self.samples.is_empty()).then(above);
         Summary {
             name: self.name.clone(),
             version: env!("CARGO_PKG_VERSION"),
             seed: self.seed,
-            duration_ms: end.as_secs_f64() * 1e3,
+            duration_ms: millis::of(end.since(Timestamp::ZERO)),
             ended,
             samples: self.samples.len(),
             unanswered: self.samples.len() - answered.len(),
             service_time_target_ms: self.service_time_target_ms(),
-            above_target: (!self.services.is_empty() && !self.samples.is_empty()).then(above),
+            above_target,
             service_time_ms: Quantiles::of(answered),
-            services: self.services(),
+            services: self.summarize(by_service),
             regions: self.regions(),
             handovers: self.handovers.clone(),
             placements: self.placements.clone(),
@@ -559,9 +568,24 @@ impl Report {
     }
 }
 
+/// The samples of a service.
+#[derive(Debug, Default)]
+struct OfService {
+    samples: usize,
+    /// What each answered one took, milliseconds.
+    answered: Vec<f64>,
+}
+
+impl OfService {
+    /// How many took longer than that; an unanswered one did.
+    fn above(&self, target_ms: f64) -> usize {
+        self.samples - self.answered.iter().filter(|ms| **ms <= target_ms).count()
+    }
+}
+
 /// What a sample took, in milliseconds.
 pub(crate) fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
-    sample.took.map(|took| took.as_secs_f64() * 1e3)
+    sample.took.map(millis::of)
 }
 
 #[cfg(test)]
