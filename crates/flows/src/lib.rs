@@ -19,6 +19,6 @@ mod tcp;
 mod testing;
 mod udp;
 
-pub use meter::{Frame, Meter, Protocol};
-pub use requests::{Counts, Sample};
-pub use udp::Id;
+pub use meter::{Meter, Protocol};
+pub use packet::Frame;
+pub use requests::{Counts, Id, Sample};

@@ -3,23 +3,13 @@
 use std::time::Duration;
 
 use crate::{
-    requests::{Counts, Sample},
+    packet::Frame,
+    requests::{Counts, Id, Sample},
     ros1,
     ros2::{self, Ros2},
     tcp::{Kind, Tcp},
-    udp::{Id, Udp},
+    udp::Udp,
 };
-
-/// An Ethernet frame at the port.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame<'a> {
-    /// The frame, destination address first.
-    pub bytes: &'a [u8],
-    /// Whether the transport's checksum is left to whoever needs it.
-    pub checksum_left: bool,
-    /// Of a super-packet: how many bytes of payload one of its packets has.
-    pub segment: Option<u16>,
-}
 
 /// Which flow.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,7 +2,16 @@
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
-use crate::meter::Frame;
+/// An Ethernet frame at the port.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// The frame, destination address first.
+    pub bytes: &'a [u8],
+    /// Whether the transport's checksum is left to whoever needs it.
+    pub checksum_left: bool,
+    /// Of a super-packet: how many bytes of payload one of its packets has.
+    pub segment: Option<u16>,
+}
 
 pub(crate) const TCP: u8 = 6;
 pub(crate) const UDP: u8 = 17;

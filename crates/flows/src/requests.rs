@@ -2,6 +2,22 @@
 
 use std::{collections::VecDeque, time::Duration};
 
+/// Bytes of a request that its answer repeats at the same place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Id {
+    /// Where they begin in the datagram's payload.
+    pub offset: u8,
+    /// How many they are; [`Id::MOST`] at most.
+    pub length: u8,
+}
+
+impl Id {
+    /// The most bytes that it can have.
+    pub const MOST: u8 = 16;
+    /// The farthest place at which it can begin.
+    pub const FARTHEST: u8 = 200;
+}
+
 /// So many are under way at most; then the oldest is forgotten.
 const MOST: usize = 1024;
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::udp::Id;
+use crate::requests::Id;
 
 /// So long a connection header is at most.
 const MOST_HEADER: usize = 64 << 10;

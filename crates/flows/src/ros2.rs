@@ -7,11 +7,10 @@ use std::{collections::VecDeque, time::Duration};
 
 use crate::{
     fragments::{Fragments, Ranges},
-    meter::Frame,
-    packet::{Packet, UDP, UDP_HEADER},
-    requests::Requests,
+    packet::{Frame, Packet, UDP, UDP_HEADER},
+    requests::{Id, Requests},
     rtps::{self, Data, ENCAPSULATION, Guid, Identity, PUBLICATIONS_WRITER},
-    udp::{Id, datagrams},
+    udp::datagrams,
 };
 
 /// So many writers are known at most; then the one that was quiet for longest is forgotten.

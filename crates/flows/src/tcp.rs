@@ -4,8 +4,7 @@ use std::{collections::HashMap, net::IpAddr, time::Duration};
 
 use crate::{
     http::{Exchange, Told},
-    meter::Frame,
-    packet::{Packet, Segment, TCP},
+    packet::{Frame, Packet, Segment, TCP},
     requests::Requests,
     ros1,
     stream::Stream,

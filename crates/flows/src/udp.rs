@@ -4,26 +4,9 @@ use std::{net::IpAddr, time::Duration};
 
 use crate::{
     fragments::Fragments,
-    meter::Frame,
-    packet::{Packet, UDP, UDP_HEADER, u16_at},
-    requests::Requests,
+    packet::{Frame, Packet, UDP, UDP_HEADER, u16_at},
+    requests::{Id, Requests},
 };
-
-/// Bytes of a request that its answer repeats at the same place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Id {
-    /// Where they begin in the datagram's payload.
-    pub offset: u8,
-    /// How many they are; [`Id::MOST`] at most.
-    pub length: u8,
-}
-
-impl Id {
-    /// The most bytes that it can have.
-    pub const MOST: u8 = 16;
-    /// The farthest place at which it can begin.
-    pub const FARTHEST: u8 = 200;
-}
 
 /// Two sockets, the client's first, and what a request says to tell it from others.
 #[derive(Debug, PartialEq, Eq)]
