@@ -25,9 +25,10 @@ use cotorra_graph::{
 
 use crate::{
     clock::Clock,
-    datapath::{Datapath, Options, PortKind},
+    datapath::{Datapath, Options},
     engine::Handle,
     error::{Action, Error},
+    hosts::PortKind,
     namespace::{Namespace, on_a_thread},
     netlink::{self, Netlink},
     punctual::BusyPoll,

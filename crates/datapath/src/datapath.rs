@@ -3,21 +3,20 @@
 
 use std::{
     collections::HashMap,
-    fmt::Write,
     process::Command,
     sync::Arc,
     thread::{self, JoinHandle},
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{HardwareGraph, HostAddress, NodeId};
+use cotorra_graph::{HardwareGraph, NodeId};
 
 use crate::{
     awake::Awake,
     clock::Clock,
     engine::{Engine, EventSink, Handle, Shared},
     error::{Action, Error},
-    hosts::{self, Host},
+    hosts::{self, Host, PortKind},
     kernel_network::KernelNetwork,
     namespace::Namespace,
     port::Port,
@@ -25,18 +24,6 @@ use crate::{
     punctual::BusyPoll,
     sys,
 };
-
-/// Which kind of port hosts have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum PortKind {
-    /// TAPs where `/dev/net/tun` can be opened, else packet sockets.
-    #[default]
-    Auto,
-    /// A TAP in the host's namespace.
-    Tap,
-    /// A virtual Ethernet pair with a packet socket at its other end.
-    PacketSocket,
-}
 
 /// How a datapath works.
 #[derive(Default)]
@@ -83,7 +70,7 @@ impl Datapath {
                 .into_iter()
                 .map(|Host { namespace, port }| (namespace, Port::new(port)))
                 .unzip();
-        let hosts_file = HostsFile::new(&names(graph))
+        let hosts_file = HostsFile::of(graph)
             .inspect_err(|e| tracing::warn!("programs in nodes cannot use the names of other nodes: {e}"))
             .ok();
         let shared = Arc::new(Shared::new().action("make an eventfd")?);
@@ -171,14 +158,4 @@ impl std::fmt::Debug for Datapath {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Datapath").field("hosts", &self.hosts.len()).field("kind", &self.kind).finish()
     }
-}
-
-/// The text of `/etc/hosts` in every host.
-pub(crate) fn names(graph: &HardwareGraph) -> String {
-    let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
-    for (i, node) in graph.hosts().enumerate() {
-        let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);
-        writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id).expect("a string takes all");
-    }
-    text
 }

@@ -15,7 +15,6 @@ use std::{
 use cotorra_graph::HostAddress;
 
 use crate::{
-    datapath::PortKind,
     error::{Action, Error},
     namespace::{Namespace, on_a_thread},
     netlink::{self, Netlink},
@@ -29,6 +28,18 @@ const QUEUE: u32 = 4096;
 /// Bytes between the kernel and the fabric's thread at a packet socket.
 const SOCKET_BUFFER: i32 = 32 << 20;
 const TUN: &str = "/dev/net/tun";
+
+/// Which kind of port hosts have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PortKind {
+    /// TAPs where `/dev/net/tun` can be opened, else packet sockets.
+    #[default]
+    Auto,
+    /// A TAP in the host's namespace.
+    Tap,
+    /// A virtual Ethernet pair with a packet socket at its other end.
+    PacketSocket,
+}
 
 /// A host that is up.
 pub(crate) struct Host {

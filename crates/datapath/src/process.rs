@@ -4,6 +4,7 @@
 use std::{
     env,
     ffi::CStr,
+    fmt::Write,
     fs::{self, File},
     io::{self, PipeWriter},
     os::{
@@ -14,11 +15,10 @@ use std::{
     process::{self, Command, ExitStatus},
 };
 
-use cotorra_graph::HardwareGraph;
+use cotorra_graph::{HardwareGraph, HostAddress};
 
 use crate::{
     confine::Confinement,
-    datapath::names,
     error::{Action, Error},
     init::{self, Init},
     namespace::{Namespace, on_a_thread},
@@ -176,6 +176,16 @@ impl Namespace {
         })?;
         Ok(Child { init, _lifeline: lifeline })
     }
+}
+
+/// The text of `/etc/hosts` in every host.
+fn names(graph: &HardwareGraph) -> String {
+    let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
+    for (i, node) in graph.hosts().enumerate() {
+        let HostAddress { ipv4, ipv6, .. } = HostAddress::of(i);
+        writeln!(text, "{ipv4} {id}\n{ipv6} {id}", id = node.id).expect("a string takes all");
+    }
+    text
 }
 
 /// An `/etc/hosts` for programs in nodes: a mount namespace, held by a descriptor alone, that differs from ours in

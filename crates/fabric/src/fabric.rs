@@ -239,11 +239,11 @@ impl Fabric {
         let now = self.advance(now);
         if port.0 >= self.ports.len() {
             self.drops.unroutable += 1;
-            return self.pool.put(frame);
+            return self.pool.put(frame.into_bytes());
         }
         if frame.check().is_err() {
             self.drops.malformed += 1;
-            return self.pool.put(frame);
+            return self.pool.put(frame.into_bytes());
         }
         self.balance.sent += u64::from(frame.wire_packets());
         self.learn(port, &frame);
@@ -541,7 +541,7 @@ impl Fabric {
 
     /// Takes back the buffer of a frame that was handed out.
     pub fn recycle(&mut self, frame: Frame) {
-        self.pool.put(frame);
+        self.pool.put(frame.into_bytes());
     }
 
     /// Shows a frame to the flows at the port that it enters. Out of line, as most testbeds have none.
@@ -636,7 +636,7 @@ impl Fabric {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
             Purpose::Trial => {
                 self.trials.crossed(now, edge);
-                self.pool.put(packet.frame);
+                self.pool.put(packet.frame.into_bytes());
             }
             Purpose::Probe => {
                 let direction = if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward };
@@ -688,7 +688,7 @@ impl Fabric {
                 Target::Port { .. } => {}
                 Target::All { source, .. } => {
                     if let Some(port) = here.filter(|port| port != source) {
-                        let copy = self.pool.copy(&frame);
+                        let copy = frame.copy(&mut self.pool);
                         self.outbox.push_back((now, port, copy));
                     }
                 }
@@ -696,7 +696,7 @@ impl Fabric {
             if self.routes.vertex(vertex).forwards {
                 self.leave(now, vertex, frame, target);
             } else {
-                self.pool.put(frame);
+                self.pool.put(frame.into_bytes());
             }
         }
     }
@@ -725,7 +725,7 @@ impl Fabric {
             }
             Target::All { tree, source } => {
                 for edge in tree.branches(vertex) {
-                    let copy = self.pool.copy(&frame);
+                    let copy = frame.copy(&mut self.pool);
                     self.cross(now, edge, to(copy, target.clone()));
                 }
                 match self.port_of_vertex[vertex] {
@@ -733,7 +733,7 @@ impl Fabric {
                         let source = *source;
                         self.on_air(frame, |radio, frame| radio.push_group(now, unit, source, frame));
                     }
-                    _ => self.pool.put(frame),
+                    _ => self.pool.put(frame.into_bytes()),
                 }
             }
         }
@@ -805,7 +805,7 @@ impl Fabric {
     fn drop_unroutable(&mut self, frame: Frame) {
         self.drops.unroutable += 1;
         self.balance.stranded += u64::from(frame.wire_packets());
-        self.pool.put(frame);
+        self.pool.put(frame.into_bytes());
     }
 }
 

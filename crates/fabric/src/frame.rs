@@ -127,6 +127,13 @@ impl Frame {
         Self { bytes, offload }
     }
 
+    /// A second frame like this one, in a buffer of the pool.
+    pub(crate) fn copy(&self, pool: &mut Pool) -> Self {
+        let mut buffer = pool.take(self.bytes.len());
+        buffer.extend_from_slice(&self.bytes);
+        Self::with_offload(buffer, self.offload)
+    }
+
     /// The frame, destination address first.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
@@ -253,7 +260,7 @@ impl Frame {
             }
             each(packet);
         }
-        pool.put(self);
+        pool.put(self.into_bytes());
         Ok(())
     }
 

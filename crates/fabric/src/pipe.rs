@@ -45,7 +45,7 @@ impl Packet {
     }
 
     fn copy(&self, pool: &mut Pool) -> Self {
-        Self { frame: pool.copy(&self.frame), purpose: self.purpose.clone(), entered: self.entered }
+        Self { frame: self.frame.copy(pool), purpose: self.purpose.clone(), entered: self.entered }
     }
 }
 
@@ -242,7 +242,7 @@ impl Pipe {
             if packet.counts() {
                 self.meter.counters.overflowed += u64::from(packet.frame.wire_packets());
             }
-            pool.put(packet.frame);
+            pool.put(packet.frame.into_bytes());
         }
     }
 
@@ -296,7 +296,7 @@ impl Pipe {
         let counts = u64::from(packet.counts());
         if self.impairments.loses() {
             self.meter.counters.lost += counts;
-            return pool.put(packet.frame);
+            return pool.put(packet.frame.into_bytes());
         }
         self.meter.counters.corrupted += counts * u64::from(self.impairments.corrupts(&mut packet.frame));
         let copy = self.impairments.duplicates().then(|| packet.copy(pool));

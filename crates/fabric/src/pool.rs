@@ -1,8 +1,6 @@
 //! Buffers that come back: a frame dropped or delivered leaves its memory to the next one, so that nothing is
 //! allocated per packet in the steady state.
 
-use crate::frame::Frame;
-
 /// Room for a frame of an ordinary link, its header and a VLAN tag.
 const SMALL: usize = 2048;
 /// Room for the largest super-packet: 64 KiB and its Ethernet header.
@@ -29,9 +27,8 @@ impl Pool {
         }
     }
 
-    /// Takes a frame's buffer back.
-    pub(crate) fn put(&mut self, frame: Frame) {
-        let mut buffer = frame.into_bytes();
+    /// Takes a buffer back.
+    pub(crate) fn put(&mut self, mut buffer: Vec<u8>) {
         let (kept, limit) = match buffer.capacity() {
             0..SMALL => return,
             SMALL..LARGE => (&mut self.small, SMALL_KEPT),
@@ -41,13 +38,6 @@ impl Pool {
             buffer.clear();
             kept.push(buffer);
         }
-    }
-
-    /// A second frame like this one.
-    pub(crate) fn copy(&mut self, frame: &Frame) -> Frame {
-        let mut buffer = self.take(frame.bytes().len());
-        buffer.extend_from_slice(frame.bytes());
-        Frame::with_offload(buffer, frame.offload())
     }
 }
 
@@ -62,7 +52,7 @@ mod tests {
             let mut buffer = pool.take(length);
             buffer.resize(length, 7);
             let place = buffer.as_ptr();
-            pool.put(Frame::new(buffer));
+            pool.put(buffer);
             let again = pool.take(length);
             assert_eq!(again.as_ptr(), place);
             assert!(again.is_empty() && again.capacity() >= length);

@@ -17,8 +17,9 @@ use cotorra_graph::{
 use super::{PORT, Percentiles, Setting, be_punctual, line, receive, send, server_name};
 use crate::{
     clock::Clock,
-    datapath::{Datapath, PortKind},
+    datapath::Datapath,
     error::{Action, Error},
+    hosts::PortKind,
     kernel_network::{KernelNetwork, NoKernelNetwork},
     namespace::Namespace,
     punctual::BusyPoll,

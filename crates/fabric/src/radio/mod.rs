@@ -377,7 +377,7 @@ impl Radio {
         out: &mut Vec<Arrival>,
     ) -> Option<Timestamp> {
         self.advance(now);
-        self.lost.drain(..).for_each(|frame| pool.put(frame));
+        self.lost.drain(..).for_each(|frame| pool.put(frame.into_bytes()));
         while self.in_flight.peek().is_some_and(|Reverse(f)| f.due <= now) {
             let Some(Reverse(InFlight { due, path, since, frame, is_probe, .. })) = self.in_flight.pop()
             else {
