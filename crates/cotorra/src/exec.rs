@@ -7,10 +7,7 @@ use cotorra_datapath::HostsFile;
 use cotorra_graph::{HardwareGraph, NodeId, ros1_environment};
 use cotorra_plugin::runs::{RunEntry, Runs};
 
-use crate::{
-    run::token_text,
-    running::{self, WhichRun, explained},
-};
+use crate::running::{self, WhichRun, explained, token_text};
 
 /// Run a program inside a node of the running testbed
 ///

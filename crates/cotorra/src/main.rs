@@ -31,6 +31,7 @@ mod stamp;
 mod sweep;
 mod table;
 mod testbed_file;
+mod words;
 
 use std::process::ExitCode;
 

@@ -1,18 +1,9 @@
 //! `cotorra replay`: plays a recorded run through the API, and prints what a plug-in asks for meanwhile.
 
-use std::{
-    net::SocketAddr,
-    num::NonZero,
-    path::{Path, PathBuf},
-    process::ExitCode,
-    time::Duration,
-};
+use std::{net::SocketAddr, num::NonZero, path::PathBuf, process::ExitCode, time::Duration};
 
 use clap::Args;
-use cotorra_graph::{
-    PluginId, Testbed, Timestamp,
-    testbed_file::{self, Setting},
-};
+use cotorra_graph::{PluginId, Timestamp};
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOptions, Speed};
 use indicatif::ProgressBar;
@@ -22,7 +13,7 @@ use crate::{
     output,
     run::{self, FOXGLOVE},
     signals,
-    testbed_file::FileError,
+    testbed_file::{FileError, recorded_with},
 };
 
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
@@ -152,25 +143,6 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     };
     note!("the replay is over: {told}");
     Ok(code)
-}
-
-/// The testbed as it was run, with the settings that were noted behind its file.
-pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, cotorra_graph::Diagnostics> {
-    recorded_with(text, run, base, [])
-}
-
-/// The same with more settings.
-fn recorded_with(
-    text: &str,
-    run: &str,
-    base: &Path,
-    more: impl IntoIterator<Item = Setting>,
-) -> Result<Testbed, cotorra_graph::Diagnostics> {
-    let noted = text.lines().rev().map_while(|line| line.strip_prefix("# set: "));
-    let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
-    settings.reverse();
-    settings.extend(more);
-    testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
 }
 
 #[cfg(test)]

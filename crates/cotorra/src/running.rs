@@ -1,13 +1,21 @@
 //! Finds the run that a command is about by its entry, and talks to it over its Unix socket. A program that took the port
 //! of a run hears nothing.
 
-use std::net::SocketAddr;
+use std::{env, net::SocketAddr};
 
 use clap::Args;
 use cotorra_plugin::{
     client::{Client, ClientError},
     runs::{RunEntry, Runs, RunsError},
 };
+
+/// The environment variable with the API's token.
+pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
+
+/// The API's token, if one is set.
+pub fn token_text() -> Option<String> {
+    env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
+}
 
 /// Which run.
 #[derive(Debug, Args)]

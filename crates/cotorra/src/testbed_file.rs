@@ -149,3 +149,22 @@ pub fn count(n: usize, what: &str) -> String {
         _ => format!("{n} {what}s"),
     }
 }
+
+/// The testbed as it was run, with the settings that were noted behind its file.
+pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, Diagnostics> {
+    recorded_with(text, run, base, [])
+}
+
+/// The same with more settings.
+pub fn recorded_with(
+    text: &str,
+    run: &str,
+    base: &Path,
+    more: impl IntoIterator<Item = Setting>,
+) -> Result<Testbed, Diagnostics> {
+    let noted = text.lines().rev().map_while(|line| line.strip_prefix("# set: "));
+    let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
+    settings.reverse();
+    settings.extend(more);
+    testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
+}

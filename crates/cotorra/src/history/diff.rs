@@ -7,7 +7,7 @@ use cotorra_measurements::{
 
 use super::args::DiffArgs;
 use super::{Error, Source, first_of, plot::figure};
-use crate::{output, run::clock, table::Table};
+use crate::{output, table::Table, words::clock};
 
 /// No more rows of each table are shown.
 const ROWS: usize = 30;

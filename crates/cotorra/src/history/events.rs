@@ -2,12 +2,15 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Event, GoalEvent, Instruction, LinkId, Stamped, VirtualLinkMapping};
+use cotorra_graph::{Event, GoalEvent, Instruction, Stamped, VirtualLinkMapping};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::args::EventsArgs;
 use super::{Error, Source, more, seconds};
-use crate::{link, output};
+use crate::{
+    output,
+    words::{self, over},
+};
 
 /// Shows events.
 pub fn events(args: &EventsArgs) -> miette::Result<()> {
@@ -55,9 +58,12 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             let delay =
                 context.delay.map_or("no packet".to_owned(), |d| format!("{:.3} ms", d.as_secs_f64() * 1e3));
             let direction = format!("{:?}", context.direction).to_lowercase();
-            let probed =
-                context.probed.as_ref().map(|p| format!("; probes: {}", link::probed(p))).unwrap_or_default();
-            let does = link::conditions(&context.effective);
+            let probed = context
+                .probed
+                .as_ref()
+                .map(|p| format!("; probes: {}", words::probed(p)))
+                .unwrap_or_default();
+            let does = words::conditions(&context.effective);
             format!(
                 "{} {direction}: {delay}, {:.3} Mbit/s{probed}; does {does}",
                 context.link,
@@ -139,11 +145,6 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
         ),
         Event::Notice { message } => message.clone(),
     }
-}
-
-/// Links of a path, for people.
-pub(super) fn over(links: &[LinkId]) -> String {
-    links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
 }
 
 fn instruction(instruction: &Instruction) -> String {

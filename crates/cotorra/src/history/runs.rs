@@ -10,7 +10,7 @@ use super::{
     place::location,
     source::{self, Error, Source},
 };
-use crate::{output, run::clock, table::Table};
+use crate::{output, table::Table, words::clock};
 
 /// Lists runs.
 pub fn runs(args: &HistoryRunsArgs) -> miette::Result<()> {

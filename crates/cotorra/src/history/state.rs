@@ -3,11 +3,11 @@
 use cotorra_graph::{LinkContext, RobotContext, Timestamp, VirtualLinkMapping};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
-use super::{Error, Source, args::StateArgs, events::over, first_of, seconds};
+use super::{Error, Source, args::StateArgs, first_of, seconds};
 use crate::{
-    link::{conditions, probed},
     output,
     table::Table,
+    words::{conditions, over, probed},
 };
 
 /// No more rows of each table are shown.

@@ -16,7 +16,10 @@ use super::{
     args::{ExportArgs, ExportFormat, ImportArgs},
     place::{HISTORY_VARIABLE, location},
 };
-use crate::{output, replay::recorded, signals, testbed_file::FileError};
+use crate::{
+    output, signals,
+    testbed_file::{FileError, recorded},
+};
 
 /// Events between two questions to the history.
 const PAGE: usize = 1000;

@@ -4,9 +4,7 @@ mod args;
 
 use std::{net::SocketAddr, thread, time::Duration};
 
-use cotorra_graph::{
-    Conditions, Instruction, LinkContext, LinkId, Loss, PluginId, Probed, QueueLimit, Rate, Tested,
-};
+use cotorra_graph::{Instruction, LinkContext, LinkId, PluginId, Tested};
 use cotorra_plugin::{client::Client, runs::Runs};
 use indicatif::{ProgressBar, ProgressStyle};
 use miette::{IntoDiagnostic, miette};
@@ -15,9 +13,9 @@ pub use self::args::Link;
 use self::args::{ApiArgs, SetArgs, ShowArgs, TestArgs};
 use crate::{
     output,
-    run::token_text,
-    running::{Error, explained, with_token},
+    running::{Error, explained, token_text, with_token},
     table::Table,
+    words::{ago, conditions, millis, probed},
 };
 
 /// Results are told once a second, a second after the last packet.
@@ -145,58 +143,4 @@ fn table(links: &[LinkContext]) -> String {
         ]);
     }
     table.render("")
-}
-
-fn millis(duration: Duration) -> String {
-    format!("{:.3}", duration.as_secs_f64() * 1e3)
-}
-
-fn ago(age: Duration) -> String {
-    format!("{:.1} s ago", age.as_secs_f64())
-}
-
-/// What probes tell, in a few words.
-pub fn probed(probed: &Probed) -> String {
-    let delay = probed.delay.map(|delay| {
-        let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
-        let age = probed.delay_age.map(|age| format!(" ({})", ago(age))).unwrap_or_default();
-        format!("{}{jitter} ms{age}", millis(delay))
-    });
-    let loss = probed.loss.map(|loss| format!("{:.1} % lost ({})", loss * 100.0, ago(probed.loss_age)));
-    [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
-}
-
-/// What a link does to packets, in a few words.
-pub fn conditions(conditions: &Conditions) -> String {
-    let percent = |share: f64| format!("{:.3} %", share * 100.0);
-    let mut said = vec![format!("{} ms", millis(conditions.delay))];
-    if let Some(jitter) = conditions.jitter {
-        said[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
-    }
-    said.push(match &conditions.rate {
-        Rate::Unlimited => "unlimited".to_owned(),
-        Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
-        Rate::Trace { trace } => format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6),
-    });
-    match conditions.loss {
-        Loss::None => {}
-        Loss::Independent { rate } => said.push(format!("loss {}", percent(rate.get()))),
-        Loss::Bursty { rate, mean_burst } => {
-            said.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
-        }
-    }
-    let shares = [
-        ("duplication", conditions.duplication),
-        ("corruption", conditions.corruption),
-        ("reordering", conditions.reordering),
-    ];
-    said.extend(
-        shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(p.get()))),
-    );
-    match conditions.queue {
-        QueueLimit::Packets(1000) => {}
-        QueueLimit::Packets(packets) => said.push(format!("queue {packets} packets")),
-        QueueLimit::Bytes(bytes) => said.push(format!("queue {bytes} B")),
-    }
-    said.join(", ")
 }

@@ -27,11 +27,12 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 use crate::{
     history::{self, HistoryPlace, Source},
     logs::{self, LogFile},
-    output, replay, signals,
+    output,
+    running::{TOKEN_VARIABLE, token_text},
+    signals,
     testbed_file::{self, Loaded},
 };
 pub use args::{FOXGLOVE, RunArgs};
-pub use view::clock;
 use view::{Places, View};
 
 /// How often the view looks; no service time is missed while robots ask for navigation no more often.
@@ -39,8 +40,6 @@ const LOOK: Duration = Duration::from_millis(25);
 /// The figures of a run are not valid.
 pub const NOT_VALID: u8 = 3;
 
-/// The environment variable with the API's token.
-pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
 /// The environment variable with the tokens of domains.
 const DOMAIN_TOKENS_VARIABLE: &str = "COTORRA_DOMAIN_TOKENS";
 
@@ -141,7 +140,7 @@ fn earlier(args: &RunArgs, now: &Loaded) -> miette::Result<Option<Earlier>> {
     let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
     let Source { history, run: found } = Source::find(run, &place)?;
     let base = args.file.parent().unwrap_or(Path::new(""));
-    let parse = |text: &str| replay::recorded(text, run, base);
+    let parse = |text: &str| testbed_file::recorded(text, run, base);
     let cannot = |why| Error::After { run: run.to_owned(), why };
     Ok(Some(Earlier::read(&history, &found, &now.testbed, parse).map_err(cannot)?))
 }
@@ -211,11 +210,6 @@ impl Stage {
         let path = folder.join("logs/cotorra.log");
         self.log.open(&path).map_err(|source| Error::Log { path, source })
     }
-}
-
-/// The API's token, if one is set.
-pub fn token_text() -> Option<String> {
-    env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
 }
 
 /// The operator's and those of domains, checked.

@@ -5,7 +5,7 @@ use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{Finished, Quantiles, Summary};
 
-use super::view::{clock, in_ms};
+use crate::words::{clock, in_ms};
 use crate::{table::Table, testbed_file::count};
 
 /// A region with fewer samples is left out of the table, as what lies between two decisions of one moment.

@@ -7,7 +7,10 @@ use cotorra_testbed::Snapshot;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 use super::tally::Tally;
-use crate::testbed_file::length;
+use crate::{
+    testbed_file::length,
+    words::{clock, in_ms},
+};
 
 /// More robots than this are only counted.
 const ROBOTS_SHOWN: usize = 8;
@@ -242,16 +245,4 @@ fn summary(testbed: &Testbed, tally: &Tally) -> String {
 
 fn target_ms(service: &Service) -> f64 {
     millis::of(service.kpis.service_time)
-}
-
-/// `28.7 ms`.
-pub fn in_ms(ms: f64) -> String {
-    format!("{ms:.1} ms")
-}
-
-/// `0:07`, `6:52`, `1:02:03`.
-pub fn clock(seconds: f64) -> String {
-    let seconds = seconds as u64;
-    let (h, min, s) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-    if h > 0 { format!("{h}:{min:02}:{s:02}") } else { format!("{min}:{s:02}") }
 }

@@ -1,0 +1,78 @@
+//! Values in words, as tables and messages have them.
+
+use std::time::Duration;
+
+use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate};
+
+/// `28.7 ms`.
+pub fn in_ms(ms: f64) -> String {
+    format!("{ms:.1} ms")
+}
+
+/// `0:07`, `6:52`, `1:02:03`.
+pub fn clock(seconds: f64) -> String {
+    let seconds = seconds as u64;
+    let (h, min, s) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    if h > 0 { format!("{h}:{min:02}:{s:02}") } else { format!("{min}:{s:02}") }
+}
+
+/// Milliseconds, without their unit.
+pub fn millis(duration: Duration) -> String {
+    format!("{:.3}", duration.as_secs_f64() * 1e3)
+}
+
+/// `1.5 s ago`.
+pub fn ago(age: Duration) -> String {
+    format!("{:.1} s ago", age.as_secs_f64())
+}
+
+/// What probes tell, in a few words.
+pub fn probed(probed: &Probed) -> String {
+    let delay = probed.delay.map(|delay| {
+        let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
+        let age = probed.delay_age.map(|age| format!(" ({})", ago(age))).unwrap_or_default();
+        format!("{}{jitter} ms{age}", millis(delay))
+    });
+    let loss = probed.loss.map(|loss| format!("{:.1} % lost ({})", loss * 100.0, ago(probed.loss_age)));
+    [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// What a link does to packets, in a few words.
+pub fn conditions(conditions: &Conditions) -> String {
+    let percent = |share: f64| format!("{:.3} %", share * 100.0);
+    let mut said = vec![format!("{} ms", millis(conditions.delay))];
+    if let Some(jitter) = conditions.jitter {
+        said[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
+    }
+    said.push(match &conditions.rate {
+        Rate::Unlimited => "unlimited".to_owned(),
+        Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
+        Rate::Trace { trace } => format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6),
+    });
+    match conditions.loss {
+        Loss::None => {}
+        Loss::Independent { rate } => said.push(format!("loss {}", percent(rate.get()))),
+        Loss::Bursty { rate, mean_burst } => {
+            said.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
+        }
+    }
+    let shares = [
+        ("duplication", conditions.duplication),
+        ("corruption", conditions.corruption),
+        ("reordering", conditions.reordering),
+    ];
+    said.extend(
+        shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(p.get()))),
+    );
+    match conditions.queue {
+        QueueLimit::Packets(1000) => {}
+        QueueLimit::Packets(packets) => said.push(format!("queue {packets} packets")),
+        QueueLimit::Bytes(bytes) => said.push(format!("queue {bytes} B")),
+    }
+    said.join(", ")
+}
+
+/// Links of a path, for people.
+pub fn over(links: &[LinkId]) -> String {
+    links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
+}
