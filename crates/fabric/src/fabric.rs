@@ -16,11 +16,13 @@ use cotorra_graph::{
 
 use crate::{
     balance::Balance,
+    error::FabricError,
     flows::{Flows, Mark},
     frame::Frame,
     lateness::Histogram,
     pipe::{Packet, Pipe, Purpose},
     pool::Pool,
+    port::PortId,
     probes::{Over, Probes},
     radio::{Arrival, Path, Radio},
     random::stream,
@@ -30,46 +32,7 @@ use crate::{
     trial::Trials,
 };
 
-pub use self::paths::{Carries, NoPath};
-
-/// A host's place in [`HardwareGraph::hosts`], from 0; its interface has the addresses [`HostAddress::of`] that.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PortId(pub usize);
-
-/// Why a graph makes no fabric.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FabricError {
-    /// A link ends nowhere.
-    #[error("link `{link}` ends at `{node}`, which is no node of the graph")]
-    UnknownEnd {
-        /// The link.
-        link: LinkId,
-        /// The node that does not exist.
-        node: NodeId,
-    },
-    /// A robot with a wire.
-    #[error("link `{link}` ends at robot `{robot}`, but a robot is reached by its radio alone")]
-    WiredRobot {
-        /// The link.
-        link: LinkId,
-        /// The robot.
-        robot: NodeId,
-    },
-    /// Two nodes or two links of one name.
-    #[error("`{0}` names two things: names are unique")]
-    Duplicate(String),
-    /// More hosts than there are addresses.
-    #[error("{0} hosts are too many: there are addresses for {max}", max = HostAddress::MAX_HOSTS)]
-    TooManyHosts(usize),
-    /// Conditions that cannot be.
-    #[error("`{link}`: {refusal}")]
-    Conditions {
-        /// The link, or the wireless network by its SSID.
-        link: String,
-        /// What is wrong.
-        refusal: Refusal,
-    },
-}
+pub use self::paths::NoPath;
 
 /// Frames that the fabric could not lead anywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

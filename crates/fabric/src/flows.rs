@@ -7,7 +7,7 @@ use cotorra_graph::{
     Event, Flow, FlowId, FlowProtocol, NodeId, Service, ServiceId, ServiceTime, Stamped, Timestamp,
 };
 
-use crate::{fabric::PortId, frame::Frame};
+use crate::{frame::Frame, port::PortId};
 
 /// Stands for no port.
 const NONE: u32 = u32::MAX;

@@ -79,6 +79,7 @@
 
 mod balance;
 mod checksum;
+mod error;
 mod fabric;
 mod flows;
 mod frame;
@@ -87,6 +88,7 @@ mod lateness;
 mod meter;
 mod pipe;
 mod pool;
+mod port;
 mod probes;
 mod radio;
 mod random;
@@ -98,10 +100,12 @@ mod trial;
 mod wire_probes;
 
 pub use balance::Balance;
-pub use fabric::{Carries, Drops, Fabric, FabricError, NoPath, PortId};
+pub use error::FabricError;
+pub use fabric::{Drops, Fabric, NoPath};
 pub use frame::{Checksum, Frame, MEASURING_ETHERTYPE, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
+pub use port::PortId;
 pub use probes::Crossing;
-pub use settings::Refusal;
+pub use settings::{Carries, Refusal};
 pub use trial::Trials;
 pub use wire_probes::WireProbes;

@@ -4,7 +4,7 @@
 
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc, time::Duration};
 
-use crate::PortId;
+use crate::port::PortId;
 
 /// Where a frame goes.
 #[derive(Debug, Clone)]

@@ -358,6 +358,23 @@ pub(crate) fn is_impaired(conditions: &Conditions) -> bool {
         || random.into_iter().any(|p| p != Probability::ZERO)
 }
 
+/// What one direction of a link carries.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Carries {
+    /// Its rate, bit/s.
+    pub rate_bps: f64,
+    /// It loses every packet.
+    pub is_cut: bool,
+    /// A wireless link is there while the robot is attached by it, a wired one always.
+    pub is_there: bool,
+}
+
+impl Carries {
+    pub(crate) fn of(settings: &Settings) -> Self {
+        Self { rate_bps: settings.capacity_bps(), is_cut: settings.is_cut(), is_there: true }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

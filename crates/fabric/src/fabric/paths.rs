@@ -5,8 +5,8 @@ use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{Direction, LinkId, NodeId};
 
-use super::{Fabric, PortId, edge};
-use crate::{routes::Path, settings::Settings};
+use super::{Fabric, edge};
+use crate::{port::PortId, routes::Path, settings::Carries};
 
 /// Why links make no path between two hosts.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -39,23 +39,6 @@ pub enum NoPath {
         /// Where it should.
         to: NodeId,
     },
-}
-
-/// What one direction of a link carries.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Carries {
-    /// Its rate, bit/s.
-    pub rate_bps: f64,
-    /// It loses every packet.
-    pub is_cut: bool,
-    /// A wireless link is there while the robot is attached by it, a wired one always.
-    pub is_there: bool,
-}
-
-impl Carries {
-    pub(crate) fn of(settings: &Settings) -> Self {
-        Self { rate_bps: settings.capacity_bps(), is_cut: settings.is_cut(), is_there: true }
-    }
 }
 
 /// A path as it was walked.

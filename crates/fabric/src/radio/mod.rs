@@ -45,11 +45,12 @@ use self::{
 };
 use crate::{
     balance::Balance,
-    fabric::{Carries, FabricError, PortId},
+    error::FabricError,
     frame::Frame,
     pool::Pool,
+    port::PortId,
     random::stream,
-    settings::{Refusal, Settings},
+    settings::{Carries, Refusal, Settings},
     timers::Timers,
 };
 
