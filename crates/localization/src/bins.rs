@@ -1,5 +1,4 @@
-//! Bins of poses: KLD-sampling counts them to know how many particles it takes, and neighbouring ones are a cluster,
-//! of which the heaviest is the estimate.
+//! Bins of poses: KLD-sampling counts them to know how many particles it takes.
 
 use std::{
     collections::HashMap,
@@ -8,11 +7,8 @@ use std::{
 };
 
 use crate::{
-    fast::sin_cos,
-    field::Place,
-    geometry::wrapped,
     parameters::{BIN, Parameters},
-    particles::Particles,
+    place::Place,
 };
 
 /// Column, row and heading of a bin.
@@ -108,99 +104,8 @@ pub(crate) fn kld_bound(bins: usize, parameters: &Parameters) -> usize {
     ((k / (2.0 * parameters.kld_error) * x.powi(3)).ceil() as usize).clamp(least, most)
 }
 
-/// The heaviest cluster.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Cluster {
-    /// Mean column and row, in cells.
-    pub column: f64,
-    pub row: f64,
-    /// Mean heading, radians.
-    pub heading: f64,
-    /// Covariance of column, row and heading, row by row.
-    pub covariance: [f64; 9],
-    /// Its share of all weight.
-    pub share: f64,
-}
-
-impl Cluster {
-    /// The heaviest of the clusters in which no bin is away from all others (AMCL's way to tell hypotheses apart).
-    pub fn heaviest(particles: &Particles, binning: &Binning) -> Self {
-        let mut bins = Bins::default();
-        let mut all: Vec<Bin> = Vec::new();
-        let mut weights: Vec<f64> = Vec::new();
-        let number: Vec<usize> = (0..particles.len())
-            .map(|particle| {
-                let bin = binning.bin(particles.places.at(particle));
-                let number = bins.insert(bin);
-                if number == all.len() {
-                    all.push(bin);
-                    weights.push(0.0);
-                }
-                weights[number] += f64::from(particles.weight[particle]);
-                number
-            })
-            .collect();
-        let cluster = connected(&all, &bins);
-        let mut heaviest = 0;
-        let mut sums = vec![0.0; all.len()];
-        for (bin, weight) in weights.iter().enumerate() {
-            sums[cluster[bin]] += weight;
-        }
-        for (candidate, sum) in sums.iter().enumerate() {
-            if *sum > sums[heaviest] {
-                heaviest = candidate;
-            }
-        }
-        let members = || (0..particles.len()).filter(|&particle| cluster[number[particle]] == heaviest);
-        let alone = cluster.iter().all(|other| *other == cluster[0]);
-        let share = if alone { 1.0 } else { sums[heaviest] / sums.iter().sum::<f64>() };
-        Self::moments(particles, share, members)
-    }
-
-    fn moments<M: Iterator<Item = usize>>(
-        particles: &Particles,
-        share: f64,
-        members: impl Fn() -> M,
-    ) -> Self {
-        let places = &particles.places;
-        let (mut weight, mut column, mut row, mut sin, mut cos) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        for i in members() {
-            let part = f64::from(particles.weight[i]);
-            let (s, c) = sin_cos(places.heading[i]);
-            weight += part;
-            column += part * f64::from(places.column[i]);
-            row += part * f64::from(places.row[i]);
-            sin += part * f64::from(s);
-            cos += part * f64::from(c);
-        }
-        let (column, row, heading) = (column / weight, row / weight, sin.atan2(cos));
-        let mut mean = Self { column, row, heading, covariance: [0.0; 9], share };
-        mean.covariance = mean.second_moments(particles, members());
-        mean
-    }
-
-    /// Second moments of these particles about the mean of this cluster.
-    pub fn second_moments(&self, particles: &Particles, members: impl Iterator<Item = usize>) -> [f64; 9] {
-        let places = &particles.places;
-        let (mut weight, mut moments) = (0.0, [0.0; 9]);
-        for i in members {
-            let share = f64::from(particles.weight[i]);
-            let off = [
-                f64::from(places.column[i]) - self.column,
-                f64::from(places.row[i]) - self.row,
-                wrapped(f64::from(places.heading[i]) - self.heading),
-            ];
-            weight += share;
-            for (entry, value) in moments.iter_mut().enumerate() {
-                *value += share * off[entry / 3] * off[entry % 3];
-            }
-        }
-        moments.map(|moment| moment / weight)
-    }
-}
-
 /// For each bin the number of its cluster: bins that touch, be it at a corner, belong together.
-fn connected(all: &[Bin], bins: &Bins) -> Vec<usize> {
+pub(crate) fn connected(all: &[Bin], bins: &Bins) -> Vec<usize> {
     let mut cluster = vec![usize::MAX; all.len()];
     let mut stack = Vec::new();
     for seed in 0..all.len() {
@@ -239,37 +144,5 @@ mod tests {
         assert_eq!(kld_bound(0, &parameters), 500);
         assert_eq!(kld_bound(1, &parameters), 500);
         assert_eq!(kld_bound(1_000_000, &parameters), 10_000);
-    }
-
-    fn flock(particles: &mut Particles, (column, row, heading): (f32, f32, f32), weight: f32) {
-        for i in 0..20 {
-            let off = (i as f32 - 9.5) * 0.1;
-            let place = Place { column: column + off, row: row - off, heading: heading + 0.02 * off };
-            particles.push(place, weight);
-        }
-    }
-
-    #[test]
-    fn the_estimate_is_the_heaviest_hypothesis_not_the_mean_of_all() {
-        let mut particles = Particles::default();
-        flock(&mut particles, (100.0, 100.0, 0.5), 0.02);
-        flock(&mut particles, (300.0, 100.0, 0.5), 0.03);
-        let cluster = Cluster::heaviest(&particles, &Binning::new(0.05));
-        assert!((cluster.column - 300.0).abs() < 1e-3 && (cluster.heading - 0.5).abs() < 1e-6);
-        // Column and row go against each other, heading with the column.
-        assert!(cluster.covariance[0] > 0.0 && cluster.covariance[1] < 0.0 && cluster.covariance[2] > 0.0);
-        assert_eq!(cluster.covariance[1], cluster.covariance[3]);
-    }
-
-    #[test]
-    fn headings_around_half_a_turn_are_one_cluster() {
-        use std::f32::consts::PI;
-        let mut particles = Particles::default();
-        flock(&mut particles, (100.0, 100.0, PI - 0.05), 0.02);
-        flock(&mut particles, (100.0, 100.0, -PI + 0.05), 0.02);
-        flock(&mut particles, (300.0, 100.0, 0.0), 0.03);
-        let cluster = Cluster::heaviest(&particles, &Binning::new(0.05));
-        assert!((cluster.heading.abs() - f64::from(PI)).abs() < 0.01, "{}", cluster.heading);
-        assert!((cluster.covariance[8].sqrt() - 0.05).abs() < 0.02, "{}", cluster.covariance[8]);
     }
 }

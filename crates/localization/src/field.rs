@@ -6,11 +6,11 @@ use std::f64::consts::PI;
 use cotorra_graph::{Cell, OccupancyGrid};
 
 use crate::{
+    error::LocalizationError,
     fast::sin_cos,
     geometry::Pose2,
-    localizer::LocalizationError,
     parameters::{Parameters, Weighing},
-    particles::Places,
+    place::{Place, Places},
     random::Stream,
     scan::Beams,
 };
@@ -39,29 +39,10 @@ pub struct LikelihoodField {
 const COARSER: usize = 4;
 const COARSE_SIGMA: f64 = 0.25;
 
-/// A pose in the table's frame: in cells, the border included.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Place {
-    pub column: f32,
-    pub row: f32,
-    pub heading: f32,
-}
-
 /// An `f32` from 2²³ to 2²⁴ counts ones: added to a number, this leaves its whole part in the lowest bits, without the
 /// checks of a conversion. A number on the border between two cells may go to either.
 const WHOLE: f32 = 8_388_608.0 - 0.5;
 const WHOLE_BITS: u32 = 0x007f_ffff;
-
-impl Place {
-    /// Somewhere about it, with these deviations of column and row, and of heading.
-    pub fn moved(self, way: f32, turn: f32, random: &mut Stream) -> Self {
-        Self {
-            column: self.column + way * random.bell(),
-            row: self.row + way * random.bell(),
-            heading: self.heading + turn * random.bell(),
-        }
-    }
-}
 
 impl LikelihoodField {
     /// Prepares a map: some 30 ms per million cells.

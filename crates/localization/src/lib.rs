@@ -8,7 +8,9 @@
 mod belief;
 mod bins;
 pub mod carmen;
+mod cluster;
 mod doubt;
+mod error;
 mod fast;
 mod field;
 mod geometry;
@@ -16,6 +18,7 @@ mod localizer;
 mod motion;
 mod parameters;
 mod particles;
+mod place;
 mod random;
 mod relocate;
 mod scan;
@@ -24,8 +27,9 @@ pub mod trajectory;
 mod weights;
 
 pub use belief::Belief;
+pub use error::LocalizationError;
 pub use field::LikelihoodField;
 pub use geometry::{FARTHEST, Pose2};
-pub use localizer::{Estimate, LocalizationError, Localizer};
+pub use localizer::{Estimate, Localizer};
 pub use parameters::{BeamModel, MotionNoise, Parameters, Weighing};
 pub use scan::Scan;

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use crate::{
     belief::{Belief, cholesky},
-    bins::Cluster,
+    cluster::Cluster,
     doubt::{Odds, Usual, neutral},
-    field::{LikelihoodField, Place},
+    error::LocalizationError,
+    field::LikelihoodField,
     geometry::{FARTHEST, Pose2},
     motion::Motion,
     parameters::Parameters,
-    particles::Places,
+    place::{Place, Places},
     relocate::Candidates,
     scan::Scan,
     track::{Bench, Track},
@@ -35,23 +36,6 @@ impl Estimate {
     pub fn belief(&self) -> Belief {
         Belief { pose: self.pose, covariance: self.covariance }
     }
-}
-
-/// Why a filter cannot begin, or go on.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum LocalizationError {
-    /// A robot can be nowhere.
-    #[error("the map has no free cell, on which a robot could be")]
-    NoFreeSpace,
-    /// All scans would look alike.
-    #[error("the map has no wall, by which a robot could be found")]
-    NoWall,
-    /// A pose is not finite, or so far away that computing with it overflows.
-    #[error("({:?}, {:?}) m and {:?} rad is no pose: not finite, or beyond {FARTHEST:e} m", .0.x, .0.y, .0.heading)]
-    NoPose(Pose2),
-    /// A covariance is not finite, or so large that computing with it overflows.
-    #[error("a variance of {0} is no use: not finite, or above ({FARTHEST:e} m)²")]
-    NoCovariance(f64),
 }
 
 /// Monte Carlo localization of one robot (Probabilistic Robotics, ch. 8.3), with KLD-sampling, augmented recovery and

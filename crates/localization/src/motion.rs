@@ -6,7 +6,7 @@ use crate::{
     fast::sin_cos,
     geometry::{Pose2, wrapped},
     parameters::MotionNoise,
-    particles::Places,
+    place::Places,
     random::Stream,
 };
 

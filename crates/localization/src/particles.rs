@@ -3,38 +3,10 @@
 
 use crate::{
     bins::{Binning, Bins, kld_bound},
-    field::Place,
     parameters::Parameters,
+    place::{Place, Places},
     random::Stream,
 };
-
-/// Places, in cells of the field's table.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Places {
-    pub column: Vec<f32>,
-    pub row: Vec<f32>,
-    pub heading: Vec<f32>,
-}
-
-impl Places {
-    pub fn len(&self) -> usize {
-        self.heading.len()
-    }
-
-    pub fn clear(&mut self) {
-        [&mut self.column, &mut self.row, &mut self.heading].into_iter().for_each(Vec::clear);
-    }
-
-    pub fn push(&mut self, place: Place) {
-        self.column.push(place.column);
-        self.row.push(place.row);
-        self.heading.push(place.heading);
-    }
-
-    pub fn at(&self, nth: usize) -> Place {
-        Place { column: self.column[nth], row: self.row[nth], heading: self.heading[nth] }
-    }
-}
 
 /// Weighted places. Weights sum to 1 but while they are being changed.
 #[derive(Debug, Clone, Default)]

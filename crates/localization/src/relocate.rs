@@ -3,8 +3,8 @@
 //! moved uphill before they become particles (sensor resetting; Lenser and Veloso 2000).
 
 use crate::{
-    field::{LikelihoodField, Place},
-    particles::Places,
+    field::LikelihoodField,
+    place::{Place, Places},
     random::Stream,
     scan::Beams,
     weights,

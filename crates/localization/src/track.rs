@@ -4,12 +4,14 @@ use std::sync::Arc;
 
 use crate::{
     belief::cholesky,
-    bins::{Binning, Cluster},
+    bins::Binning,
+    cluster::Cluster,
     doubt::Odds,
-    field::{LikelihoodField, Place},
+    field::LikelihoodField,
     motion::Motion,
     parameters::{Parameters, Weighing},
-    particles::{Particles, Places},
+    particles::Particles,
+    place::{Place, Places},
     random::Stream,
     relocate::Candidates,
     scan::Beams,

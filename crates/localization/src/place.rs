@@ -1,0 +1,50 @@
+//! Poses in cells of the field's table.
+
+use crate::random::Stream;
+
+/// A pose in the table's frame: in cells, the border included.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Place {
+    pub column: f32,
+    pub row: f32,
+    pub heading: f32,
+}
+
+impl Place {
+    /// Somewhere about it, with these deviations of column and row, and of heading.
+    pub fn moved(self, way: f32, turn: f32, random: &mut Stream) -> Self {
+        Self {
+            column: self.column + way * random.bell(),
+            row: self.row + way * random.bell(),
+            heading: self.heading + turn * random.bell(),
+        }
+    }
+}
+
+/// Places, in cells of the field's table.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Places {
+    pub column: Vec<f32>,
+    pub row: Vec<f32>,
+    pub heading: Vec<f32>,
+}
+
+impl Places {
+    pub fn len(&self) -> usize {
+        self.heading.len()
+    }
+
+    pub fn clear(&mut self) {
+        [&mut self.column, &mut self.row, &mut self.heading].into_iter().for_each(Vec::clear);
+    }
+
+    pub fn push(&mut self, place: Place) {
+        self.column.push(place.column);
+        self.row.push(place.row);
+        self.heading.push(place.heading);
+    }
+
+    pub fn at(&self, nth: usize) -> Place {
+        Place { column: self.column[nth], row: self.row[nth], heading: self.heading[nth] }
+    }
+}
