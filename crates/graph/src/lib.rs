@@ -57,7 +57,7 @@ pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
 pub use routing::Route;
 pub use schedule::{Scheduled, Script, When};
-pub use sensor::{Sensor, SensorKind, SensorReading};
+pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
 pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    id::{ComponentId, NodeId, SensorId},
+    id::{ComponentId, NodeId, SensorId, VnfId},
     units::{Timestamp, millis},
 };
 
@@ -40,6 +40,13 @@ pub enum SensorKind {
     },
     /// Angular velocity and acceleration.
     Imu,
+    /// Turns of the robot's lidar, each as large data.
+    Lidar {
+        /// Bytes of its readings that a run keeps: the oldest go first.
+        keep_bytes: u64,
+    },
+    /// Images, each as large data.
+    Camera(Camera),
     /// Numbers that a plug-in, or a program, reports ([`crate::Instruction::Report`]).
     Vector {
         /// How many.
@@ -47,6 +54,43 @@ pub enum SensorKind {
         /// Their unit, in the user's words.
         unit: String,
     },
+}
+
+/// A camera, which looks ahead.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Camera {
+    /// Columns of an image.
+    pub width: u16,
+    /// Rows of an image.
+    pub height: u16,
+    /// What a pixel is: [`DataFormat::Mono8`] or [`DataFormat::Rgb8`].
+    pub format: DataFormat,
+    /// From the left column to the right one, radians.
+    #[serde(rename = "field_of_view_rad")]
+    pub field_of_view: f64,
+    /// The VNF to which images go, over the network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to: Option<VnfId>,
+    /// Bytes of its images that a run keeps: the oldest go first.
+    pub keep_bytes: u64,
+}
+
+/// How large data is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum DataFormat {
+    /// A turn of a lidar: a `sensor_msgs/LaserScan` of ROS 2 in CDR.
+    Scan,
+    /// Brightness of pixels, a byte each, row by row from the top left.
+    Mono8,
+    /// Red, green and blue of pixels, a byte each, row by row from the top left.
+    Rgb8,
+    /// JPEG.
+    Jpeg,
+    /// PNG.
+    Png,
 }
 
 /// Names and units of what a reading consists of.
@@ -83,6 +127,7 @@ impl SensorKind {
             Self::Odometry => named(ODOMETRY),
             Self::Battery { .. } => named(BATTERY),
             Self::Imu => named(IMU),
+            Self::Lidar { .. } | Self::Camera(_) => Vec::new(),
             Self::Vector { size, unit } => {
                 (0..*size).map(|n| (name(&n.to_string()), unit.as_str())).collect()
             }
@@ -96,7 +141,7 @@ impl SensorKind {
     }
 }
 
-/// What a sensor read.
+/// What a sensor read: numbers, or large data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SensorReading {
@@ -109,7 +154,27 @@ pub struct SensorReading {
     pub measured: Timestamp,
     /// Finite numbers, by the names of [`SensorKind::components`].
     #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, f64>))]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub values: BTreeMap<ComponentId, f64>,
+    /// Large data, which is kept apart.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data: Option<LargeData>,
+}
+
+/// Large data that a sensor measured, but for its bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct LargeData {
+    /// The number of the sensor's reading, from 0.
+    pub sequence: u64,
+    /// How its bytes are written.
+    pub format: DataFormat,
+    /// Columns of an image, rays of a scan.
+    pub width: u32,
+    /// Rows of an image; 1 of a scan.
+    pub height: u32,
+    /// How many bytes it has.
+    pub bytes: u64,
 }
 
 #[cfg(test)]
@@ -127,6 +192,7 @@ mod tests {
                 .into_iter()
                 .map(|(name, _)| (name, 1.5))
                 .collect(),
+            data: None,
         };
         let event = crate::Stamped { at: Timestamp::from_nanos(9), event: crate::Event::Sensor(reading) };
         let json = serde_json::to_string(&event).unwrap();

@@ -8,6 +8,7 @@ use crate::{
     exposure::IpNetwork,
     hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
     id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
+    sensor::DataFormat,
     service::{LinuxCapability, Requests},
     testbed::Emulation,
     units::{BitRate, Dbm, Position, Probability},
@@ -291,6 +292,8 @@ tagged! {
         "odometry" => Odometry(OdometryRecord),
         "battery" => Battery(BatteryRecord),
         "imu" => Imu(ImuRecord),
+        "lidar" => Lidar(LidarRecord),
+        "camera" => Camera(CameraRecord),
         "vector" => Vector(VectorRecord),
     }
 }
@@ -318,6 +321,36 @@ record! {
     ImuRecord {
         /// How often it is read.
         rate: Spanned<Frequency> = "50 Hz",
+    }
+}
+
+record! {
+    /// Scans of the robot's lidar, which can be read then.
+    LidarRecord {
+        /// How often it is read.
+        rate: Spanned<Frequency> = "10 Hz",
+        /// How much of its readings a run keeps; the oldest go first.
+        keep: Bytes = "64 MB",
+    }
+}
+
+record! {
+    /// Images of a camera that looks ahead.
+    CameraRecord {
+        /// How often it is read.
+        rate: Spanned<Frequency> = "15 Hz",
+        /// Columns of an image.
+        width: Spanned<u16> = "320",
+        /// Rows of an image.
+        height: Spanned<u16> = "240",
+        /// What a pixel is.
+        format: DataFormat = "mono8",
+        /// From the left column to the right one.
+        field_of_view: Spanned<Angle> = "60 deg",
+        /// The VNF to which images go, over the network. Without it, they stay on the robot.
+        to: Option<Spanned<VnfId>>,
+        /// How much of its images a run keeps; the oldest go first.
+        keep: Bytes = "64 MB",
     }
 }
 
@@ -910,6 +943,10 @@ choice!(LinuxCapability, "capability", {
     "net_raw" => Self::NetRaw, "raw and packet sockets: ping, tcpdump";
     "ipc_lock" => Self::IpcLock, "memory that is never swapped out";
     "sys_nice" => Self::SysNice, "real-time priority";
+});
+choice!(DataFormat, "format of an image", {
+    "mono8" => Self::Mono8, "brightness, a byte a pixel";
+    "rgb8" => Self::Rgb8, "red, green and blue, three bytes a pixel";
 });
 choice!(Requests, "way of requests", {
     "one" => Self::One, "to the first instance that serves";

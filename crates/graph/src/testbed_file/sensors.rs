@@ -1,20 +1,25 @@
 //! Sensors that a robot declares.
 
-use std::time::Duration;
+use std::{f64::consts::PI, time::Duration};
 
-use super::records::{RobotRecord, SensorRecord};
+use super::records::{CameraRecord, RobotRecord, SensorRecord};
 use crate::{
     driver::Driver,
     hardware::RobotModel,
     id::SensorId,
-    sensor::{Sensor, SensorKind},
-    yaml::{Frequency, Sink, Span, decode::Spanned},
+    sensor::{Camera, Sensor, SensorKind},
+    yaml::{Angle, Frequency, Sink, Span, decode::Spanned},
 };
 
 /// Readings a second, at least and at most.
 const RATES: (f64, f64) = (0.001, 1000.0);
 /// The simulation moves a robot so often in a second: between its steps there is nothing to be read.
 const SIMULATED: f64 = 50.0;
+/// Pixels of the widest and of the highest image.
+const LARGEST_IMAGE: u16 = 2048;
+/// Fields of view, radians.
+const NARROWEST: f64 = 1.0 / 180.0 * PI;
+const WIDEST: f64 = 150.0 / 180.0 * PI;
 /// Characters of the longest unit.
 const LONGEST_UNIT: usize = 16;
 
@@ -38,6 +43,8 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
                 (&its.rate, SensorKind::Battery { charge: its.charge.get() })
             }
             SensorRecord::Imu(its) => (&its.rate, SensorKind::Imu),
+            SensorRecord::Lidar(its) => (&its.rate, SensorKind::Lidar { keep_bytes: its.keep.0 }),
+            SensorRecord::Camera(its) => (&its.rate, SensorKind::Camera(camera(its, sink))),
             SensorRecord::Vector(its) => {
                 if !(1..=SensorKind::LARGEST).contains(&its.size.value) {
                     sink.error(&its.size.span, format!("a vector of {} numbers", its.size.value))
@@ -61,6 +68,30 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
         Some(Sensor { id: id.value.clone(), interval, kind })
     };
     records.iter().filter_map(build).collect()
+}
+
+/// A camera, as it is declared. What cannot be, the sink then knows.
+fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
+    for pixels in [&record.width, &record.height] {
+        if !(1..=LARGEST_IMAGE).contains(&pixels.value) {
+            sink.error(&pixels.span, format!("an image of {} pixels", pixels.value))
+                .help(format!("write 1 to {LARGEST_IMAGE}"));
+        }
+    }
+    let Angle(field_of_view) = record.field_of_view.value;
+    if !(NARROWEST..=WIDEST).contains(&field_of_view) {
+        let (least, most) = (NARROWEST.to_degrees().round(), WIDEST.to_degrees().round());
+        sink.error(&record.field_of_view.span, "no camera has this field of view")
+            .help(format!("write {least} deg to {most} deg"));
+    }
+    Camera {
+        width: record.width.value,
+        height: record.height.value,
+        format: record.format,
+        field_of_view,
+        to: record.to.as_ref().map(|to| to.value.clone()),
+        keep_bytes: record.keep.0,
+    }
 }
 
 /// From one reading to the next; `None` if there can be no such rate, which the sink then knows.
