@@ -93,6 +93,22 @@ pub enum DataFormat {
     Png,
 }
 
+impl DataFormat {
+    /// All there are.
+    pub const ALL: [Self; 5] = [Self::Scan, Self::Mono8, Self::Rgb8, Self::Jpeg, Self::Png];
+
+    /// Its name, as events have it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Scan => "scan",
+            Self::Mono8 => "mono8",
+            Self::Rgb8 => "rgb8",
+            Self::Jpeg => "jpeg",
+            Self::Png => "png",
+        }
+    }
+}
+
 /// Names and units of what a reading consists of.
 type Components = &'static [(&'static str, &'static str)];
 

@@ -96,7 +96,7 @@ pub(crate) const fn table(kind: Kind) -> Table {
             plain(&["robot", "late", "forged", "repeated", "unknown", "invalid", "redundant"])
         }
         Kind::Sensor => Table {
-            columns: &["robot", "sensor", "measured_ns"],
+            columns: &["robot", "sensor", "measured_ns", "sequence", "format", "width", "height", "bytes"],
             series: &["robot", "sensor"],
             children: Some(("sensor_value", &["component", "value"])),
         },

@@ -6,13 +6,13 @@ pub mod mariadb;
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, Dbm,
-    Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter,
-    JitterDistribution, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind,
-    Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext, Rate,
-    RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime, Stamped,
-    StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping, VnfEvent, VnfId,
-    VnfState,
+    AccessPoint, AnswersRejected, Attachment, BitRate, ComponentId, ConditionChange, Conditions, DataFormat,
+    Dbm, Decision, Direction, Event, GoalEvent, GoalState, Handover, InstancePath, Instruction, Jitter,
+    JitterDistribution, LargeData, Lateness, LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes,
+    PathKind, Placement, PluginId, Pose, PoseSource, Position, Probability, Probed, QueueLimit, RadioContext,
+    Rate, RobotContext, RobotFault, Scale, SensorData, SensorId, SensorReading, ServiceId, ServiceTime,
+    Stamped, StationContext, Tested, ThroughputTest, Timestamp, Trace, Velocity, VirtualLinkMapping,
+    VnfEvent, VnfId, VnfState,
 };
 use proptest::{
     collection::{btree_map, vec},
@@ -353,11 +353,20 @@ prop_compose! {
 }
 
 prop_compose! {
+    fn large_data()(
+        sequence in any::<u64>(), format in select(DataFormat::ALL.to_vec()),
+        width in any::<u32>(), height in any::<u32>(), bytes in any::<u64>(),
+    ) -> LargeData {
+        LargeData { sequence, format, width, height, bytes }
+    }
+}
+
+prop_compose! {
     fn reading()(
         robot in node(), sensor in sensor(), measured in any::<u64>(),
-        values in btree_map(component(), real(), 0..4),
+        values in btree_map(component(), real(), 0..4), data in of(large_data()),
     ) -> SensorReading {
-        SensorReading { robot, sensor, measured: Timestamp::from_nanos(measured), values }
+        SensorReading { robot, sensor, measured: Timestamp::from_nanos(measured), values, data }
     }
 }
 

@@ -88,6 +88,7 @@ fn reading(n: u64) -> Stamped {
         sensor: "pack".parse().unwrap(),
         measured: at(n),
         values: values.map(|(name, value)| (name.parse().unwrap(), value)).into(),
+        data: None,
     };
     Stamped { at: at(n), event: Event::Sensor(reading) }
 }

@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{NodeId, Pose, RobotFault, RobotModel, Sensor, SensorData, Timestamp, Velocity};
+use cotorra_graph::{
+    NodeId, Pose, RobotFault, RobotModel, Sensor, SensorData, SensorKind, Timestamp, Velocity,
+};
 
-use crate::{kobuki, lidar::Scan, quadrotor};
+use crate::{kobuki, large::Captured, lidar::Scan, quadrotor};
 
 /// The part of a velocity that a robot of that model and speed limit, m/s, does, on the same curve.
 pub(crate) fn limited(model: RobotModel, wanted: Velocity, speed_limit: f64) -> Velocity {
@@ -64,6 +66,13 @@ pub trait RobotDriver: Send {
     /// Each call draws the errors of one reading.
     fn sense(&mut self, _sensor: &Sensor) -> Option<Vec<f64>> {
         None
+    }
+
+    /// Reads one of its sensors of kind `lidar` or `camera`, as of the last advance or command; `None` if it has none such,
+    /// or nothing but what was measured at `read`, which the sensor told last.
+    fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
+        let is_lidar = matches!(sensor.kind, SensorKind::Lidar { .. });
+        self.scan().filter(|scan| is_lidar && read != Some(scan.at)).map(Captured::from)
     }
 
     /// Where it really is, as of the last advance or command; `None` where nobody knows. For the radio, which goes by where

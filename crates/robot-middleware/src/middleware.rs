@@ -18,6 +18,7 @@ use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPac
 use crate::{
     asked::{Addressed, Asked},
     driver::{CommandRefused, RobotDriver},
+    large::SensedData,
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
     nonce::Nonces,
@@ -123,6 +124,8 @@ pub struct RobotMiddleware {
     events: VecDeque<Stamped>,
     /// Scans that nobody has polled; `None` while nobody taps them.
     scans: Option<VecDeque<SensedScan>>,
+    /// Large data that nobody has polled.
+    data: VecDeque<SensedData>,
 }
 
 struct Managed {
@@ -198,6 +201,7 @@ impl RobotMiddleware {
             due: BTreeSet::new(),
             events: VecDeque::new(),
             scans: None,
+            data: VecDeque::new(),
         }
     }
 
@@ -384,7 +388,7 @@ impl RobotMiddleware {
             while let Some(missing) = managed.service.as_mut().and_then(|service| service.expire(now)) {
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(missing) });
             }
-            managed.read_sensors(now, &mut self.events);
+            managed.read_sensors(now, &mut self.events, &mut self.data);
             if context_due {
                 managed.driver.advance(now);
                 managed.note_health(now, &mut self.events);
@@ -629,6 +633,11 @@ impl RobotMiddleware {
         self.scans.get_or_insert_default();
     }
 
+    /// Large data that a sensor measured, oldest first. It is kept until it is taken, as events are.
+    pub fn poll_data(&mut self) -> Option<SensedData> {
+        self.data.pop_front()
+    }
+
     /// A scan that was completed since the taps began, oldest first; robots are looked at when κ is built.
     pub fn poll_scan(&mut self) -> Option<SensedScan> {
         self.scans.as_mut()?.pop_front()
@@ -724,13 +733,18 @@ impl Managed {
     }
 
     /// Reads its sensors that are due.
-    fn read_sensors(&mut self, now: Timestamp, events: &mut VecDeque<Stamped>) {
+    fn read_sensors(
+        &mut self,
+        now: Timestamp,
+        events: &mut VecDeque<Stamped>,
+        data: &mut VecDeque<SensedData>,
+    ) {
         if self.sensing.next_deadline().is_some_and(|next| next <= now) {
             self.driver.advance(now);
-            let readings = self.sensing.read(now, &mut *self.driver);
-            events.extend(
-                readings.into_iter().map(|reading| Stamped { at: now, event: Event::Sensor(reading) }),
-            );
+            for (reading, large) in self.sensing.read(now, &mut *self.driver) {
+                events.push_back(Stamped { at: now, event: Event::Sensor(reading) });
+                data.extend(large);
+            }
         }
     }
 

@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use cotorra_graph::{ComponentId, Sensor, SensorId, SensorKind, SensorReading, Timestamp};
+use cotorra_graph::{ComponentId, LargeData, Sensor, SensorId, SensorKind, SensorReading, Timestamp};
 
-use crate::driver::RobotDriver;
+use crate::{
+    driver::RobotDriver,
+    large::{Captured, SensedData},
+};
 
 /// Sensors of a robot. Each is read at whole multiples of its interval; what was missed is not made up for.
 #[derive(Debug, Default)]
@@ -17,6 +20,17 @@ struct Sensed {
     next: Timestamp,
     /// Of a vector: what was reported since the last reading, and when.
     reported: Option<(Timestamp, Vec<f64>)>,
+    /// Of large data: how many readings there were, and when the last was measured.
+    captured: (u64, Option<Timestamp>),
+}
+
+/// A reading, and its large data if that is what it has.
+pub(crate) type Read = (SensorReading, Option<SensedData>);
+
+/// What a sensor measured.
+enum Measured {
+    Values(Timestamp, Vec<f64>),
+    Large(Captured),
 }
 
 /// Why a report is of no use.
@@ -51,6 +65,7 @@ impl Sensing {
             sensor: sensor.clone(),
             next: Timestamp::ZERO,
             reported: None,
+            captured: (0, None),
         };
         Self(sensors.iter().map(sensed).collect())
     }
@@ -61,20 +76,35 @@ impl Sensing {
     }
 
     /// Reads the sensors that are due, in order.
-    pub fn read(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Vec<SensorReading> {
+    pub fn read(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Vec<Read> {
         let due = self.0.iter_mut().filter(|sensed| sensed.next <= now);
         due.filter_map(|sensed| {
             let interval = sensed.sensor.interval.as_nanos() as u64;
             sensed.next = Timestamp::from_nanos((now.as_nanos() / interval + 1) * interval);
-            let (measured, values) = sensed.measure(now, driver)?;
-            let values: BTreeMap<_, _> = sensed.components.iter().cloned().zip(values).collect();
+            let read = sensed.measure(now, driver)?;
             let (robot, sensor) = (driver.robot().clone(), sensed.sensor.id.clone());
-            values.values().all(|x| x.is_finite()).then_some(SensorReading {
-                robot,
-                sensor,
-                measured,
-                values,
-            })
+            match read {
+                Measured::Values(measured, values) => {
+                    let values: BTreeMap<_, _> = sensed.components.iter().cloned().zip(values).collect();
+                    let reading = SensorReading { robot, sensor, measured, values, data: None };
+                    reading.values.values().all(|x| x.is_finite()).then_some((reading, None))
+                }
+                Measured::Large(Captured { measured, format, width, height, content }) => {
+                    let (sequence, bytes) = (sensed.captured.0, content.size());
+                    sensed.captured = (sequence + 1, Some(measured));
+                    let data = LargeData { sequence, format, width, height, bytes };
+                    let large = SensedData {
+                        robot: robot.clone(),
+                        sensor: sensor.clone(),
+                        measured,
+                        at: now,
+                        data,
+                        content,
+                    };
+                    let (values, data) = (BTreeMap::new(), Some(data));
+                    Some((SensorReading { robot, sensor, measured, values, data }, Some(large)))
+                }
+            }
         })
         .collect()
     }
@@ -99,18 +129,26 @@ impl Sensing {
 
 impl Sensed {
     /// When that was measured, and what; `None` where there is nothing new.
-    fn measure(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Option<(Timestamp, Vec<f64>)> {
+    fn measure(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Option<Measured> {
+        let now_values = |values| Measured::Values(now, values);
         match self.sensor.kind {
-            SensorKind::Vector { .. } => self.reported.take(),
+            SensorKind::Vector { .. } => {
+                self.reported.take().map(|(at, values)| Measured::Values(at, values))
+            }
             // What a robot senses that is not well may be from anywhere.
             _ if !driver.health().is_empty() => None,
             SensorKind::Odometry => {
                 let sensed = driver.sensors();
                 let (pose, velocity) = (sensed.odometry, sensed.velocity);
                 let pose = [pose.x, pose.y, pose.z, pose.heading];
-                Some((now, [&pose[..], &[velocity.linear, velocity.vertical, velocity.angular]].concat()))
+                Some(now_values(
+                    [&pose[..], &[velocity.linear, velocity.vertical, velocity.angular]].concat(),
+                ))
             }
-            SensorKind::Battery { .. } | SensorKind::Imu => Some((now, driver.sense(&self.sensor)?)),
+            SensorKind::Battery { .. } | SensorKind::Imu => driver.sense(&self.sensor).map(now_values),
+            SensorKind::Lidar { .. } | SensorKind::Camera(_) => {
+                driver.capture(&self.sensor, self.captured.1).map(Measured::Large)
+            }
         }
     }
 }
@@ -119,13 +157,13 @@ impl Sensed {
 mod tests {
     use std::time::Duration;
 
-    use cotorra_graph::{NodeId, Pose, PoseSource, RobotFault, SensorData, Velocity};
+    use cotorra_graph::{DataFormat, NodeId, Pose, PoseSource, RobotFault, SensorData, Velocity};
 
     use super::*;
     use crate::{driver::CommandRefused, fixtures::id, lidar::Scan};
 
     /// Stands, and is as well as it is told.
-    struct Standing(NodeId, Vec<RobotFault>);
+    struct Standing(NodeId, Vec<RobotFault>, Option<Scan>);
 
     impl RobotDriver for Standing {
         fn robot(&self) -> &NodeId {
@@ -145,7 +183,7 @@ mod tests {
             SensorData { pose, odometry: pose, velocity, bumper: false, nearest_obstacle_m: None }
         }
         fn scan(&self) -> Option<&Scan> {
-            None
+            self.2.as_ref()
         }
         fn health(&self) -> &[RobotFault] {
             &self.1
@@ -160,18 +198,18 @@ mod tests {
         Timestamp::from_nanos(ms * 1_000_000)
     }
 
-    fn names(readings: &[SensorReading]) -> Vec<&str> {
-        readings.iter().map(|reading| reading.sensor.as_str()).collect()
+    fn names(readings: &[Read]) -> Vec<&str> {
+        readings.iter().map(|(reading, _)| reading.sensor.as_str()).collect()
     }
 
     #[test]
     fn each_is_read_at_multiples_of_its_interval_and_what_was_missed_is_not_made_up_for() {
         let sensors = [sensor("a", 20, SensorKind::Odometry), sensor("b", 50, SensorKind::Odometry)];
-        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new()));
+        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
         assert_eq!(sensing.next_deadline(), Some(at(0)));
         let first = sensing.read(at(0), &mut driver);
         assert_eq!(names(&first), ["a", "b"]);
-        let values: Vec<_> = first[0].values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let values: Vec<_> = first[0].0.values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let told = [("angular", 0.1), ("heading", 0.5), ("linear", 0.3), ("vertical", 0.0)];
         assert_eq!(values, [&told[..], &[("x", 1.0), ("y", 2.0), ("z", 0.0)]].concat());
         assert_eq!((sensing.next_deadline(), sensing.read(at(19), &mut driver)), (Some(at(20)), Vec::new()));
@@ -191,7 +229,7 @@ mod tests {
             sensor("v", 20, vector),
         ];
         let (mut sensing, mut driver) =
-            (Sensing::new(&sensors), Standing(id("robot1"), vec![RobotFault::Silent]));
+            (Sensing::new(&sensors), Standing(id("robot1"), vec![RobotFault::Silent], None));
         sensing.report(at(1), &sensors[2].id, &[7.0]).unwrap();
         assert_eq!(names(&sensing.read(at(20), &mut driver)), ["v"]);
         driver.1.clear();
@@ -200,5 +238,46 @@ mod tests {
             ["wheels"],
             "it has no IMU, and reported nothing"
         );
+    }
+
+    #[test]
+    fn a_lidar_is_read_where_it_turned_since_and_readings_are_counted() {
+        let lidar = SensorKind::Lidar { keep_bytes: 1 };
+        let sensors = [sensor("front", 100, lidar.clone()), sensor("slow", 300, lidar)];
+        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
+        let mut read = |ms, scanned: Option<u64>, health: &[RobotFault]| -> Vec<(String, u64, Timestamp)> {
+            if let Some(ms) = scanned {
+                let turn = Duration::from_millis(100);
+                driver.2 = Some(Scan {
+                    at: at(ms),
+                    first_angle: 0.0,
+                    angle_step: 0.1,
+                    ray_interval: turn / 2,
+                    turn,
+                    range_min: 0.1,
+                    range_max: 9.0,
+                    ranges: vec![1.0, 2.0],
+                });
+            }
+            driver.1 = health.to_vec();
+            let read = sensing.read(at(ms), &mut driver);
+            let large = |(reading, large): Read| {
+                let (data, large) = (reading.data.unwrap(), large.unwrap());
+                assert!(reading.values.is_empty());
+                assert_eq!((large.data, large.at, large.measured), (data, at(ms), reading.measured));
+                assert_eq!((&large.robot, &large.sensor), (&reading.robot, &reading.sensor));
+                assert_eq!((data.format, data.width, data.height), (DataFormat::Scan, 2, 1));
+                assert_eq!(data.bytes, large.content.bytes().len() as u64);
+                (reading.sensor.to_string(), data.sequence, reading.measured)
+            };
+            read.into_iter().map(large).collect()
+        };
+        let told = |name: &str, sequence, ms| (name.to_owned(), sequence, at(ms));
+        assert_eq!(read(0, None, &[]), [], "no turn is complete");
+        assert_eq!(read(100, Some(20), &[]), [told("front", 0, 20)]);
+        assert_eq!(read(200, None, &[]), [], "there is nothing new");
+        assert_eq!(read(300, Some(220), &[RobotFault::Silent]), [], "it is not well");
+        assert_eq!(read(400, None, &[]), [told("front", 1, 220)]);
+        assert_eq!(read(600, Some(520), &[]), [told("front", 2, 520), told("slow", 0, 520)]);
     }
 }

@@ -205,7 +205,10 @@ impl RobotDriver for SimulatedRobot {
         match sensor.kind {
             SensorKind::Battery { .. } => self.battery.as_ref().map(Battery::read),
             SensorKind::Imu => self.imu.as_mut().map(|imu| imu.read(sensor.interval)),
-            SensorKind::Odometry | SensorKind::Vector { .. } => None,
+            SensorKind::Odometry
+            | SensorKind::Lidar { .. }
+            | SensorKind::Camera(_)
+            | SensorKind::Vector { .. } => None,
         }
     }
 

@@ -19,7 +19,7 @@ use cotorra_network_control::{
 };
 use cotorra_plugin::wire::Answer;
 use cotorra_robot_middleware::{
-    Addressed, Nonces, RobotDriver, RobotMiddleware, Route, SensedScan, SimulatedRobot,
+    Addressed, Nonces, RobotDriver, RobotMiddleware, Route, SensedData, SensedScan, SimulatedRobot,
 };
 
 use crate::{
@@ -308,6 +308,11 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// A scan that was completed, oldest first.
     pub(crate) fn poll_scan(&mut self) -> Option<SensedScan> {
         self.middleware.poll_scan()
+    }
+
+    /// Large data that a sensor measured, oldest first. It is kept until it is taken, as events are.
+    pub(crate) fn poll_data(&mut self) -> Option<SensedData> {
+        self.middleware.poll_data()
     }
 
     /// What is to be told of services' flows at the end.

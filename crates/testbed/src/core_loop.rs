@@ -179,6 +179,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     }
 
     fn publish(&mut self) {
+        while self.core.poll_data().is_some() {}
         while let Some(event) = self.core.poll_event() {
             self.readers.publish(event);
         }

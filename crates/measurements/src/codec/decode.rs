@@ -3,11 +3,11 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, Dbm, Decision, Direction, Event,
-    GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, Lateness, LinkContext,
-    LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource, Position,
-    Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale, SensorData,
-    SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
+    AnswersRejected, Attachment, BitRate, ComponentId, Conditions, DataFormat, Dbm, Decision, Direction,
+    Event, GoalEvent, GoalState, Handover, Instruction, Jitter, JitterDistribution, LargeData, Lateness,
+    LinkContext, LinkCounters, LinkId, Loss, NodeId, Nodes, PathKind, Placement, PluginId, Pose, PoseSource,
+    Position, Probability, Probed, QueueLimit, RadioContext, Rate, RobotContext, RobotFault, Scale,
+    SensorData, SensorReading, ServiceId, ServiceTime, StationContext, Tested, Timestamp, Trace, Velocity,
     VirtualLinkMapping, VnfEvent, VnfId, VnfState, millis,
 };
 
@@ -128,6 +128,26 @@ impl Columns<'_> {
         let [delay, jitter, delay_age] = [self.duration()?, self.duration()?, self.duration()?];
         let (loss, loss_age) = (self.0.real()?, self.duration()?);
         Ok(loss_age.map(|loss_age| Probed { delay, jitter, delay_age, loss, loss_age }))
+    }
+
+    /// Large data has every column, and other readings have none.
+    fn large_data(&mut self) -> Result<Option<LargeData>> {
+        let Some(sequence) = self.0.integer()? else {
+            self.0.text()?;
+            self.0.integer()?;
+            self.0.integer()?;
+            self.0.integer()?;
+            return Ok(None);
+        };
+        let format = self.text()?;
+        let known = DataFormat::ALL.into_iter().find(|known| known.as_str() == format);
+        Ok(Some(LargeData {
+            sequence: sequence.cast_unsigned(),
+            format: known.ok_or_else(|| unreadable(format_args!("`{format}` is not a format of data")))?,
+            width: self.small()?,
+            height: self.small()?,
+            bytes: self.unsigned()?,
+        }))
     }
 
     fn tested(&mut self) -> Result<Option<Tested>> {
@@ -295,8 +315,10 @@ pub(crate) fn decode(kind: Kind, source: &mut dyn Source) -> Result<Event> {
         Kind::Sensor => {
             let (robot, sensor) = (row.name()?, row.name()?);
             let measured = Timestamp::from_nanos(row.unsigned()?);
+            let data = row.large_data()?;
             let values = children(source, |mut row| Ok((row.name::<ComponentId>()?, row.real()?)))?;
-            Event::Sensor(SensorReading { robot, sensor, measured, values: values.into_iter().collect() })
+            let values = values.into_iter().collect();
+            Event::Sensor(SensorReading { robot, sensor, measured, values, data })
         }
         Kind::PluginFault => Event::PluginFault { plugin: row.name()?, reason: row.text()? },
         Kind::Lateness => Event::Lateness(Lateness {

@@ -205,8 +205,13 @@ pub(crate) fn encode<'a>(event: &'a Event, row: &mut Fields<'a>, children: &mut 
                 .optional(*remaining_m, Fields::real)
                 .optional(reason.as_deref(), Fields::text);
         }
-        Event::Sensor(SensorReading { robot, sensor, measured, values }) => {
+        Event::Sensor(SensorReading { robot, sensor, measured, values, data }) => {
             row.name(robot.as_str()).name(sensor.as_str()).unsigned(measured.as_nanos());
+            row.optional(data.as_ref(), |row, data| row.unsigned(data.sequence))
+                .optional(data.as_ref(), |row, data| row.text(data.format.as_str()))
+                .optional(data.as_ref(), |row, data| row.integer(data.width.into()))
+                .optional(data.as_ref(), |row, data| row.integer(data.height.into()))
+                .optional(data.as_ref(), |row, data| row.unsigned(data.bytes));
             for (component, value) in values {
                 children.name(component.as_str()).real(*value);
             }

@@ -381,7 +381,8 @@ CREATE TABLE goal (
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 
--- What a sensor of a robot read; the numbers are in `sensor_value`, by the names of their components.
+-- What a sensor of a robot read; the numbers are in `sensor_value`, by the names of their components. The last five columns
+-- are those of large data, whose bytes are in files of the run's folder.
 CREATE TABLE sensor (
     run         INTEGER NOT NULL,
     at_ns       INTEGER NOT NULL,
@@ -389,6 +390,11 @@ CREATE TABLE sensor (
     robot       INTEGER NOT NULL,
     sensor      INTEGER NOT NULL,
     measured_ns INTEGER NOT NULL,       -- or reported
+    sequence    INTEGER,                -- of the sensor's readings, from 0
+    format      TEXT,                   -- scan, mono8, rgb8, jpeg, png
+    width       INTEGER,                -- columns of an image, rays of a scan
+    height      INTEGER,                -- rows of an image; 1 of a scan
+    bytes       INTEGER,
     PRIMARY KEY (run, at_ns, seq)
 ) WITHOUT ROWID;
 

@@ -100,6 +100,7 @@ fn events_of_other_domains_are_not_seen() {
             sensor: id("imu"),
             measured: Timestamp::ZERO,
             values: Default::default(),
+            data: None,
         }),
         Event::Placement(cotorra_graph::Placement { vnf: id("nav1"), node: id::<NodeId>("s1").into() }),
         Event::PluginFault { plugin: id("okpi"), reason: String::new() },

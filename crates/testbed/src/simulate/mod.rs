@@ -21,7 +21,7 @@ use cotorra_graph::{
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Refused, vim::Managed};
-use cotorra_robot_middleware::{Nonces, SensedScan};
+use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
 use self::interference::{Held, Interference};
 pub use self::run::simulate;
@@ -75,6 +75,7 @@ pub struct Simulation {
 pub(crate) enum Happened {
     Event(Arc<Stamped>),
     Scan(SensedScan),
+    Data(SensedData),
 }
 
 /// How far to go on without being looked after.
@@ -301,12 +302,12 @@ impl Simulation {
         }
     }
 
-    /// What happened, oldest first; scans are left out.
+    /// What happened, oldest first; scans and large data are left out.
     pub fn poll_event(&mut self) -> Option<Stamped> {
         loop {
             match self.poll()? {
                 Happened::Event(event) => return Some(Arc::unwrap_or_clone(event)),
-                Happened::Scan(_) => {}
+                Happened::Scan(_) | Happened::Data(_) => {}
             }
         }
     }
@@ -426,6 +427,8 @@ impl Lockstep for Simulation {
             if !self.begun {
                 return None;
             }
+            // It is there when its event is told.
+            self.happened.extend(std::iter::from_fn(|| self.core.poll_data()).map(Happened::Data));
             let event = Arc::new(self.core.poll_event()?);
             self.locals.publish(&event);
             self.happened.push_back(Happened::Event(event));

@@ -177,6 +177,7 @@ impl<G: FnMut(Timestamp) -> bool> Underway<G> {
                     self.books.keep(event);
                 }
                 Happened::Scan(scan) => self.books.scan(scan),
+                Happened::Data(_) => {}
             }
         }
         !self.stopped
