@@ -150,6 +150,14 @@ impl SensorKind {
         }
     }
 
+    /// How many bytes of its readings a run keeps; `None` of one that measures numbers.
+    pub fn keep_bytes(&self) -> Option<u64> {
+        match self {
+            Self::Lidar { keep_bytes } | Self::Camera(Camera { keep_bytes, .. }) => Some(*keep_bytes),
+            Self::Odometry | Self::Battery { .. } | Self::Imu | Self::Vector { .. } => None,
+        }
+    }
+
     /// The unit of a component of that name, whatever sensor it is of; empty for a share, and for those of vectors.
     pub fn unit(component: &ComponentId) -> &'static str {
         let mut all = ODOMETRY.iter().chain(BATTERY).chain(IMU);
