@@ -17,6 +17,7 @@ use tokio::sync::broadcast;
 use crate::{
     api::Follower,
     core::Core,
+    keeping::Keeper,
     live::Live,
     plugins::{Now, host::Fault, running::RunningPlugins},
     report::Report,
@@ -91,6 +92,7 @@ pub(crate) struct Readers {
     pub(crate) stream: broadcast::Sender<Arc<Stamped>>,
     pub(crate) plugins: RunningPlugins,
     pub(crate) tap: Option<Tap>,
+    pub(crate) keeper: Option<Keeper>,
 }
 
 impl Readers {
@@ -179,7 +181,12 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
     }
 
     fn publish(&mut self) {
-        while self.core.poll_data().is_some() {}
+        // It is there when its event is told.
+        while let Some(data) = self.core.poll_data() {
+            if let Some(keeper) = &self.readers.keeper {
+                keeper.keep(data);
+            }
+        }
         while let Some(event) = self.core.poll_event() {
             self.readers.publish(event);
         }

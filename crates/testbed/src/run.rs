@@ -38,6 +38,7 @@ use crate::{
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     earlier::Earlier,
+    keeping::Keeping,
     live::Live,
     plugins::{Now, PluginError, running::Prepared},
     real_links::{RealLinkError, RealLinks, interface_plans},
@@ -177,7 +178,7 @@ pub(crate) fn probe_links(fabric: &mut Fabric, testbed: &Testbed) {
     }
 }
 
-fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
+pub(crate) fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
     let what = what.into();
     move |source| RunError::System { what, source }
 }
@@ -208,6 +209,7 @@ pub struct Run {
     _retaining: Option<Retaining>,
     datapath: Arc<Datapath>,
     recording: Option<Recording>,
+    keeping: Option<Keeping>,
 }
 
 impl Run {
@@ -239,6 +241,9 @@ impl Run {
             .map_err(system("show VNFs the testbed file's folder"))?;
         let recording =
             Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;
+        let keeping = Keeping::begin(&testbed, folder.path(), Pace::Live)
+            .map_err(system("start the thread that keeps large data"))?;
+        let keeper = keeping.as_ref().map(Keeping::keeper);
         let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
         let history = Arc::new(history);
         let recorder = history.recorder(run)?;
@@ -301,6 +306,7 @@ impl Run {
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
+            keeper: keeper.clone(),
             wais: api::WaisOptions {
                 clock: Some(Arc::clone(&now)),
                 epoch: epoch(&info),
@@ -332,7 +338,7 @@ impl Run {
         let report = Report::new(&testbed, seed).on_disk(folder.path())?;
         let report = if probes_tell { report.by_the_kernel() } else { report };
         let mut readers =
-            Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap };
+            Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap, keeper };
         if let Some(earlier) = &options.after {
             earlier.notes_before(info.started_at_unix_ns).for_each(|note| readers.publish(note));
         }
@@ -363,6 +369,7 @@ impl Run {
             _retaining,
             datapath,
             recording,
+            keeping,
         })
     }
 
@@ -409,7 +416,7 @@ impl Run {
         let core = self.core.take().ok_or(RunError::Panicked)?;
         let (report, end, why) = core.join().map_err(|_| RunError::Panicked)?;
         let recording = self.recording.take().map(Recording::finish);
-        let mut unrecorded = Vec::new();
+        let mut unrecorded: Vec<_> = self.keeping.take().and_then(Keeping::finish).into_iter().collect();
         if let Err(error) = self.recorder.flush() {
             let RecorderStats { recorded, written, .. } = self.recorder.stats();
             let events = recorded - written;

@@ -20,6 +20,7 @@ use super::{measurements, routes, sensors, stream};
         routes::robots,
         routes::robot,
         sensors::sensors,
+        sensors::large_data,
         routes::links,
         routes::test_throughput,
         routes::radio_units,

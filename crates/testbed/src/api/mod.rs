@@ -30,7 +30,7 @@ use cotorra_plugin::runs::{Announced, Runs, RunsError};
 use tokio::sync::{broadcast, oneshot};
 
 use self::{auth::Gate, connections::Limits, serve::Patience};
-use crate::{core_loop::Message, domain::Domains, live::Live};
+use crate::{core_loop::Message, domain::Domains, keeping::Keeper, live::Live};
 
 pub(crate) use auth::PluginTokens;
 pub use auth::{Token, Tokens, TokensError};
@@ -58,6 +58,8 @@ pub(crate) struct Context {
     pub(crate) lockstep: Option<Lockstep>,
     /// What is told was recorded before: the history knows more than the present of the run.
     pub(crate) replay: bool,
+    /// Large data of sensors, where any has that.
+    pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,
 }
 
@@ -99,13 +101,14 @@ pub enum ApiError {
 }
 
 /// Every path, and what answers there: [`openapi`] describes the same.
-fn paths() -> [(&'static str, MethodRouter<Context>); 24] {
+fn paths() -> [(&'static str, MethodRouter<Context>); 25] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
         ("/api/v1/network/nodes/{id}", get(routes::node)),
         ("/api/v1/robots", get(routes::robots)),
         ("/api/v1/robots/{id}", get(routes::robot)),
         ("/api/v1/robots/{id}/sensors", get(sensors::sensors)),
+        ("/api/v1/robots/{id}/sensors/{name}/{reading}", get(sensors::large_data)),
         ("/api/v1/network/links", get(routes::links)),
         ("/api/v1/network/links/{id}/throughput-test", post(routes::test_throughput)),
         ("/api/v1/network/radio-units", get(routes::radio_units)),

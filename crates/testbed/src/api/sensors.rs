@@ -1,15 +1,33 @@
 //! The sensors that robots declare, and what they read last.
 
-use axum::{Extension, Json, extract::State};
-use cotorra_graph::{ComponentId, NodeId, Sensor, SensorReading};
-use cotorra_measurements::Sample;
-use serde::Serialize;
+use std::{
+    pin::Pin,
+    task::{self, Poll},
+};
 
+use axum::{
+    Extension, Json,
+    body::{Body, Bytes, HttpBody},
+    extract::State,
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header::CONTENT_TYPE},
+    response::{IntoResponse as _, Response},
+};
+use cotorra_graph::{ComponentId, DataFormat, NodeId, Sensor, SensorId, SensorReading};
+use cotorra_measurements::{Sample, StoredData, WantedData};
+use hyper::body::{Frame, SizeHint};
+use serde::{Deserialize, Serialize};
+use tokio::sync::{Semaphore, SemaphorePermit};
+
+#[cfg(feature = "openapi")]
+use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
     types::{Failure, Path},
 };
+
+/// Large data is given to so many callers at the same time; others wait. It is in memory until it is taken.
+static GIVEN: Semaphore = Semaphore::const_new(8);
 
 /// A sensor, and what it read last.
 #[derive(Debug, Serialize)]
@@ -43,9 +61,7 @@ pub(super) async fn sensors(
     Path(id): Path<NodeId>,
 ) -> Answer<Vec<SensorBody>> {
     caller.sees(&id, |view| view.owns(&id))?;
-    let mut robots = context.testbed.graph.robots();
-    let robot = robots.find(|(node, _)| node.id == id).map(|(_, robot)| robot);
-    let robot = robot.ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`")))?;
+    let declared = declared(&context, &id)?;
     let body = |sensor: &Sensor| {
         let unit =
             |(component, unit): (ComponentId, &str)| ComponentBody { component, unit: unit.to_owned() };
@@ -56,5 +72,110 @@ pub(super) async fn sensors(
             last: last.map(|(at, value)| Sample { at, value }),
         }
     };
-    Ok(Json(robot.sensors.iter().map(body).collect()))
+    Ok(Json(declared.iter().map(body).collect()))
+}
+
+/// The sensors that a robot declares.
+fn declared<'a>(context: &'a Context, id: &NodeId) -> Result<&'a [Sensor], Failure> {
+    let mut robots = context.testbed.graph.robots();
+    let robot = robots.find(|(node, _)| node.id == *id).map(|(_, robot)| &*robot.sensors);
+    robot.ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`")))
+}
+
+/// Which reading of a sensor.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(try_from = "String")]
+pub(super) enum Which {
+    Latest,
+    Number(u64),
+}
+
+impl TryFrom<String> for Which {
+    type Error = String;
+    fn try_from(text: String) -> Result<Self, String> {
+        let number = || text.parse().map_err(|_| format!("`{text}` is neither `latest` nor a number"));
+        if text == "latest" { Ok(Self::Latest) } else { number().map(Self::Number) }
+    }
+}
+
+/// Large data of a sensor, such as an image: the bytes of a reading.
+///
+/// Readings have numbers, from 0. A run keeps the last ones, as many as the sensor's `keep` has room for.
+#[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}/sensors/{name}/{reading}", tag = "robots",
+    params(("id" = String, Path), ("name" = String, Path),
+        ("reading" = String, Path, description = "the number of a reading, or `latest` for the last that is kept")),
+    responses(
+        (status = 200, content(([u8] = "application/octet-stream"), ([u8] = "image/jpeg"), ([u8] = "image/png")), headers(
+            ("X-Cotorra-Sequence" = u64, description = "the number of the reading"),
+            ("X-Cotorra-Format" = DataFormat, description = "how it is written"),
+            ("X-Cotorra-Width" = u32, description = "columns of an image, rays of a scan"),
+            ("X-Cotorra-Height" = u32, description = "rows of an image; 1 of a scan"),
+            ("X-Cotorra-Measured-Ns" = u64, description = "when it was measured"))),
+        (status = 410, description = "there was such a reading, which is not kept any more", body = FailureBody))))]
+pub(super) async fn large_data(
+    State(context): State<Context>,
+    Extension(caller): Extension<Caller>,
+    Path((id, name, which)): Path<(NodeId, SensorId, Which)>,
+) -> Result<Response, Failure> {
+    caller.sees(&id, |view| view.owns(&id))?;
+    let sensor = declared(&context, &id)?.iter().find(|sensor| sensor.id == name);
+    let sensor = sensor.ok_or_else(|| Failure::not_found(format!("robot `{id}` has no sensor `{name}`")))?;
+    let keeper = context.keeper.clone().filter(|_| sensor.kind.keep_bytes().is_some()).ok_or_else(|| {
+        Failure::not_found(format!("nothing is kept of sensor `{name}` but what its events say"))
+    })?;
+    let last = context.live.read(|now| Some(now.sensors.get(&(id.clone(), name.clone()))?.1.data?.sequence));
+    let wanted = match (which, last) {
+        (Which::Latest, Some(last)) => WantedData::UpTo(last),
+        (Which::Number(number), Some(last)) if number <= last => WantedData::Number(number),
+        _ => return Err(Failure::not_found(format!("sensor `{name}` has no such reading yet"))),
+    };
+    let permit = GIVEN.acquire().await.expect("it is never closed");
+    let read = tokio::task::spawn_blocking(move || keeper.read(&id, &name, wanted)).await;
+    let broken = |error: &dyn std::fmt::Display| Failure::unavailable(format!("it cannot be read: {error}"));
+    let stored = read.map_err(|error| broken(&error))?.map_err(|error| broken(&error))?;
+    let gone = || Failure::new(StatusCode::GONE, "the reading is not kept any more");
+    Ok(written(stored.ok_or_else(gone)?, permit))
+}
+
+fn written(StoredData { measured, data, bytes }: StoredData, permit: SemaphorePermit<'static>) -> Response {
+    let kind = match data.format {
+        DataFormat::Scan | DataFormat::Mono8 | DataFormat::Rgb8 => "application/octet-stream",
+        DataFormat::Jpeg => "image/jpeg",
+        DataFormat::Png => "image/png",
+    };
+    let mut headers = HeaderMap::from_iter([
+        (CONTENT_TYPE, HeaderValue::from_static(kind)),
+        (HeaderName::from_static("x-cotorra-format"), HeaderValue::from_static(data.format.as_str())),
+    ]);
+    for (name, figure) in [
+        ("x-cotorra-sequence", data.sequence),
+        ("x-cotorra-width", data.width.into()),
+        ("x-cotorra-height", data.height.into()),
+        ("x-cotorra-measured-ns", measured.as_nanos()),
+    ] {
+        headers.insert(HeaderName::from_static(name), figure.into());
+    }
+    (headers, Body::new(Given { body: bytes.into(), _permit: permit })).into_response()
+}
+
+/// A body that counts as given until all of it is taken.
+struct Given {
+    body: Body,
+    _permit: SemaphorePermit<'static>,
+}
+
+impl HttpBody for Given {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut task::Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
 }

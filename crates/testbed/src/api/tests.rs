@@ -7,8 +7,9 @@ use std::{
     path::Path,
 };
 
-use cotorra_graph::{Event, Timestamp};
+use cotorra_graph::{DataFormat, Event, LargeData, SensorId, SensorReading, Timestamp};
 use cotorra_measurements::{CurveRequest, RunInfo};
+use cotorra_robot_middleware::{Content, SensedData};
 use serde_json::{Value, json};
 
 use super::*;
@@ -20,6 +21,8 @@ struct Served {
     events: broadcast::Sender<Arc<Stamped>>,
     runs: [RunId; 2],
     live: Live,
+    keeper: Keeper,
+    _folder: tempfile::TempDir,
 }
 
 fn notice(at: u64) -> Stamped {
@@ -54,7 +57,7 @@ nodes:
   robot:
     kind: robot
     position: [0, 0]
-    sensors: { pack: { kind: battery }, gripper: { kind: vector, size: 2, unit: N } }
+    sensors: { pack: { kind: battery }, gripper: { kind: vector, size: 2, unit: N }, front: { kind: lidar } }
 links: [{ ends: [left, ap] }]
 ";
     let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
@@ -74,6 +77,8 @@ links: [{ ends: [left, ap] }]
     }
     let (events, _) = broadcast::channel(4096);
     let live = Live::default();
+    let folder = tempfile::tempdir().unwrap();
+    let keeper = Keeper::of_folder(folder.path(), cotorra_recording::Pace::Live);
     let context = Context {
         testbed: Arc::new(testbed),
         live: live.clone(),
@@ -85,6 +90,7 @@ links: [{ ends: [left, ap] }]
         hosted: Arc::default(),
         lockstep: None,
         replay,
+        keeper: Some(keeper.clone()),
         wais: WaisOptions::default(),
     };
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &Tokens::default()).unwrap();
@@ -95,6 +101,8 @@ links: [{ ends: [left, ap] }]
         events,
         runs,
         live,
+        keeper,
+        _folder: folder,
     }
 }
 
@@ -175,6 +183,70 @@ fn what_cannot_be_answered_says_why() {
         ("measurements/gaps?form_s=3", 400, "form_s"),
     ] {
         let (status, body) = served.get(path);
+        assert_eq!(status, expected, "{path}: {body}");
+        assert!(body["error"].as_str().unwrap().contains(part), "{path}: {body}");
+    }
+}
+
+#[test]
+fn large_data_is_given_as_it_is_and_what_was_lost_is_gone() {
+    let served = serve(false);
+    let path = |reading: &str| format!("robots/robot/sensors/front/{reading}");
+    let status = |path: &str| served.get(path).0;
+    assert_eq!([status(&path("latest")), status(&path("0"))], [404, 404], "there is no reading yet");
+    let measured = Timestamp::from_nanos(17);
+    for (sequence, format) in [(3, DataFormat::Scan), (5, DataFormat::Png)] {
+        let data = LargeData { sequence, format, width: 40, height: 30, bytes: 4 };
+        let (robot, sensor) = (NodeId::new("robot").unwrap(), SensorId::new("front").unwrap());
+        let content = Content::Bytes(Arc::from([b'a', 0, 255, sequence as u8]));
+        let sensed = SensedData {
+            robot: robot.clone(),
+            sensor: sensor.clone(),
+            measured,
+            at: measured,
+            data,
+            content,
+        };
+        served.keeper.keep(sensed);
+        let reading = SensorReading { robot, sensor, measured, values: BTreeMap::new(), data: Some(data) };
+        served.live.absorb(&Stamped { at: measured, event: Event::Sensor(reading) });
+    }
+    for (reading, kind, format, sequence) in [
+        ("3", "application/octet-stream", "scan", 3),
+        ("5", "image/png", "png", 5),
+        ("latest", "image/png", "png", 5),
+    ] {
+        let mut stream = TcpStream::connect(served.server.address()).unwrap();
+        let path = path(reading);
+        write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            .unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let (head, body) = answer.split_at(answer.len() - 4);
+        assert_eq!(body, [b'a', 0, 255, sequence]);
+        let head = std::str::from_utf8(head).unwrap();
+        for line in [
+            "HTTP/1.1 200 OK",
+            "content-length: 4",
+            "x-cotorra-width: 40",
+            "x-cotorra-height: 30",
+            "x-cotorra-measured-ns: 17",
+            &format!("content-type: {kind}"),
+            &format!("x-cotorra-format: {format}"),
+            &format!("x-cotorra-sequence: {sequence}"),
+        ] {
+            assert!(head.lines().any(|told| told == line), "{reading}: {line}: {head}");
+        }
+    }
+    for (path, expected, part) in [
+        (path("4"), 410, "not kept any more"),
+        (path("6"), 404, "no such reading yet"),
+        (path("newest"), 400, "neither `latest` nor a number"),
+        ("robots/robot/sensors/rear/latest".into(), 404, "no sensor `rear`"),
+        ("robots/robot/sensors/pack/latest".into(), 404, "nothing is kept of sensor `pack`"),
+        ("robots/nobody/sensors/front/latest".into(), 404, "no robot `nobody`"),
+    ] {
+        let (status, body) = served.get(&path);
         assert_eq!(status, expected, "{path}: {body}");
         assert!(body["error"].as_str().unwrap().contains(part), "{path}: {body}");
     }
@@ -340,6 +412,7 @@ plugins:
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: None,
             replay: false,
+            keeper: None,
             wais: WaisOptions::default(),
         };
         let token = |text: &str| Token::new(text).unwrap();
@@ -401,6 +474,8 @@ fn a_domains_token_opens_what_is_of_its_own_nodes_and_nothing_else() {
             "{path}: {status} {body}"
         );
     }
+    let large_data = "/api/v1/robots/robot/sensors/front/latest";
+    assert_eq!([ONE, TWO].map(|token| served.get(token, large_data).0), [404, 403]);
     for path in ["service-times", "events"] {
         let items = |token| {
             let (status, body) = served.get(token, &format!("/api/v1/measurements/{path}"));

@@ -163,6 +163,7 @@ impl Misdeed {
             stream,
             plugins,
             tap: None,
+            keeper: None,
         };
         let (sockets, until) = (BTreeMap::new(), None);
         let core = CoreLoop { core, readers, inbox, sockets, now, until };

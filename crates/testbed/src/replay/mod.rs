@@ -256,6 +256,7 @@ impl Replay {
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
+            keeper: None,
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
         };
         let listener = match &options.known {

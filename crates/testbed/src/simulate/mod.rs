@@ -469,6 +469,8 @@ impl Lockstep for Simulation {
 #[cfg(test)]
 mod federation_tests;
 #[cfg(test)]
+mod large_data_tests;
+#[cfg(test)]
 mod replica_tests;
 #[cfg(test)]
 mod sensor_tests;

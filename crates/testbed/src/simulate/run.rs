@@ -11,12 +11,13 @@ use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
 use cotorra_network_control::Refused;
 use cotorra_recording::{Pace, Recording, Tap};
-use cotorra_robot_middleware::SensedScan;
+use cotorra_robot_middleware::{SensedData, SensedScan};
 
 use super::{Happened, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
     core_loop::End,
+    keeping::{Keeper, Keeping},
     live::Live,
     plugins::{
         self, Now, PATIENCE,
@@ -27,7 +28,7 @@ use crate::{
     },
     recorded::Recorded,
     report::{Losses, Report, RunFolder},
-    run::{Finished, Options, RunError, about},
+    run::{Finished, Options, RunError, about, system},
 };
 
 /// After so many events they are written.
@@ -77,11 +78,14 @@ pub(super) fn simulate_with(
     if tap.is_some() {
         simulation.tap_scans();
     }
+    let keeping = Keeping::begin(&testbed, folder.path(), Pace::Waiting)
+        .map_err(system("start the thread that keeps large data"))?;
+    let keeper = keeping.as_ref().map(Keeping::keeper);
     let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
     let history = Arc::new(history);
     let recorder = history.paced_recorder(run)?;
     let report = Report::new(&testbed, seed).on_disk(folder.path())?;
-    let books = Books { report, recorder: recorder.clone(), unwritten: 0, tap };
+    let books = Books { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
     let mut underway = Underway { simulation, books, go_on, stopped: false };
     let mut apart = None;
     if programs(&testbed).next().is_some() {
@@ -99,6 +103,7 @@ pub(super) fn simulate_with(
             hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
             lockstep: Some(Lockstep { plugins: Some(waited_for), recorder: Some(recorder) }),
             replay: false,
+            keeper,
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
         let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
@@ -145,11 +150,13 @@ pub(super) fn simulate_with(
     let Books { mut report, recorder, .. } = books;
     report.localized(simulation.localization_errors());
     let recording = recording.map(Recording::finish);
+    let unrecorded: Vec<_> = keeping.and_then(Keeping::finish).into_iter().collect();
+    unrecorded.iter().for_each(|what| tracing::error!("not recorded: {what}"));
     let losses = Losses { frames_dropped: 0, history_dropped: recorder.dropped() };
     let summary = report.summary(simulation.now(), end.as_str(), losses);
     folder.write_report(&report, &summary)?;
     history.end_run(run, simulation.now())?;
-    let (folder, unrecorded) = (folder.path().to_owned(), Vec::new());
+    let folder = folder.path().to_owned();
     Ok(Finished { summary, report, folder, run, recording, unrecorded })
 }
 
@@ -177,7 +184,7 @@ impl<G: FnMut(Timestamp) -> bool> Underway<G> {
                     self.books.keep(event);
                 }
                 Happened::Scan(scan) => self.books.scan(scan),
-                Happened::Data(_) => {}
+                Happened::Data(data) => self.books.data(data),
             }
         }
         !self.stopped
@@ -222,6 +229,7 @@ struct Books {
     recorder: PacedRecorder,
     unwritten: usize,
     tap: Option<Tap>,
+    keeper: Option<Keeper>,
 }
 
 impl Books {
@@ -237,6 +245,12 @@ impl Books {
     fn scan(&self, scan: SensedScan) {
         if let Some(tap) = &self.tap {
             tap.scan(scan);
+        }
+    }
+
+    fn data(&self, data: SensedData) {
+        if let Some(keeper) = &self.keeper {
+            keeper.keep(data);
         }
     }
 
