@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, Iterator, NamedTuple, Optional, Sequence
 from urllib import error, parse, request
 
-__all__ = ["Client", "CotorraError", "Ended", "Refused"]
+__all__ = ["Client", "CotorraError", "Ended", "LargeData", "Refused"]
 
 JSON = dict[str, Any]
 _SILENCE_S = 60.0  # Nobody is silent for so long: a stream is kept alive every 15 s.
@@ -44,6 +44,18 @@ class Refused(CotorraError):
 
 class Ended(CotorraError):
     """The run has ended, or there is none."""
+
+
+class LargeData(NamedTuple):
+    """A reading of a sensor with large data."""
+
+    data: bytes
+    format: str
+    """How they are written: scan (a sensor_msgs/LaserScan of ROS 2), mono8, rgb8, jpeg or png."""
+    sequence: int
+    width: int
+    height: int
+    measured_ns: int
 
 
 class Client:
@@ -89,6 +101,14 @@ class Client:
     def sensors(self, robot: str) -> list[JSON]:
         """The sensors of a robot beside what its context has, each with its last reading."""
         return self._ask(f"robots/{parse.quote(robot)}/sensors")
+
+    def large_data(self, robot: str, sensor: str, sequence: Optional[int] = None) -> LargeData:
+        """A reading of a sensor with large data, such as an image: that of this number, or the last that is kept."""
+        which = "latest" if sequence is None else sequence
+        path = f"robots/{parse.quote(robot)}/sensors/{parse.quote(sensor)}/{which}"
+        with self._open(path) as answer:
+            told = [answer.headers[f"X-Cotorra-{name}"] for name in ("Sequence", "Width", "Height", "Measured-Ns")]
+            return LargeData(answer.read(), answer.headers["X-Cotorra-Format"], *map(int, told))
 
     def links(self) -> list[JSON]:
         """d, λ and conditions of every link, in both directions."""

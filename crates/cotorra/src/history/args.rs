@@ -3,6 +3,7 @@
 use std::{num::NonZero, path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
+use cotorra_graph::{NodeId, SensorId};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 
 use super::{HISTORY_VARIABLE, Place};
@@ -18,6 +19,7 @@ Examples:
   cotorra history series latest robot --figure x --csv > x.csv
   cotorra history events latest --kinds handover,decision
   cotorra history diff runs/corridor-20260101-120000 latest
+  cotorra history data latest robot camera -o image.raw
   cotorra history export latest --format parquet --out exported
   cotorra history prune latest --raw 1h
   COTORRA_HISTORY_PASSWORD=secret cotorra history events 7 --history mysql://ana@db.lab/cotorra";
@@ -34,6 +36,7 @@ pub enum History {
     Events(EventsArgs),
     /// Set two runs side by side: service times, links, handovers, placements, decisions
     Diff(DiffArgs),
+    Data(DataArgs),
     /// List where events were lost
     Gaps(GapsArgs),
     Export(ExportArgs),
@@ -251,6 +254,27 @@ pub struct EventsArgs {
     pub json: bool,
     #[command(flatten)]
     pub place: HistoryPlace,
+}
+
+/// Write large data of a sensor, such as a scan or an image, to a file
+///
+/// It is in the run's folder, which has the last readings of each such sensor. The bytes are as the API gives them.
+#[derive(Debug, Args)]
+pub struct DataArgs {
+    /// The run's folder, or `latest`
+    pub run: String,
+    /// The robot
+    pub robot: NodeId,
+    /// Its sensor
+    pub sensor: SensorId,
+    /// The number of a reading, as events have it; the last one if it is left out
+    pub sequence: Option<u64>,
+    /// The file
+    #[arg(short, long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Folder with the folders of runs
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub runs: PathBuf,
 }
 
 #[derive(Debug, Args)]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use cotorra_graph::{Event, GoalEvent, Instruction, Stamped, VirtualLinkMapping};
+use cotorra_graph::{Event, GoalEvent, Instruction, LargeData, Stamped, VirtualLinkMapping};
 use cotorra_measurements::{Kind, PageRequest};
 
 use super::args::EventsArgs;
@@ -35,6 +35,12 @@ pub fn events(args: &EventsArgs) -> miette::Result<()> {
     }
     output::write_note(format_args!("{}", more(&page)));
     Ok(())
+}
+
+/// What is known of large data.
+pub fn large_data(data: &LargeData) -> String {
+    let LargeData { sequence, format, width, height, bytes } = data;
+    format!("{} {sequence} of {width} x {height}, {bytes} bytes", format.as_str())
 }
 
 fn describe(Stamped { event, .. }: &Stamped) -> String {
@@ -122,8 +128,8 @@ fn describe(Stamped { event, .. }: &Stamped) -> String {
             text
         }
         Event::Sensor(reading) => {
-            let values: Vec<_> =
-                reading.values.iter().map(|(name, value)| format!("{name} {value}")).collect();
+            let values = reading.values.iter().map(|(name, value)| format!("{name} {value}"));
+            let values: Vec<_> = values.chain(reading.data.as_ref().map(large_data)).collect();
             format!("{} {}: {}", reading.robot, reading.sensor, values.join(", "))
         }
         Event::Scanned { robot } | Event::WalkFinished { robot } => robot.to_string(),

@@ -1,6 +1,7 @@
 //! `cotorra history`: asks what runs recorded. Every answer is bounded, and says how to see more.
 
 mod args;
+mod data;
 mod diff;
 mod events;
 mod place;
@@ -33,6 +34,7 @@ pub fn history(question: &History) -> miette::Result<ExitCode> {
         History::Series(args) => series::series(args)?,
         History::Events(args) => events::events(args)?,
         History::Diff(args) => diff::diff(args)?,
+        History::Data(args) => data::data(args)?,
         History::Gaps(args) => gaps(args)?,
         History::Export(args) => transfer::export(args)?,
         History::Import(args) => transfer::import(args)?,

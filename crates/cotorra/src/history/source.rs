@@ -57,14 +57,7 @@ impl Source {
         if let (Some(location), Ok(number)) = (&named, run.parse()) {
             return Self::of(open(location)?, number);
         }
-        let folder = if run == LATEST { latest(&place.runs)? } else { PathBuf::from(run) };
-        if !folder.is_dir() {
-            return Err(match run.parse() {
-                Ok(number) => Error::NoHistory(number),
-                Err(_) => Error::NoFolder(run.to_owned()),
-            });
-        }
-        Self::of_folder(&folder, named.as_ref())
+        Self::of_folder(&folder(run, &place.runs)?, named.as_ref())
     }
 
     /// The run that left a folder.
@@ -92,6 +85,18 @@ impl Source {
     fn of(history: History, run: RunId) -> Result<Self, Error> {
         Ok(Self { run: history.run(run)?, history })
     }
+}
+
+/// The folder of the run that was typed: a folder, or `latest`.
+pub fn folder(run: &str, runs: &Path) -> Result<PathBuf, Error> {
+    let folder = if run == LATEST { latest(runs)? } else { PathBuf::from(run) };
+    if folder.is_dir() {
+        return Ok(folder);
+    }
+    Err(match run.parse() {
+        Ok(number) => Error::NoHistory(number),
+        Err(_) => Error::NoFolder(run.to_owned()),
+    })
 }
 
 /// Opens a history that is there already.

@@ -83,7 +83,8 @@ fn describe(state: &GraphState) -> String {
     let mut sensors = Table::new("<<><");
     sensors.row(["robot", "sensor", "at, s", "values"]);
     for Sample { at, value } in state.sensors.iter().take(ROWS) {
-        let values: Vec<_> = value.values.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+        let values = value.values.iter().map(|(name, value)| format!("{name} {value:.4}"));
+        let values: Vec<_> = values.chain(value.data.as_ref().map(super::events::large_data)).collect();
         sensors.row([value.robot.to_string(), value.sensor.to_string(), seconds(*at), values.join(", ")]);
     }
     section("Sensors", sensors, state.sensors.len());
