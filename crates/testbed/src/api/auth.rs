@@ -167,7 +167,7 @@ impl Caller {
     }
 
     /// Whose connections it uses.
-    fn whose(&self) -> Whose {
+    pub(super) fn whose(&self) -> Whose {
         match (&self.plugin, &self.view) {
             (Some(plugin), _) => Whose::Plugin(plugin.clone()),
             (None, Some(view)) => Whose::Domain(view.domain().clone()),

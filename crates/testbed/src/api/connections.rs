@@ -43,7 +43,7 @@ impl Limits {
 }
 
 /// Whose a connection is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Whose {
     Operator,
     Domain(DomainId),

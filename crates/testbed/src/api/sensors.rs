@@ -1,7 +1,9 @@
 //! The sensors that robots declare, and what they read last.
 
 use std::{
+    collections::BTreeMap,
     pin::Pin,
+    sync::Arc,
     task::{self, Poll},
 };
 
@@ -15,19 +17,24 @@ use axum::{
 use cotorra_graph::{ComponentId, DataFormat, NodeId, Sensor, SensorId, SensorReading};
 use cotorra_measurements::{Sample, StoredData, WantedData};
 use hyper::body::{Frame, SizeHint};
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
-use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
     Answer, Context,
     auth::Caller,
+    connections::Whose,
     types::{Failure, Path},
 };
 
-/// Large data is given to so many callers at the same time; others wait. It is in memory until it is taken.
-static GIVEN: Semaphore = Semaphore::const_new(8);
+/// So many readings with large data are given to one caller at the same time; others wait. Each is in memory until it is taken.
+const GIVEN: usize = 4;
+
+/// Whose turns are whose: nobody takes those of another.
+static TURNS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
 
 /// A sensor, and what it read last.
 #[derive(Debug, Serialize)]
@@ -98,6 +105,13 @@ impl TryFrom<String> for Which {
     }
 }
 
+/// Bytes as they are.
+#[cfg(feature = "openapi")]
+#[derive(utoipa::ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[expect(dead_code, reason = "it describes the body")]
+struct LargeBytes(Vec<u8>);
+
 /// Large data of a sensor, such as an image: the bytes of a reading.
 ///
 /// Readings have numbers, from 0. A run keeps the last ones, as many as the sensor's `keep` has room for.
@@ -105,7 +119,9 @@ impl TryFrom<String> for Which {
     params(("id" = String, Path), ("name" = String, Path),
         ("reading" = String, Path, description = "the number of a reading, or `latest` for the last that is kept")),
     responses(
-        (status = 200, content(([u8] = "application/octet-stream"), ([u8] = "image/jpeg"), ([u8] = "image/png")), headers(
+        (status = 200, content(
+            (inline(LargeBytes) = "application/octet-stream"), (inline(LargeBytes) = "image/jpeg"),
+            (inline(LargeBytes) = "image/png")), headers(
             ("X-Cotorra-Sequence" = u64, description = "the number of the reading"),
             ("X-Cotorra-Format" = DataFormat, description = "how it is written"),
             ("X-Cotorra-Width" = u32, description = "columns of an image, rays of a scan"),
@@ -129,15 +145,16 @@ pub(super) async fn large_data(
         (Which::Number(number), Some(last)) if number <= last => WantedData::Number(number),
         _ => return Err(Failure::not_found(format!("sensor `{name}` has no such reading yet"))),
     };
-    let permit = GIVEN.acquire().await.expect("it is never closed");
+    let turns = TURNS.lock().entry(caller.whose()).or_insert_with(|| Arc::new(Semaphore::new(GIVEN))).clone();
+    let turn = turns.acquire_owned().await.expect("it is never closed");
     let read = tokio::task::spawn_blocking(move || keeper.read(&id, &name, wanted)).await;
     let broken = |error: &dyn std::fmt::Display| Failure::unavailable(format!("it cannot be read: {error}"));
     let stored = read.map_err(|error| broken(&error))?.map_err(|error| broken(&error))?;
     let gone = || Failure::new(StatusCode::GONE, "the reading is not kept any more");
-    Ok(written(stored.ok_or_else(gone)?, permit))
+    Ok(written(stored.ok_or_else(gone)?, turn))
 }
 
-fn written(StoredData { measured, data, bytes }: StoredData, permit: SemaphorePermit<'static>) -> Response {
+fn written(StoredData { measured, data, bytes }: StoredData, turn: OwnedSemaphorePermit) -> Response {
     let kind = match data.format {
         DataFormat::Scan | DataFormat::Mono8 | DataFormat::Rgb8 => "application/octet-stream",
         DataFormat::Jpeg => "image/jpeg",
@@ -155,13 +172,13 @@ fn written(StoredData { measured, data, bytes }: StoredData, permit: SemaphorePe
     ] {
         headers.insert(HeaderName::from_static(name), figure.into());
     }
-    (headers, Body::new(Given { body: bytes.into(), _permit: permit })).into_response()
+    (headers, Body::new(Given { body: bytes.into(), _turn: turn })).into_response()
 }
 
 /// A body that counts as given until all of it is taken.
 struct Given {
     body: Body,
-    _permit: SemaphorePermit<'static>,
+    _turn: OwnedSemaphorePermit,
 }
 
 impl HttpBody for Given {

@@ -1,4 +1,8 @@
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use cotorra_graph::{DataFormat, Event, SensorReading, testbed_file};
 use cotorra_measurements::{WantedData, read_large_data};
@@ -6,34 +10,24 @@ use cotorra_measurements::{WantedData, read_large_data};
 use super::*;
 use crate::{report::Place, run::Options};
 
-/// A robot that walks through a room of 20 m by 4 m.
-const ROOM: &str = "
-name: room
-wireless: { lab: {} }
-nodes:
-  robot: { kind: robot, SENSORS }
-  ap: { kind: radio_unit, position: [0, 3], channel: 1 }
-  edge: { kind: server, tier: edge, cpus: 4, memory: 8 GB }
-links: [{ ends: [ap, edge] }]
-services:
-  navigation:
-    robot: robot
-    kpis: { service_time: 15 ms }
-    vnfs:
-      robot-driver: { program: robot_driver, pinned_to: robot }
-      navigation: { program: navigation, node: edge, cpus: 2 }
-walks:
-  robot: { waypoints: [[1, 0], [19, 0]] }
-";
 const SENSORS: &str = "sensors: { front: { kind: lidar }, fast: { kind: lidar, rate: 50 Hz },
     slow: { kind: lidar, rate: 2 Hz, keep: 20 kB } }";
+const NONE: &str = "sensors: { wheels: { kind: odometry } }";
 
+fn testbeds() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
+}
+
+/// The corridor, its robot with sensors.
 fn text(sensors: &str) -> String {
-    ROOM.replace("SENSORS", sensors)
+    let text = fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
+    let with_sensors = text.replace("robot: { kind: robot,", &format!("robot: {{ kind: robot, {sensors},"));
+    assert_ne!(text, with_sensors);
+    with_sensors
 }
 
 fn parse(text: &str) -> Testbed {
-    testbed_file::parse("room.yaml", text, Path::new("")).unwrap()
+    testbed_file::parse("corridor.yaml", text, &testbeds()).unwrap()
 }
 
 #[test]
@@ -105,7 +99,7 @@ fn a_run_keeps_the_last_large_data_with_the_same_bytes_for_the_same_seed() {
     let (first, _out) = run(SENSORS, 1);
     let (second, _out) = run(SENSORS, 1);
     let (other, _out) = run(SENSORS, 2);
-    let (without, _out) = run("radius: 0.18", 1);
+    let (without, _out) = run(NONE, 1);
     let kept = files(&first.join("sensors"));
     assert!(kept == files(&second.join("sensors")), "the same seed gives other bytes");
     assert!(kept != files(&other.join("sensors")), "another seed gives the same bytes");
