@@ -9,7 +9,7 @@ use cotorra_testbed::replay::{Played, Replay, ReplayEnd, ReplayError, ReplayOpti
 use indicatif::ProgressBar;
 
 use crate::{
-    history::{HistoryPlace, Source, Span},
+    history::{self, HistoryPlace, Source, Span},
     output,
     run::{self, FOXGLOVE},
     signals,
@@ -100,6 +100,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
         api: args.api,
         known: Some((Runs::of_user(), format!("replay of {}", args.run))),
         tokens: run::tokens()?,
+        folder: history::folder(&args.run, &args.place.runs).ok(),
         speed: match args.speed {
             Pace::Times(times) => Speed::Times(times),
             Pace::Max => {

@@ -22,7 +22,7 @@ use self::args::GapsArgs;
 pub use self::{
     args::{EXAMPLES, History, HistoryPlace, Span},
     place::{HISTORY_VARIABLE, Place, location},
-    source::{Error, Source},
+    source::{Error, Source, folder},
 };
 use crate::{output, table::Table};
 

@@ -229,6 +229,7 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
         api: Some(([127, 0, 0, 1], 0).into()),
         known: None,
         tokens: Default::default(),
+        folder: None,
         speed: Speed::Max { followers },
         from: Timestamp::ZERO,
         to: None,

@@ -5,7 +5,7 @@ use std::{
     collections::{BTreeMap, VecDeque},
     net::{Ipv4Addr, SocketAddr},
     ops::Bound,
-    path::Path,
+    path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
 };
@@ -22,6 +22,7 @@ use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 use crate::{
     api::{self, ApiError, Listener, Lockstep as Waiting, Tokens},
     domain::Domains,
+    keeping::Keeper,
     live::Live,
     plugins::{
         Bundled, Now, PATIENCE, PluginError,
@@ -60,6 +61,8 @@ pub struct ReplayOptions {
     pub known: Option<(Runs, String)>,
     /// What callers of the API must show.
     pub tokens: Tokens,
+    /// The run's folder, which has large data of its sensors; `None` if that is not known.
+    pub folder: Option<PathBuf>,
     /// How fast.
     pub speed: Speed,
     /// From here on; what was before is known at the beginning.
@@ -256,7 +259,7 @@ impl Replay {
             namespaces: Arc::new(BTreeMap::new()),
             lockstep: waits.then_some(Waiting { plugins: None, recorder: None }),
             replay: true,
-            keeper: None,
+            keeper: options.folder.as_ref().map(|folder| Keeper::of_folder(folder, Pace::Live)),
             wais: api::WaisOptions { epoch: epoch(&info), ..Default::default() },
         };
         let listener = match &options.known {
@@ -447,6 +450,7 @@ fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
     each(told, state.robots, Event::Robot);
     each(told, state.radio_units, Event::Radio);
     each(told, state.links, Event::Link);
+    each(told, state.sensors, Event::Sensor);
 }
 
 /// Why a run cannot be played.
