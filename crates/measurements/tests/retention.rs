@@ -13,8 +13,9 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Conditions, Dbm, Direction, Event, LinkContext, LinkCounters, LinkId, NodeId, Pose,
-    PoseSource, Retention, RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp, Velocity,
+    Attachment, Conditions, DataFormat, Dbm, Direction, Event, LargeData, LinkContext, LinkCounters, LinkId,
+    NodeId, Pose, PoseSource, Retention, RobotContext, Scale, SensorData, SensorReading, Stamped, Timestamp,
+    Velocity,
 };
 use cotorra_measurements::{
     CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
@@ -88,7 +89,7 @@ fn reading(n: u64) -> Stamped {
         sensor: "pack".parse().unwrap(),
         measured: at(n),
         values: values.map(|(name, value)| (name.parse().unwrap(), value)).into(),
-        data: None,
+        data: Some(LargeData { sequence: n, format: DataFormat::Scan, width: 360, height: 1, bytes: 1500 }),
     };
     Stamped { at: at(n), event: Event::Sensor(reading) }
 }

@@ -50,18 +50,24 @@ fn a_run_on_a_full_disk_ends_with_its_summary_and_says_what_is_not_recorded() {
     }
     // What a plug-in prints is kept on the disk of the run, which it fills.
     let plugin = "plugins:\n  - { id: full, command: [sh, -c, 'cat /dev/zero; exec sleep 1000'] }\n";
-    let file = testbed(place.path(), "full", "{ kind: robot }", &format!("{NAVIGATED}{plugin}"));
+    let file = testbed(
+        place.path(),
+        "full",
+        "{ kind: robot, sensors: { front: { kind: lidar } } }",
+        &format!("{NAVIGATED}{plugin}"),
+    );
     let mut run = Run::start_with(&file, &[], |command| {
         let out = command.get_args().skip_while(|word| *word != "--out").nth(1).unwrap().to_owned();
         on_a_small_disk(command, &out);
     });
-    run.wait_for_line("the history cannot be written");
+    run.wait_for_lines(["the history cannot be written", "not all large data of sensors is kept"]);
     run.signal("INT");
     let (status, printed, said) = run.wait();
     assert_eq!(status.code(), Some(1), "{printed}{said}");
     let lines: Vec<_> = printed.lines().collect();
     assert!(lines[0].starts_with("full: ") && lines[0].ends_with("it was stopped"), "{printed}");
     for what in [
+        "readings of sensors with large data are not kept: ",
         "events are not in the history: ",
         "the report is not complete: ",
         "the history does not say that the run ended: ",

@@ -146,6 +146,15 @@ impl Run {
         (answer.status().as_u16(), answer.body_mut().read_json().unwrap())
     }
 
+    /// What the API has at a path, with the value of each header.
+    pub fn bytes(&self, path: &str) -> (Vec<u8>, impl Fn(&str) -> String + use<>) {
+        let mut answer = agent().get(format!("{}{path}", self.api)).call().unwrap();
+        assert_eq!(answer.status(), 200, "{path}");
+        let headers = answer.headers().clone();
+        let bytes = answer.body_mut().read_to_vec().unwrap();
+        (bytes, move |name| headers[name].to_str().unwrap().to_owned())
+    }
+
     /// Status and body of what the API says to a body at a path.
     pub fn post(&self, path: &str, body: &str) -> (u16, Value) {
         let request = agent().post(format!("{}{path}", self.api)).header("Content-Type", "application/json");
@@ -155,7 +164,12 @@ impl Run {
 
     /// What happens from now on, as the API's stream tells it.
     pub fn follow(&self) -> impl Iterator<Item = Value> + use<> {
-        let answer = agent().get(format!("{}/api/v1/events", self.api)).call().unwrap();
+        self.follow_only("")
+    }
+
+    /// The same, of what a query asks for.
+    pub fn follow_only(&self, query: &str) -> impl Iterator<Item = Value> + use<> {
+        let answer = agent().get(format!("{}/api/v1/events{query}", self.api)).call().unwrap();
         let lines = BufReader::new(answer.into_body().into_reader()).lines().map_while(Result::ok);
         lines.filter_map(|line| line.strip_prefix("data: ").map(|event| serde_json::from_str(event).unwrap()))
     }
@@ -180,9 +194,14 @@ impl Run {
         kill(name, &format!("-{}", self.pid()));
     }
 
-    /// Waits until it says a line with this on standard error.
-    pub fn wait_for_line(&self, with: &str) {
-        assert!(self.lines.iter().any(|line| line.contains(with)), "it ended without: {with}");
+    /// Waits until it says lines with these on standard error, in any order.
+    pub fn wait_for_lines<const N: usize>(&self, with: [&str; N]) {
+        let mut left = Vec::from(with);
+        let all = self.lines.iter().any(|line| {
+            left.retain(|with| !line.contains(with));
+            left.is_empty()
+        });
+        assert!(all, "it ended without: {left:?}");
     }
 
     /// Waits for its end, and gives its exit status, what it printed, and what else it said.
