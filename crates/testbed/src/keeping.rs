@@ -4,6 +4,7 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     io,
+    panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
     sync::Arc,
     thread::{self, JoinHandle},
@@ -103,10 +104,7 @@ impl Keeping {
         let Some(thread) = self.thread.take() else { return };
         self.keeper.0.queue.lock().is_closing = true;
         self.keeper.0.changed.notify_all();
-        if thread.join().is_err() {
-            let panicked = || "the thread that writes them panicked; please report this as a bug".to_owned();
-            self.keeper.0.queue.lock().lose(panicked);
-        }
+        let _ = thread.join();
     }
 }
 
@@ -191,9 +189,13 @@ impl Keeper {
             let writer = writers
                 .entry(of)
                 .or_insert_with(|| LargeDataWriter::new(&self.0.folder, &one.robot, &one.sensor, keep));
-            let bytes = one.content.bytes();
+            // Virtual time waits for this thread: it goes on, come what may.
+            let written = catch_unwind(AssertUnwindSafe(|| {
+                let bytes = one.content.bytes();
+                writer.append(&StoredData { measured: one.measured, data: one.data, bytes: &bytes[..] })
+            }));
             let written =
-                writer.append(&StoredData { measured: one.measured, data: one.data, bytes: &bytes[..] });
+                written.unwrap_or_else(|_| Err(io::Error::other("a panic, please report it as a bug")));
             queue = self.0.queue.lock();
             queue.waiting.pop_front();
             queue.bytes -= one.data.bytes;

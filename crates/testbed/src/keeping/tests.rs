@@ -67,7 +67,8 @@ fn so_many_readings_wait_however_small_and_one_that_is_too_large_waits_alone() {
     for sequence in 0..WAITING as u64 + 5 {
         keeper.keep(sensed(sequence, 0));
     }
-    assert_eq!((keeper.0.queue.lock().waiting.len(), keeper.0.queue.lock().lost), (WAITING, 5));
+    let waiting = |queue: &Queue| (queue.waiting.len(), queue.lost);
+    assert_eq!(waiting(&keeper.0.queue.lock()), (WAITING, 5));
     write_all(&keeper, 1_000_000);
     let queue = Queue::default();
     assert!(queue.has_room(u64::MAX));
