@@ -1,8 +1,8 @@
 //! Large data of sensors, in files of a run's folder, of which the oldest go first.
 //!
-//! Each sensor has a folder with segments. `N.data` has the bytes of readings one after the other, the first of which is reading
-//! N; `N.index` has an entry for each. An entry is written after its bytes, with check sums of both: whatever a killed process
-//! left half-written is no reading.
+//! Each sensor has a folder with segments. `N.data` has the bytes of readings one after the other, the first of which is
+//! reading N; `N.index` has an entry for each. An entry is written after its bytes, with check sums of both: whatever a killed
+//! process left half-written is no reading.
 
 use std::{
     collections::VecDeque,
@@ -187,7 +187,8 @@ pub enum WantedData {
     UpTo(u64),
 }
 
-/// Reads large data of a sensor from a run's folder, also while the run goes on; `None` if it is not there, or not any more.
+/// Reads large data of a sensor from a run's folder, also while the run goes on; `None` if it is not there, or not any
+/// more.
 ///
 /// # Errors
 /// When the system cannot read it.

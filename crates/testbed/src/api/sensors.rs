@@ -30,7 +30,8 @@ use super::{
     types::{Failure, Path},
 };
 
-/// So many readings with large data are given to one caller at the same time; others wait. Each is in memory until it is taken.
+/// So many readings with large data are given to one caller at the same time; others wait. Each is in memory until it is
+/// taken.
 const GIVEN: usize = 4;
 
 /// Whose turns are whose: nobody takes those of another.
