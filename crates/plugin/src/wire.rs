@@ -1,5 +1,5 @@
 //! The services' datagrams: a robot's position packets and the navigation packets that answer them; and its scans, and
-//! the poses that answer these ([`ScanPacket`], [`PosePacket`]).
+//! the poses that answer these ([`ScanPacket`], [`PosePacket`]); and the images of its cameras ([`ImagePacket`]).
 //!
 //! Everything that a navigation VNF must know to answer travels in the position packet, so that an instance on
 //! another server can take over with the next one. Both are a header of [`HEADER_LEN`] bytes, little endian like the
@@ -11,7 +11,7 @@
 //! |---|---|
 //! | 0..4 | magic, `ctra` |
 //! | 4 | version, 3 |
-//! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose |
+//! | 5 | kind: 1 position, 2 navigation, 3 scan, 4 pose, 5 image |
 //! | 6 | length of the robot's name; 0 in answers |
 //! | 7 | 0 on the walk, 1 on the way to a goal; in answers also 2 at the goal, 3 no way leads there |
 //! | 8..12 | sequence number |
@@ -22,10 +22,12 @@
 //! Of a goal, a position packet has x, y and z as 64-bit floats in metres. An answer on the way to it has the metres that
 //! are left, as one; an answer that no way leads there has why, in UTF-8, and the length of that in byte 6.
 
+mod image;
 mod localization;
 
 use cotorra_graph::{NodeId, Position, Testbed, Timestamp, VnfId};
 
+pub use image::{FRAGMENT, ImagePacket, LARGEST_IMAGE};
 pub use localization::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use crate::messages::{Message, MessageError, Pose, Twist};
@@ -89,6 +91,12 @@ pub enum WireError {
     /// What cannot be said of a goal.
     #[error("the packet says of a goal what makes no sense")]
     Goal,
+    /// A part of an image that cannot be one.
+    #[error("the packet is no part of an image")]
+    Image,
+    /// The sensor's name can be no name.
+    #[error("the sensor's name is none")]
+    Sensor,
     /// NaN or infinity where only a number makes sense.
     #[error("the packet says what is no finite number")]
     NotFinite,
@@ -271,6 +279,7 @@ enum Kind {
     Navigation = 2,
     Scan = 3,
     Pose = 4,
+    Image = 5,
 }
 
 struct Header<'a> {

@@ -8,6 +8,7 @@
 
 mod asked;
 mod battery;
+mod camera;
 mod driver;
 mod errand;
 #[cfg(test)]
@@ -37,6 +38,7 @@ mod watch;
 mod world;
 
 pub use asked::Addressed;
+pub use camera::View;
 pub use driver::{CommandRefused, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use large::{Captured, Content, SensedData};

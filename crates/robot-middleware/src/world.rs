@@ -154,6 +154,15 @@ impl World {
         None
     }
 
+    /// Whether the face of a cell that a ray hit there looks east or west, and not north or south.
+    pub(crate) fn faces_across(&self, hit: Position) -> bool {
+        let off_border = |at: f64, origin: f64| {
+            let cells = (at - origin) / self.resolution;
+            (cells - cells.round()).abs()
+        };
+        off_border(hit.x, self.origin.x) <= off_border(hit.y, self.origin.y)
+    }
+
     /// Where a ray from off the map enters it, in cells along the ray; `None` if it misses it (slab method).
     fn entry(&self, x: f64, y: f64, direction: (f64, f64)) -> Option<f64> {
         let slab = |start: f64, step: f64, cells: i32| {

@@ -1,0 +1,271 @@
+//! What a simulated camera sees: the map's walls between a floor and a ceiling.
+//!
+//! One ray is cast for each column of an image. Distances count along the optical axis, so that straight walls stay
+//! straight. Surfaces are the darker the farther they are; walls that face east and west are brighter than the others.
+//! Pixels are square, and there is no noise and no blur. Other robots are not seen.
+
+use std::sync::Arc;
+
+use cotorra_graph::{Camera, DataFormat, Pose, Position};
+
+use crate::world::World;
+
+/// Height of all walls, and of the ceiling, metres.
+const WALL: f64 = 2.5;
+/// Of the camera above the robot's lowest point, metres.
+const EYE: f64 = 0.3;
+/// Farther walls are not seen, metres.
+const REACH: f64 = 50.0;
+/// A surface so far away is half as bright as one right ahead, metres.
+const FADE: f64 = 5.0;
+/// No wall is nearer, metres: inside one, all is wall.
+const NEAREST: f64 = 0.01;
+
+/// A surface: its brightness right ahead, and its share of red, green and blue in 255.
+struct Surface {
+    brightness: f64,
+    tint: [u8; 3],
+}
+
+/// Walls that face east and west, and those that face north and south.
+const WALLS: [Surface; 2] = [
+    Surface { brightness: 240.0, tint: [255, 244, 224] },
+    Surface { brightness: 190.0, tint: [255, 244, 224] },
+];
+const FLOOR: Surface = Surface { brightness: 120.0, tint: [232, 208, 176] };
+const CEILING: Surface = Surface { brightness: 160.0, tint: [224, 236, 255] };
+
+/// What a camera has in front of it, which is drawn when somebody wants to see it. The camera looks along the robot's
+/// heading, and is held level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    world: Arc<World>,
+    eye: Position,
+    heading: f64,
+    width: u16,
+    height: u16,
+    is_coloured: bool,
+    field_of_view: f64,
+}
+
+/// What is seen from a height at a distance along the axis: a shade, and its share of each colour.
+#[derive(Clone, Copy)]
+struct Shade {
+    grey: u8,
+    tint: [u8; 3],
+}
+
+impl Surface {
+    fn at(&self, distance: f64) -> Shade {
+        Shade { grey: (self.brightness * FADE / (FADE + distance)) as u8, tint: self.tint }
+    }
+}
+
+impl Shade {
+    fn coloured(self) -> [u8; 3] {
+        self.tint.map(|share| (u16::from(self.grey) * u16::from(share) / 255) as u8)
+    }
+}
+
+/// What a column shows of a wall.
+struct Column {
+    /// The first row.
+    top: usize,
+    /// The first row below.
+    bottom: usize,
+    shade: Shade,
+}
+
+impl View {
+    /// What this camera sees from a robot with that pose.
+    pub(crate) fn new(camera: &Camera, world: Arc<World>, pose: &Pose) -> Self {
+        let Position { x, y, z } = pose.position();
+        Self {
+            world,
+            eye: Position { x, y, z: z + EYE },
+            heading: pose.heading,
+            width: camera.width,
+            height: camera.height,
+            is_coloured: camera.format == DataFormat::Rgb8,
+            field_of_view: camera.field_of_view,
+        }
+    }
+
+    /// Bytes of the image.
+    pub fn len(&self) -> usize {
+        usize::from(self.width) * usize::from(self.height) * if self.is_coloured { 3 } else { 1 }
+    }
+
+    /// Whether the image has no pixels.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Draws the image, row by row from the top left.
+    pub fn render(&self) -> Vec<u8> {
+        // From the image's centre in pixels to the tangent of an angle.
+        let focal = f64::from(self.width) / 2.0 / (self.field_of_view / 2.0).tan();
+        let columns: Vec<_> = (0..self.width).map(|column| self.column(column, focal)).collect();
+        let mut image = Vec::with_capacity(self.len());
+        for row in 0..usize::from(self.height) {
+            let behind = self.behind(row, focal);
+            let seen = columns.iter().map(|column| {
+                if (column.top..column.bottom).contains(&row) { column.shade } else { behind }
+            });
+            if self.is_coloured {
+                image.extend(seen.flat_map(Shade::coloured));
+            } else {
+                image.extend(seen.map(|shade| shade.grey));
+            }
+        }
+        image
+    }
+
+    /// Casts the ray of a column.
+    fn column(&self, column: u16, focal: f64) -> Column {
+        let left = (f64::from(self.width) / 2.0 - f64::from(column) - 0.5) / focal;
+        let (sin, cos) = self.heading.sin_cos();
+        // How much longer the ray is than its part along the axis.
+        let slant = left.hypot(1.0);
+        let towards = ((cos - left * sin) / slant, (sin + left * cos) / slant);
+        let Some(range) = self.world.cast(self.eye, towards, REACH) else {
+            return Column { top: 0, bottom: 0, shade: WALLS[0].at(REACH) };
+        };
+        let hit =
+            Position { x: self.eye.x + range * towards.0, y: self.eye.y + range * towards.1, ..self.eye };
+        let wall = &WALLS[usize::from(!self.world.faces_across(hit))];
+        let distance = (range / slant).max(NEAREST);
+        let (middle, height) = (f64::from(self.height) / 2.0 - 0.5, f64::from(self.height));
+        let row = |above: f64| middle - focal * above / distance;
+        let within = |row: f64| row.clamp(0.0, height) as usize;
+        Column {
+            top: within(row(WALL - self.eye.z).ceil()),
+            bottom: within(row(-self.eye.z).floor() + 1.0),
+            shade: wall.at(distance),
+        }
+    }
+
+    /// What a row shows where there is no wall.
+    fn behind(&self, row: usize, focal: f64) -> Shade {
+        let up = (f64::from(self.height) / 2.0 - row as f64 - 0.5) / focal;
+        if up > 0.0 {
+            // Above the walls there is no ceiling, but the open sky.
+            CEILING.at(((WALL - self.eye.z) / up).max(0.0))
+        } else {
+            FLOOR.at(self.eye.z / -up)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use cotorra_graph::PoseSource;
+
+    use super::*;
+    use crate::fixtures::room;
+
+    fn camera(width: u16, height: u16, format: DataFormat) -> Camera {
+        Camera { width, height, format, field_of_view: FRAC_PI_2, to: None, keep_bytes: 0 }
+    }
+
+    /// From 2 m east of the western wall of a room of 12 m by 6 m, at its middle.
+    fn seen(camera: &Camera, heading: f64, height: f64) -> Vec<u8> {
+        let pose = Pose::planar(2.0, 3.0, heading, [0.0; 9], PoseSource::Simulator);
+        let view = View::new(camera, Arc::new(World::new(&room(12.0, 6.0))), &Pose { z: height, ..pose });
+        let image = view.render();
+        assert_eq!(image.len(), view.len());
+        image
+    }
+
+    /// First row of the wall and first row below, in a column.
+    fn wall(image: &[u8], width: usize, column: usize) -> (usize, usize) {
+        let rows: Vec<_> = image.chunks(width).map(|row| row[column]).collect();
+        // The wall is what has the shade of the row of the horizon.
+        let shade = rows[rows.len() / 2];
+        let top = rows.iter().position(|&grey| grey == shade).unwrap();
+        (top, top + rows[top..].iter().position(|&grey| grey != shade).unwrap_or(rows.len() - top))
+    }
+
+    #[test]
+    fn a_wall_ahead_covers_the_rows_of_its_height_and_stays_straight_to_the_edges() {
+        // A right angle over 400 columns: 200 pixels by metre at a distance of 1 m.
+        let camera = camera(400, 600, DataFormat::Mono8);
+        let image = seen(&camera, PI, 0.0);
+        // At 2 m, 2.2 m above the eye are 220 pixels above the horizon, and 0.3 m below it are 30.
+        for column in [0, 1, 100, 200, 399] {
+            assert_eq!(wall(&image, 400, column), (300 - 220, 300 + 30), "column {column}");
+        }
+    }
+
+    #[test]
+    fn what_is_nearer_is_higher_and_brighter_and_sides_are_told_apart() {
+        let camera = camera(101, 101, DataFormat::Mono8);
+        let (west, east, north) = (
+            seen(&camera, PI, 0.0),
+            seen(&camera, 0.0, 0.0),
+            seen(&camera, FRAC_PI_2, 0.0),
+        );
+        let height = |image: &[u8]| {
+            let (top, bottom) = wall(image, 101, 50);
+            bottom - top
+        };
+        let shade = |image: &[u8]| image[50 * 101 + 50];
+        assert!(height(&west) > height(&north) && height(&north) > height(&east));
+        assert!(shade(&west) > shade(&north) && shade(&north) > shade(&east));
+        assert_eq!(
+            [shade(&west), shade(&north)],
+            [(240.0 * 5.0 / 7.0) as u8, (190.0 * 5.0 / 8.0) as u8],
+            "2 m and 3 m away"
+        );
+        // The floor is the brighter the nearer it is, and so is the ceiling.
+        let column: Vec<_> = east.chunks(101).map(|row| row[50]).collect();
+        let (top, bottom) = wall(&east, 101, 50);
+        assert!(column[..top].is_sorted_by(|a, b| a >= b) && column[0] > column[top - 1]);
+        assert!(column[bottom..].is_sorted() && column[bottom] < column[100]);
+    }
+
+    #[test]
+    fn left_is_left() {
+        // Looking east 1 m off the northern wall, which is then on the left.
+        let pose = Pose::planar(2.0, 5.0, 0.0, [0.0; 9], PoseSource::Simulator);
+        let camera = camera(100, 100, DataFormat::Mono8);
+        let image = View::new(&camera, Arc::new(World::new(&room(12.0, 6.0))), &pose).render();
+        let row = &image[50 * 100..51 * 100];
+        assert!(row[0] > 2 * row[50], "{row:?}");
+        assert!(row[99] < row[0]);
+    }
+
+    #[test]
+    fn from_higher_up_walls_begin_lower() {
+        let camera = camera(400, 600, DataFormat::Mono8);
+        // The eye is 1.3 m above the floor.
+        assert_eq!(wall(&seen(&camera, PI, 1.0), 400, 200), (300 - 120, 300 + 130));
+        // From above the walls their top is below the horizon, and the sky above it.
+        let image = seen(&camera, PI, 3.0);
+        assert_eq!((image[299 * 400], image[0]), (160, 160));
+        assert!(image[(300 + 79) * 400] < image[(300 + 80) * 400], "the wall begins 0.8 m below the eye");
+    }
+
+    #[test]
+    fn images_have_the_size_of_their_format_and_colours_the_shades() {
+        let [mono, rgb] = [DataFormat::Mono8, DataFormat::Rgb8].map(|f| seen(&camera(32, 24, f), 0.5, 0.0));
+        assert_eq!((mono.len(), rgb.len()), (32 * 24, 32 * 24 * 3));
+        for (grey, colour) in mono.iter().zip(rgb.chunks(3)) {
+            assert_eq!(colour.iter().max().unwrap(), grey, "the strongest colour is the shade");
+        }
+        assert_eq!(mono, seen(&camera(32, 24, DataFormat::Mono8), 0.5, 0.0));
+    }
+
+    #[test]
+    fn open_space_and_the_inside_of_a_wall_are_drawn() {
+        let small = camera(8, 8, DataFormat::Mono8);
+        let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
+        let open = View::new(&small, Arc::new(World::open()), &pose).render();
+        assert!(open.chunks(8).all(|row| row.iter().all(|grey| *grey == row[0])));
+        let inside = Pose::planar(-0.02, 3.0, 0.0, [0.0; 9], PoseSource::Simulator);
+        let image = View::new(&small, Arc::new(World::new(&room(12.0, 6.0))), &inside).render();
+        assert!(image.iter().all(|grey| *grey == image[0]));
+    }
+}
