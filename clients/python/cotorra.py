@@ -23,12 +23,13 @@ import fcntl
 import json
 import os
 import socket
+import struct
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any, Iterator, NamedTuple, Optional, Sequence
 from urllib import error, parse, request
 
-__all__ = ["Client", "CotorraError", "Ended", "LargeData", "Refused"]
+__all__ = ["Client", "CotorraError", "Ended", "Image", "LargeData", "Refused", "images"]
 
 JSON = dict[str, Any]
 _SILENCE_S = 60.0  # Nobody is silent for so long: a stream is kept alive every 15 s.
@@ -256,6 +257,58 @@ class Client:
             raise kind(f"{path}: {failure.code}: {said.get('error', text)}") from None
         except error.URLError as failure:
             raise Ended(f"no API at {self._api}: {failure.reason}") from None
+
+
+class Image(NamedTuple):
+    """An image of a robot's camera, as it came over the emulated network."""
+
+    robot: str
+    sensor: str
+    sequence: int
+    measured_ns: int
+    format: str  # mono8, rgb8, jpeg or png.
+    width: int
+    height: int
+    data: bytes
+
+
+_IMAGE = struct.Struct("<4s4BIIQIHH")
+_FORMATS = {1: "mono8", 2: "rgb8", 3: "jpeg", 4: "png"}
+_FRAGMENT = 1280
+_LARGEST_IMAGE = 64 << 20
+_CAMERAS = 64  # Whose images are put together at once.
+
+
+def images(receiver: socket.socket) -> Iterator[Image]:
+    """The images that cameras send to a VNF, of which each datagram came: of a UDP socket that is bound to the port
+    COTORRA_PORT. An image is left out once a datagram of a later one is there."""
+    under_way: dict[tuple[bytes, bytes], tuple[tuple[Any, ...], bytearray, set[int]]] = {}
+    while True:
+        datagram = receiver.recv(2048)
+        if len(datagram) <= _IMAGE.size or datagram[:6] != b"ctra\x03\x05":
+            continue
+        _, _, _, robot_end, form, sequence, offset, measured, length, width, height = _IMAGE.unpack_from(datagram)
+        robot_end += _IMAGE.size
+        sensor_end = robot_end + 1 + datagram[robot_end] if robot_end < len(datagram) else len(datagram)
+        robot, sensor, part = datagram[_IMAGE.size : robot_end], datagram[robot_end + 1 : sensor_end], datagram[sensor_end:]
+        fits = length <= _LARGEST_IMAGE and len(part) == min(_FRAGMENT, length - offset) > 0
+        if not fits or offset % _FRAGMENT or form not in _FORMATS:
+            continue
+        which = (sequence, measured, form, length, width, height)
+        begun = under_way.get((robot, sensor))
+        if begun is None or begun[0] != which:
+            if begun is not None and measured < begun[0][1]:
+                continue  # It was overtaken.
+            if begun is None and len(under_way) == _CAMERAS:
+                under_way.clear()
+            begun = under_way[robot, sensor] = (which, bytearray(length), set())
+        _, data, offsets = begun
+        data[offset : offset + len(part)] = part
+        offsets.add(offset)
+        if len(offsets) * _FRAGMENT >= length:
+            names = robot.decode(errors="replace"), sensor.decode(errors="replace")
+            offsets.clear()
+            yield Image(*names, sequence, measured, _FORMATS[form], width, height, bytes(data))
 
 
 class _Folder:

@@ -3,7 +3,7 @@
 
 use cotorra_plugin::{
     messages::{LaserScan, Message, OccupancyGrid, Odometry, TFMessage, TwistStamped},
-    wire::{Answer, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
+    wire::{Answer, ImagePacket, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -28,6 +28,10 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(packet) = PosePacket::decode(bytes) {
         packet.encode(&mut again);
         assert_eq!(PosePacket::decode(&again).expect("it was encoded here"), packet);
+    }
+    if let Ok(packet) = ImagePacket::decode(bytes) {
+        packet.encode(&mut again);
+        assert_eq!(again, bytes);
     }
     let _ = Answer::decode(bytes);
     let _ = LaserScan::decode(bytes);

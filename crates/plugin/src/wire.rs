@@ -46,8 +46,8 @@ const TEXT_LEN_AT: usize = 6;
 /// … and of what is said of a goal.
 const GOAL_AT: usize = 7;
 
-/// The UDP port where a bundled VNF of a testbed listens, wherever it runs: each VNF has one of its own, in the order of the file, so that
-/// one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
+/// The UDP port where a bundled VNF of a testbed listens, and where others receive images, wherever it runs: each VNF has one of
+/// its own, in the order of the file, so that one server carries the VNFs of many robots. They begin anew after 25,057 VNFs. `None` for one that the testbed does not have.
 pub fn port(testbed: &Testbed, vnf: &VnfId) -> Option<u16> {
     let mut all = testbed.services.iter().flat_map(|service| &service.vnfs);
     let place = all.position(|other| other.id == *vnf)?;

@@ -32,7 +32,7 @@ const WALLS: [Surface; 2] = [
     Surface { brightness: 240.0, tint: [255, 244, 224] },
     Surface { brightness: 190.0, tint: [255, 244, 224] },
 ];
-const FLOOR: Surface = Surface { brightness: 120.0, tint: [232, 208, 176] };
+const FLOOR: Surface = Surface { brightness: 120.0, tint: [255, 229, 194] };
 const CEILING: Surface = Surface { brightness: 160.0, tint: [224, 236, 255] };
 
 /// What a camera has in front of it, which is drawn when somebody wants to see it. The camera looks along the robot's
@@ -109,9 +109,9 @@ impl View {
         let mut image = Vec::with_capacity(self.len());
         for row in 0..usize::from(self.height) {
             let behind = self.behind(row, focal);
-            let seen = columns.iter().map(|column| {
-                if (column.top..column.bottom).contains(&row) { column.shade } else { behind }
-            });
+            let seen = columns
+                .iter()
+                .map(|column| if (column.top..column.bottom).contains(&row) { column.shade } else { behind });
             if self.is_coloured {
                 image.extend(seen.flat_map(Shade::coloured));
             } else {
@@ -170,9 +170,12 @@ mod tests {
         Camera { width, height, format, field_of_view: FRAC_PI_2, to: None, keep_bytes: 0 }
     }
 
-    /// From 2 m east of the western wall of a room of 12 m by 6 m, at its middle.
+    /// From 2 m east of the western wall of a room of 12 m by 6 m and 3 m south of the northern one, if it looks there.
     fn seen(camera: &Camera, heading: f64, height: f64) -> Vec<u8> {
-        let pose = Pose::planar(2.0, 3.0, heading, [0.0; 9], PoseSource::Simulator);
+        // A ray between two cells meets a corner, which has no side.
+        let aside = 0.02;
+        let [x, y] = if heading == FRAC_PI_2 { [2.0 + aside, 3.0] } else { [2.0, 3.0 + aside] };
+        let pose = Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator);
         let view = View::new(camera, Arc::new(World::new(&room(12.0, 6.0))), &Pose { z: height, ..pose });
         let image = view.render();
         assert_eq!(image.len(), view.len());
@@ -202,11 +205,8 @@ mod tests {
     #[test]
     fn what_is_nearer_is_higher_and_brighter_and_sides_are_told_apart() {
         let camera = camera(101, 101, DataFormat::Mono8);
-        let (west, east, north) = (
-            seen(&camera, PI, 0.0),
-            seen(&camera, 0.0, 0.0),
-            seen(&camera, FRAC_PI_2, 0.0),
-        );
+        let (west, east, north) =
+            (seen(&camera, PI, 0.0), seen(&camera, 0.0, 0.0), seen(&camera, FRAC_PI_2, 0.0));
         let height = |image: &[u8]| {
             let (top, bottom) = wall(image, 101, 50);
             bottom - top

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use cotorra_graph::{DataFormat, LargeData, NodeId, SensorId, Timestamp};
 use cotorra_plugin::messages::Message;
 
-use crate::{lidar::Scan, ros};
+use crate::{camera::View, lidar::Scan, ros};
 
 /// What large data consists of, before it is written as bytes.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,6 +14,8 @@ pub enum Content {
     Scan(Arc<Scan>),
     /// Bytes as they are stored.
     Bytes(Arc<[u8]>),
+    /// What a simulated camera sees.
+    View(Box<View>),
 }
 
 impl Content {
@@ -22,6 +24,7 @@ impl Content {
         match self {
             Self::Scan(scan) => scan_size(scan.ranges.len()) as u64,
             Self::Bytes(bytes) => bytes.len() as u64,
+            Self::View(view) => view.len() as u64,
         }
     }
 
@@ -34,6 +37,7 @@ impl Content {
                 bytes.into()
             }
             Self::Bytes(bytes) => Arc::clone(bytes),
+            Self::View(view) => view.render().into(),
         }
     }
 }

@@ -8,6 +8,7 @@ use parking_lot::{Condvar, Mutex};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
+    large::Captured,
     lidar::Scan,
     middleware::slowed,
     ros_driver::{AGAIN, Clock},
@@ -189,6 +190,10 @@ impl RobotDriver for OfferedRobot {
 
     fn sense(&mut self, sensor: &Sensor) -> Option<Vec<f64>> {
         self.shared.state.lock().robot.sense(sensor)
+    }
+
+    fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
+        self.shared.state.lock().robot.capture(sensor, read)
     }
 
     fn truth(&self) -> Option<Pose> {

@@ -12,9 +12,11 @@ use cotorra_graph::{
 
 use crate::{
     battery::Battery,
+    camera::View,
     driver::{CommandRefused, RobotDriver, limited},
     imu::Imu,
     kobuki::{Base, COMMAND_TIMEOUT, Odometer},
+    large::{Captured, Content},
     lidar::{Lidar, RAYS, Scan},
     quadrotor::{Airframe, FlightOdometer},
     world::World,
@@ -209,6 +211,21 @@ impl RobotDriver for SimulatedRobot {
             | SensorKind::Lidar { .. }
             | SensorKind::Camera(_)
             | SensorKind::Vector { .. } => None,
+        }
+    }
+
+    fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
+        match &sensor.kind {
+            SensorKind::Lidar { .. } => self.scan().filter(|scan| read != Some(scan.at)).map(Captured::from),
+            // What the robot does is as of its last step.
+            SensorKind::Camera(camera) => (read != Some(self.at)).then(|| Captured {
+                measured: self.at,
+                format: camera.format,
+                width: camera.width.into(),
+                height: camera.height.into(),
+                content: Content::View(Box::new(View::new(camera, Arc::clone(&self.world), &self.pose()))),
+            }),
+            _ => None,
         }
     }
 

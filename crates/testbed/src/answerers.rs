@@ -4,7 +4,7 @@ use cotorra_graph::{NodeId, Program, Requests, Service, Testbed, VnfId};
 use cotorra_network_control::{Network, NetworkControl, vim::Engine};
 use cotorra_plugin::wire;
 
-/// A bundled VNF that answers a robot.
+/// A VNF that answers a robot, or receives its images.
 #[derive(Debug)]
 pub(crate) struct Answerer {
     pub(crate) vnf: VnfId,
@@ -25,6 +25,12 @@ impl Answerer {
             requests: service.requests,
             nearest: Vec::new(),
         })
+    }
+
+    /// The first instance of a VNF that serves.
+    pub(crate) fn first_of(testbed: &Testbed, vnf: &VnfId) -> Option<Self> {
+        let (vnf, port) = (vnf.clone(), wire::port(testbed, vnf)?);
+        Some(Self { vnf, port, requests: Requests::One, nearest: Vec::new() })
     }
 
     /// Whether the distances of its instances matter.

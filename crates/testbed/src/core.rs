@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, Stamped,
-    Testbed, Timestamp,
+    Attachment, Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId,
+    Stamped, Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{
@@ -25,6 +25,7 @@ use cotorra_robot_middleware::{
 use crate::{
     answerers::Answerer,
     domain::Domains,
+    images::{self, Image},
     plugins::host::{Controlled, Fault},
     robots::RobotError,
     script::{Change, Script},
@@ -64,6 +65,12 @@ pub(crate) struct Core<N, E> {
     navigators: BTreeMap<NodeId, Answerer>,
     /// The localization VNF of each robot that has one.
     localizers: BTreeMap<NodeId, Answerer>,
+    /// The VNFs to which images of cameras go.
+    receivers: BTreeMap<(NodeId, SensorId), Answerer>,
+    /// Large data that nobody has polled.
+    data: VecDeque<SensedData>,
+    /// Images that are to be sent.
+    images: VecDeque<Image>,
     /// Datagrams that are to be sent at once.
     outbox: VecDeque<Datagram>,
     /// φ of each robot as last seen.
@@ -103,6 +110,9 @@ impl<N: Network, E: Engine> Core<N, E> {
             control: NetworkControl::new(&testbed, network, engine),
             navigators: of_robots(Program::Navigation),
             localizers: of_robots(Program::Localization),
+            receivers: images::receivers(&testbed),
+            data: VecDeque::new(),
+            images: VecDeque::new(),
             outbox: VecDeque::new(),
             attachments: BTreeMap::new(),
             domains: Domains::new(&testbed),
@@ -141,6 +151,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             }
             let attachments = &self.attachments;
             self.middleware.advance(now, |robot| attachments.get(robot).cloned().unwrap_or_default());
+            self.take_data();
         }
         if now >= self.next_observation {
             self.next_observation = now + OBSERVATION;
@@ -253,6 +264,22 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
     }
 
+    /// Takes what sensors measured, and the images among it that go to VNFs.
+    fn take_data(&mut self) {
+        while let Some(sensed) = self.middleware.poll_data() {
+            let receiver = self.receivers.get(&(sensed.robot.clone(), sensed.sensor.clone()));
+            let node = receiver.and_then(|of| of.asked(&self.control).into_iter().next().zip(Some(of.port)));
+            let to = node.and_then(|(node, port)| address(&self.testbed, &node, port));
+            self.images.extend(to.map(|to| Image { to, sensed: sensed.clone() }));
+            self.data.push_back(sensed);
+        }
+    }
+
+    /// The next image that a robot sends to a VNF; after the datagrams of the same moment.
+    pub(crate) fn poll_image(&mut self) -> Option<Image> {
+        self.images.pop_front()
+    }
+
     /// Returns every replica of every VNF with its instances, by the VNF's name.
     pub(crate) fn managed(&self) -> impl Iterator<Item = Managed<'_>> {
         self.control.managed()
@@ -312,7 +339,7 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// Large data that a sensor measured, oldest first. It is kept until it is taken, as events are.
     pub(crate) fn poll_data(&mut self) -> Option<SensedData> {
-        self.middleware.poll_data()
+        self.data.pop_front()
     }
 
     /// What is to be told of services' flows at the end.

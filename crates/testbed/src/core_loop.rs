@@ -17,6 +17,7 @@ use tokio::sync::broadcast;
 use crate::{
     api::Follower,
     core::Core,
+    images::ImageSender,
     keeping::Keeper,
     live::Live,
     plugins::{Now, host::Fault, running::RunningPlugins},
@@ -140,6 +141,8 @@ pub(crate) struct CoreLoop<N, E> {
     pub(crate) readers: Readers,
     pub(crate) inbox: mpsc::Receiver<Message>,
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
+    /// Sends images, where a camera sends any.
+    pub(crate) images: Option<ImageSender>,
     pub(crate) now: Now,
     pub(crate) until: Option<Timestamp>,
 }
@@ -176,6 +179,9 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         let now = (self.now)();
         self.core.shut_down(now);
         self.publish();
+        for event in self.images.take().into_iter().flat_map(|sender| sender.remarks()) {
+            self.readers.publish(Stamped { at: now, event });
+        }
         self.readers.report.localized(self.core.localization_errors());
         (self.readers.report, now, end)
     }
@@ -203,6 +209,11 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             // What cannot be sent is lost as on any network; the sample then has no answer.
             if let Err(error) = socket.send_to(&datagram.bytes, SocketAddr::V4(datagram.to)) {
                 tracing::debug!("{} cannot send to {}: {error}", datagram.robot, datagram.to);
+            }
+        }
+        while let Some(image) = self.core.poll_image() {
+            if let Some(sender) = &self.images {
+                sender.offer(image);
             }
         }
     }

@@ -14,6 +14,7 @@ mod domain;
 mod earlier;
 pub mod experiment;
 pub mod faults;
+mod images;
 mod keeping;
 mod live;
 mod plugins;

@@ -38,6 +38,7 @@ use crate::{
     core::Core,
     core_loop::{CoreLoop, End, Message, Readers, receive},
     earlier::Earlier,
+    images::{self, ImageSender},
     keeping::Keeping,
     live::Live,
     plugins::{Now, PluginError, running::Prepared},
@@ -273,7 +274,9 @@ impl Run {
         let live = Live::default();
         let (stream, _) = broadcast::channel(STREAM);
 
-        let sockets = open_sockets(&testbed, &datapath)?;
+        let sockets = open_sockets(&testbed, &datapath, testbed.graph.robots().map(|(node, _)| &node.id))?;
+        // Apart from these: images that wait to be sent hold up nothing else.
+        let image_sockets = open_sockets(&testbed, &datapath, images::senders(&testbed))?;
         let launcher = NodeLauncher {
             testbed: Arc::clone(&testbed),
             datapath: Arc::clone(&datapath),
@@ -343,7 +346,9 @@ impl Run {
             earlier.notes_before(info.started_at_unix_ns).for_each(|note| readers.publish(note));
         }
         let until = options.until.map(|until| Timestamp::ZERO + until);
-        let core_loop = CoreLoop { core, readers, inbox, sockets, now, until };
+        let images = (!image_sockets.is_empty()).then(|| ImageSender::start(image_sockets)).transpose();
+        let images = images.map_err(system("start the thread that sends images"))?;
+        let core_loop = CoreLoop { core, readers, inbox, sockets, images, now, until };
         let core = thread::Builder::new()
             .name("core".to_owned())
             .spawn(move || {
@@ -509,13 +514,18 @@ fn absolute(file: &Path) -> Result<PathBuf, RunError> {
     file.canonicalize().map_err(system(format!("find {}", file.display())))
 }
 
-fn open_sockets(testbed: &Testbed, datapath: &Datapath) -> Result<BTreeMap<NodeId, UdpSocket>, RunError> {
+/// Opens a socket in each of these robots.
+fn open_sockets<'a>(
+    testbed: &Testbed,
+    datapath: &Datapath,
+    robots: impl IntoIterator<Item = &'a NodeId>,
+) -> Result<BTreeMap<NodeId, UdpSocket>, RunError> {
     let open = |id: &NodeId| {
         let address = testbed.graph.address(id).expect("a robot is a host");
         let namespace = datapath.namespace(id)?;
         namespace.udp_socket((address.ipv4, 0)).map_err(system(format!("open the socket of `{id}`")))
     };
-    testbed.graph.robots().map(|(node, _)| Ok((node.id.clone(), open(&node.id)?))).collect()
+    robots.into_iter().map(|robot| Ok((robot.clone(), open(robot)?))).collect()
 }
 
 fn robots_by_vnf(testbed: &Testbed) -> BTreeMap<VnfId, NodeId> {
@@ -550,6 +560,8 @@ impl Launcher for NodeLauncher {
         command.envs(ros1_environment(&self.testbed.graph, node));
         if matches!(vnf.program, Program::Command(_)) {
             command.current_dir(self.confined.folder());
+            // Where images come to.
+            command.envs(wire::port(&self.testbed, &vnf.id).map(|port| (bundled::PORT, port.to_string())));
         }
         let confinement = self.confined.of(vnf, replica)?;
         let options = SpawnOptions { cgroups, confinement: confinement.as_ref(), ..SpawnOptions::default() };

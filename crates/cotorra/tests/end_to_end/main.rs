@@ -1,6 +1,7 @@
 //! The real program, from outside: what it prints, what it leaves, and what it does not leave.
 
 mod api;
+mod camera;
 #[cfg(feature = "ethereum")]
 mod chain;
 mod clients;

@@ -941,7 +941,13 @@ impl Builder<'_> {
 }
 
 /// Reports a name that nothing has.
-fn dangling<'b>(span: &Span, what: &str, name: &str, there: impl Iterator<Item = &'b str>, sink: &mut Sink) {
+pub(super) fn dangling<'b>(
+    span: &Span,
+    what: &str,
+    name: &str,
+    there: impl Iterator<Item = &'b str>,
+    sink: &mut Sink,
+) {
     let mut there: Vec<_> = there.collect();
     there.sort_unstable();
     sink.error(span, format!("there is no {what} `{name}`")).help(

@@ -7,6 +7,7 @@ use super::{
     flow,
     machines::machines,
     records::{NodeRecord, ServiceRecord, TestbedRecord, VnfRecord},
+    sensors,
 };
 use crate::{
     driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
@@ -28,6 +29,7 @@ pub(super) fn check(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) 
     machines(record, &testbed.graph, sink);
     radio_units(record, &testbed.graph, sink);
     ros(record, &testbed.graph, sink);
+    sensors::receivers(record, testbed, sink);
     let broken = !sink.is_empty();
     vnfs(record, testbed, sink);
     walks(record, testbed, sink);

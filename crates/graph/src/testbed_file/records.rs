@@ -340,9 +340,9 @@ record! {
         /// How often it is read.
         rate: Spanned<Frequency> = "15 Hz",
         /// Columns of an image.
-        width: Spanned<u16> = "320",
+        width: Spanned<u16> = 320,
         /// Rows of an image.
-        height: Spanned<u16> = "240",
+        height: Spanned<u16> = 240,
         /// What a pixel is.
         format: DataFormat = "mono8",
         /// From the left column to the right one.

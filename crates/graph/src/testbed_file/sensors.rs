@@ -2,12 +2,17 @@
 
 use std::{f64::consts::PI, time::Duration};
 
-use super::records::{CameraRecord, RobotRecord, SensorRecord};
+use super::{
+    build::dangling,
+    records::{CameraRecord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
+};
 use crate::{
     driver::Driver,
     hardware::RobotModel,
     id::SensorId,
     sensor::{Camera, Sensor, SensorKind},
+    service::Program,
+    testbed::Testbed,
     yaml::{Angle, Frequency, Sink, Span, decode::Spanned},
 };
 
@@ -91,6 +96,28 @@ fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
         field_of_view,
         to: record.to.as_ref().map(|to| to.value.clone()),
         keep_bytes: record.keep.0,
+    }
+}
+
+/// Images go to VNFs that can take them.
+pub(super) fn receivers(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    let robots = record.nodes.0.iter().filter_map(|(_, node)| match node {
+        NodeRecord::Robot(robot) => Some(robot),
+        _ => None,
+    });
+    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
+    for (_, sensor) in robots.flat_map(|robot| &robot.sensors.0) {
+        let SensorRecord::Camera(CameraRecord { to: Some(to), .. }) = sensor else { continue };
+        match vnfs().find(|vnf| vnf.id == to.value).map(|vnf| &vnf.program) {
+            Some(Program::Command(_)) => {}
+            Some(_) => {
+                sink.error(&to.span, format!("`{}` is a bundled VNF, which takes no images", to.value))
+                    .help("name a VNF with a `command`");
+            }
+            None => {
+                dangling(&to.span, "VNF", to.value.as_str(), vnfs().map(|vnf| vnf.id.as_str()), sink);
+            }
+        }
     }
 }
 

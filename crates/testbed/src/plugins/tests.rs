@@ -166,7 +166,7 @@ impl Misdeed {
             keeper: None,
         };
         let (sockets, until) = (BTreeMap::new(), None);
-        let core = CoreLoop { core, readers, inbox, sockets, now, until };
+        let core = CoreLoop { core, readers, inbox, sockets, images: None, now, until };
         let core = thread::spawn(move || core.run());
         let (mut told, mut is_cut_off) = (Vec::new(), false);
         loop {

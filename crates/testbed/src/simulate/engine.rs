@@ -1,4 +1,5 @@
-//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation.
+//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation. Others do not run; where images of cameras go
+//! to one, its node takes them.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -13,11 +14,15 @@ use cotorra_plugin::wire;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
+use crate::images;
+
 /// An instance of a bundled VNF.
 #[derive(Clone)]
 enum Bundled {
     Navigation(NavigationVnf),
     Localization(Box<LocalizationVnf>),
+    /// Takes images, and says nothing.
+    Receiver,
 }
 
 impl Bundled {
@@ -26,6 +31,7 @@ impl Bundled {
         match self {
             Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
             Self::Localization(vnf) => vnf.answer(datagram, answer).is_ok(),
+            Self::Receiver => false,
         }
     }
 }
@@ -157,14 +163,16 @@ impl VirtualEngine {
     pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed)?;
+        let receivers: Vec<_> = images::receivers(testbed).into_values().map(|of| of.vnf).collect();
         let planned = testbed.services.iter().flat_map(|service| {
-            let (navigations, localizations) = (&navigations, &localizations);
+            let (navigations, localizations, receivers) = (&navigations, &localizations, &receivers);
             service.vnfs.iter().filter_map(move |vnf| {
                 let bundled = match vnf.program {
                     Program::Navigation => Bundled::Navigation(navigations.get(&service.robot)?.clone()),
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
+                    Program::Command(_) if receivers.contains(&vnf.id) => Bundled::Receiver,
                     Program::RobotDriver | Program::Command(_) => return None,
                 };
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
@@ -176,10 +184,11 @@ impl VirtualEngine {
 
 impl Engine for VirtualEngine {
     fn start(&mut self, id: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
-        if !matches!(vnf.program, Program::Navigation | Program::Localization) {
-            return Err("only the bundled VNFs run in virtual time".to_owned());
-        }
-        let (port, program) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
+        let planned = self.planned.get(&vnf.id).ok_or(match vnf.program {
+            Program::Navigation | Program::Localization => "its robot has no walk, or no map",
+            Program::RobotDriver | Program::Command(_) => "only the bundled VNFs run in virtual time",
+        });
+        let (port, program) = planned?.clone();
         let mut all = self.serving.0.lock();
         let is_ready = !all.starts_held;
         let instance = Instance { id, vnf: vnf.id.clone(), port, program, mood: Mood::default(), is_ready };

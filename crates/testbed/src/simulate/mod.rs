@@ -46,6 +46,8 @@ use crate::{
 
 /// The port from which robots send; any would do.
 const ROBOT_PORT: u16 = 40_000;
+/// The port from which their cameras do.
+const IMAGE_PORT: u16 = 40_001;
 
 /// A testbed in virtual time, from its beginning.
 pub struct Simulation {
@@ -350,6 +352,13 @@ impl Simulation {
             }
             self.send(now, (from, ROBOT_PORT), (to, datagram.to.port()), &datagram.bytes);
         }
+        while let Some(image) = self.core.poll_image() {
+            let robot = &image.sensed.robot;
+            let (Some(from), Some(to)) = (self.port(robot), self.port_at(*image.to.ip())) else { continue };
+            if !self.interference.is_silent(robot) {
+                image.send(|bytes| self.send(now, (from, IMAGE_PORT), (to, image.to.port()), bytes));
+            }
+        }
         while let Some(Held { from, to, payload }) = self.interference.release(now) {
             if let Some(receiver) = self.port_at(to.0) {
                 self.send(now, from, (receiver, to.1), &payload);
@@ -466,6 +475,8 @@ impl Lockstep for Simulation {
     }
 }
 
+#[cfg(test)]
+mod camera_tests;
 #[cfg(test)]
 mod federation_tests;
 #[cfg(test)]

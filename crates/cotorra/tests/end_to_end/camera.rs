@@ -1,0 +1,55 @@
+//! A camera whose images cross the emulated network to a program, beside navigation.
+#![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
+
+use std::fs;
+
+use crate::harness::{Run, project_file, wait_until};
+
+/// What the detector prints of an image: number, size, bytes, checksum and mean brightness.
+fn received(run: &Run) -> Vec<(u64, String, u64, u32, f64)> {
+    let log = fs::read_to_string(run.folder.join("logs/detector.log")).unwrap_or_default();
+    // The last line may still be on its way.
+    let whole = log.rfind('\n').map_or("", |end| &log[..end]);
+    let lines = whole.lines().filter_map(|line| {
+        let [number, size, bytes, checksum, mean] =
+            line.strip_prefix("front ")?.split(' ').collect::<Vec<_>>()[..]
+        else {
+            panic!("{log}")
+        };
+        Some((
+            number.parse().unwrap(),
+            size.to_owned(),
+            bytes.parse().unwrap(),
+            checksum.parse().unwrap(),
+            mean.parse().unwrap(),
+        ))
+    });
+    lines.collect()
+}
+
+#[test]
+fn a_program_receives_whole_images_while_the_robot_is_navigated() {
+    let mut run = Run::start(&project_file("testbeds/camera.yaml"), &["--until", "5min"]);
+    wait_until(|| received(&run).len() >= 30);
+    let images = received(&run);
+    assert!(images.is_sorted_by(|a, b| a.0 < b.0), "{images:?}");
+    for (_, size, bytes, _, mean) in &images {
+        assert_eq!((size.as_str(), *bytes), ("320x240", 320 * 240));
+        assert!((20.0..220.0).contains(mean), "a corridor is neither dark nor white: {mean}");
+    }
+    // It drives, and sees something else.
+    wait_until(|| {
+        let images = received(&run);
+        images.last().unwrap().3 != images[0].3
+    });
+    let last = run.get("/api/v1/robots/robot/sensors")[0]["last"]["data"].clone();
+    assert_eq!(
+        (&last["format"], &last["width"], &last["height"]),
+        (&"mono8".into(), &320.into(), &240.into())
+    );
+    assert!(last["sequence"].as_u64().unwrap() >= images.last().unwrap().0);
+    run.signal("INT");
+    let (summary, _) = run.report();
+    let samples = |name: &str| summary[name].as_u64().unwrap();
+    assert!(samples("unanswered") < samples("samples") / 2, "{summary}");
+}
