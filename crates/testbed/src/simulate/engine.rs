@@ -1,5 +1,5 @@
-//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation. Others do not run; where images of cameras go
-//! to one, its node takes them.
+//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation. Others do not
+//! run: what comes to them is lost at their nodes, and nothing answers.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -14,15 +14,13 @@ use cotorra_plugin::wire;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
 use parking_lot::Mutex;
 
-use crate::images;
-
 /// An instance of a bundled VNF.
 #[derive(Clone)]
 enum Bundled {
     Navigation(NavigationVnf),
     Localization(Box<LocalizationVnf>),
-    /// Takes images, and says nothing.
-    Receiver,
+    /// A program of others, which does not run.
+    Absent,
 }
 
 impl Bundled {
@@ -31,7 +29,7 @@ impl Bundled {
         match self {
             Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
             Self::Localization(vnf) => vnf.answer(datagram, answer).is_ok(),
-            Self::Receiver => false,
+            Self::Absent => false,
         }
     }
 }
@@ -163,17 +161,16 @@ impl VirtualEngine {
     pub(crate) fn new(testbed: &Testbed, seed: u64, serving: Serving) -> Result<Self, NotLocalized> {
         let navigations = NavigationVnf::of_all(testbed);
         let localizations = LocalizationVnf::of_all(testbed, seed)?;
-        let receivers: Vec<_> = images::receivers(testbed).into_values().map(|of| of.vnf).collect();
         let planned = testbed.services.iter().flat_map(|service| {
-            let (navigations, localizations, receivers) = (&navigations, &localizations, &receivers);
+            let (navigations, localizations) = (&navigations, &localizations);
             service.vnfs.iter().filter_map(move |vnf| {
                 let bundled = match vnf.program {
                     Program::Navigation => Bundled::Navigation(navigations.get(&service.robot)?.clone()),
                     Program::Localization => {
                         Bundled::Localization(Box::new(localizations.get(&service.robot)?.clone()))
                     }
-                    Program::Command(_) if receivers.contains(&vnf.id) => Bundled::Receiver,
-                    Program::RobotDriver | Program::Command(_) => return None,
+                    Program::Command(_) => Bundled::Absent,
+                    Program::RobotDriver => return None,
                 };
                 Some((vnf.id.clone(), (wire::port(testbed, &vnf.id)?, bundled)))
             })
@@ -184,11 +181,7 @@ impl VirtualEngine {
 
 impl Engine for VirtualEngine {
     fn start(&mut self, id: InstanceId, vnf: &Vnf, _replica: u32, node: &NodeId) -> Result<(), String> {
-        let planned = self.planned.get(&vnf.id).ok_or(match vnf.program {
-            Program::Navigation | Program::Localization => "its robot has no walk, or no map",
-            Program::RobotDriver | Program::Command(_) => "only the bundled VNFs run in virtual time",
-        });
-        let (port, program) = planned?.clone();
+        let (port, program) = self.planned.get(&vnf.id).ok_or("its robot has no walk, or no map")?.clone();
         let mut all = self.serving.0.lock();
         let is_ready = !all.starts_held;
         let instance = Instance { id, vnf: vnf.id.clone(), port, program, mood: Mood::default(), is_ready };

@@ -17,7 +17,8 @@ use std::{
 use cotorra_fabric::{Balance, Fabric, PortId};
 use cotorra_federation::Ledgers;
 use cotorra_graph::{
-    Direction, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
+    Direction, Event, HostAddress, Instruction, LinkId, NodeId, PluginId, PluginProgram, Program, Stamped,
+    Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{Refused, vim::Managed};
@@ -143,6 +144,13 @@ impl Simulation {
             locals.add(spec.id.clone(), plugin, &testbed, domains.of_plugin(&spec.id).cloned());
         }
         core.start(Timestamp::ZERO);
+        for vnf in testbed.services.iter().flat_map(|service| &service.vnfs) {
+            if matches!(vnf.program, Program::Command(_)) {
+                let message =
+                    format!("VNF {} does not run: in virtual time no program of others does", vnf.id);
+                core.observe(Stamped { at: Timestamp::ZERO, event: Event::Notice { message } });
+            }
+        }
         let hosts = testbed.graph.hosts().count();
         Ok(Self {
             core,
