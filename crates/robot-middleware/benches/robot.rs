@@ -3,8 +3,8 @@
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{
-    Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
-    RobotModel, Timestamp, Velocity,
+    Camera, Capacity, Cell, DataFormat, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid,
+    Position, Roaming, Robot, RobotModel, Sensor, SensorId, SensorKind, Timestamp, Velocity,
 };
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
@@ -79,6 +79,27 @@ fn one_robot_second(bencher: Bencher<'_, '_>) {
         robot.advance(Timestamp::ZERO + Duration::from_secs(1));
         robot
     });
+}
+
+/// An image of 640 by 480 pixels of a camera that looks along the corridor.
+#[divan::bench(args = [DataFormat::Mono8, DataFormat::Rgb8])]
+fn draw_an_image(bencher: Bencher<'_, '_>, format: DataFormat) {
+    let mut robot = robot(Arc::new(World::new(&corridor())));
+    let camera = Camera {
+        width: 640,
+        height: 480,
+        format,
+        field_of_view: 60f64.to_radians(),
+        to: None,
+        keep_bytes: 0,
+    };
+    let sensor = Sensor {
+        id: SensorId::new("front").expect("a name"),
+        interval: Duration::from_millis(100),
+        kind: SensorKind::Camera(camera),
+    };
+    let view = robot.capture(&sensor, None).expect("it has a camera");
+    bencher.bench_local(|| view.content.bytes());
 }
 
 #[divan::bench]
