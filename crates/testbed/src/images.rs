@@ -5,6 +5,7 @@ use std::{
     net::{SocketAddrV4, UdpSocket},
     sync::Arc,
     thread,
+    time::Duration,
 };
 
 use cotorra_graph::{Camera, Event, NodeId, SensorId, SensorKind, Testbed, VnfId};
@@ -16,6 +17,9 @@ use crate::answerers::Answerer;
 
 /// Bytes of the names in a packet, at most.
 const NAMES: usize = 2 * 64;
+
+/// A packet that cannot be sent for so long is lost.
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// An image that is to go to a VNF.
 #[derive(Debug)]
@@ -128,6 +132,10 @@ impl Waiting {
 impl ImageSender {
     /// Sends from these sockets, by robot.
     pub(crate) fn start(sockets: BTreeMap<NodeId, UdpSocket>) -> std::io::Result<Self> {
+        for socket in sockets.values() {
+            // Nothing may keep the run from its end.
+            socket.set_write_timeout(Some(PATIENCE))?;
+        }
         let shared = Arc::new(Shared::default());
         let its = Arc::clone(&shared);
         let thread =

@@ -27,6 +27,14 @@ fn received(run: &Run) -> Vec<(u64, String, u64, u32, f64)> {
     lines.collect()
 }
 
+/// CRC-32 of ISO 3309, as zlib has it.
+fn crc32(bytes: &[u8]) -> u32 {
+    let byte = |crc: u32, byte: &u8| {
+        (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xedb8_8320 } else { 0 })
+    };
+    !bytes.iter().fold(u32::MAX, byte)
+}
+
 #[test]
 fn a_program_receives_whole_images_while_the_robot_is_navigated() {
     let mut run = Run::start(&project_file("testbeds/camera.yaml"), &["--until", "5min"]);
@@ -42,6 +50,11 @@ fn a_program_receives_whole_images_while_the_robot_is_navigated() {
         let images = received(&run);
         images.last().unwrap().3 != images[0].3
     });
+    // What crossed the network is what the run keeps.
+    let (number, _, _, checksum, _) = received(&run).pop().unwrap();
+    let (kept, header) = run.bytes(&format!("/api/v1/robots/robot/sensors/front/{number}"));
+    assert_eq!((header("x-cotorra-format").as_str(), header("x-cotorra-width").as_str()), ("mono8", "320"));
+    assert_eq!((kept.len(), crc32(&kept)), (320 * 240, checksum));
     let last = run.get("/api/v1/robots/robot/sensors")[0]["last"]["data"].clone();
     assert_eq!(
         (&last["format"], &last["width"], &last["height"]),
