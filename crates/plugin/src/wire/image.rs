@@ -120,7 +120,7 @@ impl<'a> ImagePacket<'a> {
         };
         let left = (length as usize).saturating_sub(offset as usize);
         let fits = length as usize <= LARGEST_IMAGE && left > 0 && bytes.len() == left.min(FRAGMENT);
-        if !is_whole || !fits || offset as usize % FRAGMENT != 0 {
+        if !is_whole || !fits || !(offset as usize).is_multiple_of(FRAGMENT) {
             return Err(WireError::Image);
         }
         Ok(Self {
