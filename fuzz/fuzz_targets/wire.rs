@@ -2,7 +2,10 @@
 #![no_main]
 
 use cotorra_plugin::{
-    messages::{LaserScan, Message, OccupancyGrid, Odometry, TFMessage, TwistStamped},
+    messages::{
+        BatteryState, CompressedImage, Float64MultiArray, Image, Imu, LaserScan, Message, OccupancyGrid, Odometry,
+        TFMessage, TwistStamped,
+    },
     wire::{Answer, ImagePacket, NavigationPacket, PosePacket, PositionPacket, ScanPacket},
 };
 use libfuzzer_sys::fuzz_target;
@@ -37,4 +40,6 @@ fuzz_target!(|bytes: &[u8]| {
     let _ = LaserScan::decode(bytes);
     let _ = Odometry::decode(bytes);
     let _ = (TFMessage::decode(bytes), OccupancyGrid::decode(bytes), TwistStamped::decode(bytes));
+    let _ = (Imu::decode(bytes), BatteryState::decode(bytes), Float64MultiArray::decode(bytes));
+    let _ = (Image::decode(bytes), CompressedImage::decode(bytes));
 });

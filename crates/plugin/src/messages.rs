@@ -11,10 +11,12 @@ mod convert;
 mod description;
 mod geometry;
 mod robot;
+mod sensors;
 
 pub use description::{Byte, Description, Field, FieldType};
 pub use geometry::*;
 pub use robot::*;
+pub use sensors::*;
 
 /// Bytes before a message's body that name its encoding: representation identifier and options (DDSI-RTPS 2.5,
 /// 10.2.1.2).

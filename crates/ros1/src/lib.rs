@@ -66,4 +66,6 @@ pub fn parse_anything(bytes: &[u8]) {
     let _ = tcpros::Header::from_bytes(bytes);
     let _ = (messages::LaserScan::from_bytes(bytes), messages::TFMessage::from_bytes(bytes));
     let _ = (messages::OccupancyGrid::from_bytes(bytes), messages::BatteryState::from_bytes(bytes));
+    let _ = (messages::Imu::from_bytes(bytes), messages::Float64MultiArray::from_bytes(bytes));
+    let _ = (messages::Image::from_bytes(bytes), messages::CompressedImage::from_bytes(bytes));
 }

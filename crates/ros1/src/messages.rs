@@ -388,6 +388,70 @@ message! {
 }
 
 message! {
+    /// A picture, pixel by pixel.
+    pub struct Image = "sensor_msgs/Image" {
+        /// When, and in which frame: z looks ahead, x to the right.
+        header: Header,
+        /// Rows.
+        height: u32,
+        /// Columns.
+        width: u32,
+        /// What a pixel is, such as `rgb8`.
+        encoding: String,
+        /// Whether numbers of more than a byte begin with the highest one: 0 or 1.
+        is_bigendian: u8,
+        /// Bytes of a row.
+        step: u32,
+        /// Row by row from the top.
+        data: Vec<u8>,
+    }
+}
+
+message! {
+    /// A picture as a file.
+    pub struct CompressedImage = "sensor_msgs/CompressedImage" {
+        /// When and in which frame.
+        header: Header,
+        /// Such as `jpeg`.
+        format: String,
+        /// The file.
+        data: Vec<u8>,
+    }
+}
+
+message! {
+    /// A dimension of an array.
+    pub struct MultiArrayDimension = "std_msgs/MultiArrayDimension" {
+        /// Its name.
+        label: String,
+        /// Its size.
+        size: u32,
+        /// From one element of it to the next.
+        stride: u32,
+    }
+}
+
+message! {
+    /// How an array lies in memory.
+    pub struct MultiArrayLayout = "std_msgs/MultiArrayLayout" {
+        /// The outermost first.
+        dim: Vec<MultiArrayDimension>,
+        /// Elements before the first.
+        data_offset: u32,
+    }
+}
+
+message! {
+    /// Numbers.
+    pub struct Float64MultiArray = "std_msgs/Float64MultiArray" {
+        /// How they lie.
+        layout: MultiArrayLayout,
+        /// The numbers.
+        data: Vec<f64>,
+    }
+}
+
+message! {
     /// How long something takes; `std_msgs/Duration`.
     pub struct Span = "std_msgs/Duration" {
         /// How long.

@@ -78,6 +78,59 @@ fn map() -> OccupancyGrid {
     OccupancyGrid { header: stamped("map"), info, data: vec![-1, 0, 100, -1, 50, 0] }
 }
 
+fn imu() -> Imu {
+    let vector = |x, y, z| Vector3 { x, y, z };
+    let covariance = |from: f64| std::array::from_fn(|i| from + i as f64);
+    Imu {
+        header: stamped("imu"),
+        orientation: Quaternion { x: 0.0, y: 0.0, z: 0.6, w: 0.8 },
+        orientation_covariance: covariance(-1.0),
+        angular_velocity: vector(0.1, 0.2, 0.3),
+        angular_velocity_covariance: covariance(10.0),
+        linear_acceleration: vector(0.5, -0.25, 9.75),
+        linear_acceleration_covariance: covariance(20.0),
+    }
+}
+
+fn battery() -> BatteryState {
+    BatteryState {
+        header: stamped("pack"),
+        voltage: 16.5,
+        temperature: 21.5,
+        current: -1.25,
+        charge: 1.5,
+        capacity: 2.0,
+        design_capacity: 2.25,
+        percentage: 0.75,
+        power_supply_status: 2,
+        power_supply_health: 1,
+        power_supply_technology: 2,
+        present: true,
+        cell_voltage: vec![4.125, 4.25],
+        cell_temperature: vec![20.5],
+        location: "slot 1".to_owned(),
+        serial_number: "A7".to_owned(),
+    }
+}
+
+fn image() -> Image {
+    Image {
+        header: stamped("camera"),
+        height: 2,
+        width: 3,
+        encoding: "mono8".to_owned(),
+        is_bigendian: 0,
+        step: 4,
+        data: Bytes((0..8).collect()),
+    }
+}
+
+fn array() -> Float64MultiArray {
+    let dimension = MultiArrayDimension { label: "fingers".to_owned(), size: 2, stride: 2 };
+    let layout = MultiArrayLayout { dim: vec![dimension], data_offset: 0 };
+    Float64MultiArray { layout, data: vec![0.5, -2.0] }
+}
+
 #[test]
 fn a_header_pads_to_the_next_number_and_ends_its_text_with_zero() {
     let expected = [
@@ -122,6 +175,12 @@ fn bytes_are_those_of_an_independent_encoder() {
     golden!(transforms(), TFMessage);
     golden!(map(), OccupancyGrid);
     golden!(Clock { clock: stamped("").stamp }, Clock);
+    golden!(imu(), Imu);
+    golden!(battery(), BatteryState);
+    golden!(image(), Image);
+    let data = Bytes(vec![0xff, 0xd8, 7]);
+    golden!(CompressedImage { header: stamped("camera"), format: "jpeg".to_owned(), data }, CompressedImage);
+    golden!(array(), Float64MultiArray);
 }
 
 #[test]
@@ -150,7 +209,14 @@ fn type_hashes_are_those_of_an_independent_implementation() {
         LaserScan,
         MapMetaData,
         OccupancyGrid,
-        Clock
+        Clock,
+        Imu,
+        BatteryState,
+        Image,
+        CompressedImage,
+        MultiArrayDimension,
+        MultiArrayLayout,
+        Float64MultiArray
     ];
     assert_eq!(hashes, ours);
 }
@@ -200,6 +266,12 @@ fn a_lying_length_is_an_error_and_no_allocation() {
     lying[ranges..ranges + 4].copy_from_slice(&[0xff; 4]);
     assert!(matches!(LaserScan::decode(&lying), Err(MessageError::Body { .. })));
 
+    let mut lying = bytes(&image());
+    let length = lying.len() - 8 - 4;
+    assert_eq!(lying[length..length + 4], [8, 0, 0, 0]);
+    lying[length..length + 4].copy_from_slice(&[0xff; 4]);
+    assert!(matches!(Image::decode(&lying), Err(MessageError::Body { .. })));
+
     let mut lying = bytes(&stamped("map"));
     lying[12..16].copy_from_slice(&[0xff; 4]);
     assert!(matches!(Header::decode(&lying), Err(MessageError::Body { .. })));
@@ -241,6 +313,7 @@ proptest! {
         }
         let _ = (LaserScan::decode(&payload), Odometry::decode(&payload), Twist::decode(&payload));
         let _ = (TFMessage::decode(&payload), OccupancyGrid::decode(&payload));
+        let _ = (Imu::decode(&payload), BatteryState::decode(&payload), Image::decode(&payload));
     }
 
     #[test]

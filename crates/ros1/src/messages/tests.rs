@@ -41,6 +41,59 @@ fn scan() -> LaserScan {
     }
 }
 
+fn imu() -> Imu {
+    let vector = |x, y, z| Vector3 { x, y, z };
+    let covariance = |from: f64| std::array::from_fn(|i| from + i as f64);
+    Imu {
+        header: stamped("imu"),
+        orientation: turn(),
+        orientation_covariance: covariance(-1.0),
+        angular_velocity: vector(0.1, 0.2, 0.3),
+        angular_velocity_covariance: covariance(10.0),
+        linear_acceleration: vector(0.5, -0.25, 9.75),
+        linear_acceleration_covariance: covariance(20.0),
+    }
+}
+
+fn battery() -> BatteryState {
+    BatteryState {
+        header: stamped("pack"),
+        voltage: 16.5,
+        temperature: 21.5,
+        current: -1.25,
+        charge: 1.5,
+        capacity: 2.0,
+        design_capacity: 2.25,
+        percentage: 0.75,
+        power_supply_status: BatteryState::POWER_SUPPLY_STATUS_DISCHARGING,
+        power_supply_health: BatteryState::POWER_SUPPLY_HEALTH_GOOD,
+        power_supply_technology: BatteryState::POWER_SUPPLY_TECHNOLOGY_LION,
+        present: true,
+        cell_voltage: vec![4.125, 4.25],
+        cell_temperature: vec![20.5],
+        location: "slot 1".to_owned(),
+        serial_number: "A7".to_owned(),
+    }
+}
+
+fn image() -> Image {
+    Image {
+        header: stamped("camera"),
+        height: 2,
+        width: 3,
+        encoding: "mono8".to_owned(),
+        is_bigendian: 0,
+        step: 4,
+        data: (0..8).collect(),
+    }
+}
+
+fn array() -> Float64MultiArray {
+    let dimension = MultiArrayDimension { label: "fingers".to_owned(), size: 2, stride: 2 };
+    let layout = MultiArrayLayout { dim: vec![dimension], data_offset: 0 };
+    Float64MultiArray { layout, data: vec![0.5, -2.0] }
+}
+
 /// The golden files come from rosbags; see `golden/generate.py`.
 macro_rules! golden {
     ($file:literal, $message:expr) => {
@@ -85,6 +138,14 @@ fn bytes_are_those_of_an_independent_encoder() {
         OccupancyGrid { header: stamped("map"), info, data: vec![-1, 0, 100, 50, -1, 0] }
     );
     golden!("LaserScan", scan());
+    golden!("Imu", imu());
+    golden!("BatteryState", battery());
+    golden!("Image", image());
+    golden!(
+        "CompressedImage",
+        CompressedImage { header: stamped("camera"), format: "jpeg".to_owned(), data: vec![0xff, 0xd8, 7] }
+    );
+    golden!("Float64MultiArray", array());
 }
 
 fn definitions() -> Vec<Definition> {
@@ -117,6 +178,11 @@ fn definitions() -> Vec<Definition> {
         LaserScan::definition(),
         Imu::definition(),
         BatteryState::definition(),
+        Image::definition(),
+        CompressedImage::definition(),
+        MultiArrayDimension::definition(),
+        MultiArrayLayout::definition(),
+        Float64MultiArray::definition(),
     ]
 }
 
@@ -150,6 +216,10 @@ fn a_lying_count_is_an_error_and_no_allocation() {
     lying[ranges..ranges + 4].copy_from_slice(&[0xff; 4]);
     let error = DecodeError::Count { count: 0xffff_ffff, left: 16 };
     assert_eq!(LaserScan::from_bytes(&lying), Err(error));
+    let mut lying = bytes(&image());
+    let length = lying.len() - 8 - 4;
+    lying[length..length + 4].copy_from_slice(&[0xff; 4]);
+    assert_eq!(Image::from_bytes(&lying), Err(DecodeError::Count { count: 0xffff_ffff, left: 8 }));
     assert!(<Vec<Empty> as Field>::decode(&mut crate::Reader::new(&[0xff; 4])).is_err());
 }
 

@@ -40,6 +40,45 @@ transform = make(
         "geometry_msgs/msg/Transform", translation=vector("Vector3", 1.5, -2.5, 0.0), rotation=bare_pose.orientation
     ),
 )
+imu = {
+    "header": header("imu"),
+    "orientation": bare_pose.orientation,
+    "orientation_covariance": np.arange(-1, 8, dtype=np.float64),
+    "angular_velocity": vector("Vector3", 0.1, 0.2, 0.3),
+    "angular_velocity_covariance": np.arange(10, 19, dtype=np.float64),
+    "linear_acceleration": vector("Vector3", 0.5, -0.25, 9.75),
+    "linear_acceleration_covariance": np.arange(20, 29, dtype=np.float64),
+}
+battery = {
+    "header": header("pack"),
+    "voltage": 16.5,
+    "temperature": 21.5,
+    "current": -1.25,
+    "charge": 1.5,
+    "capacity": 2.0,
+    "design_capacity": 2.25,
+    "percentage": 0.75,
+    "power_supply_status": 2,
+    "power_supply_health": 1,
+    "power_supply_technology": 2,
+    "present": True,
+    "cell_voltage": np.array([4.125, 4.25], dtype=np.float32),
+    "cell_temperature": np.array([20.5], dtype=np.float32),
+    "location": "slot 1",
+    "serial_number": "A7",
+}
+image = {
+    "header": header("camera"),
+    "height": 2,
+    "width": 3,
+    "encoding": "mono8",
+    "is_bigendian": 0,
+    "step": 4,
+    "data": np.arange(8, dtype=np.uint8),
+}
+compressed = {"header": header("camera"), "format": "jpeg", "data": np.array([0xFF, 0xD8, 7], dtype=np.uint8)}
+fingers = make("std_msgs/msg/MultiArrayDimension", label="fingers", size=2, stride=2)
+layout = make("std_msgs/msg/MultiArrayLayout", dim=[fingers], data_offset=0)
 messages = [
     twist,
     bare_pose,
@@ -80,6 +119,11 @@ messages = [
         data=np.array([-1, 0, 100, -1, 50, 0], dtype=np.int8),
     ),
     make("rosgraph_msgs/msg/Clock", clock=header("").stamp),
+    make("sensor_msgs/msg/Imu", **imu),
+    make("sensor_msgs/msg/BatteryState", **battery),
+    make("sensor_msgs/msg/Image", **image),
+    make("sensor_msgs/msg/CompressedImage", **compressed),
+    make("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array([0.5, -2.0])),
 ]
 for message in messages:
     name = message.__msgtype__.split("/")[-1]
@@ -102,6 +146,8 @@ hashed = [
     "sensor_msgs/msg/LaserScan",
     *(f"nav_msgs/msg/{name}" for name in ("MapMetaData", "OccupancyGrid")),
     "rosgraph_msgs/msg/Clock",
+    *(f"sensor_msgs/msg/{name}" for name in ("Imu", "BatteryState", "Image", "CompressedImage")),
+    *(f"std_msgs/msg/{name}" for name in ("MultiArrayDimension", "MultiArrayLayout", "Float64MultiArray")),
 ]
 hashes = "".join(f"{name} {store.hash_rihs01(name)}\n" for name in hashed)
 (Path(__file__).parent / "hashes").write_text(hashes)

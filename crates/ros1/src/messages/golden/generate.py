@@ -39,6 +39,46 @@ map_info = make(
     origin=bare_pose,
 )
 
+imu = {
+    "header": header("imu"),
+    "orientation": turn,
+    "orientation_covariance": np.arange(-1, 8, dtype=np.float64),
+    "angular_velocity": vector("Vector3", 0.1, 0.2, 0.3),
+    "angular_velocity_covariance": np.arange(10, 19, dtype=np.float64),
+    "linear_acceleration": vector("Vector3", 0.5, -0.25, 9.75),
+    "linear_acceleration_covariance": np.arange(20, 29, dtype=np.float64),
+}
+battery = {
+    "header": header("pack"),
+    "voltage": 16.5,
+    "temperature": 21.5,
+    "current": -1.25,
+    "charge": 1.5,
+    "capacity": 2.0,
+    "design_capacity": 2.25,
+    "percentage": 0.75,
+    "power_supply_status": 2,
+    "power_supply_health": 1,
+    "power_supply_technology": 2,
+    "present": True,
+    "cell_voltage": np.array([4.125, 4.25], dtype=np.float32),
+    "cell_temperature": np.array([20.5], dtype=np.float32),
+    "location": "slot 1",
+    "serial_number": "A7",
+}
+image = {
+    "header": header("camera"),
+    "height": 2,
+    "width": 3,
+    "encoding": "mono8",
+    "is_bigendian": 0,
+    "step": 4,
+    "data": np.arange(8, dtype=np.uint8),
+}
+compressed = {"header": header("camera"), "format": "jpeg", "data": np.array([0xFF, 0xD8, 7], dtype=np.uint8)}
+fingers = make("std_msgs/MultiArrayDimension", label="fingers", size=2, stride=2)
+layout = make("std_msgs/MultiArrayLayout", dim=[fingers], data_offset=0)
+
 messages = {
     "std_msgs/String": {"data": "käse"},
     "std_msgs/Header": {"seq": 7, "stamp": header("").stamp, "frame_id": "map"},
@@ -69,6 +109,11 @@ messages = {
         "ranges": np.array([1.0, 2.5, np.inf], dtype=np.float32),
         "intensities": np.array([], dtype=np.float32),
     },
+    "sensor_msgs/Imu": imu,
+    "sensor_msgs/BatteryState": battery,
+    "sensor_msgs/Image": image,
+    "sensor_msgs/CompressedImage": compressed,
+    "std_msgs/Float64MultiArray": {"layout": layout, "data": np.array([0.5, -2.0])},
 }
 for name, fields in messages.items():
     raw = store.serialize_ros1(make(name, **fields), name.replace("/", "/msg/"))
@@ -80,7 +125,8 @@ geometry_msgs/Vector3 geometry_msgs/Point geometry_msgs/Quaternion geometry_msgs
 geometry_msgs/PoseWithCovariance geometry_msgs/PoseWithCovarianceStamped geometry_msgs/PoseArray geometry_msgs/Twist
 geometry_msgs/TwistStamped geometry_msgs/TwistWithCovariance geometry_msgs/Transform geometry_msgs/TransformStamped
 tf2_msgs/TFMessage nav_msgs/Odometry nav_msgs/Path nav_msgs/MapMetaData nav_msgs/OccupancyGrid sensor_msgs/LaserScan
-sensor_msgs/Imu sensor_msgs/BatteryState
+sensor_msgs/Imu sensor_msgs/BatteryState sensor_msgs/Image sensor_msgs/CompressedImage std_msgs/MultiArrayDimension
+std_msgs/MultiArrayLayout std_msgs/Float64MultiArray
 """.split()
 lines = [f"{name} {store.generate_msgdef(name.replace('/', '/msg/'), ros_version=1)[1]}\n" for name in summed]
 (here / "md5sums").write_text("".join(lines))
