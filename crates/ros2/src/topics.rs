@@ -18,6 +18,9 @@ use crate::{
     queue::{Inbox, RecvError},
 };
 
+/// A message is no longer, as in ROS 1: an image of 4096 × 4096 pixels in colour still fits.
+const MAX_MESSAGE_LEN: usize = 64 << 20;
+
 /// What carries a node's messages. Topics have their global names.
 pub trait Carrier: Send + Sync {
     /// Publishes a topic as some of those types, until the outlet is dropped.
@@ -73,6 +76,16 @@ impl Incoming {
     /// Of a topic of that global name.
     pub fn new(topic: String, qos: Qos) -> Self {
         Self { topic, inbox: Inbox::new(qos.depth()), malformed: AtomicU64::new(0) }
+    }
+
+    /// A message came as the type of that number.
+    pub fn push(&self, number: usize, message: Vec<u8>) {
+        let length = message.len();
+        if length > MAX_MESSAGE_LEN {
+            self.count_malformed(&format!("{length} bytes are over the limit of {MAX_MESSAGE_LEN}"));
+        } else {
+            self.inbox.push((number, message));
+        }
     }
 
     /// A message was none.
@@ -206,5 +219,19 @@ impl<M: Carried> Subscriber<M> {
                 return Some(message);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_messages_are_not_let_in() {
+        let incoming = Incoming::new("/camera".to_owned(), Qos::SENSORS);
+        incoming.push(0, vec![0; MAX_MESSAGE_LEN + 1]);
+        incoming.push(1, vec![7]);
+        assert_eq!(incoming.inbox.try_pop(), Some((1, vec![7])));
+        assert_eq!((incoming.inbox.try_pop(), incoming.malformed.load(Ordering::Relaxed)), (None, 1));
     }
 }

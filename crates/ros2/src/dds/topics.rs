@@ -252,7 +252,7 @@ impl Subscription {
                 Ok(Some(sample)) => {
                     // All readers of a topic are given what any of them receives.
                     if graph.lock().publishes(&sample.writer_guid().to_bytes(), kind) {
-                        self.incoming.inbox.push((number, sample.into_value()));
+                        self.incoming.push(number, sample.into_value());
                     }
                 }
                 Err(ReadError::Deserialization { reason }) => self.incoming.count_malformed(&reason),

@@ -173,7 +173,7 @@ impl Subscribed {
             let into = Arc::clone(incoming);
             let take = move |sample: Sample| {
                 if sample.kind() == SampleKind::Put {
-                    into.inbox.push((number, sample.payload().to_bytes().into_owned()));
+                    into.push(number, sample.payload().to_bytes().into_owned());
                 }
             };
             let key = topic_key(shared.domain, &incoming.topic, kind);
