@@ -1,11 +1,14 @@
 //! What moves a robot: the simulation, or a robot out there that is reached over ROS; and how a simulated one is offered
 //! to others.
 
-use std::net::IpAddr;
+use std::{collections::BTreeMap, net::IpAddr};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{hardware::HardwareGraph, id::NodeId};
+use crate::{
+    hardware::HardwareGraph,
+    id::{NodeId, SensorId},
+};
 
 /// What moves a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -202,6 +205,37 @@ pub struct RosTopics {
     pub amcl_pose: String,
     /// `nav_msgs/OccupancyGrid`.
     pub map: String,
+    /// What its sensors say, of those that are declared.
+    #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, SensorTopic>))]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sensors: BTreeMap<SensorId, SensorTopic>,
+}
+
+/// The topic of a sensor.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SensorTopic {
+    /// Its name.
+    pub name: String,
+    /// What it carries.
+    pub message: SensorMessage,
+}
+
+/// What the topic of a sensor carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum SensorMessage {
+    /// `sensor_msgs/BatteryState`.
+    BatteryState,
+    /// `sensor_msgs/CompressedImage`.
+    CompressedImage,
+    /// `std_msgs/Float64MultiArray`.
+    Float64MultiArray,
+    /// `sensor_msgs/Image`.
+    Image,
+    /// `sensor_msgs/Imu`.
+    Imu,
 }
 
 impl Default for RosTopics {
@@ -209,6 +243,6 @@ impl Default for RosTopics {
     fn default() -> Self {
         let [scan, odom, cmd_vel, tf, amcl_pose, map] =
             ["scan", "odom", "cmd_vel", "tf", "amcl_pose", "map"].map(str::to_owned);
-        Self { scan, odom, cmd_vel, tf, amcl_pose, map }
+        Self { scan, odom, cmd_vel, tf, amcl_pose, map, sensors: BTreeMap::new() }
     }
 }

@@ -41,7 +41,10 @@ pub use context::{
     Placement, Pose, PoseSource, RadioContext, RobotContext, RobotFault, SensorData, ServiceTime,
     StationContext, Velocity, VirtualLinkMapping,
 };
-pub use driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, ros1_environment};
+pub use driver::{
+    Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, SensorMessage, SensorTopic,
+    ros1_environment,
+};
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};
 pub use flow::{Flow, FlowId, FlowProtocol};

@@ -35,8 +35,9 @@ pub enum SensorKind {
     Odometry,
     /// The battery's charge and voltage.
     Battery {
-        /// Its charge when the run begins, as a share.
-        charge: f64,
+        /// A simulated one's charge when the run begins, as a share.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        charge: Option<f64>,
     },
     /// Angular velocity and acceleration.
     Imu,
@@ -45,9 +46,14 @@ pub enum SensorKind {
         /// Bytes of its readings that a run keeps: the oldest go first.
         keep_bytes: u64,
     },
-    /// Images, each as large data.
+    /// Images of a simulated camera, each as large data.
     Camera(Camera),
-    /// Numbers that a plug-in, or a program, reports ([`crate::Instruction::Report`]).
+    /// Images of a camera in ROS, each as large data, as they come.
+    Images {
+        /// Bytes of them that a run keeps: the oldest go first.
+        keep_bytes: u64,
+    },
+    /// Numbers that a plug-in or a program reports ([`crate::Instruction::Report`]), or the robot over ROS.
     Vector {
         /// How many.
         size: u8,
@@ -143,7 +149,7 @@ impl SensorKind {
             Self::Odometry => named(ODOMETRY),
             Self::Battery { .. } => named(BATTERY),
             Self::Imu => named(IMU),
-            Self::Lidar { .. } | Self::Camera(_) => Vec::new(),
+            Self::Lidar { .. } | Self::Camera(_) | Self::Images { .. } => Vec::new(),
             Self::Vector { size, unit } => {
                 (0..*size).map(|n| (name(&n.to_string()), unit.as_str())).collect()
             }
@@ -153,7 +159,9 @@ impl SensorKind {
     /// How many bytes of its readings a run keeps; `None` of one that measures numbers.
     pub fn keep_bytes(&self) -> Option<u64> {
         match self {
-            Self::Lidar { keep_bytes } | Self::Camera(Camera { keep_bytes, .. }) => Some(*keep_bytes),
+            Self::Lidar { keep_bytes }
+            | Self::Camera(Camera { keep_bytes, .. })
+            | Self::Images { keep_bytes } => Some(*keep_bytes),
             Self::Odometry | Self::Battery { .. } | Self::Imu | Self::Vector { .. } => None,
         }
     }
@@ -229,7 +237,7 @@ mod tests {
 
     #[test]
     fn a_sensor_is_read_as_it_is_written() {
-        let kind = SensorKind::Battery { charge: 0.5 };
+        let kind = SensorKind::Battery { charge: Some(0.5) };
         let sensor =
             Sensor { id: SensorId::new("pack").unwrap(), interval: Duration::from_millis(1500), kind };
         let json = serde_json::to_string(&sensor).unwrap();

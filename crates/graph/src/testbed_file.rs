@@ -114,9 +114,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
+        driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, SensorMessage},
         hardware::HostAddress,
         id::NodeId,
+        sensor::SensorKind,
         yaml::decode::Node,
     };
 
@@ -258,6 +259,39 @@ mod tests {
         assert_eq!(drivers[3], offer(ros2(RosNetwork::Machine, Some(0)), true));
         assert_eq!(drivers[4], Driver::Ros2(Box::new(zenoh("tcp/localhost:7447", None))));
         assert_eq!(drivers[5], Driver::Ros2(Box::new(zenoh("tcp/tb3.local:7448", Some(3)))));
+        assert_eq!(violation(&json_of(text), &schema(), "x"), None);
+    }
+
+    #[test]
+    fn sensors_of_a_robot_in_ros_have_topics() {
+        let text = "name: x\nwireless: { w: {} }\nnodes:\n  R: { kind: radio_unit, position: [0, 0], channel: 1 }\n  \
+                    a: { kind: robot, position: [0, 0], driver: ros2, sensors: { imu: { kind: imu }, \
+                    pack: { kind: battery }, front: { kind: lidar }, hand: { kind: vector, size: 2 } } }\n  \
+                    b: { kind: robot, position: [0, 0], driver: ros1, sensors: { camera: { kind: camera, keep: 1 MB }, \
+                    pi: { kind: camera, topic: /pi/image/compressed }, \
+                    imu: { kind: imu, topic: imu/data, rate: 200 Hz }, \
+                    hand: { kind: vector, size: 2, topic: hand } } }\n";
+        let testbed = parse("x.yaml", text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let robots: Vec<_> = testbed.graph.robots().map(|(_, robot)| robot.clone()).collect();
+        let topics = |topics: &RosTopics| -> Vec<_> {
+            let all = topics.sensors.iter();
+            all.map(|(sensor, topic)| (sensor.to_string(), topic.name.clone(), topic.message)).collect()
+        };
+        let topic = |sensor: &str, name: &str, message| (sensor.to_owned(), name.to_owned(), message);
+        let (Driver::Ros2(a), Driver::Ros1(b)) = (&robots[0].driver, &robots[1].driver) else { panic!() };
+        let (imu, array) = (SensorMessage::Imu, SensorMessage::Float64MultiArray);
+        let expected =
+            [topic("imu", "imu", imu), topic("pack", "battery_state", SensorMessage::BatteryState)];
+        assert_eq!(topics(&a.topics), expected);
+        let expected = [
+            topic("camera", "camera/image_raw", SensorMessage::Image),
+            topic("hand", "hand", array),
+            topic("imu", "imu/data", imu),
+            topic("pi", "/pi/image/compressed", SensorMessage::CompressedImage),
+        ];
+        assert_eq!(topics(&b.topics), expected);
+        assert_eq!(robots[0].sensors[1].kind, SensorKind::Battery { charge: None });
+        assert_eq!(robots[1].sensors[0].kind, SensorKind::Images { keep_bytes: 1_000_000 });
         assert_eq!(violation(&json_of(text), &schema(), "x"), None);
     }
 

@@ -62,17 +62,22 @@ pub trait RobotDriver: Send {
     /// The last complete turn of its lidar; `None` before the first, and without one.
     fn scan(&self) -> Option<&Scan>;
 
-    /// Reads one of its sensors of kind `battery` or `imu`, as of the last advance or command; `None` if it has none such.
-    /// Each call draws the errors of one reading.
-    fn sense(&mut self, _sensor: &Sensor) -> Option<Vec<f64>> {
+    /// Reads one of its sensors of numbers at `now`, as of the last advance or command: when that was measured, and all components,
+    /// NaN if they are not known. `None` if it has none such, or nothing new. Each call draws the errors of one reading.
+    fn sense(&mut self, _now: Timestamp, _sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
         None
     }
 
-    /// Reads one of its sensors of kind `lidar` or `camera`, as of the last advance or command; `None` if it has none such,
+    /// Reads one of its sensors of large data, as of the last advance or command; `None` if it has none such,
     /// or nothing but what was measured at `read`, which the sensor told last.
     fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
         let is_lidar = matches!(sensor.kind, SensorKind::Lidar { .. });
         self.scan().filter(|scan| is_lidar && read != Some(scan.at)).map(Captured::from)
+    }
+
+    /// What users are to be told about its sensors, each once.
+    fn poll_notice(&mut self) -> Option<String> {
+        None
     }
 
     /// Where it really is, as of the last advance or command; `None` where nobody knows. For the radio, which goes by where

@@ -16,6 +16,9 @@ pub(crate) trait Source {
     /// The next one, if there is one.
     fn next(&self) -> Option<Self::Message>;
 
+    /// The next one, once there is one; `None` if there will be none.
+    fn wait(&self) -> Option<Self::Message>;
+
     /// How many were dropped so far, because they were not taken.
     fn dropped(&self) -> u64;
 

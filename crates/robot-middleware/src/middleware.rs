@@ -745,6 +745,9 @@ impl Managed {
                 events.push_back(Stamped { at: now, event: Event::Sensor(reading) });
                 data.extend(large);
             }
+            while let Some(message) = self.driver.poll_notice() {
+                events.push_back(Stamped { at: now, event: Event::Notice { message } });
+            }
         }
     }
 

@@ -3,11 +3,12 @@
 
 use std::{sync::Arc, thread, time::Duration};
 
-use cotorra_graph::{NodeId, RobotFault, SensorData, Timestamp, Velocity};
+use cotorra_graph::{NodeId, RobotFault, Sensor, SensorData, SensorKind, Timestamp, Velocity};
 use parking_lot::{Condvar, Mutex};
 
 use crate::{
     driver::{CommandRefused, RobotDriver},
+    large::Captured,
     lidar::Scan,
     ros_robot::{RosRobot, STOPS},
 };
@@ -190,6 +191,29 @@ impl<L: RosLink> RobotDriver for RosDriver<L> {
 
     fn scan(&self) -> Option<&Scan> {
         self.seen.scan.as_ref()
+    }
+
+    fn sense(&mut self, _now: Timestamp, sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
+        let mut state = self.shared.state.lock();
+        let (measured, values) = state.robot.take_reading(&sensor.id)?;
+        let (expected, found) = (sensor.kind.components().len(), values.len());
+        if found != expected {
+            state.robot.refuse(&sensor.id, &format!("it has {expected} numbers, and its topic {found}"));
+            return None;
+        }
+        Some((measured, values))
+    }
+
+    fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {
+        match sensor.kind {
+            SensorKind::Images { .. } => self.shared.state.lock().robot.take_image(&sensor.id),
+            SensorKind::Lidar { .. } => self.scan().filter(|scan| read != Some(scan.at)).map(Captured::from),
+            _ => None,
+        }
+    }
+
+    fn poll_notice(&mut self) -> Option<String> {
+        self.shared.state.lock().robot.poll_notice()
     }
 
     fn health(&self) -> &[RobotFault] {

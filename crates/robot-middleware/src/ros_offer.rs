@@ -188,8 +188,8 @@ impl RobotDriver for OfferedRobot {
         self.scan.as_ref()
     }
 
-    fn sense(&mut self, sensor: &Sensor) -> Option<Vec<f64>> {
-        self.shared.state.lock().robot.sense(sensor)
+    fn sense(&mut self, now: Timestamp, sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
+        self.shared.state.lock().robot.sense(now, sensor)
     }
 
     fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {

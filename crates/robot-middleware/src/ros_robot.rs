@@ -1,10 +1,14 @@
 //! A robot that speaks ROS, as a state machine: what it says goes in, as ROS messages with the time, and velocities for it
 //! come out. ROS 1 and ROS 2 share it; which of them carries the messages is a [`crate::RosLink`]'s to know.
 
-use std::time::Duration;
+use std::{
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    time::Duration,
+};
 
 use cotorra_graph::{
-    NodeId, Pose, PoseSource, Position, RobotFault, RobotModel, SensorData, Timestamp, Velocity, Walk,
+    NodeId, Pose, PoseSource, Position, RobotFault, RobotModel, SensorData, SensorId, Timestamp, Velocity,
+    Walk,
 };
 use cotorra_plugin::messages::{
     Header, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
@@ -13,7 +17,9 @@ use cotorra_plugin::messages::{
 use crate::{
     driver::{CommandRefused, limited},
     kobuki::COMMAND_TIMEOUT,
+    large::{Captured, Content},
     lidar::Scan,
+    picture::Picture,
     planar::Planar,
     ros::MAP_FRAME,
     watch::{Topic, Watch},
@@ -51,6 +57,12 @@ pub struct RosRobot {
     waiting: Option<Pose>,
     velocity: Velocity,
     scan: Option<Scan>,
+    /// The newest of each sensor that was not read, and when it came.
+    readings: BTreeMap<SensorId, (Timestamp, Vec<f64>)>,
+    images: BTreeMap<SensorId, (Timestamp, Picture)>,
+    /// Sensors of which something was refused, and what of that was not told.
+    refused: BTreeSet<SensorId>,
+    notices: VecDeque<String>,
     motion: Motion,
 }
 
@@ -101,6 +113,10 @@ impl RosRobot {
             waiting: None,
             velocity: Velocity::default(),
             scan: None,
+            readings: BTreeMap::new(),
+            images: BTreeMap::new(),
+            refused: BTreeSet::new(),
+            notices: VecDeque::new(),
             motion: Motion::Standing,
         }
     }
@@ -193,6 +209,45 @@ impl RosRobot {
             });
         }
         self.advance(now);
+    }
+
+    /// Numbers of one of its sensors came. What it senses while it is not well may be from anywhere, and is left out.
+    pub fn sensed(&mut self, now: Timestamp, sensor: &SensorId, values: Vec<f64>) {
+        self.advance(now);
+        if self.health.is_empty() {
+            self.readings.insert(sensor.clone(), (now, values));
+        }
+    }
+
+    /// An image of one of its sensors came; the same holds.
+    pub fn pictured(&mut self, now: Timestamp, sensor: &SensorId, picture: Picture) {
+        self.advance(now);
+        if self.health.is_empty() {
+            self.images.insert(sensor.clone(), (now, picture));
+        }
+    }
+
+    /// Something of one of its sensors cannot be read. That is told once for each sensor.
+    pub fn refuse(&mut self, sensor: &SensorId, reason: &str) {
+        if self.refused.insert(sensor.clone()) {
+            self.notices.push_back(format!("robot {}, sensor {sensor}: {reason}", self.id));
+        }
+    }
+
+    /// The newest numbers of a sensor that were not taken, and when they came.
+    pub fn take_reading(&mut self, sensor: &SensorId) -> Option<(Timestamp, Vec<f64>)> {
+        self.readings.remove(sensor)
+    }
+
+    /// The newest image of a sensor that was not taken.
+    pub fn take_image(&mut self, sensor: &SensorId) -> Option<Captured> {
+        let (measured, Picture { format, width, height, bytes }) = self.images.remove(sensor)?;
+        Some(Captured { measured, format, width, height, content: Content::Bytes(bytes) })
+    }
+
+    /// What is to be told to users.
+    pub fn poll_notice(&mut self) -> Option<String> {
+        self.notices.pop_front()
     }
 
     /// Localization says where it is on the map: `amcl_pose`.

@@ -85,9 +85,11 @@ impl Sensing {
             let (robot, sensor) = (driver.robot().clone(), sensed.sensor.id.clone());
             match read {
                 Measured::Values(measured, values) => {
-                    let values: BTreeMap<_, _> = sensed.components.iter().cloned().zip(values).collect();
+                    let values = sensed.components.iter().cloned().zip(values);
+                    // What a sensor does not know is left out.
+                    let values: BTreeMap<_, _> = values.filter(|(_, value)| value.is_finite()).collect();
                     let reading = SensorReading { robot, sensor, measured, values, data: None };
-                    reading.values.values().all(|x| x.is_finite()).then_some((reading, None))
+                    (!reading.values.is_empty()).then_some((reading, None))
                 }
                 Measured::Large(Captured { measured, format, width, height, content }) => {
                     let (sequence, bytes) = (sensed.captured.0, content.size());
@@ -130,23 +132,26 @@ impl Sensing {
 impl Sensed {
     /// When that was measured, and what; `None` where there is nothing new.
     fn measure(&mut self, now: Timestamp, driver: &mut dyn RobotDriver) -> Option<Measured> {
-        let now_values = |values| Measured::Values(now, values);
+        let numbers = |(at, values)| Measured::Values(at, values);
+        if let Some(reported) = self.reported.take() {
+            return Some(numbers(reported));
+        }
+        // What a robot senses that is not well may be from anywhere.
+        if !driver.health().is_empty() {
+            return None;
+        }
         match self.sensor.kind {
-            SensorKind::Vector { .. } => {
-                self.reported.take().map(|(at, values)| Measured::Values(at, values))
-            }
-            // What a robot senses that is not well may be from anywhere.
-            _ if !driver.health().is_empty() => None,
             SensorKind::Odometry => {
                 let sensed = driver.sensors();
                 let (pose, velocity) = (sensed.odometry, sensed.velocity);
                 let pose = [pose.x, pose.y, pose.z, pose.heading];
-                Some(now_values(
-                    [&pose[..], &[velocity.linear, velocity.vertical, velocity.angular]].concat(),
-                ))
+                let velocity = [velocity.linear, velocity.vertical, velocity.angular];
+                Some(numbers((now, [&pose[..], &velocity].concat())))
             }
-            SensorKind::Battery { .. } | SensorKind::Imu => driver.sense(&self.sensor).map(now_values),
-            SensorKind::Lidar { .. } | SensorKind::Camera(_) => {
+            SensorKind::Battery { .. } | SensorKind::Imu | SensorKind::Vector { .. } => {
+                driver.sense(now, &self.sensor).map(numbers)
+            }
+            SensorKind::Lidar { .. } | SensorKind::Camera(_) | SensorKind::Images { .. } => {
                 driver.capture(&self.sensor, self.captured.1).map(Measured::Large)
             }
         }
@@ -164,6 +169,9 @@ mod tests {
 
     /// Stands, and is as well as it is told.
     struct Standing(NodeId, Vec<RobotFault>, Option<Scan>);
+
+    /// Has a battery whose charge nobody knows, and a vector.
+    const VOLTAGE: f64 = 16.5;
 
     impl RobotDriver for Standing {
         fn robot(&self) -> &NodeId {
@@ -187,6 +195,14 @@ mod tests {
         }
         fn health(&self) -> &[RobotFault] {
             &self.1
+        }
+        fn sense(&mut self, now: Timestamp, sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
+            match sensor.id.as_str() {
+                "pack" => Some((now, vec![f64::NAN, VOLTAGE])),
+                "unknown" => Some((now, vec![f64::NAN; 2])),
+                "fingers" => Some((Timestamp::from_nanos(3), vec![5.0])),
+                _ => None,
+            }
         }
     }
 
@@ -238,6 +254,30 @@ mod tests {
             ["wheels"],
             "it has no IMU, and reported nothing"
         );
+    }
+
+    #[test]
+    fn what_a_sensor_does_not_know_is_left_out_and_a_report_comes_before_what_the_robot_says() {
+        let battery = SensorKind::Battery { charge: None };
+        let vector = SensorKind::Vector { size: 1, unit: String::new() };
+        let sensors = [
+            sensor("pack", 20, battery.clone()),
+            sensor("unknown", 20, battery),
+            sensor("fingers", 20, vector),
+        ];
+        let (mut sensing, mut driver) = (Sensing::new(&sensors), Standing(id("robot1"), Vec::new(), None));
+        let mut read = |ms, sensing: &mut Sensing| -> Vec<_> {
+            let read = sensing.read(at(ms), &mut driver).into_iter();
+            let values = |reading: &SensorReading| {
+                reading.values.iter().map(|(name, value)| (name.to_string(), *value)).collect::<Vec<_>>()
+            };
+            read.map(|(reading, _)| (reading.measured, values(&reading))).collect()
+        };
+        let told = |at, name: &str, value| (at, vec![(name.to_owned(), value)]);
+        let pack = told(at(0), "voltage_v", VOLTAGE);
+        assert_eq!(read(0, &mut sensing), [pack, told(Timestamp::from_nanos(3), "0", 5.0)]);
+        sensing.report(at(11), &sensors[2].id, &[7.0]).unwrap();
+        assert_eq!(read(20, &mut sensing)[1], told(at(11), "0", 7.0));
     }
 
     #[test]

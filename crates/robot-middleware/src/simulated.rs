@@ -117,7 +117,7 @@ impl SimulatedRobot {
             }
         };
         let battery = robot.sensors.iter().find_map(|sensor| match sensor.kind {
-            SensorKind::Battery { charge } => Some(Battery::new(charge)),
+            SensorKind::Battery { charge } => Some(Battery::new(charge.unwrap_or(1.0))),
             _ => None,
         });
         let has_imu = robot.sensors.iter().any(|sensor| sensor.kind == SensorKind::Imu);
@@ -203,15 +203,13 @@ impl RobotDriver for SimulatedRobot {
         self.lidar.scan()
     }
 
-    fn sense(&mut self, sensor: &Sensor) -> Option<Vec<f64>> {
-        match sensor.kind {
+    fn sense(&mut self, now: Timestamp, sensor: &Sensor) -> Option<(Timestamp, Vec<f64>)> {
+        let values = match sensor.kind {
             SensorKind::Battery { .. } => self.battery.as_ref().map(Battery::read),
             SensorKind::Imu => self.imu.as_mut().map(|imu| imu.read(sensor.interval)),
-            SensorKind::Odometry
-            | SensorKind::Lidar { .. }
-            | SensorKind::Camera(_)
-            | SensorKind::Vector { .. } => None,
-        }
+            _ => None,
+        };
+        values.map(|values| (now, values))
     }
 
     fn capture(&mut self, sensor: &Sensor, read: Option<Timestamp>) -> Option<Captured> {

@@ -168,7 +168,7 @@ fn every_figure_has_its_name_and_unit_from_the_page() {
     in_tables(&read("crates/measurements/src/schema/1.sql"), used.entry("the history").or_default());
     in_messages(&read("crates/recording/src/messages/own.rs"), used.entry("recordings").or_default());
 
-    for kind in [SensorKind::Odometry, SensorKind::Battery { charge: 1.0 }, SensorKind::Imu] {
+    for kind in [SensorKind::Odometry, SensorKind::Battery { charge: Some(1.0) }, SensorKind::Imu] {
         for (component, unit) in kind.components() {
             let told = fields
                 .get(component.as_str())

@@ -37,6 +37,7 @@ mod replicas;
 mod ros1;
 mod ros2;
 mod ros_flows;
+mod ros_sensors;
 mod run;
 mod sensors;
 mod stamp;

@@ -307,20 +307,24 @@ record! {
 }
 
 record! {
-    /// Charge and voltage of a simulated TurtleBot 2's battery.
+    /// Charge and voltage of the battery of a simulated TurtleBot 2, or of a robot in ROS.
     BatteryRecord {
         /// How often it is read.
         rate: Spanned<Frequency> = "1 Hz",
-        /// Its charge when the run begins.
-        charge: Probability = "100 %",
+        /// A simulated one's charge when the run begins. Without it: 100 %.
+        charge: Option<Spanned<Probability>>,
+        /// Of a robot in ROS: the topic of its `sensor_msgs/BatteryState`. Without it: `battery_state`.
+        topic: Option<Spanned<String>>,
     }
 }
 
 record! {
-    /// Angular velocity and acceleration of a simulated robot.
+    /// Angular velocity and acceleration.
     ImuRecord {
         /// How often it is read.
         rate: Spanned<Frequency> = "50 Hz",
+        /// Of a robot in ROS: the topic of its `sensor_msgs/Imu`. Without it: `imu`.
+        topic: Option<Spanned<String>>,
     }
 }
 
@@ -339,23 +343,26 @@ record! {
     CameraRecord {
         /// How often it is read.
         rate: Spanned<Frequency> = "15 Hz",
-        /// Columns of an image.
-        width: Spanned<u16> = 320,
-        /// Rows of an image.
-        height: Spanned<u16> = 240,
-        /// What a pixel is.
-        format: DataFormat = "mono8",
-        /// From the left column to the right one.
-        field_of_view: Spanned<Angle> = "60 deg",
-        /// The VNF to which images go, over the network. Without it, they stay on the robot.
+        /// Columns of an image. Without it: 320. A robot in ROS says this and the next three by its messages.
+        width: Option<Spanned<u16>>,
+        /// Rows of an image. Without it: 240.
+        height: Option<Spanned<u16>>,
+        /// What a pixel is. Without it: `mono8`.
+        format: Option<Spanned<DataFormat>>,
+        /// From the left column to the right one. Without it: `60 deg`.
+        field_of_view: Option<Spanned<Angle>>,
+        /// The VNF to which a simulated robot's images go, over the network. Without it, they stay on the robot.
         to: Option<Spanned<VnfId>>,
+        /// Of a robot in ROS: the topic of its images, `sensor_msgs/CompressedImage` if the name ends in `/compressed`,
+        /// else `sensor_msgs/Image`. Without it: `camera/image_raw`.
+        topic: Option<Spanned<String>>,
         /// How much of its images a run keeps; the oldest go first.
         keep: Bytes = "64 MB",
     }
 }
 
 record! {
-    /// Numbers that plug-ins or programs report by the instruction `report`.
+    /// Numbers that plug-ins or programs report by the instruction `report`, or a robot in ROS on a topic.
     VectorRecord {
         /// How many numbers a reading has.
         size: Spanned<u8>,
@@ -363,6 +370,8 @@ record! {
         rate: Spanned<Frequency> = "10 Hz",
         /// Their unit, as you call it.
         unit: Spanned<String> = "",
+        /// Of a robot in ROS: a topic with `std_msgs/Float64MultiArray`. Without it, none is listened to.
+        topic: Option<Spanned<String>>,
     }
 }
 

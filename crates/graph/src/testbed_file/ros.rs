@@ -1,10 +1,13 @@
 //! What stands in a testbed file about robots in ROS: where their master or domain is, and what their topics are called.
 
-use std::net::IpAddr;
+use std::{collections::BTreeMap, net::IpAddr};
 
-use super::records::{
-    DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
-    RosTopicsRecord,
+use super::{
+    records::{
+        DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
+        RosTopicsRecord,
+    },
+    sensors,
 };
 use crate::{
     driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
@@ -64,8 +67,16 @@ pub(super) fn driver(
                 return None;
             }
             Some(match place(driven, RosNetwork::Machine)? {
-                Ros::Ros1(ros1) => Driver::Ros1(ros1),
-                Ros::Ros2(ros2) => Driver::Ros2(ros2),
+                Ros::Ros1(mut ros1) => {
+                    ros1.topics.sensors = sensors::topics(record, |said| name(said, "topic", sink));
+                    Driver::Ros1(ros1)
+                }
+                Ros::Ros2(mut ros2) => {
+                    let ros2_name =
+                        |said: &_| (!is_doubled(said, sink)).then(|| name(said, "topic", sink))?;
+                    ros2.topics.sensors = sensors::topics(record, ros2_name);
+                    Driver::Ros2(ros2)
+                }
             })
         }
         (Some(_), Some((_, span))) => {
@@ -111,18 +122,23 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
         }
     };
     let rmw = rmw(record, usual, sink);
-    let doubled = |said: &&Spanned<String>| said.value.contains("__");
     let RosTopicsRecord { scan, odom, cmd_vel, tf, amcl_pose, map } = &record.topics;
     let names = [&record.namespace, scan, odom, cmd_vel, tf, amcl_pose, map];
-    let doubled: Vec<_> = names.into_iter().flatten().filter(doubled).collect();
-    for said in &doubled {
-        sink.error(&said.span, format!("`{}` is no name in ROS 2", said.value))
-            .help("write no two `_` behind each other");
-    }
+    let doubled = names.into_iter().flatten().filter(|said| is_doubled(said, sink)).count();
     let namespace = namespace(record.namespace.as_ref(), sink);
     let topics = topics(&record.topics, sink);
     let ros2 = Ros2 { rmw: rmw?, domain: domain?, namespace: namespace?, topics: topics? };
-    doubled.is_empty().then(|| Box::new(ros2))
+    (doubled == 0).then(|| Box::new(ros2))
+}
+
+/// Whether a name has what ROS 2's have not, two `_` behind each other; reports that.
+fn is_doubled(said: &Spanned<String>, sink: &mut Sink) -> bool {
+    let doubled = said.value.contains("__");
+    if doubled {
+        sink.error(&said.span, format!("`{}` is no name in ROS 2", said.value))
+            .help("write no two `_` behind each other");
+    }
+    doubled
 }
 
 /// The router that `rmw_zenoh`'s nodes look for by default.
@@ -233,13 +249,15 @@ fn topics(record: &RosTopicsRecord, sink: &mut Sink) -> Option<RosTopics> {
         None => Some(usual),
         Some(said) => name(said, "topic", sink),
     };
-    let RosTopics { scan, odom, cmd_vel, tf, amcl_pose, map } = RosTopics::default();
+    let RosTopics { scan, odom, cmd_vel, tf, amcl_pose, map, .. } = RosTopics::default();
     // All are read before any that failed ends it, so that each one's mistakes show.
     let (scan, odom, cmd_vel) =
         (topic(&record.scan, scan), topic(&record.odom, odom), topic(&record.cmd_vel, cmd_vel));
     let (tf, amcl_pose, map) =
         (topic(&record.tf, tf), topic(&record.amcl_pose, amcl_pose), topic(&record.map, map));
-    Some(RosTopics { scan: scan?, odom: odom?, cmd_vel: cmd_vel?, tf: tf?, amcl_pose: amcl_pose?, map: map? })
+    let sensors = BTreeMap::new();
+    let (scan, odom, cmd_vel, tf, amcl_pose, map) = (scan?, odom?, cmd_vel?, tf?, amcl_pose?, map?);
+    Some(RosTopics { scan, odom, cmd_vel, tf, amcl_pose, map, sensors })
 }
 
 /// A name of ROS's, for which ROS 1 and 2 have the same characters. Private names, `~…`, would be of cotorra's node.

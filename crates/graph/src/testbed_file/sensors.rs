@@ -1,19 +1,19 @@
 //! Sensors that a robot declares.
 
-use std::{f64::consts::PI, time::Duration};
+use std::{collections::BTreeMap, f64::consts::PI, time::Duration};
 
 use super::{
     build::dangling,
     records::{CameraRecord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
 };
 use crate::{
-    driver::Driver,
+    driver::{Driver, SensorMessage, SensorTopic},
     hardware::RobotModel,
     id::SensorId,
-    sensor::{Camera, Sensor, SensorKind},
+    sensor::{Camera, DataFormat, Sensor, SensorKind},
     service::Program,
     testbed::Testbed,
-    yaml::{Angle, Frequency, Sink, Span, decode::Spanned},
+    yaml::{Frequency, Sink, Span, decode::Spanned},
 };
 
 /// Readings a second, at least and at most.
@@ -25,6 +25,8 @@ const LARGEST_IMAGE: u16 = 2048;
 /// Fields of view, radians.
 const NARROWEST: f64 = 1.0 / 180.0 * PI;
 const WIDEST: f64 = 150.0 / 180.0 * PI;
+/// The usual one.
+const FIELD_OF_VIEW: f64 = 60.0 / 180.0 * PI;
 /// Characters of the longest unit.
 const LONGEST_UNIT: usize = 16;
 
@@ -35,21 +37,40 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
     let records = &robot.sensors.0;
     let build = |(id, record): &(Spanned<SensorId>, SensorRecord)| {
         let span = &id.span;
+        if let Some(topic) = topic(record).filter(|_| is_simulated) {
+            sink.error(&topic.span, "a simulated robot's sensors have no topics")
+                .help("leave out `topic`: it is for a robot that speaks ROS");
+        }
         let (rate, kind) = match record {
             SensorRecord::Odometry(its) => (&its.rate, SensorKind::Odometry),
             SensorRecord::Battery(its) => {
                 batteries += 1;
-                if robot.model != RobotModel::Turtlebot2 {
+                let charge = its.charge.as_ref();
+                if !is_simulated {
+                    simulated_only(charge.map(|charge| &charge.span), "charge", sink);
+                } else if robot.model != RobotModel::Turtlebot2 {
                     sink.error(span, "no battery is simulated but a TurtleBot 2's")
                         .help("remove it, or declare a `kind: vector` that a plug-in reports");
                 } else if batteries > 1 {
                     sink.error(span, "a robot has one battery").help("remove one of them");
                 }
-                (&its.rate, SensorKind::Battery { charge: its.charge.get() })
+                let charge = is_simulated.then(|| charge.map_or(1.0, |charge| charge.value.get()));
+                (&its.rate, SensorKind::Battery { charge })
             }
             SensorRecord::Imu(its) => (&its.rate, SensorKind::Imu),
             SensorRecord::Lidar(its) => (&its.rate, SensorKind::Lidar { keep_bytes: its.keep.0 }),
-            SensorRecord::Camera(its) => (&its.rate, SensorKind::Camera(camera(its, sink))),
+            SensorRecord::Camera(its) if is_simulated => (&its.rate, SensorKind::Camera(camera(its, sink))),
+            SensorRecord::Camera(its) => {
+                simulated_only(its.width.as_ref().map(|said| &said.span), "width", sink);
+                simulated_only(its.height.as_ref().map(|said| &said.span), "height", sink);
+                simulated_only(its.format.as_ref().map(|said| &said.span), "format", sink);
+                simulated_only(its.field_of_view.as_ref().map(|said| &said.span), "field_of_view", sink);
+                if let Some(to) = &its.to {
+                    sink.error(&to.span, "only a simulated camera's images cross the emulated network")
+                        .help("leave out `to`: read its images over the API");
+                }
+                (&its.rate, SensorKind::Images { keep_bytes: its.keep.0 })
+            }
             SensorRecord::Vector(its) => {
                 if !(1..=SensorKind::LARGEST).contains(&its.size.value) {
                     sink.error(&its.size.span, format!("a vector of {} numbers", its.size.value))
@@ -62,11 +83,6 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
                 (&its.rate, SensorKind::Vector { size: its.size.value, unit: its.unit.value.clone() })
             }
         };
-        let of_simulation = matches!(kind, SensorKind::Battery { .. } | SensorKind::Imu);
-        if of_simulation && !is_simulated {
-            sink.error(span, "only a simulated robot has this sensor")
-                .help("declare a `kind: vector` that a plug-in or program reports");
-        }
         let is_moved = !matches!(kind, SensorKind::Vector { .. });
         let most = if is_simulated && is_moved { SIMULATED } else { RATES.1 };
         let interval = interval(rate.value, most, &rate.span, sink)?;
@@ -75,24 +91,72 @@ pub(super) fn sensors(robot: &RobotRecord, driver: Option<&Driver>, sink: &mut S
     records.iter().filter_map(build).collect()
 }
 
+/// The topic that a sensor names.
+fn topic(record: &SensorRecord) -> Option<&Spanned<String>> {
+    match record {
+        SensorRecord::Odometry(_) | SensorRecord::Lidar(_) => None,
+        SensorRecord::Battery(its) => its.topic.as_ref(),
+        SensorRecord::Imu(its) => its.topic.as_ref(),
+        SensorRecord::Camera(its) => its.topic.as_ref(),
+        SensorRecord::Vector(its) => its.topic.as_ref(),
+    }
+}
+
+/// The topics of the sensors of a robot in ROS that have one: the usual are those of TurtleBot 3 and 4. `name` reads a
+/// name, or reports that it is none.
+pub(super) fn topics(
+    robot: &RobotRecord,
+    mut name: impl FnMut(&Spanned<String>) -> Option<String>,
+) -> BTreeMap<SensorId, SensorTopic> {
+    let topic = |(id, record): &(Spanned<SensorId>, SensorRecord)| {
+        let said = topic(record);
+        let usual = match record {
+            SensorRecord::Battery(_) => Some("battery_state"),
+            SensorRecord::Imu(_) => Some("imu"),
+            SensorRecord::Camera(_) => Some("camera/image_raw"),
+            SensorRecord::Odometry(_) | SensorRecord::Lidar(_) | SensorRecord::Vector(_) => None,
+        };
+        let name = said.map_or_else(|| usual.map(str::to_owned), &mut name)?;
+        let message = match record {
+            SensorRecord::Battery(_) => SensorMessage::BatteryState,
+            SensorRecord::Camera(_) if name.ends_with("/compressed") => SensorMessage::CompressedImage,
+            SensorRecord::Camera(_) => SensorMessage::Image,
+            SensorRecord::Vector(_) => SensorMessage::Float64MultiArray,
+            SensorRecord::Imu(_) | SensorRecord::Odometry(_) | SensorRecord::Lidar(_) => SensorMessage::Imu,
+        };
+        Some((id.value.clone(), SensorTopic { name, message }))
+    };
+    robot.sensors.0.iter().filter_map(topic).collect()
+}
+
+/// Reports what only a simulated robot has.
+fn simulated_only(said: Option<&Span>, key: &str, sink: &mut Sink) {
+    if let Some(span) = said {
+        sink.error(span, "only a simulated robot has this")
+            .help(format!("leave out `{key}`: the robot's messages say what there is"));
+    }
+}
+
 /// A camera, as it is declared. What cannot be, the sink then knows.
 fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
-    for pixels in [&record.width, &record.height] {
+    for pixels in [&record.width, &record.height].into_iter().flatten() {
         if !(1..=LARGEST_IMAGE).contains(&pixels.value) {
             sink.error(&pixels.span, format!("an image of {} pixels", pixels.value))
                 .help(format!("write 1 to {LARGEST_IMAGE}"));
         }
     }
-    let Angle(field_of_view) = record.field_of_view.value;
-    if !(NARROWEST..=WIDEST).contains(&field_of_view) {
+    let field_of_view = record.field_of_view.as_ref().map_or(FIELD_OF_VIEW, |said| said.value.0);
+    if let Some(said) = &record.field_of_view
+        && !(NARROWEST..=WIDEST).contains(&field_of_view)
+    {
         let (least, most) = (NARROWEST.to_degrees().round(), WIDEST.to_degrees().round());
-        sink.error(&record.field_of_view.span, "no camera has this field of view")
+        sink.error(&said.span, "no camera has this field of view")
             .help(format!("write {least} deg to {most} deg"));
     }
     Camera {
-        width: record.width.value,
-        height: record.height.value,
-        format: record.format,
+        width: record.width.as_ref().map_or(320, |said| said.value),
+        height: record.height.as_ref().map_or(240, |said| said.value),
+        format: record.format.as_ref().map_or(DataFormat::Mono8, |said| said.value),
         field_of_view,
         to: record.to.as_ref().map(|to| to.value.clone()),
         keep_bytes: record.keep.0,

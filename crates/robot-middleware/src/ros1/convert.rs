@@ -73,6 +73,35 @@ pub(super) fn laser_scan(of: ros1::LaserScan) -> shared::LaserScan {
     }
 }
 
+/// What is read of it.
+pub(super) fn battery(of: ros1::BatteryState) -> shared::BatteryState {
+    shared::BatteryState { voltage: of.voltage, percentage: of.percentage, ..Default::default() }
+}
+
+pub(super) fn imu(of: ros1::Imu) -> shared::Imu {
+    shared::Imu {
+        header: header(of.header),
+        orientation: rotation(of.orientation),
+        orientation_covariance: of.orientation_covariance,
+        angular_velocity: vector(of.angular_velocity),
+        angular_velocity_covariance: of.angular_velocity_covariance,
+        linear_acceleration: vector(of.linear_acceleration),
+        linear_acceleration_covariance: of.linear_acceleration_covariance,
+    }
+}
+
+pub(super) fn image(of: ros1::Image) -> shared::Image {
+    shared::Image {
+        header: header(of.header),
+        height: of.height,
+        width: of.width,
+        encoding: of.encoding,
+        is_bigendian: of.is_bigendian,
+        step: of.step,
+        data: shared::Bytes(of.data),
+    }
+}
+
 /// ROS 1's messages of the shared ones.
 pub(super) mod back {
     use super::{Time, ros1, shared};

@@ -1,16 +1,18 @@
 //! The link to a robot that speaks ROS 1: a node that has its topics.
 
-use cotorra_graph::{RosTopics, Timestamp, Velocity};
+use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
 use cotorra_ros1::{
     Message, Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscriber,
     messages::{self as ros1, Twist},
 };
 
-use super::convert::{frames, laser_scan, odometry, pose_stamped};
+use super::convert::{self, frames, laser_scan, odometry, pose_stamped};
 use crate::{
     heard::{Heard, QUEUE, Source},
+    picture,
     ros_driver::RosLink,
     ros_robot::RosRobot,
+    ros_sensors::{self, NEWEST, SensorTopics},
     watch::Topic,
 };
 
@@ -22,6 +24,7 @@ pub struct Ros1Link {
     poses: Heard<Subscriber<ros1::PoseWithCovarianceStamped>>,
     frames: Heard<Subscriber<ros1::TFMessage>>,
     velocities: Publisher<Twist>,
+    sensors: SensorTopics,
     /// Keeps all of it going.
     _node: Node,
 }
@@ -40,9 +43,41 @@ impl Ros1Link {
             poses: Heard::new(node.subscribe(&topics.amcl_pose, queue)?, Topic::Localization),
             frames: Heard::new(node.subscribe(&topics.tf, queue)?, Topic::Frames),
             velocities: node.publish(&topics.cmd_vel, PublishOptions::default())?,
+            sensors: sensors(&node, topics)?,
             _node: node,
         })
     }
+}
+
+/// Subscribes to the topics of sensors.
+fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
+    let newest = SubscribeOptions { queue: NEWEST };
+    let mut sensors = SensorTopics::default();
+    for (sensor, topic) in &topics.sensors {
+        let name = &topic.name;
+        match topic.message {
+            SensorMessage::BatteryState => {
+                sensors.numbers(sensor, node.subscribe(name, newest)?, |message| {
+                    ros_sensors::battery(&convert::battery(message))
+                })
+            }
+            SensorMessage::Imu => sensors.numbers(sensor, node.subscribe(name, newest)?, |message| {
+                ros_sensors::imu(&convert::imu(message))
+            }),
+            SensorMessage::Float64MultiArray => {
+                let array = node.subscribe::<ros1::Float64MultiArray>(name, newest)?;
+                sensors.numbers(sensor, array, |message| message.data);
+            }
+            SensorMessage::Image => sensors.images(sensor, node.subscribe(name, newest)?, |message| {
+                picture::image(convert::image(message))
+            })?,
+            SensorMessage::CompressedImage => {
+                let files = node.subscribe::<ros1::CompressedImage>(name, newest)?;
+                sensors.images(sensor, files, |message| picture::file(message.data, &message.format))?;
+            }
+        }
+    }
+    Ok(sensors)
 }
 
 impl RosLink for Ros1Link {
@@ -51,6 +86,7 @@ impl RosLink for Ros1Link {
         self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &odometry(message)));
         self.frames.hear(now, robot, |robot, message| robot.frames(now, &frames(message)));
         self.poses.hear(now, robot, |robot, message| robot.localized(now, &pose_stamped(message)));
+        self.sensors.hear(now, robot);
         self.scans.hear(now, robot, |robot, message| robot.scanned(now, laser_scan(message)));
     }
 
@@ -66,6 +102,10 @@ impl<M: Message> Source for Subscriber<M> {
 
     fn next(&self) -> Option<M> {
         self.try_recv()
+    }
+
+    fn wait(&self) -> Option<M> {
+        self.recv()
     }
 
     fn dropped(&self) -> u64 {

@@ -1,16 +1,21 @@
 //! The link to a robot that speaks ROS 2: a node that has its topics.
 
-use cotorra_graph::{RosTopics, Timestamp, Velocity};
+use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
 use cotorra_ros2::{
     Carried, Command, Node, NodeConfig, NodeError, Publisher, Qos, Subscriber,
-    messages::{Header, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage},
+    messages::{
+        BatteryState, CompressedImage, Float64MultiArray, Header, Image, Imu, LaserScan, Odometry,
+        PoseWithCovarianceStamped, TFMessage,
+    },
 };
 
 use crate::{
     heard::{Heard, QUEUE, Source},
+    picture,
     ros::BASE_FRAME,
     ros_driver::RosLink,
     ros_robot::RosRobot,
+    ros_sensors::{self, NEWEST, SensorTopics},
     watch::Topic,
 };
 
@@ -18,6 +23,9 @@ use crate::{
 const OFTEN: Qos = Qos { depth: QUEUE, ..Qos::SENSORS };
 /// From who tells seldom, as localization does: what is lost is sent again.
 const SELDOM: Qos = Qos { depth: QUEUE, ..Qos::COMMANDS };
+
+/// From a sensor.
+const SENSOR: Qos = Qos { depth: NEWEST, ..Qos::SENSORS };
 
 /// A node that listens to a robot and says velocities to it.
 #[derive(Debug)]
@@ -30,6 +38,7 @@ pub struct Ros2Link {
     /// The beginning of the run, since 1970.
     epoch: Timestamp,
     now: Timestamp,
+    sensors: SensorTopics,
     /// Keeps all of it going.
     _node: Node,
 }
@@ -49,9 +58,40 @@ impl Ros2Link {
             velocities: node.publish(&topics.cmd_vel, Qos::COMMANDS)?,
             epoch,
             now: Timestamp::ZERO,
+            sensors: sensors(&node, topics)?,
             _node: node,
         })
     }
+}
+
+/// Subscribes to the topics of sensors.
+fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
+    let mut sensors = SensorTopics::default();
+    for (sensor, topic) in &topics.sensors {
+        let name = &topic.name;
+        match topic.message {
+            SensorMessage::BatteryState => {
+                let states = node.subscribe::<BatteryState>(name, SENSOR)?;
+                sensors.numbers(sensor, states, |message| ros_sensors::battery(&message));
+            }
+            SensorMessage::Imu => {
+                let measured = node.subscribe::<Imu>(name, SENSOR)?;
+                sensors.numbers(sensor, measured, |message| ros_sensors::imu(&message));
+            }
+            SensorMessage::Float64MultiArray => {
+                let arrays = node.subscribe::<Float64MultiArray>(name, SENSOR)?;
+                sensors.numbers(sensor, arrays, |message| message.data);
+            }
+            SensorMessage::Image => {
+                sensors.images(sensor, node.subscribe::<Image>(name, SENSOR)?, picture::image)?;
+            }
+            SensorMessage::CompressedImage => {
+                let files = node.subscribe::<CompressedImage>(name, SENSOR)?;
+                sensors.images(sensor, files, |message| picture::file(message.data.0, &message.format))?;
+            }
+        }
+    }
+    Ok(sensors)
 }
 
 impl RosLink for Ros2Link {
@@ -61,6 +101,7 @@ impl RosLink for Ros2Link {
         self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &message));
         self.frames.hear(now, robot, |robot, message| robot.frames(now, &message));
         self.poses.hear(now, robot, |robot, message| robot.localized(now, &message));
+        self.sensors.hear(now, robot);
         self.scans.hear(now, robot, |robot, message| robot.scanned(now, message));
     }
 
@@ -75,6 +116,10 @@ impl<M: Carried> Source for Subscriber<M> {
 
     fn next(&self) -> Option<M> {
         self.try_recv()
+    }
+
+    fn wait(&self) -> Option<M> {
+        self.recv()
     }
 
     fn dropped(&self) -> u64 {

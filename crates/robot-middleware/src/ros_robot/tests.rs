@@ -115,6 +115,30 @@ fn amcl_pose_says_where_a_robot_is_and_odometry_takes_it_on_from_there() {
 }
 
 #[test]
+fn the_newest_of_a_sensor_is_read_once_and_what_comes_while_it_is_not_well_is_left_out() {
+    let imu = SensorId::new("imu").unwrap();
+    let mut robot = absent();
+    robot.sensed(at(0), &imu, vec![1.0]);
+    assert_eq!(robot.take_reading(&imu), None);
+    robot.odometry(at(0), &odometry(0, 3.0));
+    robot.sensed(at(1), &imu, vec![2.0]);
+    robot.sensed(at(2), &imu, vec![3.0]);
+    assert_eq!(robot.take_reading(&imu), Some((at(2), vec![3.0])));
+    assert_eq!(robot.take_reading(&imu), None);
+    let picture =
+        Picture { format: cotorra_graph::DataFormat::Mono8, width: 1, height: 1, bytes: [7].into() };
+    robot.pictured(at(3), &imu, picture.clone());
+    assert_eq!(robot.take_image(&imu).map(|image| image.measured), Some(at(3)));
+    robot.pictured(at(9000), &imu, picture);
+    assert_eq!(robot.take_image(&imu), None);
+    assert_eq!(robot.health(), [RobotFault::Silent]);
+    robot.refuse(&imu, "no");
+    robot.refuse(&imu, "again no");
+    assert_eq!(robot.poll_notice().as_deref(), Some("robot tb, sensor imu: no"));
+    assert_eq!(robot.poll_notice(), None);
+}
+
+#[test]
 fn the_frames_of_this_robot_win_and_those_of_others_do_not_count() {
     let mut robot = well();
     robot.frames(at(5), &frame(5, "map", "tb9/odom", (7.0, 7.0, 0.0)));
