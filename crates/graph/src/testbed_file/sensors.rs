@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, f64::consts::PI, time::Duration};
 
 use super::{
     build::dangling,
-    records::{CameraRecord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
+    records::{CameraRecord, DriverRecord, DriverWord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
 };
 use crate::{
     driver::{Driver, SensorMessage, SensorTopic},
@@ -13,7 +13,10 @@ use crate::{
     sensor::{Camera, DataFormat, Sensor, SensorKind},
     service::Program,
     testbed::Testbed,
-    yaml::{Frequency, Sink, Span, decode::Spanned},
+    yaml::{
+        Frequency, Sink, Span,
+        decode::{Either, Spanned},
+    },
 };
 
 /// Readings a second, at least and at most.
@@ -165,8 +168,13 @@ fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
 
 /// Images go to VNFs that can take them.
 pub(super) fn receivers(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    // Images of others go nowhere, which is reported elsewhere.
+    let is_simulated = |robot: &RobotRecord| {
+        let driver = &robot.driver.value;
+        matches!(driver, Either::Short(DriverWord::Simulated) | Either::Long(DriverRecord::Simulated(_)))
+    };
     let robots = record.nodes.0.iter().filter_map(|(_, node)| match node {
-        NodeRecord::Robot(robot) => Some(robot),
+        NodeRecord::Robot(robot) if is_simulated(robot) => Some(robot),
         _ => None,
     });
     let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
