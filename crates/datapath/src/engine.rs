@@ -223,7 +223,7 @@ impl Engine {
                     return Ok(self.fabric);
                 }
                 if event.token == self.ports.ports.len() {
-                    self.obey();
+                    self.run_commands();
                 } else {
                     if event.writable {
                         self.ports.flush(event.token);
@@ -281,7 +281,7 @@ impl Engine {
     }
 
     /// Does what others asked for.
-    fn obey(&mut self) {
+    fn run_commands(&mut self) {
         self.shared.waker.clear();
         let commands = self.shared.commands.lock().as_mut().map(mem::take);
         for command in commands.unwrap_or_default() {

@@ -7,7 +7,7 @@
 
 use std::{collections::HashMap, fs, net::Ipv4Addr, os::fd::AsFd};
 
-use cotorra_fabric::{Fabric, Refusal};
+use cotorra_fabric::{Fabric, FabricError};
 use cotorra_graph::{
     Conditions, Direction, HardwareGraph, HostAddress, Jitter, Lateness, Link, LinkCounters, LinkId, Loss,
     NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
@@ -196,15 +196,15 @@ impl KernelNetwork {
     /// packets was sent.
     ///
     /// # Errors
-    /// [`Refusal`] for a link that does not exist, a test without bounds, or one so soon after another.
+    /// [`FabricError`] for a link that does not exist, a test without bounds, or one so soon after another.
     pub fn test_throughput(
         &self,
         link: &LinkId,
         direction: Direction,
         test: ThroughputTest,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let place = self.links.iter().position(|l| l == link);
-        let place = place.ok_or_else(|| Refusal::UnknownLink(link.clone()))?;
+        let place = place.ok_or_else(|| FabricError::UnknownLink(link.clone()))?;
         self.probes.test_throughput((place, link), direction, test)
     }
 

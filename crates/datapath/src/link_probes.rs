@@ -12,7 +12,9 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use cotorra_fabric::{Crossing, Frame, Histogram, MEASURING_ETHERTYPE, Refusal, Trials, WireProbes};
+use cotorra_fabric::{
+    Crossing, FabricError, Frame, Histogram, MEASURING_ETHERTYPE, ThroughputTests, WireProbes,
+};
 use cotorra_graph::{
     Conditions, Direction, Lateness, LinkCounters, LinkId, Probed, Probing, Tested, ThroughputTest, Timestamp,
 };
@@ -44,7 +46,7 @@ struct Shared {
 struct State {
     clock: Clock,
     probes: WireProbes,
-    trials: Trials,
+    throughput_tests: ThroughputTests,
     /// By edge: forward and backward of each link in turn.
     edges: Vec<Edge>,
     lateness: Histogram,
@@ -91,7 +93,7 @@ impl LinkProbes {
             ),
             None => WireProbes::none(),
         };
-        let trials = Trials::new(2 * ends.len());
+        let throughput_tests = ThroughputTests::new(2 * ends.len());
         let edge = |(interface, conditions)| {
             let socket = sys::stamped_packet_socket(interface, MEASURING_ETHERTYPE, BUFFER_BYTES)?;
             Ok(Edge {
@@ -112,7 +114,7 @@ impl LinkProbes {
         let waker = Waker::new()?;
         epoll.add(waker.as_fd(), edges.len())?;
         let (lateness, buffer) = (Histogram::default(), vec![0; 2048]);
-        let state = Mutex::new(State { clock, probes, trials, edges, lateness, buffer });
+        let state = Mutex::new(State { clock, probes, throughput_tests, edges, lateness, buffer });
         let shared = Arc::new(Shared { clock, state, waker, stopping: AtomicBool::new(false) });
         let its = Arc::clone(&shared);
         let thread = thread::Builder::new().name("probes".into()).spawn(move || {
@@ -144,11 +146,11 @@ impl LinkProbes {
         (place, link): (usize, &LinkId),
         direction: Direction,
         test: ThroughputTest,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let mut state = self.shared.state.lock();
         let edge = edge(place, direction);
-        let State { trials, edges, .. } = &mut *state;
-        trials.begin(self.shared.clock.now(), (edge, link), test, &edges[edge].conditions.rate)?;
+        let State { throughput_tests, edges, .. } = &mut *state;
+        throughput_tests.begin(self.shared.clock.now(), (edge, link), test, &edges[edge].conditions.rate)?;
         drop(state);
         self.shared.waker.wake();
         Ok(())
@@ -162,7 +164,7 @@ impl LinkProbes {
             let probed = state.probes.probed(now, link);
             [Direction::Forward, Direction::Backward].map(|direction| Measured {
                 probed: probed.map(|both| both[direction as usize]),
-                tested: state.trials.tested(now, edge(link, direction)),
+                tested: state.throughput_tests.tested(now, edge(link, direction)),
             })
         };
         (0..state.edges.len() / 2).map(of).collect()
@@ -228,13 +230,13 @@ impl State {
             let now = self.clock.now();
             if let Some((link, probe)) = self.probes.poll(now) {
                 self.edges[edge(link, Direction::Forward)].send(&probe);
-            } else if let Some((edge, packet)) = self.trials.poll(now, Vec::with_capacity) {
+            } else if let Some((edge, packet)) = self.throughput_tests.poll(now, Vec::with_capacity) {
                 self.edges[edge].send(&packet);
             } else {
                 break;
             }
         }
-        self.probes.deadline().into_iter().chain(self.trials.deadline()).min()
+        self.probes.deadline().into_iter().chain(self.throughput_tests.deadline()).min()
     }
 
     /// Takes what has come to a socket.
@@ -246,8 +248,8 @@ impl State {
             let edge = &mut self.edges[crossed];
             edge.arrived += 1;
             edge.arrived_bytes += length as u64;
-            if length == Trials::PACKET_BYTES {
-                self.trials.crossed(received, crossed);
+            if length == ThroughputTests::PACKET_BYTES {
+                self.throughput_tests.crossed(received, crossed);
                 continue;
             }
             let frame = Frame::new(self.buffer[..length].to_vec());

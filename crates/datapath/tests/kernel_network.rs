@@ -12,7 +12,7 @@
 use std::{thread, time::Duration};
 
 use cotorra_datapath::{KernelNetwork, NoKernelNetwork, Observed};
-use cotorra_fabric::{Fabric, Refusal};
+use cotorra_fabric::{Fabric, FabricError};
 use cotorra_graph::{
     BitRate, Conditions, Direction, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed, ThroughputTest,
     testbed_file,
@@ -156,15 +156,15 @@ fn a_test_tells_what_a_link_carries_within_bounds() {
     };
     let (one, backward) = (link("one"), Direction::Backward);
     for (name, asked, refused) in [
-        (&one, test(11_000, 1.0), Refusal::TestDuration(Duration::from_secs(11))),
-        (&one, test(500, 1_001.0), Refusal::TestRate(BitRate::from_mbps(1_001.0).unwrap())),
-        (&link("other"), test(500, 1.0), Refusal::UnknownLink(link("other"))),
+        (&one, test(11_000, 1.0), FabricError::TestDuration(Duration::from_secs(11))),
+        (&one, test(500, 1_001.0), FabricError::TestRate(BitRate::from_mbps(1_001.0).unwrap())),
+        (&link("other"), test(500, 1.0), FabricError::UnknownLink(link("other"))),
     ] {
         assert_eq!(network.test_throughput(name, backward, asked), Err(refused));
     }
     network.test_throughput(&one, backward, test(1_000, 24.0)).unwrap();
     let again = network.test_throughput(&one, backward, test(1_000, 24.0));
-    assert!(matches!(again, Err(Refusal::TestTooSoon { .. })), "{again:?}");
+    assert!(matches!(again, Err(FabricError::TestTooSoon { .. })), "{again:?}");
     let known = wait_until(&network, ("one", Direction::Backward), |known| known.tested.is_some());
     let tested = known.tested.unwrap();
     // Three times as much was sent, if the machine kept up.

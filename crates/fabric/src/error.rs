@@ -2,11 +2,11 @@
 
 use cotorra_graph::{HostAddress, LinkId, NodeId};
 
-use crate::settings::Refusal;
+use crate::settings::FabricError;
 
 /// Why a graph makes no fabric.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum FabricError {
+pub enum GraphError {
     /// A link ends nowhere.
     #[error("link `{link}` ends at `{node}`, which is no node of the graph")]
     UnknownEnd {
@@ -35,6 +35,6 @@ pub enum FabricError {
         /// The link, or the wireless network by its SSID.
         link: String,
         /// What is wrong.
-        refusal: Refusal,
+        refusal: FabricError,
     },
 }

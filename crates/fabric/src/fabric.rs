@@ -16,20 +16,20 @@ use cotorra_graph::{
 
 use crate::{
     balance::Balance,
-    error::FabricError,
+    error::GraphError,
     flows::{Flows, Mark},
     frame::Frame,
     lateness::Histogram,
     pipe::{Packet, Pipe, Purpose},
     pool::Pool,
     port::PortId,
-    probes::{Over, Probes},
+    probes::{ProbeTarget, Probes},
     radio::{Arrival, Path, Radio},
     random::stream,
     routes::{Path as Pinned, Routes, Target, Vertex},
-    settings::{Refusal, Settings},
+    settings::{FabricError, Settings},
+    throughput_tests::ThroughputTests,
     timers::Timers,
-    trial::Trials,
 };
 
 pub use self::paths::NoPath;
@@ -64,7 +64,7 @@ pub struct Fabric {
     pipes: Vec<Pipe>,
     timers: Timers,
     probes: Probes,
-    trials: Trials,
+    throughput_tests: ThroughputTests,
     radio: Radio,
     radio_deadline: Option<Timestamp>,
     arrivals: Vec<Arrival>,
@@ -105,16 +105,16 @@ impl Fabric {
     /// A fabric at rest, at time zero. The same graph and seed, driven the same way, give the same bytes.
     ///
     /// # Errors
-    /// [`FabricError`] for a graph that a testbed file could not have described.
-    pub fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, FabricError> {
+    /// [`GraphError`] for a graph that a testbed file could not have described.
+    pub fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, GraphError> {
         let hosts = graph.hosts().count();
         if hosts > HostAddress::MAX_HOSTS {
-            return Err(FabricError::TooManyHosts(hosts));
+            return Err(GraphError::TooManyHosts(hosts));
         }
         let mut vertices = HashMap::new();
         for (i, node) in graph.nodes.iter().enumerate() {
             if vertices.insert(node.id.clone(), i).is_some() {
-                return Err(FabricError::Duplicate(node.id.to_string()));
+                return Err(GraphError::Duplicate(node.id.to_string()));
             }
         }
         let vertex = |node: &Node| Vertex { forwards: node.forwards(), is_host: node.is_host() };
@@ -123,14 +123,14 @@ impl Fabric {
         let mut pipes = Vec::new();
         for (i, link) in graph.links.iter().enumerate() {
             if link_by_name.insert(link.id.clone(), i).is_some() {
-                return Err(FabricError::Duplicate(link.id.to_string()));
+                return Err(GraphError::Duplicate(link.id.to_string()));
             }
             let end = |node: &NodeId| {
-                let unknown = || FabricError::UnknownEnd { link: link.id.clone(), node: node.clone() };
+                let unknown = || GraphError::UnknownEnd { link: link.id.clone(), node: node.clone() };
                 let vertex = vertices.get(node).copied().ok_or_else(unknown)?;
                 match graph.nodes[vertex].kind {
                     NodeKind::Robot(_) => {
-                        Err(FabricError::WiredRobot { link: link.id.clone(), robot: node.clone() })
+                        Err(GraphError::WiredRobot { link: link.id.clone(), robot: node.clone() })
                     }
                     _ => Ok(vertex),
                 }
@@ -141,7 +141,7 @@ impl Fabric {
                 [(a, b, &link.forward, forward, "forward"), (b, a, &link.backward, backward, "backward")]
             {
                 let settings = Settings::new(conditions.clone(), scale, link.medium())
-                    .map_err(|refusal| FabricError::Conditions { link: link.id.to_string(), refusal })?;
+                    .map_err(|refusal| GraphError::Conditions { link: link.id.to_string(), refusal })?;
                 routes.connect(from, to, settings.effective().delay);
                 let rng = stream(seed, &format!("link {} {direction}", link.id));
                 pipes.push(Pipe::new(settings, rng));
@@ -168,7 +168,7 @@ impl Fabric {
             links: graph.links.iter().map(|l| l.id.clone()).collect(),
             link_by_name,
             timers: Timers::new(pipes.len()),
-            trials: Trials::new(pipes.len()),
+            throughput_tests: ThroughputTests::new(pipes.len()),
             pipes,
             probes: Probes::none(),
             radio_deadline: radio.deadline(),
@@ -271,14 +271,14 @@ impl Fabric {
     /// sent; a shorter queue keeps what it holds.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such link or the conditions cannot be; nothing has changed then.
+    /// [`FabricError`], if there is no such link or the conditions cannot be; nothing has changed then.
     pub fn change(
         &mut self,
         now: Timestamp,
         link: &LinkId,
         direction: Option<Direction>,
         change: &ConditionChange,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let now = self.advance(now);
         let Some(&index) = self.link_by_name.get(link) else {
             let changed = self.radio.change(now, link, direction, change);
@@ -313,24 +313,24 @@ impl Fabric {
     /// counter. What came of it is in the link's context a second after the last was sent.
     ///
     /// # Errors
-    /// [`Refusal`] for a link that is not wired, a test without bounds, or one so soon after another.
+    /// [`FabricError`] for a link that is not wired, a test without bounds, or one so soon after another.
     pub fn test_throughput(
         &mut self,
         now: Timestamp,
         link: &LinkId,
         direction: Direction,
         test: ThroughputTest,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let now = self.advance(now);
         let Some(&index) = self.link_by_name.get(link) else {
             return Err(match self.radio.has_link(link) {
-                true => Refusal::NotOnWireless("throughput test"),
-                false => Refusal::UnknownLink(link.clone()),
+                true => FabricError::NotOnWireless("throughput test"),
+                false => FabricError::UnknownLink(link.clone()),
             });
         };
         let edge = edge(index, direction);
         let rate = &self.pipes[edge].settings().effective().rate;
-        self.trials.begin(now, (edge, link), test, rate)
+        self.throughput_tests.begin(now, (edge, link), test, rate)
     }
 
     /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
@@ -338,18 +338,18 @@ impl Fabric {
     pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
         let now = self.advance(now);
         let wired = self.links.iter().enumerate().flat_map(|(i, link)| {
-            let probed = self.probes.probed(now, Over::Wire(i));
+            let probed = self.probes.probed(now, ProbeTarget::Wire(i));
             [Direction::Forward, Direction::Backward].map(|direction| {
                 let edge = edge(i, direction);
                 LinkContext {
                     probed: probed.map(|both| both[direction as usize]),
-                    tested: self.trials.tested(now, edge),
+                    tested: self.throughput_tests.tested(now, edge),
                     ..self.pipes[edge].context(now, link.clone(), direction)
                 }
             })
         });
         let mut contexts: Vec<_> = wired.collect();
-        let on_air = |robot, unit| self.probes.probed(now, Over::Air(robot, unit));
+        let on_air = |robot, unit| self.probes.probed(now, ProbeTarget::Air(robot, unit));
         contexts.extend(self.radio.link_contexts(now, on_air));
         contexts
     }
@@ -378,8 +378,8 @@ impl Fabric {
     /// A robot is somewhere else now.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRobot`].
-    pub fn move_robot(&mut self, now: Timestamp, robot: &NodeId, place: Position) -> Result<(), Refusal> {
+    /// [`FabricError::UnknownRobot`].
+    pub fn move_robot(&mut self, now: Timestamp, robot: &NodeId, place: Position) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.move_robot(now, robot, place);
         self.radio_deadline = self.radio.deadline();
@@ -389,8 +389,8 @@ impl Fabric {
     /// Lets a robot's radio leave its channel and scan all others; `Scanned` tells when it is back.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such robot or its radio is busy.
-    pub fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), Refusal> {
+    /// [`FabricError`], if there is no such robot or its radio is busy.
+    pub fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.scan(now, robot);
         self.radio_deadline = self.radio.deadline();
@@ -400,8 +400,8 @@ impl Fabric {
     /// Lets a robot go over to a radio unit; `Handover` tells when it is there. Nothing happens if it is.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such robot or radio unit, or the robot cannot go there.
-    pub fn attach(&mut self, now: Timestamp, robot: &NodeId, radio_unit: &NodeId) -> Result<(), Refusal> {
+    /// [`FabricError`], if there is no such robot or radio unit, or the robot cannot go there.
+    pub fn attach(&mut self, now: Timestamp, robot: &NodeId, radio_unit: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.attach(now, robot, radio_unit);
         self.radio_deadline = self.radio.deadline();
@@ -411,13 +411,13 @@ impl Fabric {
     /// A vAP on a radio unit beacons from now on.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such radio unit, it serves already, or is made for another network.
+    /// [`FabricError`], if there is no such radio unit, it serves already, or is made for another network.
     pub fn switch_on(
         &mut self,
         now: Timestamp,
         radio_unit: &NodeId,
         access_point: AccessPoint,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.switch_on(now, radio_unit, access_point);
         self.radio_deadline = self.radio.deadline();
@@ -428,15 +428,19 @@ impl Fabric {
     ///
     /// # Errors
     /// As there.
-    pub fn check_switch_on(&self, radio_unit: &NodeId, access_point: &AccessPoint) -> Result<(), Refusal> {
+    pub fn check_switch_on(
+        &self,
+        radio_unit: &NodeId,
+        access_point: &AccessPoint,
+    ) -> Result<(), FabricError> {
         self.radio.check_switch_on(radio_unit, access_point)
     }
 
     /// A radio unit is off from now on; its stations lose it.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such radio unit, or it is off.
-    pub fn switch_off(&mut self, now: Timestamp, radio_unit: &NodeId) -> Result<(), Refusal> {
+    /// [`FabricError`], if there is no such radio unit, or it is off.
+    pub fn switch_off(&mut self, now: Timestamp, radio_unit: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.switch_off(now, radio_unit);
         self.radio_deadline = self.radio.deadline();
@@ -446,13 +450,13 @@ impl Fabric {
     /// A robot has what a vAP of another domain asks for.
     ///
     /// # Errors
-    /// [`Refusal`], if there is no such robot or radio unit.
+    /// [`FabricError`], if there is no such robot or radio unit.
     pub fn provision(
         &mut self,
         robot: &NodeId,
         radio_unit: &NodeId,
         access_point: AccessPoint,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         self.radio.provision(robot, radio_unit, access_point)
     }
 
@@ -557,7 +561,7 @@ impl Fabric {
 
     /// When a packet that only measures is due.
     fn own_deadline(&self) -> Option<Timestamp> {
-        [self.probes.deadline(), self.trials.deadline()].into_iter().flatten().min()
+        [self.probes.deadline(), self.throughput_tests.deadline()].into_iter().flatten().min()
     }
 
     fn send_own(&mut self, at: Timestamp) {
@@ -565,20 +569,20 @@ impl Fabric {
         if let Some((over, frame)) = probe {
             self.probe(at, over, Direction::Forward, frame);
         }
-        if let Some((edge, frame)) = self.trials.poll(at, |length| self.pool.take(length)) {
-            self.cross(at, edge, Packet { frame, purpose: Purpose::Trial, entered: at });
+        if let Some((edge, frame)) = self.throughput_tests.poll(at, |length| self.pool.take(length)) {
+            self.cross(at, edge, Packet { frame, purpose: Purpose::ThroughputTest, entered: at });
         }
         self.settle(at);
     }
 
     /// Sends a probe, or its answer.
-    fn probe(&mut self, now: Timestamp, over: Over, direction: Direction, frame: Frame) {
+    fn probe(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
         match over {
-            Over::Wire(link) => {
+            ProbeTarget::Wire(link) => {
                 let packet = Packet { frame, purpose: Purpose::Probe, entered: now };
                 self.cross(now, edge(link, direction), packet);
             }
-            Over::Air(robot, unit) => {
+            ProbeTarget::Air(robot, unit) => {
                 self.radio.probe(now, Path { robot, unit, direction }, frame);
                 self.radio_deadline = self.radio.deadline();
             }
@@ -586,7 +590,7 @@ impl Fabric {
     }
 
     /// A probe or its answer has come to the other end.
-    fn probed(&mut self, now: Timestamp, over: Over, direction: Direction, frame: Frame) {
+    fn probed(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
         let crossing = self.probes.crossed(now, now, (over, direction), frame);
         if let Some(answer) = crossing.and_then(|crossing| crossing.answer) {
             self.probe(now, over, Direction::Backward, answer);
@@ -597,13 +601,13 @@ impl Fabric {
     fn crossed(&mut self, now: Timestamp, edge: usize, packet: Packet) {
         match packet.purpose {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
-            Purpose::Trial => {
-                self.trials.crossed(now, edge);
+            Purpose::ThroughputTest => {
+                self.throughput_tests.crossed(now, edge);
                 self.pool.put(packet.frame.into_bytes());
             }
             Purpose::Probe => {
                 let direction = if edge.is_multiple_of(2) { Direction::Forward } else { Direction::Backward };
-                self.probed(now, Over::Wire(edge / 2), direction, packet.frame);
+                self.probed(now, ProbeTarget::Wire(edge / 2), direction, packet.frame);
             }
         }
     }
@@ -622,7 +626,7 @@ impl Fabric {
         for Arrival { due, from, at, frame, probed } in arrivals.drain(..) {
             self.air_lateness.entry([from, at]).or_default().record(self.now.since(due));
             if let Some(Path { robot, unit, direction }) = probed {
-                self.probed(due, Over::Air(robot, unit), direction, frame);
+                self.probed(due, ProbeTarget::Air(robot, unit), direction, frame);
                 continue;
             }
             let vertex = self.ports[at.0].vertex;

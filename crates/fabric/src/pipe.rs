@@ -26,7 +26,7 @@ pub(crate) enum Purpose {
     /// To measure the link's delay.
     Probe,
     /// To measure what it carries.
-    Trial,
+    ThroughputTest,
 }
 
 /// A frame on its way through the fabric.

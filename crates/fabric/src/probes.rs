@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
-use cotorra_stamp::{BASE_LENGTH, Link, PORT, SessionConfig, Told, Utc};
+use cotorra_stamp::{BASE_LENGTH, Link, LinkEstimate, PORT, SessionConfig, Utc};
 
 use crate::{
     checksum::{complement, fold, sum},
@@ -35,7 +35,7 @@ pub(crate) struct Probes {
 
 /// What a probe goes over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Over {
+pub(crate) enum ProbeTarget {
     /// A wired link, by its place in the graph.
     Wire(usize),
     /// A robot's link to a radio unit.
@@ -112,14 +112,14 @@ impl Probes {
         now: Timestamp,
         with: impl FnOnce(StationIndex) -> Option<RadioUnitIndex>,
         buffer: impl FnOnce(usize) -> Vec<u8>,
-    ) -> Option<(Over, Frame)> {
+    ) -> Option<(ProbeTarget, Frame)> {
         let (_, place) = self.timers.next().filter(|(at, _)| *at <= now)?;
         let (over, probe) = match place.checked_sub(self.wires.len()) {
-            None => (Some(Over::Wire(place)), self.wires[place].poll(utc(now))),
+            None => (Some(ProbeTarget::Wire(place)), self.wires[place].poll(utc(now))),
             Some(robot) => {
                 let station = &mut self.stations[robot];
                 station.follow(utc(now), with(robot));
-                (station.with.map(|unit| Over::Air(robot, unit)), station.link.poll(utc(now)))
+                (station.with.map(|unit| ProbeTarget::Air(robot, unit)), station.link.poll(utc(now)))
             }
         };
         self.arm(place);
@@ -133,13 +133,13 @@ impl Probes {
         &mut self,
         received: Timestamp,
         now: Timestamp,
-        (over, direction): (Over, Direction),
+        (over, direction): (ProbeTarget, Direction),
         frame: Frame,
     ) -> Option<Crossing> {
         let mut bytes = frame.into_bytes();
         let (place, probed) = match over {
-            Over::Wire(link) => (link, self.wires.get_mut(link)?),
-            Over::Air(robot, unit) => {
+            ProbeTarget::Wire(link) => (link, self.wires.get_mut(link)?),
+            ProbeTarget::Air(robot, unit) => {
                 let place = self.wires.len() + robot;
                 let station = self.stations.get_mut(robot)?;
                 // It went over another link before, and its session is over.
@@ -164,10 +164,10 @@ impl Probes {
 
     /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it,
     /// and for a link that a robot has left.
-    pub(crate) fn probed(&self, now: Timestamp, over: Over) -> Option<[Probed; 2]> {
+    pub(crate) fn probed(&self, now: Timestamp, over: ProbeTarget) -> Option<[Probed; 2]> {
         let link = match over {
-            Over::Wire(link) => self.wires.get(link)?,
-            Over::Air(robot, unit) => {
+            ProbeTarget::Wire(link) => self.wires.get(link)?,
+            ProbeTarget::Air(robot, unit) => {
                 &self.stations.get(robot).filter(|station| station.with == Some(unit))?.link
             }
         };
@@ -213,7 +213,7 @@ fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
 }
 
 /// What probes tell, in the terms of the graph.
-pub(crate) fn probed(told: Told) -> Probed {
+pub(crate) fn probed(told: LinkEstimate) -> Probed {
     Probed {
         delay: told.delays.map(|(delays, _)| delays.mean),
         jitter: told.delays.and_then(|(delays, _)| delays.jitter),

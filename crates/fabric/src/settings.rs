@@ -10,7 +10,7 @@ use cotorra_graph::{
 
 /// Why the fabric does not do what it was asked. Nothing has changed then.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Refusal {
+pub enum FabricError {
     /// No link of that name.
     #[error("there is no link `{0}`")]
     UnknownLink(LinkId),
@@ -155,16 +155,16 @@ pub(crate) struct Settings {
 
 impl Settings {
     /// Settings that begin with these conditions, scaled.
-    pub(crate) fn new(asked: Conditions, scale: Scale, medium: Medium) -> Result<Self, Refusal> {
+    pub(crate) fn new(asked: Conditions, scale: Scale, medium: Medium) -> Result<Self, FabricError> {
         let effective = effective(&asked, scale, medium)?;
         Ok(Self { asked, scale, medium, effective })
     }
 
     /// The settings after a change.
-    pub(crate) fn changed(&self, change: &ConditionChange) -> Result<Self, Refusal> {
+    pub(crate) fn changed(&self, change: &ConditionChange) -> Result<Self, FabricError> {
         let mut asked = self.asked.clone();
         if let Some(ms) = change.delay_ms {
-            asked.delay = from_ms(ms).ok_or(Refusal::Delay(ms))?;
+            asked.delay = from_ms(ms).ok_or(FabricError::Delay(ms))?;
         }
         if let Some(jitter) = change.jitter {
             asked.jitter = (!jitter.deviation.is_zero()).then_some(jitter);
@@ -231,61 +231,64 @@ fn scaled(duration: Duration, factor: f64) -> Option<Duration> {
     from_ms(duration.as_secs_f64() * 1e3 * factor)
 }
 
-fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditions, Refusal> {
+fn effective(asked: &Conditions, scale: Scale, medium: Medium) -> Result<Conditions, FabricError> {
     let Scale { delay_scale, drop_scale } = scale;
     if !(delay_scale.is_finite() && delay_scale >= 0.0) {
-        return Err(Refusal::DelayScale(delay_scale));
+        return Err(FabricError::DelayScale(delay_scale));
     }
     if !(drop_scale.is_finite() && drop_scale > 0.0) {
-        return Err(Refusal::DropScale(drop_scale));
+        return Err(FabricError::DropScale(drop_scale));
     }
     let ms = |d: Duration| d.as_secs_f64() * 1e3;
-    let absurd = || Refusal::Delay(ms(asked.delay + medium.delay) * delay_scale);
+    let absurd = || FabricError::Delay(ms(asked.delay + medium.delay) * delay_scale);
     let delay = match medium.offered_delay(asked.delay, delay_scale) {
         Ok(delay) if delay <= LONGEST => delay,
         Ok(_) | Err(NotOffered::Absurd) => return Err(absurd()),
         Err(NotOffered::BelowMedium { offered }) => {
-            return Err(Refusal::FasterThanMedium { offered_ms: ms(offered), medium_ms: ms(medium.delay) });
+            return Err(FabricError::FasterThanMedium {
+                offered_ms: ms(offered),
+                medium_ms: ms(medium.delay),
+            });
         }
     };
     let jitter = match asked.jitter {
         None => None,
         Some(jitter) => {
-            let refusal = Refusal::Jitter(ms(jitter.deviation) * delay_scale);
+            let refusal = FabricError::Jitter(ms(jitter.deviation) * delay_scale);
             let deviation = scaled(jitter.deviation, delay_scale).ok_or(refusal)?;
             (!deviation.is_zero()).then_some(Jitter { deviation, ..jitter })
         }
     };
     check_loss(asked.loss)?;
     if matches!(asked.queue, QueueLimit::Packets(0) | QueueLimit::Bytes(0)) {
-        return Err(Refusal::Queue);
+        return Err(FabricError::Queue);
     }
     let rate = scaled_rate(&asked.rate, drop_scale, medium.rate)?;
     Ok(Conditions { delay, jitter, rate, ..asked.clone() })
 }
 
-fn check_loss(loss: Loss) -> Result<(), Refusal> {
+fn check_loss(loss: Loss) -> Result<(), FabricError> {
     let Loss::Bursty { rate, mean_burst } = loss else { return Ok(()) };
     let rate = rate.get();
     if rate >= 1.0 {
-        return Err(Refusal::BurstyRate(rate));
+        return Err(FabricError::BurstyRate(rate));
     }
     if !(mean_burst.is_finite() && mean_burst >= 1.0) {
-        return Err(Refusal::MeanBurst(mean_burst));
+        return Err(FabricError::MeanBurst(mean_burst));
     }
     let at_least = rate / (1.0 - rate);
     // A share like 0.9 has no exact quotient.
     if mean_burst * (1.0 + 1e-9) < at_least {
-        return Err(Refusal::BurstsTooShort { rate, mean_burst, at_least });
+        return Err(FabricError::BurstsTooShort { rate, mean_burst, at_least });
     }
     Ok(())
 }
 
 /// λ/δ; the medium's own rate is what an unlimited one is scaled from.
-fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Refusal> {
+fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, FabricError> {
     let within = |bits_per_second: f64| {
         if bits_per_second > medium.bits_per_second() as f64 {
-            Err(Refusal::AboveMedium { asked_mbps: bits_per_second / 1e6, medium })
+            Err(FabricError::AboveMedium { asked_mbps: bits_per_second / 1e6, medium })
         } else {
             Ok(bits_per_second)
         }
@@ -296,8 +299,8 @@ fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Re
             return Ok(Rate::Fixed { bits_per_second });
         }
         let scaled = within(bits_per_second.bits_per_second() as f64 / drop_scale)?;
-        let bits_per_second =
-            BitRate::from_bits_per_second(scaled.round() as u64).ok_or(Refusal::BelowOneBit(drop_scale))?;
+        let bits_per_second = BitRate::from_bits_per_second(scaled.round() as u64)
+            .ok_or(FabricError::BelowOneBit(drop_scale))?;
         Ok(Rate::Fixed { bits_per_second })
     };
     match rate {
@@ -313,12 +316,12 @@ fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Re
 
 /// The trace with its opportunities divided by δ: evenly thinned above 1, multiplied below. It is unrolled first
 /// for as many periods as keep its mean rate within 0.1 %.
-fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, Refusal> {
+fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricError> {
     if drop_scale == 1.0 {
         return Ok(Arc::clone(trace));
     }
     if drop_scale > TRACE_RESOLUTION {
-        return Err(Refusal::BelowOneBit(drop_scale));
+        return Err(FabricError::BelowOneBit(drop_scale));
     }
     let times = trace.opportunities_ms();
     let periods = ((TRACE_RESOLUTION * drop_scale).ceil() as usize).div_ceil(times.len()) as u64;
@@ -392,7 +395,7 @@ mod tests {
         Settings::new(asked, Scale::default(), medium).unwrap()
     }
 
-    fn refused(change: ConditionChange) -> Refusal {
+    fn refused(change: ConditionChange) -> FabricError {
         let before = settings(Conditions { rate: fixed(100.0), ..Conditions::default() });
         before.changed(&change).unwrap_err()
     }
@@ -431,9 +434,9 @@ mod tests {
         assert_eq!(settings.effective().delay, ms(10));
         assert_eq!(scaled(2.0).unwrap().effective().delay, ms(20));
         assert_eq!(scaled(0.4).unwrap().effective().delay, ms(4));
-        let refusal = Refusal::FasterThanMedium { offered_ms: 3.0, medium_ms: 4.0 };
+        let refusal = FabricError::FasterThanMedium { offered_ms: 3.0, medium_ms: 4.0 };
         assert_eq!(scaled(0.3).unwrap_err(), refusal);
-        assert!(matches!(scaled(1e9), Err(Refusal::Delay(_))));
+        assert!(matches!(scaled(1e9), Err(FabricError::Delay(_))));
     }
 
     #[test]
@@ -460,36 +463,42 @@ mod tests {
     fn what_cannot_be_is_refused_with_its_reason() {
         let base = ConditionChange::default;
         for ms in [-1.0, f64::NAN, f64::INFINITY, 3_600_001.0] {
-            assert!(matches!(refused(ConditionChange { delay_ms: Some(ms), ..base() }), Refusal::Delay(_)));
+            assert!(matches!(
+                refused(ConditionChange { delay_ms: Some(ms), ..base() }),
+                FabricError::Delay(_)
+            ));
         }
         assert!(matches!(
             refused(ConditionChange { delay_ms: Some(10.0), delay_scale: Some(1e9), ..base() }),
-            Refusal::Delay(_)
+            FabricError::Delay(_)
         ));
         for scale in [-0.1, f64::NAN, f64::INFINITY] {
             let change = ConditionChange { delay_scale: Some(scale), ..base() };
-            assert!(matches!(refused(change), Refusal::DelayScale(_)));
+            assert!(matches!(refused(change), FabricError::DelayScale(_)));
         }
         for scale in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let change = ConditionChange { drop_scale: Some(scale), ..base() };
-            assert!(matches!(refused(change), Refusal::DropScale(_)));
+            assert!(matches!(refused(change), FabricError::DropScale(_)));
         }
-        let above = Refusal::AboveMedium { asked_mbps: 2000.0, medium: mbps(1000.0) };
+        let above = FabricError::AboveMedium { asked_mbps: 2000.0, medium: mbps(1000.0) };
         assert_eq!(refused(ConditionChange { rate: Some(fixed(2000.0)), ..base() }), above);
         assert_eq!(refused(ConditionChange { drop_scale: Some(0.05), ..base() }), above);
-        assert_eq!(refused(ConditionChange { drop_scale: Some(1e12), ..base() }), Refusal::BelowOneBit(1e12));
+        assert_eq!(
+            refused(ConditionChange { drop_scale: Some(1e12), ..base() }),
+            FabricError::BelowOneBit(1e12)
+        );
         let bursty = |rate, mean_burst| {
             let rate = Probability::new(rate).unwrap();
             refused(ConditionChange { loss: Some(Loss::Bursty { rate, mean_burst }), ..base() })
         };
-        assert_eq!(bursty(1.0, 3.0), Refusal::BurstyRate(1.0));
-        assert_eq!(bursty(0.1, 0.5), Refusal::MeanBurst(0.5));
-        assert!(matches!(bursty(0.1, f64::NAN), Refusal::MeanBurst(_)));
-        assert!(matches!(bursty(0.8, 2.0), Refusal::BurstsTooShort { .. }));
+        assert_eq!(bursty(1.0, 3.0), FabricError::BurstyRate(1.0));
+        assert_eq!(bursty(0.1, 0.5), FabricError::MeanBurst(0.5));
+        assert!(matches!(bursty(0.1, f64::NAN), FabricError::MeanBurst(_)));
+        assert!(matches!(bursty(0.8, 2.0), FabricError::BurstsTooShort { .. }));
         let most = Loss::Bursty { rate: Probability::new(0.9).unwrap(), mean_burst: 9.0 };
         assert_eq!(check_loss(most), Ok(()));
         for queue in [QueueLimit::Packets(0), QueueLimit::Bytes(0)] {
-            assert_eq!(refused(ConditionChange { queue: Some(queue), ..base() }), Refusal::Queue);
+            assert_eq!(refused(ConditionChange { queue: Some(queue), ..base() }), FabricError::Queue);
         }
     }
 

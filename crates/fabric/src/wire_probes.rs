@@ -2,11 +2,11 @@
 //! be read.
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
-use cotorra_stamp::{BASE_LENGTH, SessionConfig, Told};
+use cotorra_stamp::{BASE_LENGTH, LinkEstimate, SessionConfig};
 
 use crate::{
     frame::Frame,
-    probes::{Crossing, HEADERS, Over, Probes, probed, wired},
+    probes::{Crossing, HEADERS, ProbeTarget, Probes, probed, wired},
     radio::{RadioUnitIndex, StationIndex},
 };
 
@@ -24,7 +24,7 @@ impl WireProbes {
     }
 
     /// What the probes of such a link tell of one direction.
-    pub fn told(told: Told) -> Probed {
+    pub fn told(told: LinkEstimate) -> Probed {
         probed(told)
     }
 
@@ -59,7 +59,7 @@ impl WireProbes {
         let no_robot = |_: StationIndex| -> Option<RadioUnitIndex> { None };
         // One that is only given up leaves no packet.
         while self.deadline().is_some_and(|at| at <= now) {
-            if let Some((Over::Wire(link), frame)) = self.0.poll(now, no_robot, Vec::with_capacity) {
+            if let Some((ProbeTarget::Wire(link), frame)) = self.0.poll(now, no_robot, Vec::with_capacity) {
                 return Some((link, frame));
             }
         }
@@ -75,11 +75,11 @@ impl WireProbes {
         (link, direction): (usize, Direction),
         frame: Frame,
     ) -> Option<Crossing> {
-        self.0.crossed(received, now, (Over::Wire(link), direction), frame)
+        self.0.crossed(received, now, (ProbeTarget::Wire(link), direction), frame)
     }
 
     /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it.
     pub fn probed(&self, now: Timestamp, link: usize) -> Option<[Probed; 2]> {
-        self.0.probed(now, Over::Wire(link))
+        self.0.probed(now, ProbeTarget::Wire(link))
     }
 }

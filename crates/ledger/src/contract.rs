@@ -4,7 +4,9 @@
 use std::collections::HashMap;
 
 use crate::{
-    message::{Call, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Refusal, Requirements, State, Terms},
+    message::{
+        Call, ContractError, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Requirements, State, Terms,
+    },
     values::{Account, ChainTime, Commitment, Deployment, Price, PublicKey, Salt, ServiceId, Wei},
 };
 
@@ -107,7 +109,7 @@ impl Contract {
     ///
     /// # Errors
     /// The refusal that the contract would revert with; nothing has changed then.
-    pub fn apply(&mut self, now: ChainTime, caller: Account, call: &Call) -> Result<Event, Refusal> {
+    pub fn apply(&mut self, now: ChainTime, caller: Account, call: &Call) -> Result<Event, ContractError> {
         match call {
             Call::Register { name } => self.register(caller, name),
             Call::Announce { salt, key, requirements, terms } => {
@@ -152,9 +154,9 @@ impl Contract {
         Wei(deposits.chain(bonds).chain(self.balances.values().copied()).map(|wei| wei.0).sum())
     }
 
-    fn register(&mut self, caller: Account, name: &str) -> Result<Event, Refusal> {
-        require(!self.names.contains_key(&caller), Refusal::AlreadyRegistered)?;
-        require(is_name(name), Refusal::BadName)?;
+    fn register(&mut self, caller: Account, name: &str) -> Result<Event, ContractError> {
+        require(!self.names.contains_key(&caller), ContractError::AlreadyRegistered)?;
+        require(is_name(name), ContractError::BadName)?;
         self.names.insert(caller, name.to_owned());
         Ok(Event::OperatorRegistered { operator: caller, name: name.to_owned() })
     }
@@ -167,15 +169,15 @@ impl Contract {
         key: PublicKey,
         requirements: &Requirements,
         terms: Terms,
-    ) -> Result<Event, Refusal> {
+    ) -> Result<Event, ContractError> {
         let id = ServiceId::of(self.deployment, creator, salt);
         self.require_registered(creator)?;
-        require(!self.services.contains_key(&id), Refusal::AlreadyAnnounced)?;
-        require(key != PublicKey::default(), Refusal::BadKey)?;
+        require(!self.services.contains_key(&id), ContractError::AlreadyAnnounced)?;
+        require(key != PublicKey::default(), ContractError::BadKey)?;
         let Requirements { vnf, map, ssid, .. } = requirements;
-        require(is_name(vnf) && is_name(map) && ssid.len() <= MAX_SSID, Refusal::BadRequirements)?;
+        require(is_name(vnf) && is_name(map) && ssid.len() <= MAX_SSID, ContractError::BadRequirements)?;
         let Terms { open_for, deploy_within, accept_within, use_for, bond: _ } = terms;
-        require(![open_for, deploy_within, accept_within, use_for].contains(&0), Refusal::BadTerms)?;
+        require(![open_for, deploy_within, accept_within, use_for].contains(&0), ContractError::BadTerms)?;
         let deadline = now.after(open_for);
         let stage = Stage::Open { deadline };
         self.services.insert(id, Service { creator, terms, choose_by: deadline, choices: 0, stage });
@@ -190,15 +192,15 @@ impl Contract {
         commitment: Commitment,
         sealed: &[u8],
         bond: Wei,
-    ) -> Result<Event, Refusal> {
+    ) -> Result<Event, ContractError> {
         self.require_registered(provider)?;
         let service = self.open(now, id)?;
         let due = service.terms.bond();
-        require(service.creator != provider, Refusal::OwnService)?;
-        require(!self.bids.contains_key(&(id, provider)), Refusal::AlreadyBid)?;
-        require(commitment != Commitment::default() && commitment != SPENT, Refusal::BadCommitment)?;
-        require(is_sealed(sealed), Refusal::BadSealed)?;
-        require(bond == due, Refusal::BadDeposit(due))?;
+        require(service.creator != provider, ContractError::OwnService)?;
+        require(!self.bids.contains_key(&(id, provider)), ContractError::AlreadyBid)?;
+        require(commitment != Commitment::default() && commitment != SPENT, ContractError::BadCommitment)?;
+        require(is_sealed(sealed), ContractError::BadSealed)?;
+        require(bond == due, ContractError::BadDeposit(due))?;
         self.bids.insert((id, provider), Bid::Standing(commitment));
         Ok(Event::BidPlaced { id, provider, commitment, sealed: sealed.to_owned() })
     }
@@ -210,7 +212,7 @@ impl Contract {
         id: ServiceId,
         Opened { provider, price, salt }: Opened,
         deposit: Wei,
-    ) -> Result<Event, Refusal> {
+    ) -> Result<Event, ContractError> {
         let bid = self.bids.get(&(id, provider)).copied();
         let service = self.service(id)?;
         let can_choose = match service.stage {
@@ -218,14 +220,14 @@ impl Contract {
             Stage::Closed { deadline, .. } => now > deadline,
             Stage::InUse { .. } | Stage::Ended { .. } => false,
         };
-        require(can_choose, Refusal::WrongState(service.stage.state()))?;
-        require(now <= service.choose_by, Refusal::TooLate(service.choose_by))?;
-        require(service.creator == caller, Refusal::OnlyCreator)?;
-        let Some(Bid::Standing(commitment)) = bid else { return Err(Refusal::NoSuchBid) };
-        require(commitment == Commitment::to(id, provider, price, salt), Refusal::CommitmentDiffers)?;
-        require(price.get() != 0, Refusal::PriceIsZero)?;
+        require(can_choose, ContractError::WrongState(service.stage.state()))?;
+        require(now <= service.choose_by, ContractError::TooLate(service.choose_by))?;
+        require(service.creator == caller, ContractError::OnlyCreator)?;
+        let Some(Bid::Standing(commitment)) = bid else { return Err(ContractError::NoSuchBid) };
+        require(commitment == Commitment::to(id, provider, price, salt), ContractError::CommitmentDiffers)?;
+        require(price.get() != 0, ContractError::PriceIsZero)?;
         let due = price.times(service.terms.use_for);
-        require(deposit == due, Refusal::BadDeposit(due))?;
+        require(deposit == due, ContractError::BadDeposit(due))?;
         self.settle(now, id, Wei(0));
         self.bids.insert((id, provider), Bid::Spent);
         let service = self.service(id)?;
@@ -241,14 +243,14 @@ impl Contract {
         caller: Account,
         id: ServiceId,
         sealed: &[u8],
-    ) -> Result<Event, Refusal> {
+    ) -> Result<Event, ContractError> {
         let service = self.service(id)?;
         let Stage::Closed { winner, deadline } = service.stage else {
-            return Err(Refusal::WrongState(service.stage.state()));
+            return Err(ContractError::WrongState(service.stage.state()));
         };
-        require(now <= deadline, Refusal::TooLate(deadline))?;
-        require(winner.provider == caller, Refusal::OnlyProvider)?;
-        require(is_sealed(sealed), Refusal::BadSealed)?;
+        require(now <= deadline, ContractError::TooLate(deadline))?;
+        require(winner.provider == caller, ContractError::OnlyProvider)?;
+        require(is_sealed(sealed), ContractError::BadSealed)?;
         let deadline = now.after(service.terms.accept_within);
         let bond = service.terms.bond();
         service.stage = Stage::Deployed { winner, at: now, deadline };
@@ -256,55 +258,55 @@ impl Contract {
         Ok(Event::ServiceDeployed { id, provider: caller, sealed: sealed.to_owned(), deadline })
     }
 
-    fn accept(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
+    fn accept(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, ContractError> {
         let service = self.service(id)?;
         let Stage::Deployed { winner, at, deadline } = service.stage else {
-            return Err(Refusal::WrongState(service.stage.state()));
+            return Err(ContractError::WrongState(service.stage.state()));
         };
-        require(now <= deadline, Refusal::TooLate(deadline))?;
-        require(service.creator == caller, Refusal::OnlyCreator)?;
+        require(now <= deadline, ContractError::TooLate(deadline))?;
+        require(service.creator == caller, ContractError::OnlyCreator)?;
         let deadline = at.after(service.terms.use_for);
         service.stage = Stage::InUse { winner, from: at, deadline };
         Ok(Event::ServiceAccepted { id, provider: winner.provider, deadline })
     }
 
-    fn cancel(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
-        let service = self.services.get(&id).ok_or(Refusal::OnlyCreator)?;
-        require(service.creator == caller, Refusal::OnlyCreator)?;
+    fn cancel(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, ContractError> {
+        let service = self.services.get(&id).ok_or(ContractError::OnlyCreator)?;
+        require(service.creator == caller, ContractError::OnlyCreator)?;
         require_unaccepted(&service.stage)?;
         let is_failed = matches!(service.stage, Stage::Closed { deadline, .. } if now > deadline);
         let outcome = if is_failed { Outcome::NotDeployed } else { Outcome::Cancelled };
         Ok(self.end(now, id, outcome, Wei(0)))
     }
 
-    fn decline(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
-        let service = self.services.get(&id).ok_or(Refusal::OnlyProvider)?;
-        require(service.stage.is_won_by(caller), Refusal::OnlyProvider)?;
+    fn decline(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, ContractError> {
+        let service = self.services.get(&id).ok_or(ContractError::OnlyProvider)?;
+        require(service.stage.is_won_by(caller), ContractError::OnlyProvider)?;
         require_unaccepted(&service.stage)?;
         Ok(self.leave(now, id, Outcome::Declined))
     }
 
-    fn release(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, Refusal> {
-        let service = self.services.get(&id).ok_or(Refusal::OnlyParties)?;
-        require(service.creator == caller || service.stage.is_won_by(caller), Refusal::OnlyParties)?;
+    fn release(&mut self, now: ChainTime, caller: Account, id: ServiceId) -> Result<Event, ContractError> {
+        let service = self.services.get(&id).ok_or(ContractError::OnlyParties)?;
+        require(service.creator == caller || service.stage.is_won_by(caller), ContractError::OnlyParties)?;
         let Stage::InUse { winner, from, deadline } = service.stage else {
-            return Err(Refusal::WrongState(service.stage.state()));
+            return Err(ContractError::WrongState(service.stage.state()));
         };
         let used = u32::try_from(now.min(deadline).0 - from.0).expect("the deadline is u32 seconds behind");
         let outcome = if now > deadline { Outcome::Completed } else { Outcome::Released };
         Ok(self.end(now, id, outcome, winner.price.times(used)))
     }
 
-    fn expire(&mut self, now: ChainTime, id: ServiceId) -> Result<Event, Refusal> {
-        let service = self.services.get(&id).ok_or(Refusal::WrongState(State::None))?;
+    fn expire(&mut self, now: ChainTime, id: ServiceId) -> Result<Event, ContractError> {
+        let service = self.services.get(&id).ok_or(ContractError::WrongState(State::None))?;
         let (outcome, deadline) = match service.stage {
             Stage::Open { deadline } => (Outcome::NoWinner, deadline),
             Stage::Closed { deadline, .. } => (Outcome::NotDeployed, deadline),
             Stage::Deployed { deadline, .. } => (Outcome::NotAccepted, deadline),
             Stage::InUse { deadline, .. } => (Outcome::Completed, deadline),
-            Stage::Ended { .. } => return Err(Refusal::WrongState(State::Ended)),
+            Stage::Ended { .. } => return Err(ContractError::WrongState(State::Ended)),
         };
-        require(now > deadline, Refusal::TooEarly(deadline))?;
+        require(now > deadline, ContractError::TooEarly(deadline))?;
         Ok(match outcome {
             Outcome::NotDeployed | Outcome::NotAccepted => self.leave(now, id, outcome),
             Outcome::Completed => self.end(now, id, outcome, service.deposit()),
@@ -312,21 +314,23 @@ impl Contract {
         })
     }
 
-    fn reclaim(&mut self, now: ChainTime, provider: Account, id: ServiceId) -> Result<Event, Refusal> {
-        let Some(Bid::Standing(_)) = self.bids.get(&(id, provider)) else { return Err(Refusal::NoSuchBid) };
+    fn reclaim(&mut self, now: ChainTime, provider: Account, id: ServiceId) -> Result<Event, ContractError> {
+        let Some(Bid::Standing(_)) = self.bids.get(&(id, provider)) else {
+            return Err(ContractError::NoSuchBid);
+        };
         let service = self.service(id)?;
         let is_decided = matches!(service.stage, Stage::InUse { .. } | Stage::Ended { .. });
-        require(is_decided || now > service.choose_by, Refusal::BondBound)?;
+        require(is_decided || now > service.choose_by, ContractError::BondBound)?;
         let bond = service.terms.bond();
         self.bids.insert((id, provider), Bid::Spent);
         self.credit(provider, bond);
         Ok(Event::BondReclaimed { id, provider, bond })
     }
 
-    fn withdraw(&mut self, operator: Account, to: Account) -> Result<Event, Refusal> {
-        require(to != Account::default() && to != self.deployment.contract, Refusal::BadReceiver)?;
+    fn withdraw(&mut self, operator: Account, to: Account) -> Result<Event, ContractError> {
+        require(to != Account::default() && to != self.deployment.contract, ContractError::BadReceiver)?;
         let amount = self.balance(operator);
-        require(amount != Wei(0), Refusal::NothingToWithdraw)?;
+        require(amount != Wei(0), ContractError::NothingToWithdraw)?;
         self.balances.remove(&operator);
         Ok(Event::Withdrawn { operator, to, amount })
     }
@@ -371,21 +375,21 @@ impl Contract {
         }
     }
 
-    fn require_registered(&self, operator: Account) -> Result<(), Refusal> {
-        require(self.names.contains_key(&operator), Refusal::NotRegistered)
+    fn require_registered(&self, operator: Account) -> Result<(), ContractError> {
+        require(self.names.contains_key(&operator), ContractError::NotRegistered)
     }
 
-    fn service(&mut self, id: ServiceId) -> Result<&mut Service, Refusal> {
-        self.services.get_mut(&id).ok_or(Refusal::WrongState(State::None))
+    fn service(&mut self, id: ServiceId) -> Result<&mut Service, ContractError> {
+        self.services.get_mut(&id).ok_or(ContractError::WrongState(State::None))
     }
 
     /// A service that takes bids and the choice now.
-    fn open(&mut self, now: ChainTime, id: ServiceId) -> Result<&mut Service, Refusal> {
+    fn open(&mut self, now: ChainTime, id: ServiceId) -> Result<&mut Service, ContractError> {
         let service = self.service(id)?;
         let Stage::Open { deadline } = service.stage else {
-            return Err(Refusal::WrongState(service.stage.state()));
+            return Err(ContractError::WrongState(service.stage.state()));
         };
-        require(now <= deadline, Refusal::TooLate(deadline))?;
+        require(now <= deadline, ContractError::TooLate(deadline))?;
         Ok(service)
     }
 }
@@ -417,14 +421,14 @@ const SPENT: Commitment = {
     Commitment(one)
 };
 
-fn require(holds: bool, otherwise: Refusal) -> Result<(), Refusal> {
+fn require(holds: bool, otherwise: ContractError) -> Result<(), ContractError> {
     if holds { Ok(()) } else { Err(otherwise) }
 }
 
-fn require_unaccepted(stage: &Stage) -> Result<(), Refusal> {
+fn require_unaccepted(stage: &Stage) -> Result<(), ContractError> {
     match stage {
         Stage::Open { .. } | Stage::Closed { .. } | Stage::Deployed { .. } => Ok(()),
-        Stage::InUse { .. } | Stage::Ended { .. } => Err(Refusal::WrongState(stage.state())),
+        Stage::InUse { .. } | Stage::Ended { .. } => Err(ContractError::WrongState(stage.state())),
     }
 }
 

@@ -3,7 +3,7 @@
 use cotorra_graph::Timestamp;
 
 use crate::{
-    message::{Call, Event, Refusal},
+    message::{Call, ContractError, Event},
     values::{Account, ChainTime},
 };
 
@@ -13,10 +13,10 @@ pub struct Ticket(pub u64);
 
 /// Why a call comes to nothing.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Rejection {
+pub enum CallError {
     /// The contract's answer.
     #[error(transparent)]
-    Contract(#[from] Refusal),
+    Contract(#[from] ContractError),
     /// The node does not take the transaction, such as for want of money for its fee.
     #[error("the ledger's node does not take the transaction: {0}")]
     Node(String),
@@ -39,7 +39,7 @@ pub enum Notice {
     /// A call is in a block. It may be reorganised away; it is then sent again, and told of again.
     Included(Ticket),
     /// A call comes to nothing, and is not sent any more.
-    Refused(Ticket, Rejection),
+    Refused(Ticket, CallError),
     /// The ledger cannot be reached. What was submitted is kept, and sent once it can be.
     Down(String),
     /// The ledger is reached, for the first time or again.

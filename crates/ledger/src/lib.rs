@@ -18,9 +18,9 @@ mod seal;
 mod values;
 
 pub use contract::Contract;
-pub use ledger::{Ledger, Notice, Rejection, Ticket};
+pub use ledger::{CallError, Ledger, Notice, Ticket};
 pub use message::{
-    Call, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Refusal, Requirements, State, Terms,
+    Call, ContractError, Event, MAX_NAME, MAX_SEALED, MAX_SSID, Outcome, Requirements, State, Terms,
 };
 pub use modelled::{ModelledChain, ModelledLedger};
 pub use seal::{Attachment, Bid, SealError, Sealable, Secret};

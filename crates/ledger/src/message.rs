@@ -319,7 +319,7 @@ impl Event {
 
 /// Why the contract takes a call for nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
+pub enum ContractError {
     /// The caller is no operator.
     #[error("the caller is not registered as an operator")]
     NotRegistered,

@@ -252,7 +252,7 @@ impl Ledger for ModelledLedger {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::message::{Event, Refusal};
+    use crate::message::{ContractError, Event};
 
     fn seconds(seconds: u64) -> Timestamp {
         Timestamp::ZERO + Duration::from_secs(seconds)
@@ -280,7 +280,7 @@ mod tests {
             [
                 Notice::Included(ticket),
                 event.clone(),
-                Notice::Refused(again, Refusal::AlreadyRegistered.into()),
+                Notice::Refused(again, ContractError::AlreadyRegistered.into()),
                 head.clone()
             ]
         );

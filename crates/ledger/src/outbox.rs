@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use crate::{
-    ledger::{Rejection, Ticket},
+    ledger::{CallError, Ticket},
     message::Call,
     values::TransactionHash,
 };
@@ -60,14 +60,14 @@ pub(crate) enum Status {
     /// A block has it.
     Included { block: u64 },
     /// A block has it, and the contract refused it there.
-    Reverted(Rejection),
+    Reverted(CallError),
 }
 
 /// What the operator is to know.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Told {
     Included(Ticket),
-    Refused(Ticket, Rejection),
+    Refused(Ticket, CallError),
 }
 
 #[derive(Debug)]
@@ -209,7 +209,7 @@ impl Outbox {
     }
 
     /// The node tried a call.
-    pub(crate) fn estimated(&mut self, ticket: Ticket, result: Result<u64, Rejection>) -> Option<Told> {
+    pub(crate) fn estimated(&mut self, ticket: Ticket, result: Result<u64, CallError>) -> Option<Told> {
         let entry = self.entries.iter_mut().find(|entry| entry.ticket == ticket)?;
         match result {
             Ok(gas) => {
@@ -241,7 +241,7 @@ impl Outbox {
             return None;
         }
         self.remove(ticket);
-        Some(Told::Refused(ticket, Rejection::Node(reason)))
+        Some(Told::Refused(ticket, CallError::Node(reason)))
     }
 
     /// The node says that the nonce is used.
@@ -446,7 +446,7 @@ mod tests {
         outbox.submit(Ticket(2), call(2));
         assert!(matches!(outbox.next(), Some(Action::Estimate { ticket: Ticket(1), .. })));
         assert_eq!(outbox.next(), None, "the second may build on the first");
-        let rejection = Rejection::from(crate::Refusal::OnlyCreator);
+        let rejection = CallError::from(crate::ContractError::OnlyCreator);
         assert_eq!(
             outbox.estimated(Ticket(1), Err(rejection.clone())),
             Some(Told::Refused(Ticket(1), rejection))

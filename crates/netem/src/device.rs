@@ -9,7 +9,7 @@ use crate::{
     handle::{Handle, Network},
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
-    rule::{Counters, Refusal, Replaced, Rule, Side},
+    rule::{Counters, DisciplineError, Replaced, Rule, Side},
     tree::{Installed, Root, Tree},
 };
 
@@ -172,13 +172,13 @@ impl Device {
     /// What makes a rule, or changes it in place. `replace` allows it to take the place of somebody's discipline.
     ///
     /// # Errors
-    /// [`Refusal`].
-    pub fn set(&self, rule: &Rule, replace: bool) -> Result<Plan, Refusal> {
+    /// [`DisciplineError`].
+    pub fn set(&self, rule: &Rule, replace: bool) -> Result<Plan, DisciplineError> {
         if rule.side == Side::Egress {
             return self.egress.set(rule.network, &rule.netem, replace).map(Plan);
         }
         if self.is_detour() {
-            return Err(Refusal::Detour(self.interface.name.clone()));
+            return Err(DisciplineError::Detour(self.interface.name.clone()));
         }
         let mut requests = Vec::new();
         let detour = self.detour.clone().unwrap_or_else(|| {
@@ -204,8 +204,8 @@ impl Device {
     /// What makes all of these rules, or changes them in place; see [`Self::set`].
     ///
     /// # Errors
-    /// [`Refusal`].
-    pub fn set_all(&self, rules: &[Rule], replace: bool) -> Result<Plan, Refusal> {
+    /// [`DisciplineError`].
+    pub fn set_all(&self, rules: &[Rule], replace: bool) -> Result<Plan, DisciplineError> {
         let mut device = self.clone();
         let mut requests = Vec::new();
         for rule in rules {
@@ -216,7 +216,7 @@ impl Device {
     }
 
     /// Takes for granted that a rule was set.
-    fn assume(&mut self, rule: &Rule) -> Result<(), Refusal> {
+    fn assume(&mut self, rule: &Rule) -> Result<(), DisciplineError> {
         match rule.side {
             Side::Egress => self.egress = self.egress.with(rule.network, &rule.netem)?,
             Side::Ingress => {

@@ -7,7 +7,7 @@ use crate::{
     device::{Device, Interface, Plan},
     kernel::{Error, Kernel},
     record::{Owner, Record},
-    rule::{Counters, Refusal, Rule},
+    rule::{Counters, DisciplineError, Rule},
 };
 
 /// What somebody said is meant, though it may do harm.
@@ -48,7 +48,7 @@ pub enum HoldError {
     },
     /// A rule cannot be.
     #[error(transparent)]
-    Refusal(#[from] Refusal),
+    Discipline(#[from] DisciplineError),
     /// What could not be undone after a kill is not done.
     #[error("cannot write down what is to be put back: {0}")]
     Record(io::Error),

@@ -44,4 +44,4 @@ pub use kernel::{Error, Kernel};
 pub use loss::Loss;
 pub use netem::{Jitter, Netem};
 pub use record::{Owner, Record};
-pub use rule::{Counters, Refusal, Replaced, Rule, Side};
+pub use rule::{Counters, DisciplineError, Replaced, Rule, Side};

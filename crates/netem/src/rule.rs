@@ -65,7 +65,7 @@ pub struct Replaced {
 
 /// Why a rule cannot be. Nothing has changed then.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
+pub enum DisciplineError {
     /// Somebody else's discipline is in the place.
     #[error(
         "`{interface}` has a queueing discipline that somebody put there ({kind}): it would be lost; \

@@ -9,7 +9,7 @@ use crate::{
     handle::{Handle, Network},
     netem::Netem,
     request::{Discipline, Object, Request, Verb},
-    rule::{Counters, Refusal, Replaced},
+    rule::{Counters, DisciplineError, Replaced},
 };
 
 /// What is at an interface's root.
@@ -97,12 +97,12 @@ impl Tree {
     }
 
     /// A class and a priority that no rule has.
-    fn free(&self, network: Option<Network>) -> Result<(u16, u16), Refusal> {
+    fn free(&self, network: Option<Network>) -> Result<(u16, u16), DisciplineError> {
         let first = Self::priorities(network);
         let mut priorities = first..first.saturating_add(PRIORITIES);
         let priority = priorities.find(|p| self.rules.values().all(|rule| rule.priority != *p));
         let number = (1..16_000).find(|n| self.rules.values().all(|rule| rule.number != *n));
-        number.zip(priority).ok_or(Refusal::TooMany)
+        number.zip(priority).ok_or(DisciplineError::TooMany)
     }
 
     /// What gives a network, or all packets, these conditions. A rule that is there is changed in place.
@@ -111,7 +111,7 @@ impl Tree {
         network: Option<Network>,
         netem: &Netem,
         replace: bool,
-    ) -> Result<Vec<Request>, Refusal> {
+    ) -> Result<Vec<Request>, DisciplineError> {
         if let Some(rule) = self.rules.get(&network) {
             return Ok(vec![self.leaf(Verb::Change, rule.number, netem.clone(), Some(rule.netem.clone()))]);
         }
@@ -120,11 +120,11 @@ impl Tree {
             let name = || (self.interface.1.clone(), replaced.kind.clone());
             if *has_below {
                 let (interface, kind) = name();
-                return Err(Refusal::ForeignTree { interface, kind });
+                return Err(DisciplineError::ForeignTree { interface, kind });
             }
             if !replace {
                 let (interface, kind) = name();
-                return Err(Refusal::Foreign { interface, kind });
+                return Err(DisciplineError::Foreign { interface, kind });
             }
             requests.push(self.foreign(Verb::Delete, *handle, replaced));
         }
@@ -151,7 +151,7 @@ impl Tree {
     }
 
     /// The tree after [`Self::set`].
-    pub(crate) fn with(&self, network: Option<Network>, netem: &Netem) -> Result<Self, Refusal> {
+    pub(crate) fn with(&self, network: Option<Network>, netem: &Netem) -> Result<Self, DisciplineError> {
         let mut tree = self.clone();
         if let Some(rule) = tree.rules.get_mut(&network) {
             rule.netem = netem.clone();

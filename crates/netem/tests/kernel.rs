@@ -17,7 +17,9 @@ use std::{
 
 use cotorra_datapath::Namespace;
 use cotorra_graph::{BitRate, Probability};
-use cotorra_netem::{Device, Distribution, Error, Jitter, Kernel, Loss, Netem, Network, Refusal, Rule, Side};
+use cotorra_netem::{
+    Device, DisciplineError, Distribution, Error, Jitter, Kernel, Loss, Netem, Network, Rule, Side,
+};
 use proptest::prelude::*;
 
 /// Two hosts and a wire: `a` at 10.0.0.1 with the interface `va`, `b` at 10.0.0.2 and 10.0.0.3 with `vb`.
@@ -453,7 +455,7 @@ fn what_somebody_put_there_is_left_alone_or_put_back() {
     let rule = to("", 40);
     let device = wire.device();
     let refusal = device.set(&rule, false).unwrap_err();
-    assert!(matches!(&refusal, Refusal::Foreign { kind, .. } if kind == "pfifo"), "{refusal}");
+    assert!(matches!(&refusal, DisciplineError::Foreign { kind, .. } if kind == "pfifo"), "{refusal}");
     let replaced = device.foreign().unwrap().clone();
     let plan = device.set(&rule, true).unwrap();
     wire.a.run(|| Kernel::open().unwrap().apply(&plan).unwrap());
@@ -466,7 +468,7 @@ fn what_somebody_put_there_is_left_alone_or_put_back() {
         &wire.a,
         "tc qdisc delete dev va root; tc qdisc add dev va root handle 8: prio; tc qdisc add dev va parent 8:1 pfifo",
     );
-    assert!(matches!(wire.device().set(&rule, true), Err(Refusal::ForeignTree { .. })));
+    assert!(matches!(wire.device().set(&rule, true), Err(DisciplineError::ForeignTree { .. })));
 }
 
 #[test]

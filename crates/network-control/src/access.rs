@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
 
 use crate::{
-    control::{Network, NetworkGone, Refused},
+    control::{InstructionError, Network, NetworkGone},
     vim::{Engine, Vim},
 };
 
@@ -38,10 +38,10 @@ impl AccessPoints {
         access_point: AccessPoint,
         network: &impl Network,
         vim: &mut Vim<E>,
-    ) -> Result<(), Refused> {
-        let refused = |reason: &dyn ToString| Refused(reason.to_string());
+    ) -> Result<(), InstructionError> {
+        let refused = |reason: &dyn ToString| InstructionError(reason.to_string());
         if self.deploying.contains_key(radio_unit) {
-            return Err(Refused(format!("a vAP is being deployed on `{radio_unit}` already")));
+            return Err(InstructionError(format!("a vAP is being deployed on `{radio_unit}` already")));
         }
         let (unit, wanted) = (radio_unit.clone(), access_point.clone());
         let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
@@ -59,12 +59,12 @@ impl AccessPoints {
         radio_unit: &NodeId,
         network: &impl Network,
         vim: &mut Vim<E>,
-    ) -> Result<Vec<Event>, Refused> {
+    ) -> Result<Vec<Event>, InstructionError> {
         if self.deploying.remove(radio_unit).is_none() {
             let unit = radio_unit.clone();
             let off = move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_off(now, &unit);
-            let done = network.with(off).map_err(|gone| Refused(gone.to_string()))?;
-            done.map_err(|reason| Refused(reason.to_string()))?;
+            let done = network.with(off).map_err(|gone| InstructionError(gone.to_string()))?;
+            done.map_err(|reason| InstructionError(reason.to_string()))?;
         }
         vim.release(&AccessPoint::vnf(radio_unit));
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])

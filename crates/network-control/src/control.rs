@@ -32,26 +32,26 @@ pub trait Network {
     /// Changes what a link does, in one direction or both, and gives its contexts; it does so when this returns.
     ///
     /// # Errors
-    /// [`Refused`] with the reason; then nothing changed.
+    /// [`InstructionError`] with the reason; then nothing changed.
     fn change(
         &self,
         link: &LinkId,
         direction: Option<Direction>,
         change: &ConditionChange,
-    ) -> Result<Vec<LinkContext>, Refused> {
+    ) -> Result<Vec<LinkContext>, InstructionError> {
         change_fabric(self, link, direction, change)
     }
 
     /// Begins to test what one direction of a link carries; what came of it is in its context later.
     ///
     /// # Errors
-    /// [`Refused`] with the reason; then no packet was sent.
+    /// [`InstructionError`] with the reason; then no packet was sent.
     fn test_throughput(
         &self,
         link: &LinkId,
         direction: Direction,
         test: ThroughputTest,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         test_fabric_throughput(self, link, direction, test)
     }
 
@@ -75,7 +75,7 @@ pub fn change_fabric<N: Network + ?Sized>(
     link: &LinkId,
     direction: Option<Direction>,
     change: &ConditionChange,
-) -> Result<Vec<LinkContext>, Refused> {
+) -> Result<Vec<LinkContext>, InstructionError> {
     let (link, change) = (link.clone(), change.clone());
     let apply = move |fabric: &mut Fabric, now| {
         fabric.change(now, &link, direction, &change).map_err(refused)?;
@@ -93,7 +93,7 @@ pub fn test_fabric_throughput<N: Network + ?Sized>(
     link: &LinkId,
     direction: Direction,
     test: ThroughputTest,
-) -> Result<(), Refused> {
+) -> Result<(), InstructionError> {
     let link = link.clone();
     let begin = move |fabric: &mut Fabric, now| fabric.test_throughput(now, &link, direction, test);
     network.with(begin).map_err(refused)?.map_err(refused)
@@ -107,10 +107,10 @@ pub struct NetworkGone;
 /// Why an instruction was not done; for people.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub struct Refused(pub String);
+pub struct InstructionError(pub String);
 
-fn refused(reason: impl ToString) -> Refused {
-    Refused(reason.to_string())
+fn refused(reason: impl ToString) -> InstructionError {
+    InstructionError(reason.to_string())
 }
 
 /// The Network Control block.
@@ -346,20 +346,20 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     }
 
     /// Maps the virtual links between two nodes to a path, or takes that back.
-    fn map(&mut self, from: NodeId, to: NodeId, links: Vec<LinkId>) -> Result<(), Refused> {
+    fn map(&mut self, from: NodeId, to: NodeId, links: Vec<LinkId>) -> Result<(), InstructionError> {
         if links.is_empty() {
             let removed = self.mappings.remove(&from, &to);
             return if removed {
                 Ok(())
             } else {
-                Err(Refused(format!("nothing is mapped from `{from}` to `{to}`")))
+                Err(InstructionError(format!("nothing is mapped from `{from}` to `{to}`")))
             };
         }
         let path = (from.clone(), to.clone(), links.clone());
         let check = move |fabric: &mut Fabric, _| fabric.check_path(&path.0, &path.1, &path.2);
         let hops = self.network.with(check).map_err(refused)?.map_err(refused)?;
         if self.rate_between(&from, &to).is_none() {
-            return Err(Refused(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
+            return Err(InstructionError(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
         }
         let mapping = Mapping::new(from, to, links, hops);
         let mut tried = self.mappings.clone();
@@ -387,15 +387,19 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
     /// Middleware's.
     ///
     /// # Errors
-    /// [`Refused`] with the reason; then nothing changed.
-    pub fn instruct(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, Refused> {
+    /// [`InstructionError`] with the reason; then nothing changed.
+    pub fn instruct(
+        &mut self,
+        now: Timestamp,
+        instruction: &Instruction,
+    ) -> Result<Vec<Event>, InstructionError> {
         let mut events = self.follow(now, instruction)?;
         // It is done, even if the network is stopped right now.
         events.extend(self.remap().unwrap_or_default());
         Ok(events)
     }
 
-    fn follow(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, Refused> {
+    fn follow(&mut self, now: Timestamp, instruction: &Instruction) -> Result<Vec<Event>, InstructionError> {
         match instruction.clone() {
             Instruction::Scan { robot } => {
                 self.network
@@ -437,7 +441,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 if fits(&process) && fits(&step) {
                     Ok(Vec::new())
                 } else {
-                    Err(Refused(format!("what a note names has 1 to {LONGEST_NAME} characters")))
+                    Err(InstructionError(format!("what a note names has 1 to {LONGEST_NAME} characters")))
                 }
             }
             Instruction::Move { .. }
@@ -445,7 +449,9 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             | Instruction::NavigateTo { .. }
             | Instruction::Report { .. }
             | Instruction::Halt { .. }
-            | Instruction::Go { .. } => Err(Refused("movements are the Robot Middleware's".to_owned())),
+            | Instruction::Go { .. } => {
+                Err(InstructionError("movements are the Robot Middleware's".to_owned()))
+            }
         }
     }
 

@@ -13,5 +13,7 @@ mod mappings;
 mod testing;
 pub mod vim;
 
-pub use control::{Network, NetworkControl, NetworkGone, Refused, change_fabric, test_fabric_throughput};
+pub use control::{
+    InstructionError, Network, NetworkControl, NetworkGone, change_fabric, test_fabric_throughput,
+};
 pub use environment::program_of_others;

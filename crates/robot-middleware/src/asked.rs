@@ -3,7 +3,7 @@
 
 use std::net::SocketAddrV4;
 
-use crate::{nonce::Nonces, rejection::Rejection};
+use crate::{answer_error::AnswerError, nonce::Nonces};
 
 /// A packet, and where its copies go: each has its nonce in place of the packet's, which is the first's.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,13 +58,13 @@ impl Asked {
     }
 
     /// What an answer is that comes once one was taken.
-    pub fn hear_again(&mut self, from: SocketAddrV4, nonce: u64) -> Rejection {
+    pub fn hear_again(&mut self, from: SocketAddrV4, nonce: u64) -> AnswerError {
         match self.answered_by(from, nonce).map(|place| &mut self.0[place]) {
             // From elsewhere, or it is known already.
-            None | Some(One { has_answered: true, .. }) => Rejection::Repeated,
+            None | Some(One { has_answered: true, .. }) => AnswerError::Repeated,
             Some(one) => {
                 one.has_answered = true;
-                Rejection::Redundant
+                AnswerError::Redundant
             }
         }
     }

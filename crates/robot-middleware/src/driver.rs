@@ -18,7 +18,7 @@ pub(crate) fn limited(model: RobotModel, wanted: Velocity, speed_limit: f64) -> 
 
 /// Why a robot does not follow a command.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum CommandRefused {
+pub enum CommandError {
     /// A velocity is NaN or infinite.
     #[error("a velocity of {} m/s, {} m/s upward and {} rad/s is no finite number", .0.linear, .0.vertical, .0.angular)]
     NotFinite(Velocity),
@@ -46,8 +46,8 @@ pub trait RobotDriver: Send {
     /// is over its limits is scaled down, on the same curve.
     ///
     /// # Errors
-    /// [`CommandRefused`]; the command counts as not given, and the one before goes on.
-    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused>;
+    /// [`CommandError`]; the command counts as not given, and the one before goes on.
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError>;
 
     /// Stops as fast as the robot can.
     fn stop(&mut self, now: Timestamp);

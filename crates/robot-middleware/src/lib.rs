@@ -6,6 +6,7 @@
 //! [`RosDriver`], which has a [`RosRobot`] at the other end of a [`RosLink`].
 #![forbid(unsafe_code)]
 
+mod answer_error;
 mod asked;
 mod battery;
 mod camera;
@@ -25,7 +26,6 @@ mod picture;
 mod planar;
 mod quadrotor;
 mod random;
-mod rejection;
 pub mod ros;
 mod ros1;
 mod ros2;
@@ -39,23 +39,23 @@ mod simulated;
 mod watch;
 mod world;
 
+pub use answer_error::AnswerError;
 pub use asked::Addressed;
 pub use camera::View;
-pub use driver::{CommandRefused, RobotDriver};
+pub use driver::{CommandError, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use large::{Captured, Content, SensedData};
 pub use lidar::Scan;
-pub use localization::{LocalizationVnf, NotLocalized, Rejected};
-pub use middleware::{MoveRefused, RobotMiddleware, Route, SensedScan};
+pub use localization::{LocalizationVnf, NotLocalized, PacketError};
+pub use middleware::{MoveError, RobotMiddleware, Route, SensedScan};
 pub use nonce::Nonces;
 pub use picture::Picture;
-pub use rejection::Rejection;
 pub use ros_driver::{Clock, RosDriver, RosLink};
 pub use ros_offer::{OfferedRobot, OfferedTime, RosOffer};
 pub use ros_robot::RosRobot;
 pub use ros1::{Ros1Link, Ros1Offer};
 pub use ros2::{Ros2Link, Ros2Offer};
-pub use sensing::ReportRefused;
+pub use sensing::ReportError;
 pub use service::{Answer, ServiceEndpoint};
 pub use simulated::{SimulatedRobot, SimulationError};
 pub use watch::Topic;

@@ -10,7 +10,7 @@ use cotorra_graph::{Pose, PoseSource, RobotModel};
 use cotorra_localization::{Belief, Parameters, Pose2};
 
 pub(crate) use endpoint::LocalizationEndpoint;
-pub use vnf::{LocalizationVnf, NotLocalized, Rejected};
+pub use vnf::{LocalizationVnf, NotLocalized, PacketError};
 
 /// The filter for a kind of robot: both ends go by its motion noise and by when it wants a scan.
 fn parameters(model: RobotModel) -> Parameters {

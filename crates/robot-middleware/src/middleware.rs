@@ -16,14 +16,14 @@ use cotorra_localization::trajectory::Errors;
 use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
 
 use crate::{
+    answer_error::AnswerError,
     asked::{Addressed, Asked},
-    driver::{CommandRefused, RobotDriver},
+    driver::{CommandError, RobotDriver},
     large::SensedData,
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
     nonce::Nonces,
-    rejection::Rejection,
-    sensing::{ReportRefused, Sensing},
+    sensing::{ReportError, Sensing},
     service::ServiceEndpoint,
     simulated::{SimulatedRobot, SimulationError},
     world::World,
@@ -31,7 +31,7 @@ use crate::{
 
 /// A goal is no farther from the map's origin in any direction, metres.
 const FARTHEST: f64 = 1e6;
-/// Rejected answers are told no more often.
+/// RejectedAnswers answers are told no more often.
 const REJECTIONS: Duration = Duration::from_secs(1);
 
 /// Which way a position packet takes.
@@ -46,7 +46,7 @@ pub struct Route {
 
 /// Why a robot was not moved, or does not take a report.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MoveRefused {
+pub enum MoveError {
     /// There is no such robot.
     #[error("there is no robot `{0}`")]
     UnknownRobot(NodeId),
@@ -83,7 +83,7 @@ pub enum MoveRefused {
         /// The robot.
         robot: NodeId,
         /// Why not.
-        reason: ReportRefused,
+        reason: ReportError,
     },
     /// The robot cannot do that.
     #[error("robot `{robot}`: {reason}")]
@@ -91,7 +91,7 @@ pub enum MoveRefused {
         /// The robot.
         robot: NodeId,
         /// Why.
-        reason: CommandRefused,
+        reason: CommandError,
     },
 }
 
@@ -146,19 +146,19 @@ struct Managed {
     halted: bool,
     /// m/s.
     speed_limit: Option<f64>,
-    rejected: Rejected,
+    rejected: RejectedAnswers,
     /// What it declares beside what its base tells.
     sensing: Sensing,
 }
 
 /// What a robot rejected, and what was told of it.
-struct Rejected {
+struct RejectedAnswers {
     counts: AnswersRejected,
     /// When it was told last, and what.
     told: (Timestamp, AnswersRejected),
 }
 
-impl Rejected {
+impl RejectedAnswers {
     fn none(robot: &NodeId) -> Self {
         let counts = AnswersRejected::none(robot.clone());
         Self { told: (Timestamp::ZERO, counts.clone()), counts }
@@ -284,7 +284,7 @@ impl RobotMiddleware {
         let (health, told_scan) = (Vec::new(), None);
         let (navigated, localization, due) = (None, None, None);
         let (flagged, halted, speed_limit) = (false, false, None);
-        let rejected = Rejected::none(&robot);
+        let rejected = RejectedAnswers::none(&robot);
         let managed = Managed {
             driver,
             service,
@@ -471,7 +471,7 @@ impl RobotMiddleware {
     pub fn localized(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &PosePacket) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
         let Some(Localized { endpoint, .. }) = &mut managed.localization else {
-            return managed.reject(Rejection::Unknown);
+            return managed.reject(AnswerError::Unknown);
         };
         if let Err(rejection) = endpoint.receive(now, from, packet) {
             managed.reject(rejection);
@@ -481,7 +481,7 @@ impl RobotMiddleware {
     /// Something arrived at a robot that is no answer.
     pub fn reject(&mut self, robot: &NodeId) {
         if let Some(managed) = self.robots.get_mut(robot) {
-            managed.reject(Rejection::Invalid);
+            managed.reject(AnswerError::Invalid);
         }
     }
 
@@ -489,7 +489,7 @@ impl RobotMiddleware {
     /// it is rejected, overtaken or beyond the robot's limits.
     pub fn receive(&mut self, now: Timestamp, robot: &NodeId, from: SocketAddrV4, packet: &NavigationPacket) {
         let Some(managed) = self.robots.get_mut(robot) else { return };
-        let Some(service) = &mut managed.service else { return managed.reject(Rejection::Unknown) };
+        let Some(service) = &mut managed.service else { return managed.reject(AnswerError::Unknown) };
         let answer = match service.receive(now, from, packet) {
             Ok(answer) => answer,
             Err(rejection) => return managed.reject(rejection),
@@ -514,24 +514,24 @@ impl RobotMiddleware {
     /// Moves a robot as an instruction says ([`cotorra_graph::Instruction::Move`]).
     ///
     /// # Errors
-    /// [`MoveRefused`]; the robot then goes on as before.
+    /// [`MoveError`]; the robot then goes on as before.
     pub fn instruct(
         &mut self,
         now: Timestamp,
         robot: &NodeId,
         velocity: Velocity,
         waypoint: u32,
-    ) -> Result<(), MoveRefused> {
-        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+    ) -> Result<(), MoveError> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveError::UnknownRobot(robot.clone()))?;
         if managed.service.as_ref().is_some_and(|service| !service.has_waypoint(waypoint)) {
-            return Err(MoveRefused::UnknownWaypoint { robot: robot.clone(), waypoint });
+            return Err(MoveError::UnknownWaypoint { robot: robot.clone(), waypoint });
         }
         if managed.halted {
-            return Err(MoveRefused::Halted(robot.clone()));
+            return Err(MoveError::Halted(robot.clone()));
         }
         managed
             .command(now, velocity, &mut self.events)
-            .map_err(|reason| MoveRefused::Command { robot: robot.clone(), reason })?;
+            .map_err(|reason| MoveError::Command { robot: robot.clone(), reason })?;
         if managed.service.as_mut().is_some_and(|service| service.reach(waypoint)) {
             managed.finish(now, &mut self.events);
         }
@@ -542,9 +542,9 @@ impl RobotMiddleware {
     /// Lets a robot stand still whatever its navigation says, or follow it again.
     ///
     /// # Errors
-    /// [`MoveRefused::UnknownRobot`].
-    pub fn halt(&mut self, now: Timestamp, robot: &NodeId, halted: bool) -> Result<(), MoveRefused> {
-        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+    /// [`MoveError::UnknownRobot`].
+    pub fn halt(&mut self, now: Timestamp, robot: &NodeId, halted: bool) -> Result<(), MoveError> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveError::UnknownRobot(robot.clone()))?;
         managed.halted = halted;
         managed.limit_others();
         if halted {
@@ -556,20 +556,20 @@ impl RobotMiddleware {
     /// Gives a robot a goal in place of its walk, or takes it back ([`cotorra_graph::Instruction::NavigateTo`]).
     ///
     /// # Errors
-    /// [`MoveRefused`]; the robot then goes where it went before.
+    /// [`MoveError`]; the robot then goes where it went before.
     pub fn navigate_to(
         &mut self,
         now: Timestamp,
         robot: &NodeId,
         goal: Option<Position>,
-    ) -> Result<(), MoveRefused> {
-        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+    ) -> Result<(), MoveError> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveError::UnknownRobot(robot.clone()))?;
         let Some((service, model)) = managed.service.as_mut().zip(managed.navigated) else {
-            return Err(MoveRefused::NoNavigation(robot.clone()));
+            return Err(MoveError::NoNavigation(robot.clone()));
         };
         if let Some(goal) = goal {
             unreachable(goal, model, self.map.as_ref(), &self.world)
-                .map_or(Ok(()), |reason| Err(MoveRefused::Goal { robot: robot.clone(), goal, reason }))?;
+                .map_or(Ok(()), |reason| Err(MoveError::Goal { robot: robot.clone(), goal, reason }))?;
         }
         let told = service.set_goal(now, goal).map(|goal| Stamped { at: now, event: Event::Goal(goal) });
         self.events.extend(told);
@@ -580,16 +580,16 @@ impl RobotMiddleware {
     /// Limits a robot's speed, m/s, or takes its limit back ([`cotorra_graph::Instruction::LimitSpeed`]).
     ///
     /// # Errors
-    /// [`MoveRefused::UnknownRobot`] and [`MoveRefused::NotALimit`]; then the robot keeps the limit that it had.
+    /// [`MoveError::UnknownRobot`] and [`MoveError::NotALimit`]; then the robot keeps the limit that it had.
     pub fn limit_speed(
         &mut self,
         now: Timestamp,
         robot: &NodeId,
         limit: Option<f64>,
-    ) -> Result<(), MoveRefused> {
-        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+    ) -> Result<(), MoveError> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveError::UnknownRobot(robot.clone()))?;
         if let Some(limit) = limit.filter(|limit| !(limit.is_finite() && *limit >= 0.0)) {
-            return Err(MoveRefused::NotALimit(limit));
+            return Err(MoveError::NotALimit(limit));
         }
         managed.speed_limit = limit;
         managed.limit_others();
@@ -602,17 +602,17 @@ impl RobotMiddleware {
     /// Takes what a sensor of a robot measures ([`cotorra_graph::Instruction::Report`]).
     ///
     /// # Errors
-    /// [`MoveRefused::UnknownRobot`] and [`MoveRefused::Report`].
+    /// [`MoveError::UnknownRobot`] and [`MoveError::Report`].
     pub fn report(
         &mut self,
         now: Timestamp,
         robot: &NodeId,
         sensor: &SensorId,
         values: &[f64],
-    ) -> Result<(), MoveRefused> {
-        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveRefused::UnknownRobot(robot.clone()))?;
+    ) -> Result<(), MoveError> {
+        let managed = self.robots.get_mut(robot).ok_or_else(|| MoveError::UnknownRobot(robot.clone()))?;
         let done = managed.sensing.report(now, sensor, values);
-        done.map_err(|reason| MoveRefused::Report { robot: robot.clone(), reason })
+        done.map_err(|reason| MoveError::Report { robot: robot.clone(), reason })
     }
 
     /// Stops a robot, if there is one of that name.
@@ -651,7 +651,7 @@ impl Managed {
         self.driver.limit_others(limit);
     }
 
-    fn reject(&mut self, rejection: Rejection) {
+    fn reject(&mut self, rejection: AnswerError) {
         rejection.count(&mut self.rejected.counts);
     }
 
@@ -693,7 +693,7 @@ impl Managed {
         now: Timestamp,
         velocity: Velocity,
         events: &mut VecDeque<Stamped>,
-    ) -> Result<(), CommandRefused> {
+    ) -> Result<(), CommandError> {
         let velocity = self.speed_limit.map_or(velocity, |limit| slowed(velocity, limit));
         let done = self.driver.command(now, velocity);
         let flag = match &done {
@@ -705,7 +705,7 @@ impl Managed {
             Err(refused) => Some(format!("refused a command: {refused}")),
         };
         // What is wrong with it is told when it begins.
-        let flag = flag.filter(|_| !matches!(done, Err(CommandRefused::Unwell(_))));
+        let flag = flag.filter(|_| !matches!(done, Err(CommandError::Unwell(_))));
         let was_flagged = std::mem::replace(&mut self.flagged, flag.is_some());
         if let Some(flag) = flag.filter(|_| !was_flagged) {
             let message = format!("robot {} {flag}", self.driver.robot());

@@ -7,7 +7,7 @@ use cotorra_graph::{NodeId, RobotFault, Sensor, SensorData, SensorKind, Timestam
 use parking_lot::{Condvar, Mutex};
 
 use crate::{
-    driver::{CommandRefused, RobotDriver},
+    driver::{CommandError, RobotDriver},
     large::Captured,
     lidar::Scan,
     ros_robot::{RosRobot, STOPS},
@@ -166,7 +166,7 @@ impl<L: RosLink> RobotDriver for RosDriver<L> {
         self.look(&state);
     }
 
-    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         let shared = Arc::clone(&self.shared);
         let mut state = shared.state.lock();
         state.now = state.now.max(now);

@@ -7,7 +7,7 @@ use cotorra_graph::{NodeId, Pose, Sensor, SensorData, Timestamp, Velocity};
 use parking_lot::{Condvar, Mutex};
 
 use crate::{
-    driver::{CommandRefused, RobotDriver},
+    driver::{CommandError, RobotDriver},
     large::Captured,
     lidar::Scan,
     middleware::slowed,
@@ -168,7 +168,7 @@ impl RobotDriver for OfferedRobot {
         self.scan = scan.or(self.scan.take());
     }
 
-    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         self.at(now, |robot, now| robot.command(now, velocity))
     }
 

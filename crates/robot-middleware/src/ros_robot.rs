@@ -15,7 +15,7 @@ use cotorra_plugin::messages::{
 };
 
 use crate::{
-    driver::{CommandRefused, limited},
+    driver::{CommandError, limited},
     kobuki::COMMAND_TIMEOUT,
     large::{Captured, Content},
     lidar::Scan,
@@ -321,14 +321,14 @@ impl RosRobot {
     /// Moves it at that velocity; gives what it does of it.
     ///
     /// # Errors
-    /// [`CommandRefused`]; the one before goes on, unless the robot is not well: then it stands still.
-    pub fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+    /// [`CommandError`]; the one before goes on, unless the robot is not well: then it stands still.
+    pub fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         if !velocity.is_finite() {
-            return Err(CommandRefused::NotFinite(velocity));
+            return Err(CommandError::NotFinite(velocity));
         }
         self.advance(now);
         if let Some(fault) = self.health.first() {
-            return Err(CommandRefused::Unwell(*fault));
+            return Err(CommandError::Unwell(*fault));
         }
         let velocity = limited(self.model, velocity, self.speed_limit);
         self.motion = Motion::Driving { velocity, until: now + Self::COMMAND_TIMEOUT, next: now };

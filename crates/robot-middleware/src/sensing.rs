@@ -35,7 +35,7 @@ enum Measured {
 
 /// Why a report is of no use.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ReportRefused {
+pub enum ReportError {
     /// It has no such sensor.
     #[error("it has no sensor `{0}`")]
     UnknownSensor(SensorId),
@@ -112,16 +112,16 @@ impl Sensing {
     }
 
     /// Takes what a vector measures; told with its next reading.
-    pub fn report(&mut self, now: Timestamp, sensor: &SensorId, values: &[f64]) -> Result<(), ReportRefused> {
+    pub fn report(&mut self, now: Timestamp, sensor: &SensorId, values: &[f64]) -> Result<(), ReportError> {
         let sensed = self.0.iter_mut().find(|sensed| sensed.sensor.id == *sensor);
-        let sensed = sensed.ok_or_else(|| ReportRefused::UnknownSensor(sensor.clone()))?;
+        let sensed = sensed.ok_or_else(|| ReportError::UnknownSensor(sensor.clone()))?;
         let (expected, found) = (sensed.components.len(), values.len());
         if !matches!(sensed.sensor.kind, SensorKind::Vector { .. }) {
-            Err(ReportRefused::NotAVector(sensor.clone()))
+            Err(ReportError::NotAVector(sensor.clone()))
         } else if expected != found {
-            Err(ReportRefused::Size { sensor: sensor.clone(), expected, found })
+            Err(ReportError::Size { sensor: sensor.clone(), expected, found })
         } else if !values.iter().all(|x| x.is_finite()) {
-            Err(ReportRefused::NotFinite(sensor.clone()))
+            Err(ReportError::NotFinite(sensor.clone()))
         } else {
             sensed.reported = Some((now, values.to_vec()));
             Ok(())
@@ -165,7 +165,7 @@ mod tests {
     use cotorra_graph::{DataFormat, NodeId, Pose, PoseSource, RobotFault, SensorData, Velocity};
 
     use super::*;
-    use crate::{driver::CommandRefused, fixtures::id, lidar::Scan};
+    use crate::{driver::CommandError, fixtures::id, lidar::Scan};
 
     /// Stands, and is as well as it is told.
     struct Standing(NodeId, Vec<RobotFault>, Option<Scan>);
@@ -181,7 +181,7 @@ mod tests {
             Duration::from_millis(600)
         }
         fn advance(&mut self, _now: Timestamp) {}
-        fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+        fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
             Ok(velocity)
         }
         fn stop(&mut self, _now: Timestamp) {}

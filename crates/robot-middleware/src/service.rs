@@ -9,12 +9,12 @@ use cotorra_graph::{
 use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
 
 use crate::{
+    answer_error::AnswerError,
     asked::{Addressed, Asked},
     errand::Errand,
     middleware::Route,
     nonce::Nonces,
     random::Stream,
-    rejection::Rejection,
 };
 
 /// The robot's end of the navigation service, as a state machine.
@@ -23,7 +23,7 @@ use crate::{
 /// counts as unanswered. Each is measured once: of several that were asked, the first that answers. The robot follows an
 /// answer only if it is to a newer position packet than any that it followed before: one that was overtaken is measured
 /// and not followed. So is one to a packet from before the robot was given another goal, or none. Everything else is
-/// rejected ([`Rejection`]).
+/// rejected ([`AnswerError`]).
 #[derive(Debug, Clone)]
 pub struct ServiceEndpoint {
     service: ServiceId,
@@ -218,26 +218,26 @@ impl ServiceEndpoint {
     /// A navigation packet arrived from this address.
     ///
     /// # Errors
-    /// [`Rejection`] if the robot must not follow it; then nothing changed.
+    /// [`AnswerError`] if the robot must not follow it; then nothing changed.
     pub fn receive(
         &mut self,
         now: Timestamp,
         from: SocketAddrV4,
         packet: &NavigationPacket,
-    ) -> Result<Answer, Rejection> {
+    ) -> Result<Answer, AnswerError> {
         let Some(place) = self.pending.iter().position(|p| p.sequence == packet.sequence) else {
             return Err(self.reject_past(from, packet));
         };
         let pending = &self.pending[place];
         let by = pending.asked.answered_by(from, packet.nonce).filter(|_| pending.emitted == packet.emitted);
-        let by = by.ok_or(Rejection::Forged)?;
+        let by = by.ok_or(AnswerError::Forged)?;
         let took = now.since(pending.emitted);
         if took >= self.timeout {
             // It is given up at the next `expire`.
-            return Err(Rejection::Late);
+            return Err(AnswerError::Late);
         }
         if packet.headway.is_some() != pending.errand.1 {
-            return Err(Rejection::Invalid);
+            return Err(AnswerError::Invalid);
         }
         let mut pending = self.pending.remove(place).expect("`position` found it there");
         let of_this_errand = pending.errand.0 == self.errands;
@@ -264,12 +264,12 @@ impl ServiceEndpoint {
     }
 
     /// Why an answer is rejected that is to no packet under way.
-    fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> Rejection {
+    fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> AnswerError {
         match self.past.iter_mut().find(|past| past.sequence == packet.sequence) {
-            None => Rejection::Unknown,
-            Some(past) if !past.asked.has_nonce(packet.nonce) => Rejection::Forged,
+            None => AnswerError::Unknown,
+            Some(past) if !past.asked.has_nonce(packet.nonce) => AnswerError::Forged,
             Some(past) if past.answered => past.asked.hear_again(from, packet.nonce),
-            Some(_) => Rejection::Late,
+            Some(_) => AnswerError::Late,
         }
     }
 

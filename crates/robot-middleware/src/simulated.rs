@@ -13,7 +13,7 @@ use cotorra_graph::{
 use crate::{
     battery::Battery,
     camera::View,
-    driver::{CommandRefused, RobotDriver, limited},
+    driver::{CommandError, RobotDriver, limited},
     imu::Imu,
     kobuki::{Base, COMMAND_TIMEOUT, Odometer},
     large::{Captured, Content},
@@ -175,9 +175,9 @@ impl RobotDriver for SimulatedRobot {
         }
     }
 
-    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+    fn command(&mut self, now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         if !velocity.is_finite() {
-            return Err(CommandRefused::NotFinite(velocity));
+            return Err(CommandError::NotFinite(velocity));
         }
         self.advance(now);
         let limited = limited(self.model, velocity, self.speed_limit);

@@ -16,7 +16,7 @@ mod ros;
 use std::{sync::Arc, time::Instant};
 
 use cotorra_graph::{NodeId, PoseSource, Position, RobotFault, RosTopics, Timestamp, Velocity};
-use cotorra_robot_middleware::{Clock, CommandRefused, RobotDriver, Ros1Link, RosDriver, RosRobot};
+use cotorra_robot_middleware::{Clock, CommandError, RobotDriver, Ros1Link, RosDriver, RosRobot};
 use cotorra_ros1::{
     Endpoint, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Text, Twist},
@@ -106,7 +106,7 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
     robot.advance(clock());
     assert_eq!(robot.health(), [RobotFault::Absent]);
     let forward = Velocity::planar(0.2, 0.0);
-    assert_eq!(robot.command(clock(), forward), Err(CommandRefused::Unwell(RobotFault::Absent)));
+    assert_eq!(robot.command(clock(), forward), Err(CommandError::Unwell(RobotFault::Absent)));
 
     let observer: Node = ros.node("observer", "/");
     let moods =
@@ -140,7 +140,7 @@ fn a_robot_with_any_sort_of_trouble_is_told_so_and_stopped_until_it_is_well() {
             refused = robot.command(clock(), forward).err();
             refused.is_some() && robot.health().contains(&fault)
         });
-        assert!(matches!(refused, Some(CommandRefused::Unwell(_))), "{mood}");
+        assert!(matches!(refused, Some(CommandError::Unwell(_))), "{mood}");
         until("it is told to stop", || {
             velocities.try_recv().is_some_and(|velocity| velocity == Twist::default())
         });
@@ -177,7 +177,7 @@ fn a_master_that_comes_later_is_found() {
     let clock = clock();
     let mut robot = driver(port, &clock);
     let failed = robot.command(clock(), Velocity::default());
-    assert_eq!(failed, Err(CommandRefused::Unwell(RobotFault::Absent)));
+    assert_eq!(failed, Err(CommandError::Unwell(RobotFault::Absent)));
     ros.restart();
     let _robot = ros.python("robot.py", ROBOT);
     until("it is there", || {

@@ -8,7 +8,7 @@
 use std::time::Duration;
 
 use crate::{
-    measurement::{OneWay, Outcome, Sample, Told, directions, duration, jitter, mean},
+    measurement::{LinkEstimate, OneWay, Outcome, Sample, directions, duration, jitter, mean},
     utc::Utc,
 };
 
@@ -18,7 +18,7 @@ pub(crate) fn apart<'a>(
     outcomes: impl Iterator<Item = &'a Outcome> + Clone,
     now: Utc,
     least: impl Fn(Utc) -> [Duration; 2],
-) -> Option<[Told; 2]> {
+) -> Option<[LinkEstimate; 2]> {
     let loss_age = now.since(outcomes.clone().last()?.sent_at);
     let samples = outcomes.clone().filter_map(|outcome| outcome.sample);
     let beyond = |way: usize| {
@@ -38,8 +38,8 @@ pub(crate) fn apart<'a>(
     };
     let [there, back] = losses(outcomes.clone().count() as u32, samples);
     Some([
-        Told { delays: delays(0), loss: there, loss_age },
-        Told { delays: delays(1), loss: back, loss_age },
+        LinkEstimate { delays: delays(0), loss: there, loss_age },
+        LinkEstimate { delays: delays(1), loss: back, loss_age },
     ])
 }
 
@@ -78,7 +78,7 @@ mod tests {
         count: u64,
         way: impl Fn(u64) -> [Option<u64>; 2],
         least: impl Fn(u64) -> [Duration; 2],
-    ) -> Option<[Told; 2]> {
+    ) -> Option<[LinkEstimate; 2]> {
         let begins = Utc::UNIX_EPOCH + ms(1_700_000_000_000);
         let there_now = |at: Utc| {
             if ahead_ms < 0 { at - ms(ahead_ms.unsigned_abs()) } else { at + ms(ahead_ms.unsigned_abs()) }

@@ -36,7 +36,7 @@ mod session;
 mod utc;
 
 pub use link::Link;
-pub use measurement::{Delays, Measurement, OneWay, Told};
+pub use measurement::{Delays, LinkEstimate, Measurement, OneWay};
 pub use packet::{BASE_LENGTH, Malformed, PORT};
 pub use reflector::{Reflection, Reflector};
 pub use sender::{Clock, Sender, receive};

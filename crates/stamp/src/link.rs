@@ -3,7 +3,7 @@
 use std::{collections::VecDeque, time::Duration};
 
 use crate::{
-    measurement::{OneWay, Told},
+    measurement::{LinkEstimate, OneWay},
     packet::{Malformed, Test},
     reflector::Reflector,
     session::{Session, SessionConfig},
@@ -107,7 +107,7 @@ impl Link {
     }
 
     /// What probes tell of the way there and the way back; `None` before it is known of the first what became of it.
-    pub fn told(&self, now: Utc) -> Option<[Told; 2]> {
+    pub fn told(&self, now: Utc) -> Option<[LinkEstimate; 2]> {
         let from = now - self.config.window;
         let recent = self.probes.iter().filter(|probe| probe.sent_at >= from);
         // An answer settles all that was sent before it: what is still missing is lost, unless it comes after all.
@@ -121,7 +121,7 @@ impl Link {
         let replied =
             self.session.recent(now).filter_map(|outcome| outcome.sample).map(|sample| sample.replied_at);
         let age = replied.max().map(|at| now.since(at));
-        let told = |of: f64, got: f64, way: usize| Told {
+        let told = |of: f64, got: f64, way: usize| LinkEstimate {
             delays: measured.map(|ways| ways[way]).zip(age),
             loss: (of > 0.0).then(|| 1.0 - got / of),
             loss_age: now.since(latest),
@@ -139,7 +139,7 @@ mod tests {
     }
 
     /// Probes every 100 ms over a way that says what becomes of each: lost there, lost back, or neither.
-    fn after(count: u64, way: impl Fn(u64) -> Crossed) -> Option<[Told; 2]> {
+    fn after(count: u64, way: impl Fn(u64) -> Crossed) -> Option<[LinkEstimate; 2]> {
         let config = SessionConfig { patience: Duration::from_millis(500), ..SessionConfig::default() };
         let mut link = Link::new(config, ms(0));
         for n in 0..count {
@@ -170,7 +170,7 @@ mod tests {
             _ => Crossed::Both,
         };
         let [there, back] = after(1_000, way).unwrap();
-        let mean = |told: Told| told.delays.unwrap().0.mean;
+        let mean = |told: LinkEstimate| told.delays.unwrap().0.mean;
         assert_eq!((mean(there), mean(back)), (Duration::from_millis(3), Duration::from_millis(7)));
         assert!((there.loss.unwrap() - 0.2).abs() < 0.01, "{there:?}");
         assert!((back.loss.unwrap() - 0.125).abs() < 0.01, "{back:?}");

@@ -107,7 +107,7 @@ impl OneWay {
 
 /// What probes tell of one direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Told {
+pub struct LinkEstimate {
     /// Delay and its variation, and how long ago the latest answer came; `None` if none came within the window.
     pub delays: Option<(OneWay, Duration)>,
     /// Share of those that came to this direction that it lost, from 0 to 1; `None` if none came.

@@ -5,7 +5,7 @@ use std::{collections::VecDeque, time::Duration};
 use crate::{
     apart::apart,
     extension,
-    measurement::{Measurement, Outcome, Sample, Told, duration},
+    measurement::{LinkEstimate, Measurement, Outcome, Sample, duration},
     packet::{BASE_LENGTH, Malformed, Reply, Test},
     utc::{ErrorEstimate, Utc},
 };
@@ -168,7 +168,7 @@ impl Session {
     ///
     /// Losses are told apart by the reflector's count; of packets after the last that was answered it is not known where they
     /// got lost, and they count as lost on the way there.
-    pub fn apart(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[Told; 2]> {
+    pub fn apart(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[LinkEstimate; 2]> {
         apart(self.recent(now), now, least)
     }
 

@@ -14,7 +14,7 @@ use cotorra_graph::{
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{
-    Network, NetworkControl, NetworkGone, Refused,
+    InstructionError, Network, NetworkControl, NetworkGone,
     vim::{Engine, Managed},
 };
 use cotorra_plugin::wire::Answer;
@@ -370,30 +370,32 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let own = self.domains.of_plugin(&plugin).map_or(Ok(()), |view| view.check(&instruction));
         let done = match &instruction {
-            _ if own.is_err() => own.map(|()| Vec::new()).map_err(|reason| Refused(reason.to_string())),
+            _ if own.is_err() => {
+                own.map(|()| Vec::new()).map_err(|reason| InstructionError(reason.to_string()))
+            }
             Instruction::Move { robot, velocity, waypoint } => {
                 let moved = self.middleware.instruct(now, robot, *velocity, *waypoint);
-                moved.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+                moved.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
             Instruction::LimitSpeed { robot, speed_limit_mps } => {
                 let done = self.middleware.limit_speed(now, robot, *speed_limit_mps);
-                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
             Instruction::NavigateTo { robot, goal } => {
                 let done = self.middleware.navigate_to(now, robot, *goal);
-                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
             Instruction::Report { robot, sensor, values } => {
                 let done = self.middleware.report(now, robot, sensor, values);
-                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
             Instruction::Halt { robot } | Instruction::Go { robot } => {
                 let halted = matches!(instruction, Instruction::Halt { .. });
                 let done = self.middleware.halt(now, robot, halted);
-                done.map(|()| Vec::new()).map_err(|refused| Refused(refused.to_string()))
+                done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
             _ => self.control.instruct(now, &instruction),
         };

@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
-use cotorra_network_control::{Network, Refused, vim::Engine};
+use cotorra_network_control::{InstructionError, Network, vim::Engine};
 use cotorra_plugin::Actions;
 use cotorra_recording::Tap;
 use tokio::sync::broadcast;
@@ -83,10 +83,10 @@ pub(crate) enum Message {
 }
 
 /// Says what came of an instruction.
-pub(crate) type Reply = Box<dyn FnOnce(Result<(), Refused>) + Send>;
+pub(crate) type Reply = Box<dyn FnOnce(Result<(), InstructionError>) + Send>;
 
 /// Where events go.
-pub(crate) struct Readers {
+pub(crate) struct EventSinks {
     pub(crate) live: Live,
     pub(crate) recorder: Recorder,
     pub(crate) report: Report,
@@ -96,7 +96,7 @@ pub(crate) struct Readers {
     pub(crate) keeper: Option<Keeper>,
 }
 
-impl Readers {
+impl EventSinks {
     pub(crate) fn publish(&mut self, event: Stamped) {
         self.live.absorb(&event);
         self.report.absorb(&event);
@@ -138,7 +138,7 @@ impl End {
 /// The core's thread.
 pub(crate) struct CoreLoop<N, E> {
     pub(crate) core: Core<N, E>,
-    pub(crate) readers: Readers,
+    pub(crate) sinks: EventSinks,
     pub(crate) inbox: mpsc::Receiver<Message>,
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
     /// Sends images, where a camera sends any.
@@ -165,7 +165,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             self.transmit();
             if now >= next_check {
                 next_check = now + CHECK;
-                self.readers.plugins.check(now, &mut self.core);
+                self.sinks.plugins.check(now, &mut self.core);
             }
             self.publish();
             let deadline =
@@ -180,23 +180,23 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
         self.core.shut_down(now);
         self.publish();
         for event in self.images.take().into_iter().flat_map(|sender| sender.remarks()) {
-            self.readers.publish(Stamped { at: now, event });
+            self.sinks.publish(Stamped { at: now, event });
         }
-        self.readers.report.localized(self.core.localization_errors());
-        (self.readers.report, now, end)
+        self.sinks.report.localized(self.core.localization_errors());
+        (self.sinks.report, now, end)
     }
 
     fn publish(&mut self) {
         // It is there when its event is told.
         while let Some(data) = self.core.poll_data() {
-            if let Some(keeper) = &self.readers.keeper {
+            if let Some(keeper) = &self.sinks.keeper {
                 keeper.keep(data);
             }
         }
         while let Some(event) = self.core.poll_event() {
-            self.readers.publish(event);
+            self.sinks.publish(event);
         }
-        if let Some(tap) = &self.readers.tap {
+        if let Some(tap) = &self.sinks.tap {
             while let Some(scan) = self.core.poll_scan() {
                 tap.scan(scan);
             }
@@ -226,7 +226,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
             }
             Message::Instruct { plugin, instruction, reason, reply } => {
                 let core = &mut self.core;
-                let done = self.readers.plugins.instruct(now, plugin, instruction, reason, core);
+                let done = self.sinks.plugins.instruct(now, plugin, instruction, reason, core);
                 if let Some(reply) = reply {
                     // What the instruction did is told before the answer to it.
                     self.publish();
@@ -234,7 +234,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
                 }
             }
             Message::Returned { plugin, at, outcome } => {
-                self.readers.plugins.returned(at, &plugin, outcome, &mut self.core);
+                self.sinks.plugins.returned(at, &plugin, outcome, &mut self.core);
             }
             Message::Network(event) => self.core.observe(event),
             Message::Follow(_) | Message::Done { .. } | Message::Wake | Message::Stop => {}

@@ -10,7 +10,9 @@ use cotorra_graph::{
     ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, Testbed,
     ThroughputTest, Timestamp,
 };
-use cotorra_network_control::{Network, NetworkGone, Refused, change_fabric, test_fabric_throughput};
+use cotorra_network_control::{
+    InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput,
+};
 
 use crate::{carried::Carried, real_links::RealLinks};
 
@@ -62,13 +64,18 @@ enum Carrier<'a> {
 }
 
 impl Carrier<'_> {
-    fn set(&self, link: &LinkId, direction: Direction, conditions: &Conditions) -> Result<(), Refused> {
+    fn set(
+        &self,
+        link: &LinkId,
+        direction: Direction,
+        conditions: &Conditions,
+    ) -> Result<(), InstructionError> {
         match self {
             Self::Kernel(kernel) => {
-                kernel.set(link, direction, conditions).map_err(|e| Refused(e.to_string()))
+                kernel.set(link, direction, conditions).map_err(|e| InstructionError(e.to_string()))
             }
             Self::Interface(real) => {
-                real.set(link, direction, conditions).map_err(|e| Refused(e.to_string()))
+                real.set(link, direction, conditions).map_err(|e| InstructionError(e.to_string()))
             }
         }
     }
@@ -87,7 +94,7 @@ impl Network for RealNetwork {
         link: &LinkId,
         direction: Option<Direction>,
         change: &ConditionChange,
-    ) -> Result<Vec<LinkContext>, Refused> {
+    ) -> Result<Vec<LinkContext>, InstructionError> {
         let Some(carrier) = self.carrier(link) else { return change_fabric(self, link, direction, change) };
         // Changes nothing, and tells what is.
         let before = change_fabric(self, link, None, &ConditionChange::default())?;
@@ -114,15 +121,15 @@ impl Network for RealNetwork {
         link: &LinkId,
         direction: Direction,
         test: ThroughputTest,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         match self.carrier(link) {
-            Some(Carrier::Interface(_)) => Err(Refused(
+            Some(Carrier::Interface(_)) => Err(InstructionError(
                 "this link leads over an interface of this machine, and only emulated ones can be tested"
                     .to_owned(),
             )),
-            Some(Carrier::Kernel(kernel)) => {
-                kernel.test_throughput(link, direction, test).map_err(|refusal| Refused(refusal.to_string()))
-            }
+            Some(Carrier::Kernel(kernel)) => kernel
+                .test_throughput(link, direction, test)
+                .map_err(|refusal| InstructionError(refusal.to_string())),
             None => test_fabric_throughput(self, link, direction, test),
         }
     }

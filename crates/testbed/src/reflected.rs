@@ -16,7 +16,7 @@ use std::{
 
 use cotorra_fabric::{Histogram, WireProbes};
 use cotorra_graph::{Conditions, HardwareGraph, Lateness, LinkId, Probed, Probing};
-use cotorra_stamp::{Clock, PORT, Sender, SessionConfig, Told, Utc};
+use cotorra_stamp::{Clock, LinkEstimate, PORT, Sender, SessionConfig, Utc};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::real_links::RealLinkError;
@@ -94,7 +94,7 @@ struct State {
     /// Packets that were sent since then met nothing but the latest.
     since: Utc,
     /// What the probes told, and when.
-    told: Option<(Utc, [Told; 2])>,
+    told: Option<(Utc, [LinkEstimate; 2])>,
 }
 
 impl Reflected {
@@ -158,7 +158,7 @@ impl Reflected {
         let since = shared.clock.now().since(at);
         Some(told.map(|told| {
             let delays = told.delays.map(|(delays, age)| (delays, age + since));
-            WireProbes::told(Told { delays, loss: told.loss, loss_age: told.loss_age + since })
+            WireProbes::told(LinkEstimate { delays, loss: told.loss, loss_age: told.loss_age + since })
         }))
     }
 

@@ -36,12 +36,12 @@ use crate::{
     bundled,
     confined::Confined,
     core::Core,
-    core_loop::{CoreLoop, End, Message, Readers, receive},
-    earlier::Earlier,
+    core_loop::{CoreLoop, End, EventSinks, Message, receive},
     images::{self, ImageSender},
     keeping::Keeping,
     live::Live,
     plugins::{Now, PluginError, running::Prepared},
+    previous_run::PreviousRun,
     real_links::{RealLinkError, RealLinks, interface_plans},
     real_network::{RealNetwork, kernel_network},
     recorded::Recorded,
@@ -87,7 +87,7 @@ pub struct Options {
     /// How the run is recorded and watched besides.
     pub recording: Wanted,
     /// What a run noted that this one goes on after, in real time.
-    pub after: Option<Earlier>,
+    pub after: Option<PreviousRun>,
 }
 
 /// What a run came to.
@@ -125,7 +125,7 @@ pub enum RunError {
     History(#[from] cotorra_measurements::Error),
     /// The emulated network's model.
     #[error(transparent)]
-    Fabric(#[from] cotorra_fabric::FabricError),
+    Fabric(#[from] cotorra_fabric::GraphError),
     /// The emulated network's packets.
     #[error(transparent)]
     Datapath(#[from] cotorra_datapath::Error),
@@ -340,15 +340,22 @@ impl Run {
         core.start(now());
         let report = Report::new(&testbed, seed).on_disk(folder.path())?;
         let report = if probes_tell { report.by_the_kernel() } else { report };
-        let mut readers =
-            Readers { live: live.clone(), recorder: recorder.clone(), report, stream, plugins, tap, keeper };
+        let mut sinks = EventSinks {
+            live: live.clone(),
+            recorder: recorder.clone(),
+            report,
+            stream,
+            plugins,
+            tap,
+            keeper,
+        };
         if let Some(earlier) = &options.after {
-            earlier.notes_before(info.started_at_unix_ns).for_each(|note| readers.publish(note));
+            earlier.notes_before(info.started_at_unix_ns).for_each(|note| sinks.publish(note));
         }
         let until = options.until.map(|until| Timestamp::ZERO + until);
         let images = (!image_sockets.is_empty()).then(|| ImageSender::start(image_sockets)).transpose();
         let images = images.map_err(system("start the thread that sends images"))?;
-        let core_loop = CoreLoop { core, readers, inbox, sockets, images, now, until };
+        let core_loop = CoreLoop { core, sinks, inbox, sockets, images, now, until };
         let core = thread::Builder::new()
             .name("core".to_owned())
             .spawn(move || {

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cotorra_fabric::{Fabric, FabricError, Refusal};
+use cotorra_fabric::{Fabric, FabricError, GraphError};
 use cotorra_graph::{
     ConditionChange, Conditions, Direction, Event, HardwareGraph, Instruction, LinkId, NodeId, Position,
     Scale, Scheduled, Stamped, Testbed, Timestamp, When,
@@ -61,11 +61,11 @@ pub enum ScriptError {
         /// The link.
         link: LinkId,
         /// Why.
-        refusal: Refusal,
+        refusal: FabricError,
     },
     /// The testbed makes no network.
     #[error(transparent)]
-    Fabric(#[from] FabricError),
+    Fabric(#[from] GraphError),
 }
 
 /// A change of one link, and which part of the script wants it.

@@ -31,4 +31,4 @@ pub use outbox::Outcome;
 pub use selector::SelectorError;
 pub use survey::{Scope, Site, Survey};
 pub use view::{Answer, Kind, Query, QueryError};
-pub use wais::{Dispatch, Refused, Resource, Target, Wais};
+pub use wais::{Dispatch, RequestError, Resource, Target, Wais};

@@ -29,7 +29,7 @@ const NOTICE: Duration = Duration::from_secs(30);
 
 /// Why a request is not met.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Refused {
+pub enum RequestError {
     /// It cannot be.
     #[error(transparent)]
     Invalid(#[from] InvalidRequest),
@@ -92,8 +92,8 @@ impl Target {
     /// Where a subscription wants its notifications; the WebSocket if it asks for both.
     ///
     /// # Errors
-    /// [`Refused::Invalid`] if it asks for neither, [`Refused::Callback`] for what is no callback.
-    pub fn of(subscription: &Subscription) -> Result<Self, Refused> {
+    /// [`RequestError::Invalid`] if it asks for neither, [`RequestError::Callback`] for what is no callback.
+    pub fn of(subscription: &Subscription) -> Result<Self, RequestError> {
         let notifying = subscription.notifying();
         let socket = notifying.websock_notif_config.as_ref();
         if socket.is_some_and(|socket| socket.request_websocket_uri == Some(true)) {
@@ -186,24 +186,24 @@ impl Wais {
         self.numbers
     }
 
-    fn admit(&mut self, now: Timestamp) -> Result<(), Refused> {
-        self.limiter.admit(now).map_err(Refused::TooOften)
+    fn admit(&mut self, now: Timestamp) -> Result<(), RequestError> {
+        self.limiter.admit(now).map_err(RequestError::TooOften)
     }
 
     /// Makes a subscription. `base` is the URI under which the consumer sees the service.
     ///
     /// # Errors
-    /// [`Refused`]; then there is none.
+    /// [`RequestError`]; then there is none.
     pub fn subscribe(
         &mut self,
         now: Timestamp,
         base: &str,
         subscription: Subscription,
-    ) -> Result<Resource<Subscription>, Refused> {
+    ) -> Result<Resource<Subscription>, RequestError> {
         self.admit(now)?;
         let (target, expiry) = self.check(now, &subscription)?;
         if self.subscriptions.len() >= MOST {
-            return Err(Refused::Full);
+            return Err(RequestError::Full);
         }
         let (id, version) = (self.number(), self.number());
         let outbox = Outbox::new(target != Target::WebSocket);
@@ -225,7 +225,7 @@ impl Wais {
     /// Replaces a subscription by another of its type. Notifications that wait are kept if they go to the same place.
     ///
     /// # Errors
-    /// [`Refused`]; then it is as it was.
+    /// [`RequestError`]; then it is as it was.
     pub fn resubscribe(
         &mut self,
         now: Timestamp,
@@ -233,7 +233,7 @@ impl Wais {
         id: &str,
         if_match: Option<&str>,
         subscription: Subscription,
-    ) -> Result<Resource<Subscription>, Refused> {
+    ) -> Result<Resource<Subscription>, RequestError> {
         self.admit(now)?;
         let (number, held) = self.find(id)?;
         let type_name = held.subscription.type_name();
@@ -250,7 +250,7 @@ impl Wais {
             return Err(InvalidRequest::Malformed(what).into());
         }
         if !may_change(if_match, &etag) {
-            return Err(Refused::Changed(etag));
+            return Err(RequestError::Changed(etag));
         }
         let old = self.subscriptions.remove(&number);
         let kept = old.filter(|old| old.target == target).map(|old| old.outbox);
@@ -285,7 +285,7 @@ impl Wais {
         &self,
         now: Timestamp,
         subscription: &Subscription,
-    ) -> Result<(Target, Option<Expiry>), Refused> {
+    ) -> Result<(Target, Option<Expiry>), RequestError> {
         subscription.check()?;
         let target = Target::of(subscription)?;
         if let Subscription::AssocStaSubscription(s) = subscription
@@ -302,17 +302,17 @@ impl Wais {
         Ok((target, Some(Expiry { at, notice: Some(at - notice) })))
     }
 
-    fn find(&self, id: &str) -> Result<(u64, &Held), Refused> {
+    fn find(&self, id: &str) -> Result<(u64, &Held), RequestError> {
         let number = id.parse().ok();
         let found = number.and_then(|number| Some((number, self.subscriptions.get(&number)?)));
-        found.ok_or_else(|| Refused::NotFound { what: "subscription", id: id.to_owned() })
+        found.ok_or_else(|| RequestError::NotFound { what: "subscription", id: id.to_owned() })
     }
 
     /// A subscription.
     ///
     /// # Errors
-    /// [`Refused::NotFound`].
-    pub fn subscription(&self, base: &str, id: &str) -> Result<Resource<Subscription>, Refused> {
+    /// [`RequestError::NotFound`].
+    pub fn subscription(&self, base: &str, id: &str) -> Result<Resource<Subscription>, RequestError> {
         let (number, held) = self.find(id)?;
         let mut value = held.subscription.clone();
         let href = subscription_uri(base, number);
@@ -350,13 +350,18 @@ impl Wais {
     /// Ends a subscription; what still waits is not sent.
     ///
     /// # Errors
-    /// [`Refused`].
-    pub fn unsubscribe(&mut self, now: Timestamp, id: &str, if_match: Option<&str>) -> Result<(), Refused> {
+    /// [`RequestError`].
+    pub fn unsubscribe(
+        &mut self,
+        now: Timestamp,
+        id: &str,
+        if_match: Option<&str>,
+    ) -> Result<(), RequestError> {
         self.admit(now)?;
         let (number, held) = self.find(id)?;
         let etag = etag(number, held.version);
         if !may_change(if_match, &etag) {
-            return Err(Refused::Changed(etag));
+            return Err(RequestError::Changed(etag));
         }
         self.subscriptions.remove(&number);
         Ok(())

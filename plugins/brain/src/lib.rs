@@ -22,7 +22,7 @@ use cotorra_graph::{
 };
 use cotorra_plugin::{Actions, Plugin, wire::Headway};
 
-pub use crate::serve::{NavigationVnf, NoWalk, Rejected, serve};
+pub use crate::serve::{NavigationVnf, NoWalk, PacketError, serve};
 use crate::{costmap::Costmap, navigation::Navigation};
 
 /// Navigates robots along their walks: answers each κ(r) with [`Instruction::Move`].

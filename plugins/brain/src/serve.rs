@@ -20,7 +20,7 @@ pub struct NoWalk {
 
 /// Why a datagram gets no answer.
 #[derive(Debug, thiserror::Error)]
-pub enum Rejected {
+pub enum PacketError {
     /// It is no position packet.
     #[error(transparent)]
     Malformed(#[from] WireError),
@@ -68,13 +68,13 @@ impl NavigationVnf {
     /// Writes the answer to a datagram to `answer`, in place of what it held.
     ///
     /// # Errors
-    /// [`Rejected`] if there is none.
-    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), Rejected> {
+    /// [`PacketError`] if there is none.
+    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), PacketError> {
         let packet = PositionPacket::decode(datagram)?;
         if let Some(goal) = packet.goal {
             let pose = packet.pose.from_source(PoseSource::Localization);
             let Some((velocity, headway)) = self.brain.approach(&packet.robot, &pose, goal) else {
-                return Err(Rejected::Stranger(packet.robot));
+                return Err(PacketError::Stranger(packet.robot));
             };
             self.standstill = match &headway {
                 Headway::Blocked(reason) => Some(reason.clone()),
@@ -88,7 +88,7 @@ impl NavigationVnf {
         let now = packet.emitted;
         self.brain.handle(now, &Event::Robot(context(&packet)), &mut self.actions);
         let Some((Instruction::Move { velocity, waypoint, .. }, reason)) = self.actions.drain().next() else {
-            return Err(Rejected::Stranger(packet.robot));
+            return Err(PacketError::Stranger(packet.robot));
         };
         NavigationPacket::answering(&packet, waypoint, velocity.into()).encode(answer);
         self.standstill = reason;
@@ -190,8 +190,8 @@ mod tests {
     fn what_is_no_position_of_its_robot_gets_none() {
         let mut vnf = vnf(Position::new(9.0, 2.0));
         let mut answer = Vec::new();
-        assert!(matches!(vnf.answer(b"hello", &mut answer), Err(Rejected::Malformed(_))));
-        assert!(matches!(vnf.answer(&position("other", 0, 1.0), &mut answer), Err(Rejected::Stranger(_))));
+        assert!(matches!(vnf.answer(b"hello", &mut answer), Err(PacketError::Malformed(_))));
+        assert!(matches!(vnf.answer(&position("other", 0, 1.0), &mut answer), Err(PacketError::Stranger(_))));
         assert!(vnf.answer(&position("robot", 0, 1.0), &mut answer).is_ok());
     }
 
@@ -227,7 +227,7 @@ mod tests {
         assert_eq!(blocked, (Velocity::default(), 0, Some(Headway::Blocked(reason.clone())), Some(reason)));
         assert_eq!(asked(None), walks);
         let stranger = towards(Some(Position::new(2.0, 2.0)), "other", 8, 5.0);
-        assert!(matches!(vnf.answer(&stranger, &mut answer), Err(Rejected::Stranger(_))));
+        assert!(matches!(vnf.answer(&stranger, &mut answer), Err(PacketError::Stranger(_))));
     }
 
     #[test]

@@ -13,7 +13,7 @@ use cotorra_ledger::{
 
 use crate::{
     coverage::Coverage,
-    orchestrator::{Desk, Unit},
+    orchestrator::{DomainContext, Unit},
     settings::{Behaviour, Settings},
     steps::Step,
 };
@@ -111,7 +111,7 @@ impl Hosting {
     }
 
     /// Something happened in the domain.
-    pub(crate) fn observe(&mut self, event: &Event, desk: &mut Desk<'_>) {
+    pub(crate) fn observe(&mut self, event: &Event, domain_context: &mut DomainContext<'_>) {
         match event {
             Event::Vnf(life) => {
                 let deploying = |service: &&mut Service| {
@@ -119,8 +119,10 @@ impl Hosting {
                 };
                 let Some(service) = self.services.iter_mut().find(deploying) else { return };
                 match life.state {
-                    VnfState::Started => service.deployed(desk),
-                    VnfState::Failed => service.failed(life.detail.as_deref().unwrap_or_default(), desk),
+                    VnfState::Started => service.deployed(domain_context),
+                    VnfState::Failed => {
+                        service.failed(life.detail.as_deref().unwrap_or_default(), domain_context)
+                    }
                     VnfState::Stopped | VnfState::Died => {}
                 }
             }
@@ -132,7 +134,7 @@ impl Hosting {
                 let deploying =
                     |service: &&mut Service| service.vap == Vap::Deploying && service.unit == *radio_unit;
                 if let Some(service) = self.services.iter_mut().find(deploying) {
-                    service.failed(reason, desk);
+                    service.failed(reason, domain_context);
                 }
             }
             _ => {}
@@ -140,12 +142,12 @@ impl Hosting {
     }
 
     /// Submits what is wanted, and takes the steps that were reached; whether there were any.
-    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, desk: &mut Desk<'_>) -> bool {
+    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, domain_context: &mut DomainContext<'_>) -> bool {
         let mut worked = false;
         let mut taken: Vec<NodeId> =
             self.services.iter().filter(|s| s.vap != Vap::None).map(|s| s.unit.clone()).collect();
         for service in &mut self.services {
-            worked |= service.work(ledger, &mut taken, desk);
+            worked |= service.work(ledger, &mut taken, domain_context);
         }
         self.services.retain(|service| service.vap != Vap::None || !service.provider.is_over());
         worked
@@ -157,39 +159,44 @@ impl Service {
         self.provider.id()
     }
 
-    fn work(&mut self, ledger: &mut dyn Ledger, taken: &mut Vec<NodeId>, desk: &mut Desk<'_>) -> bool {
+    fn work(
+        &mut self,
+        ledger: &mut dyn Ledger,
+        taken: &mut Vec<NodeId>,
+        domain_context: &mut DomainContext<'_>,
+    ) -> bool {
         if !std::mem::replace(&mut self.noted, true) && !self.provider.is_over() {
-            desk.note(self.id(), Step::AnnouncementReceived, "");
+            domain_context.note(self.id(), Step::AnnouncementReceived, "");
         }
-        if self.provider.next_deadline().is_some_and(|deadline| deadline <= desk.now) {
-            self.provider.expire(desk.now);
+        if self.provider.next_deadline().is_some_and(|deadline| deadline <= domain_context.now) {
+            self.provider.expire(domain_context.now);
         }
         // What cannot be sealed is given back by itself.
-        let _ = self.provider.submit(desk.now, ledger);
+        let _ = self.provider.submit(domain_context.now, ledger);
         let mut worked = false;
         while let Some(step) = self.provider.poll_step() {
             worked = true;
             match step {
-                ProviderStep::Bidding => desk.note(self.id(), Step::BidSent, ""),
-                ProviderStep::Won if self.provider.is_winner() => self.won(taken, desk),
-                ProviderStep::Confirming => desk.note(self.id(), Step::ConfirmationSent, ""),
+                ProviderStep::Bidding => domain_context.note(self.id(), Step::BidSent, ""),
+                ProviderStep::Won if self.provider.is_winner() => self.won(taken, domain_context),
+                ProviderStep::Confirming => domain_context.note(self.id(), Step::ConfirmationSent, ""),
                 ProviderStep::Ended { charge, .. } => {
-                    self.take_down(desk);
+                    self.take_down(domain_context);
                     if charge > Wei(0) {
-                        desk.note(self.id(), Step::Paid, charge.to_string());
+                        domain_context.note(self.id(), Step::Paid, charge.to_string());
                     }
                     // Also the bond.
-                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                    ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                 }
                 ProviderStep::Replaced => {
-                    desk.note(self.id(), Step::Replaced, "");
-                    self.take_down(desk);
-                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                    domain_context.note(self.id(), Step::Replaced, "");
+                    self.take_down(domain_context);
+                    ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                 }
                 ProviderStep::Reclaimed => {
-                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                    ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                 }
-                ProviderStep::Overdue => self.take_down(desk),
+                ProviderStep::Overdue => self.take_down(domain_context),
                 ProviderStep::Won
                 | ProviderStep::BidPlaced
                 | ProviderStep::Lost
@@ -200,39 +207,39 @@ impl Service {
         worked
     }
 
-    fn won(&mut self, taken: &mut Vec<NodeId>, desk: &mut Desk<'_>) {
+    fn won(&mut self, taken: &mut Vec<NodeId>, domain_context: &mut DomainContext<'_>) {
         // The chain took its choice back, and made it again.
         if self.vap != Vap::None {
             return;
         }
-        desk.note(self.id(), Step::WinnerReceived, "");
-        match desk.settings.behaviour {
+        domain_context.note(self.id(), Step::WinnerReceived, "");
+        match domain_context.settings.behaviour {
             Behaviour::Idle | Behaviour::Silent => return,
-            Behaviour::Lying => return self.confirm(desk),
+            Behaviour::Lying => return self.confirm(domain_context),
             Behaviour::Honest => {}
         }
         if taken.contains(&self.unit) {
-            return self.failed("its radio unit serves another by now", desk);
+            return self.failed("its radio unit serves another by now", domain_context);
         }
         taken.push(self.unit.clone());
         self.vap = Vap::Deploying;
         let access_point = AccessPoint {
             ssid: self.ssid.clone(),
             mobility_domain: self.mobility_domain,
-            key: Some(FtKey(desk.secret.ft_key(self.id()))),
+            key: Some(FtKey(domain_context.secret.ft_key(self.id()))),
         };
-        desk.note(self.id(), Step::DeploymentStarted, format!("a({}) = {{vAP}}", self.unit));
-        desk.actions.instruct(Instruction::Deploy { radio_unit: self.unit.clone(), access_point });
+        domain_context.note(self.id(), Step::DeploymentStarted, format!("a({}) = {{vAP}}", self.unit));
+        domain_context.actions.instruct(Instruction::Deploy { radio_unit: self.unit.clone(), access_point });
     }
 
-    fn deployed(&mut self, desk: &mut Desk<'_>) {
+    fn deployed(&mut self, domain_context: &mut DomainContext<'_>) {
         self.vap = Vap::Deployed;
-        desk.note(self.id(), Step::DeploymentFinished, "");
-        self.confirm(desk);
+        domain_context.note(self.id(), Step::DeploymentFinished, "");
+        self.confirm(domain_context);
     }
 
-    fn confirm(&mut self, desk: &Desk<'_>) {
-        let key = desk.secret.ft_key(self.id());
+    fn confirm(&mut self, domain_context: &DomainContext<'_>) {
+        let key = domain_context.secret.ft_key(self.id());
         let [a, b, c, d, e, ..] = self.id().0;
         self.provider.deployed(Attachment {
             radio_unit: self.unit.to_string(),
@@ -244,16 +251,16 @@ impl Service {
         });
     }
 
-    fn failed(&mut self, why: &str, desk: &mut Desk<'_>) {
+    fn failed(&mut self, why: &str, domain_context: &mut DomainContext<'_>) {
         self.vap = Vap::None;
-        desk.note(self.id(), Step::DeploymentFailed, why);
+        domain_context.note(self.id(), Step::DeploymentFailed, why);
         self.provider.give_back();
     }
 
-    fn take_down(&mut self, desk: &mut Desk<'_>) {
+    fn take_down(&mut self, domain_context: &mut DomainContext<'_>) {
         if std::mem::replace(&mut self.vap, Vap::None) != Vap::None {
-            desk.actions.instruct(Instruction::Remove { radio_unit: self.unit.clone() });
-            desk.note(self.id(), Step::TakenDown, format!("a({}) = {{}}", self.unit));
+            domain_context.actions.instruct(Instruction::Remove { radio_unit: self.unit.clone() });
+            domain_context.note(self.id(), Step::TakenDown, format!("a({}) = {{}}", self.unit));
         }
     }
 }

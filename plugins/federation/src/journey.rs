@@ -11,7 +11,7 @@ use cotorra_ledger::{
 
 use crate::{
     coverage::Edge,
-    orchestrator::{Desk, steps},
+    orchestrator::{DomainContext, steps},
     steps::Step,
 };
 
@@ -149,112 +149,117 @@ impl Journey {
         robot: &NodeId,
         event: &Event,
         others: &[(NodeId, NodeId)],
-        desk: &mut Desk<'_>,
+        domain_context: &mut DomainContext<'_>,
     ) {
         match event {
             Event::Robot(context) if context.robot == *robot => {
-                self.note_attachment(context.attached_to(), desk);
-                self.foresee(context, desk);
+                self.note_attachment(context.attached_to(), domain_context);
+                self.foresee(context, domain_context);
                 self.known = true;
-                self.arrived(robot, others, desk);
+                self.arrived(robot, others, domain_context);
             }
             Event::Handover(handover) if handover.robot == *robot => {
-                self.note_attachment(Some(&handover.to), desk);
-                self.arrived(robot, others, desk);
+                self.note_attachment(Some(&handover.to), domain_context);
+                self.arrived(robot, others, domain_context);
             }
             Event::Detached { robot: detached, from } if detached == robot => {
                 self.attached_to = None;
                 if matches!(&self.stage, Stage::Away { radio_unit, .. } if radio_unit == from) {
-                    self.abandoned(robot, desk, "the vAP is gone");
+                    self.abandoned(robot, domain_context, "the vAP is gone");
                 }
             }
             _ => {}
         }
     }
 
-    fn note_attachment(&mut self, radio_unit: Option<&NodeId>, desk: &Desk<'_>) {
+    fn note_attachment(&mut self, radio_unit: Option<&NodeId>, domain_context: &DomainContext<'_>) {
         self.attached_to = radio_unit.cloned();
-        if let Some(own) = radio_unit.filter(|unit| desk.units.contains_key(*unit)) {
+        if let Some(own) = radio_unit.filter(|unit| domain_context.units.contains_key(*unit)) {
             self.own = Some(own.clone());
         }
     }
 
     /// Looks where the walk leads, and does what is due before the edge.
-    fn foresee(&mut self, context: &RobotContext, desk: &mut Desk<'_>) {
+    fn foresee(&mut self, context: &RobotContext, domain_context: &mut DomainContext<'_>) {
         let (pose, robot) = (&context.sensors.pose, &context.robot);
         let speed = self.walk.speed_limit.max(context.sensors.velocity.linear);
-        let horizon = speed * desk.settings.lead.as_secs_f64();
-        self.edge = desk.coverage.edge(pose, &self.walk, context.waypoint, horizon);
-        let is_home = self.attached_to.as_ref().is_none_or(|unit| desk.units.contains_key(unit));
+        let horizon = speed * domain_context.settings.lead.as_secs_f64();
+        self.edge = domain_context.coverage.edge(pose, &self.walk, context.waypoint, horizon);
+        let is_home = self.attached_to.as_ref().is_none_or(|unit| domain_context.units.contains_key(unit));
         match (&self.stage, &self.edge) {
             (Stage::Home, Some(edge)) if is_home => {
-                let needed = self.requirements(edge, desk);
+                let needed = self.requirements(edge, domain_context);
                 self.stage = Stage::Wanting(needed);
             }
-            (Stage::Away { .. }, None) => self.turn_back(pose.position(), desk),
-            (Stage::Home, None) if !is_home => self.turn_back(pose.position(), desk),
+            (Stage::Away { .. }, None) => self.turn_back(pose.position(), domain_context),
+            (Stage::Home, None) if !is_home => self.turn_back(pose.position(), domain_context),
             _ => {}
         }
-        let at_edge = self.edge.is_some_and(|edge| edge.within(speed) <= desk.settings.stop);
+        let at_edge = self.edge.is_some_and(|edge| edge.within(speed) <= domain_context.settings.stop);
         let is_served = matches!(self.stage, Stage::Away { .. });
         if at_edge && is_home && !is_served && self.halted.is_none() {
-            self.halt(robot, desk);
+            self.halt(robot, domain_context);
         }
     }
 
-    fn requirements(&self, edge: &Edge, desk: &Desk<'_>) -> Requirements {
+    fn requirements(&self, edge: &Edge, domain_context: &DomainContext<'_>) -> Requirements {
         let mm = |metres: f64| (metres * 1e3).round() as i32;
         Requirements {
             vnf: "vAP".to_owned(),
             map: String::new(),
             x_mm: mm(edge.place.x),
             y_mm: mm(edge.place.y),
-            radius_mm: mm(desk.settings.radius_m).unsigned_abs(),
+            radius_mm: mm(domain_context.settings.radius_m).unsigned_abs(),
             ssid: self.ssid.clone(),
             mobility_domain: self.mobility_domain,
             frequency_mhz: 0,
             width_mhz: 20,
-            signal_dbm: desk.settings.edge.0.round() as i16,
+            signal_dbm: domain_context.settings.edge.0.round() as i16,
         }
     }
 
-    fn halt(&mut self, robot: &NodeId, desk: &mut Desk<'_>) {
-        self.halted = Some(desk.now);
+    fn halt(&mut self, robot: &NodeId, domain_context: &mut DomainContext<'_>) {
+        self.halted = Some(domain_context.now);
         let halt = Instruction::Halt { robot: robot.clone() };
-        desk.actions.instruct_because(halt, "it would leave coverage, and nobody serves it there");
+        domain_context.actions.instruct_because(halt, "it would leave coverage, and nobody serves it there");
         if let Some(creator) = self.creator() {
             let id = creator.id();
-            desk.note(id, Step::Halted, "");
+            domain_context.note(id, Step::Halted, "");
         }
     }
 
-    fn go(&mut self, robot: &NodeId, desk: &mut Desk<'_>) {
+    fn go(&mut self, robot: &NodeId, domain_context: &mut DomainContext<'_>) {
         if self.halted.take().is_some() {
-            desk.actions.instruct(Instruction::Go { robot: robot.clone() });
+            domain_context.actions.instruct(Instruction::Go { robot: robot.clone() });
             if let Some(creator) = self.creator() {
                 let id = creator.id();
-                desk.note(id, Step::WentOn, "");
+                domain_context.note(id, Step::WentOn, "");
             }
         }
     }
 
     /// Sees whether it is attached where it is to be.
-    fn arrived(&mut self, robot: &NodeId, others: &[(NodeId, NodeId)], desk: &mut Desk<'_>) {
+    fn arrived(
+        &mut self,
+        robot: &NodeId,
+        others: &[(NodeId, NodeId)],
+        domain_context: &mut DomainContext<'_>,
+    ) {
         let Some(at) = self.attached_to.clone() else { return };
         match std::mem::replace(&mut self.stage, Stage::Home) {
             Stage::Attaching { mut creator, attachment, .. } if attachment.radio_unit == at.as_str() => {
-                desk.note(creator.id(), Step::Attached, format!("to {at}"));
+                domain_context.note(creator.id(), Step::Attached, format!("to {at}"));
                 creator.attached();
                 self.stage = Stage::Away { creator, radio_unit: at };
-                self.go(robot, desk);
-                self.release_own(robot, others, desk);
+                self.go(robot, domain_context);
+                self.release_own(robot, others, domain_context);
             }
             Stage::Returning { creator, to, .. } if to == at => {
-                self.go(robot, desk);
+                self.go(robot, domain_context);
                 if let Some(mut creator) = creator {
-                    desk.note(creator.id(), Step::Returned, format!("to {at}"));
+                    domain_context.note(creator.id(), Step::Returned, format!("to {at}"));
                     creator.release();
-                    desk.closing.push(*creator);
+                    domain_context.closing.push(*creator);
                 }
             }
             other => self.stage = other,
@@ -262,83 +267,92 @@ impl Journey {
     }
 
     /// The domain's radio units that nobody needs any more are off: a(R) = {}.
-    fn release_own(&mut self, robot: &NodeId, others: &[(NodeId, NodeId)], desk: &mut Desk<'_>) {
-        if !desk.settings.release {
+    fn release_own(
+        &mut self,
+        robot: &NodeId,
+        others: &[(NodeId, NodeId)],
+        domain_context: &mut DomainContext<'_>,
+    ) {
+        if !domain_context.settings.release {
             return;
         }
         let Some(last) = self.own.clone() else { return };
         let needed = others.iter().any(|(other, unit)| other != robot && *unit == last);
-        let is_on = desk.units.get(&last).is_some_and(|unit| unit.on);
+        let is_on = domain_context.units.get(&last).is_some_and(|unit| unit.on);
         let id = match self.creator() {
             Some(creator) if is_on && !needed => creator.id(),
             _ => return,
         };
-        desk.actions.instruct(Instruction::Remove { radio_unit: last.clone() });
-        desk.note(id, Step::OwnRadioUnitReleased, format!("a({last}) = {{}}"));
+        domain_context.actions.instruct(Instruction::Remove { radio_unit: last.clone() });
+        domain_context.note(id, Step::OwnRadioUnitReleased, format!("a({last}) = {{}}"));
     }
 
     /// The walk stays in the domain's coverage again.
-    fn turn_back(&mut self, at: cotorra_graph::Position, desk: &mut Desk<'_>) {
-        let Some((to, _)) = desk.coverage.strongest(at) else { return };
+    fn turn_back(&mut self, at: cotorra_graph::Position, domain_context: &mut DomainContext<'_>) {
+        let Some((to, _)) = domain_context.coverage.strongest(at) else { return };
         let to = to.clone();
         let creator = match std::mem::replace(&mut self.stage, Stage::Home) {
             Stage::Away { creator, .. } => Some(creator),
             _ => None,
         };
-        switch_on(&to, desk);
-        self.stage = Stage::Returning { creator, to, next_try: desk.now };
+        switch_on(&to, domain_context);
+        self.stage = Stage::Returning { creator, to, next_try: domain_context.now };
     }
 
     /// The vAP is gone, or its provider ended the service: the robot stops where it is, and its own domain serves it
     /// again if it can.
-    fn abandoned(&mut self, robot: &NodeId, desk: &mut Desk<'_>, why: &str) {
+    fn abandoned(&mut self, robot: &NodeId, domain_context: &mut DomainContext<'_>, why: &str) {
         let (mut creator, radio_unit) = match std::mem::replace(&mut self.stage, Stage::GivenUp) {
             Stage::Away { creator, radio_unit } => (creator, radio_unit),
             other => return self.stage = other,
         };
-        desk.note(creator.id(), Step::Failed, why);
-        self.halted = Some(desk.now);
+        domain_context.note(creator.id(), Step::Failed, why);
+        self.halted = Some(domain_context.now);
         let halt = Instruction::Halt { robot: robot.clone() };
-        desk.actions.instruct_because(halt, format!("`{radio_unit}` serves it no longer"));
+        domain_context.actions.instruct_because(halt, format!("`{radio_unit}` serves it no longer"));
         creator.release();
-        desk.closing.push(*creator);
+        domain_context.closing.push(*creator);
         let Some(to) = self.own.clone() else { return };
-        switch_on(&to, desk);
-        self.stage = Stage::Returning { creator: None, to, next_try: desk.now };
+        switch_on(&to, domain_context);
+        self.stage = Stage::Returning { creator: None, to, next_try: domain_context.now };
     }
 
     /// Submits what is wanted, and takes the steps that were reached; whether there were any.
-    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, desk: &mut Desk<'_>) -> bool {
-        self.attach(desk);
+    pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, domain_context: &mut DomainContext<'_>) -> bool {
+        self.attach(domain_context);
         let Some(creator) = self.creator() else { return false };
         let id = creator.id();
-        let reached = steps(creator, ledger, desk.now);
+        let reached = steps(creator, ledger, domain_context.now);
         let worked = !reached.is_empty();
         for step in reached {
             match step {
-                CreatorStep::Announcing => desk.note(id, Step::Announced, ""),
+                CreatorStep::Announcing => domain_context.note(id, Step::Announced, ""),
                 CreatorStep::BidReceived { provider, price, endpoint } => {
-                    desk.note(id, Step::BidReceived, format!("{price} by {provider} {endpoint}").trim_end());
+                    domain_context.note(
+                        id,
+                        Step::BidReceived,
+                        format!("{price} by {provider} {endpoint}").trim_end(),
+                    );
                 }
                 CreatorStep::BidRejected { provider, reason } => {
-                    desk.note(id, Step::BidRejected, format!("that by {provider}: {reason}"));
+                    domain_context.note(id, Step::BidRejected, format!("that by {provider}: {reason}"));
                 }
                 CreatorStep::Choosing { provider, price } => {
-                    desk.note(id, Step::WinnerChosen, format!("{provider} for {price}"));
+                    domain_context.note(id, Step::WinnerChosen, format!("{provider} for {price}"));
                 }
-                CreatorStep::Deployed(attachment) => self.deployed(attachment, desk),
-                CreatorStep::InUse => desk.note(id, Step::InUse, ""),
+                CreatorStep::Deployed(attachment) => self.deployed(attachment, domain_context),
+                CreatorStep::InUse => domain_context.note(id, Step::InUse, ""),
                 CreatorStep::Ended(outcome) => {
-                    desk.note(id, Step::Ended, format!("{outcome:?}"));
-                    ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                    domain_context.note(id, Step::Ended, format!("{outcome:?}"));
+                    ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                     let robot = self.walk.robot.clone();
-                    self.abandoned(&robot, desk, "its provider ended the service");
+                    self.abandoned(&robot, domain_context, "its provider ended the service");
                 }
                 CreatorStep::Failed(failure) => {
-                    desk.note(id, Step::Failed, failure.to_string());
+                    domain_context.note(id, Step::Failed, failure.to_string());
                     let stage = std::mem::replace(&mut self.stage, Stage::GivenUp);
                     if let Stage::Negotiating(creator) | Stage::Attaching { creator, .. } = stage {
-                        desk.closing.push(*creator);
+                        domain_context.closing.push(*creator);
                     }
                 }
                 CreatorStep::Announced | CreatorStep::Chosen => {}
@@ -348,15 +362,15 @@ impl Journey {
     }
 
     /// The winner says how to attach.
-    fn deployed(&mut self, attachment: Attachment, desk: &mut Desk<'_>) {
+    fn deployed(&mut self, attachment: Attachment, domain_context: &mut DomainContext<'_>) {
         // Also of another provider, in place of one that could not be attached to.
         let (Stage::Negotiating(creator) | Stage::Attaching { creator, .. }) =
             std::mem::replace(&mut self.stage, Stage::Home)
         else {
             return;
         };
-        desk.note(creator.id(), Step::ConfirmationReceived, attachment.radio_unit.clone());
-        let (since, next_try) = (desk.now, desk.now);
+        domain_context.note(creator.id(), Step::ConfirmationReceived, attachment.radio_unit.clone());
+        let (since, next_try) = (domain_context.now, domain_context.now);
         if let Ok(radio_unit) = attachment.radio_unit.parse() {
             let access_point = AccessPoint {
                 ssid: attachment.ssid.clone(),
@@ -364,18 +378,18 @@ impl Journey {
                 key: Some(FtKey(attachment.pmk_r1)),
             };
             let robot = self.walk.robot.clone();
-            desk.actions.instruct(Instruction::Provision { robot, radio_unit, access_point });
+            domain_context.actions.instruct(Instruction::Provision { robot, radio_unit, access_point });
         }
         self.stage = Stage::Attaching { creator, attachment, since, next_try };
-        self.attach(desk);
+        self.attach(domain_context);
     }
 
     /// Tries to attach to where it is to be attached. A vAP that is not in reach yet may be later: it is given up only
     /// once the robot has to wait for it.
-    fn attach(&mut self, desk: &mut Desk<'_>) {
+    fn attach(&mut self, domain_context: &mut DomainContext<'_>) {
         let robot = self.walk.robot.clone();
         if let (Stage::Attaching { since, .. }, Some(halted)) = (&self.stage, self.halted)
-            && desk.now.since(halted.max(*since)) >= desk.settings.attach_within
+            && domain_context.now.since(halted.max(*since)) >= domain_context.settings.attach_within
             && let Stage::Attaching { mut creator, .. } = std::mem::replace(&mut self.stage, Stage::Home)
         {
             creator.unusable();
@@ -384,24 +398,24 @@ impl Journey {
         let (to, next_try) = match &mut self.stage {
             Stage::Attaching { attachment, next_try, .. } => (attachment.radio_unit.parse().ok(), next_try),
             Stage::Returning { to, next_try, .. } => {
-                (desk.units.get(to).is_some_and(|unit| unit.on).then(|| to.clone()), next_try)
+                (domain_context.units.get(to).is_some_and(|unit| unit.on).then(|| to.clone()), next_try)
             }
             _ => return,
         };
-        if *next_try > desk.now {
+        if *next_try > domain_context.now {
             return;
         }
-        *next_try = desk.now + RETRY;
+        *next_try = domain_context.now + RETRY;
         if let Some(radio_unit) = to {
-            desk.actions.instruct(Instruction::Attach { robot, radio_unit });
+            domain_context.actions.instruct(Instruction::Attach { robot, radio_unit });
         }
     }
 }
 
 /// Has one of the domain's own radio units serve its robots.
-fn switch_on(radio_unit: &NodeId, desk: &mut Desk<'_>) {
-    let Some(unit) = desk.units.get(radio_unit).filter(|unit| !unit.on) else { return };
+fn switch_on(radio_unit: &NodeId, domain_context: &mut DomainContext<'_>) {
+    let Some(unit) = domain_context.units.get(radio_unit).filter(|unit| !unit.on) else { return };
     let access_point =
         AccessPoint { ssid: unit.ssid.clone(), mobility_domain: unit.mobility_domain, key: None };
-    desk.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
+    domain_context.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
 }

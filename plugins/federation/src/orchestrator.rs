@@ -50,7 +50,7 @@ pub(crate) struct Unit {
 }
 
 /// What both roles have at hand while they decide.
-pub(crate) struct Desk<'a> {
+pub(crate) struct DomainContext<'a> {
     pub(crate) now: Timestamp,
     pub(crate) settings: &'a Settings,
     pub(crate) secret: &'a Secret,
@@ -63,7 +63,7 @@ pub(crate) struct Desk<'a> {
     pub(crate) actions: &'a mut Actions,
 }
 
-impl Desk<'_> {
+impl DomainContext<'_> {
     /// Keeps in the history that a step was reached, unless a run before this one did: what is heard anew from the chain, or
     /// done again to a network that began anew, is no new step.
     pub(crate) fn note(&mut self, id: ServiceId, step: Step, detail: impl Into<String>) {
@@ -150,9 +150,14 @@ impl Federation {
         &mut self,
         now: Timestamp,
         actions: &mut Actions,
-        call: impl FnOnce(&mut BTreeMap<NodeId, Journey>, &mut Hosting, &mut dyn Ledger, &mut Desk<'_>) -> R,
+        call: impl FnOnce(
+            &mut BTreeMap<NodeId, Journey>,
+            &mut Hosting,
+            &mut dyn Ledger,
+            &mut DomainContext<'_>,
+        ) -> R,
     ) -> R {
-        let mut desk = Desk {
+        let mut domain_context = DomainContext {
             now,
             settings: &self.settings,
             secret: &self.secret,
@@ -162,7 +167,7 @@ impl Federation {
             noted: &self.noted,
             actions,
         };
-        call(&mut self.journeys, &mut self.hosting, &mut *self.ledger, &mut desk)
+        call(&mut self.journeys, &mut self.hosting, &mut *self.ledger, &mut domain_context)
     }
 
     /// Hears what the ledger has to say, and does what follows.
@@ -268,18 +273,18 @@ impl Federation {
     /// Submits what is wanted, and takes the steps that were reached; whether there were any.
     fn work(&mut self, now: Timestamp, actions: &mut Actions) -> bool {
         let mut closing = mem::take(&mut self.closing);
-        let worked = self.with(now, actions, |journeys, hosting, ledger, desk| {
-            let mut worked = hosting.work(ledger, desk);
+        let worked = self.with(now, actions, |journeys, hosting, ledger, domain_context| {
+            let mut worked = hosting.work(ledger, domain_context);
             for journey in journeys.values_mut() {
-                worked |= journey.work(ledger, desk);
+                worked |= journey.work(ledger, domain_context);
             }
             for creator in &mut closing {
-                for step in steps(creator, ledger, desk.now) {
+                for step in steps(creator, ledger, domain_context.now) {
                     worked = true;
                     if let CreatorStep::Ended(outcome) = step {
-                        desk.note(creator.id(), Step::Ended, format!("{outcome:?}"));
+                        domain_context.note(creator.id(), Step::Ended, format!("{outcome:?}"));
                         // What was deposited and not charged.
-                        ledger.submit(desk.now, Call::Withdraw { to: ledger.account() });
+                        ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                     }
                 }
             }
@@ -352,14 +357,14 @@ impl Plugin for Federation {
         {
             unit.on = life.state == VnfState::Started;
         }
-        self.with(now, actions, |journeys, hosting, _, desk| {
-            hosting.observe(event, desk);
+        self.with(now, actions, |journeys, hosting, _, domain_context| {
+            hosting.observe(event, domain_context);
             let others: Vec<_> = journeys
                 .iter()
                 .filter_map(|(robot, journey)| Some((robot.clone(), journey.attached_to()?.clone())))
                 .collect();
             for (robot, journey) in journeys {
-                journey.observe(robot, event, &others, desk);
+                journey.observe(robot, event, &others, domain_context);
             }
         });
         self.turn(now, actions);

@@ -8,7 +8,7 @@
 mod coverage;
 mod exploration;
 mod model;
-mod now;
+mod network_view;
 mod paths;
 mod placement;
 mod settings;
@@ -27,7 +27,7 @@ pub use crate::{
     settings::InvalidSettings,
 };
 use crate::{
-    now::Now,
+    network_view::NetworkView,
     settings::{Delays, Settings},
 };
 
@@ -38,7 +38,7 @@ const NEW_LOCATION_M: f64 = 0.25;
 #[derive(Debug)]
 pub struct Okpi {
     settings: Settings,
-    now: Option<Now>,
+    now: Option<NetworkView>,
     client: Option<Client>,
     /// What is decided for each service, in the testbed's order.
     decisions: Vec<Decision>,
@@ -144,7 +144,7 @@ impl Okpi {
 
 fn decide(
     settings: &Settings,
-    now: &mut Now,
+    now: &mut NetworkView,
     service: &Service,
     decision: &mut Decision,
     chosen: Option<&NodeId>,
@@ -235,7 +235,7 @@ fn reason(service: &Service, placed: &Placed, location: Position) -> String {
 impl Plugin for Okpi {
     fn start(&mut self, _now: Timestamp, testbed: &Testbed, _actions: &mut Actions) {
         self.decisions = testbed.services.iter().map(|_| Decision::default()).collect();
-        self.now = Some(Now::new(testbed));
+        self.now = Some(NetworkView::new(testbed));
     }
 
     fn handle(&mut self, _now: Timestamp, event: &Event, actions: &mut Actions) {

@@ -12,8 +12,8 @@ use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
     FolderError, Options, Place, Recorded, RecordedError,
     experiment::federation::{
-        Access, Comparison, FILES, Federated, LedgerError, Network, NoFederation, On, dishonest, domains,
-        longest, settings,
+        Access, Comparison, FILES, Federated, LedgerBackend, LedgerError, Network, NoFederation, dishonest,
+        domains, longest, settings,
     },
 };
 
@@ -145,12 +145,12 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
 }
 
 /// The ledger, and the block periods to be tried on it.
-fn ledger(args: &FederationArgs) -> miette::Result<(On, Vec<Duration>)> {
+fn ledger(args: &FederationArgs) -> miette::Result<(LedgerBackend, Vec<Duration>)> {
     let periods = if args.block_period.is_empty() { PERIODS.to_vec() } else { args.block_period.clone() };
     let LedgerArgs { nodes, keys, contract, depth, network: called } = &args.ledger;
     // Nodes are given with keys only.
     let Some(keys) = keys.as_deref().filter(|_| !nodes.is_empty()) else {
-        return Ok((if args.emulate { On::Anvil } else { On::Modelled }, periods));
+        return Ok((if args.emulate { LedgerBackend::Anvil } else { LedgerBackend::Modelled }, periods));
     };
     let asked = match &args.block_period[..] {
         [] => None,
@@ -167,7 +167,7 @@ fn ledger(args: &FederationArgs) -> miette::Result<(On, Vec<Duration>)> {
     }
     note!("a block each {seconds:.2} s");
     let periods = vec![*block_period];
-    Ok((On::Network { network, called: called.clone() }, periods))
+    Ok((LedgerBackend::Network { network, called: called.clone() }, periods))
 }
 
 /// How each domain gets to the network.
@@ -189,7 +189,7 @@ fn accesses(args: &FederationArgs, nodes: &[LedgerNode], keys: &Path) -> miette:
     Ok(domains.into_iter().map(access).collect::<Result<_, Error>>()?)
 }
 
-fn plan(args: &FederationArgs, on: &On, periods: &[Duration]) -> miette::Result<Vec<Planned>> {
+fn plan(args: &FederationArgs, on: &LedgerBackend, periods: &[Duration]) -> miette::Result<Vec<Planned>> {
     let plain = testbed_file::load(&args.testbed, &args.walks.settings)?;
     let mut planned = Vec::new();
     for block_period in periods {

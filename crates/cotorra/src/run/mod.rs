@@ -19,7 +19,7 @@ use cotorra_netem::{Confirmed, HoldError};
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{
-    CannotGoOn, Earlier, Finished, Options, Place, RealLinkError, Run, RunError, Summary, Token, Tokens,
+    CannotGoOn, Finished, Options, Place, PreviousRun, RealLinkError, Run, RunError, Summary, Token, Tokens,
     TokensError, interface_plans,
 };
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
@@ -135,14 +135,14 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
 }
 
 /// What a run noted that this one is to go on after, if there is one.
-fn earlier(args: &RunArgs, now: &Loaded) -> miette::Result<Option<Earlier>> {
+fn earlier(args: &RunArgs, now: &Loaded) -> miette::Result<Option<PreviousRun>> {
     let Some(run) = args.after.as_deref() else { return Ok(None) };
     let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
     let Source { history, run: found } = Source::find(run, &place)?;
     let base = args.file.parent().unwrap_or(Path::new(""));
     let parse = |text: &str| testbed_file::recorded(text, run, base);
     let cannot = |why| Error::After { run: run.to_owned(), why };
-    Ok(Some(Earlier::read(&history, &found, &now.testbed, parse).map_err(cannot)?))
+    Ok(Some(PreviousRun::read(&history, &found, &now.testbed, parse).map_err(cannot)?))
 }
 
 /// How a run is to be recorded and watched.

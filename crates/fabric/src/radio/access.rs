@@ -4,7 +4,7 @@
 use cotorra_graph::{AccessPoint, NodeId, Timestamp, WirelessNetwork};
 
 use super::{Radio, RadioUnitIndex, StationIndex};
-use crate::settings::Refusal;
+use crate::settings::FabricError;
 
 /// What a radio unit serves that is on from the start.
 pub(super) fn own(ssid: &str, network: &WirelessNetwork) -> AccessPoint {
@@ -15,13 +15,13 @@ impl Radio {
     /// A vAP on a radio unit beacons from now on.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRadioUnit`], [`Refusal::Serving`] or [`Refusal::OtherSsid`].
+    /// [`FabricError::UnknownRadioUnit`], [`FabricError::Serving`] or [`FabricError::OtherSsid`].
     pub(crate) fn switch_on(
         &mut self,
         now: Timestamp,
         unit: &NodeId,
         access_point: AccessPoint,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.unit(unit)?;
         self.check_deployment(index, &access_point)?;
@@ -33,19 +33,23 @@ impl Radio {
     ///
     /// # Errors
     /// As [`Self::switch_on`].
-    pub(crate) fn check_switch_on(&self, unit: &NodeId, access_point: &AccessPoint) -> Result<(), Refusal> {
+    pub(crate) fn check_switch_on(
+        &self,
+        unit: &NodeId,
+        access_point: &AccessPoint,
+    ) -> Result<(), FabricError> {
         self.check_deployment(self.unit(unit)?, access_point)
     }
 
     /// The vAP of a radio unit is gone. Stations on its channel lose it now, others when they come back.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRadioUnit`] or [`Refusal::NotServing`].
-    pub(crate) fn switch_off(&mut self, now: Timestamp, unit: &NodeId) -> Result<(), Refusal> {
+    /// [`FabricError::UnknownRadioUnit`] or [`FabricError::NotServing`].
+    pub(crate) fn switch_off(&mut self, now: Timestamp, unit: &NodeId) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.unit(unit)?;
         if self.units[index].serves.take().is_none() {
-            return Err(Refusal::NotServing(unit.clone()));
+            return Err(FabricError::NotServing(unit.clone()));
         }
         for robot in self.units[index].stations.clone() {
             if self.robots[robot].station.on_channel() == Some(index) {
@@ -58,13 +62,13 @@ impl Radio {
     /// A robot knows from now on what a radio unit was deployed with, or so it was told.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRobot`] or [`Refusal::UnknownRadioUnit`].
+    /// [`FabricError::UnknownRobot`] or [`FabricError::UnknownRadioUnit`].
     pub(crate) fn provision(
         &mut self,
         robot: &NodeId,
         unit: &NodeId,
         access_point: AccessPoint,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         let (robot, unit) = (self.robot(robot)?, self.unit(unit)?);
         self.robots[robot].access.insert(unit, access_point);
         Ok(())
@@ -80,13 +84,13 @@ impl Radio {
         }
     }
 
-    pub(super) fn check_access(&self, robot: StationIndex, unit: RadioUnitIndex) -> Result<(), Refusal> {
+    pub(super) fn check_access(&self, robot: StationIndex, unit: RadioUnitIndex) -> Result<(), FabricError> {
         let radio_unit = self.units[unit].id.clone();
         if self.units[unit].serves.is_none() {
-            return Err(Refusal::NotServing(radio_unit));
+            return Err(FabricError::NotServing(radio_unit));
         }
         if !self.admits(robot, unit) {
-            return Err(Refusal::NotAdmitted { robot: self.robots[robot].id.clone(), radio_unit });
+            return Err(FabricError::NotAdmitted { robot: self.robots[robot].id.clone(), radio_unit });
         }
         Ok(())
     }
@@ -105,14 +109,14 @@ impl Radio {
         domain(from).is_some() && domain(from) == domain(to)
     }
 
-    fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), Refusal> {
+    fn check_deployment(&self, unit: RadioUnitIndex, access_point: &AccessPoint) -> Result<(), FabricError> {
         let radio_unit = &self.units[unit];
         let network = &self.networks[radio_unit.network].ssid;
         if radio_unit.serves.is_some() {
-            return Err(Refusal::Serving(radio_unit.id.clone()));
+            return Err(FabricError::Serving(radio_unit.id.clone()));
         }
         if access_point.ssid != *network {
-            return Err(Refusal::OtherSsid {
+            return Err(FabricError::OtherSsid {
                 radio_unit: radio_unit.id.clone(),
                 network: network.clone(),
                 asked: access_point.ssid.clone(),
@@ -121,7 +125,7 @@ impl Radio {
         Ok(())
     }
 
-    fn unit(&self, id: &NodeId) -> Result<RadioUnitIndex, Refusal> {
-        self.unit_by_name.get(id).copied().ok_or_else(|| Refusal::UnknownRadioUnit(id.clone()))
+    fn unit(&self, id: &NodeId) -> Result<RadioUnitIndex, FabricError> {
+        self.unit_by_name.get(id).copied().ok_or_else(|| FabricError::UnknownRadioUnit(id.clone()))
     }
 }

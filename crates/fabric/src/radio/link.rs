@@ -16,11 +16,11 @@ use crate::{
     impairment::{Impairments, jittered},
     meter::Meter,
     random::{stream, unit},
-    settings::{Refusal, Settings},
+    settings::{FabricError, Settings},
 };
 
 /// What all links of a network begin with. No station gets more than the fastest PHY rate.
-pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<Settings, Refusal> {
+pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<Settings, FabricError> {
     let medium = Medium { delay: Duration::ZERO, rate: phy.top_rate() };
     let rate = match network.rate {
         None => Rate::Unlimited,
@@ -133,9 +133,9 @@ impl WirelessLink {
 
 impl Lane {
     /// What its settings would be after a change.
-    pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, Refusal> {
+    pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, FabricError> {
         match change.rate {
-            Some(Rate::Trace { .. }) => Err(Refusal::NotOnWireless("trace")),
+            Some(Rate::Trace { .. }) => Err(FabricError::NotOnWireless("trace")),
             _ => self.settings.changed(change),
         }
     }

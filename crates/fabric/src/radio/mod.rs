@@ -45,12 +45,12 @@ use self::{
 };
 use crate::{
     balance::Balance,
-    error::FabricError,
+    error::GraphError,
     frame::Frame,
     pool::Pool,
     port::PortId,
     random::stream,
-    settings::{Carries, Refusal, Settings},
+    settings::{Carries, FabricError, Settings},
     timers::Timers,
 };
 
@@ -187,14 +187,14 @@ impl Radio {
     /// since before the run began.
     ///
     /// # Errors
-    /// [`FabricError::Conditions`] if a network's delay is one that no link can have.
-    pub(crate) fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, FabricError> {
+    /// [`GraphError::Conditions`] if a network's delay is one that no link can have.
+    pub(crate) fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, GraphError> {
         let mut networks = Vec::new();
         let mut network_by_ssid = BTreeMap::new();
         for (ssid, spec) in &graph.wireless {
             network_by_ssid.insert(ssid.as_str(), networks.len());
             let network = Network::new(ssid, spec)
-                .map_err(|refusal| FabricError::Conditions { link: ssid.clone(), refusal })?;
+                .map_err(|refusal| GraphError::Conditions { link: ssid.clone(), refusal })?;
             networks.push(network);
         }
         let ports: BTreeMap<_, _> =
@@ -412,8 +412,13 @@ impl Radio {
     /// A robot is somewhere else now.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRobot`].
-    pub(crate) fn move_robot(&mut self, now: Timestamp, robot: &NodeId, to: Position) -> Result<(), Refusal> {
+    /// [`FabricError::UnknownRobot`].
+    pub(crate) fn move_robot(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        to: Position,
+    ) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
         let robot = &mut self.robots[index];
@@ -431,38 +436,43 @@ impl Radio {
     /// Lets a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRobot`]; [`Refusal::Busy`] while it scans or changes its radio unit.
-    pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), Refusal> {
+    /// [`FabricError::UnknownRobot`]; [`FabricError::Busy`] while it scans or changes its radio unit.
+    pub(crate) fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
         let lost = self.robots[index].station.attached().is_none();
         let purpose = if lost { Purpose::Roam } else { Purpose::Look };
-        self.begin_scan(index, now, purpose).map_err(|_| Refusal::Busy(robot.clone()))
+        self.begin_scan(index, now, purpose).map_err(|_| FabricError::Busy(robot.clone()))
     }
 
     /// Attaches a robot to a radio unit; after the scan, if one is under way. Does nothing where it is attached
     /// already, or about to be.
     ///
     /// # Errors
-    /// [`Refusal::UnknownRobot`], [`Refusal::UnknownRadioUnit`], [`Refusal::OtherNetwork`],
-    /// [`Refusal::NotServing`], [`Refusal::NotAdmitted`], [`Refusal::OutOfReach`]; [`Refusal::Busy`] while it changes
+    /// [`FabricError::UnknownRobot`], [`FabricError::UnknownRadioUnit`], [`FabricError::OtherNetwork`],
+    /// [`FabricError::NotServing`], [`FabricError::NotAdmitted`], [`FabricError::OutOfReach`]; [`FabricError::Busy`] while it changes
     /// to another one.
-    pub(crate) fn attach(&mut self, now: Timestamp, robot: &NodeId, unit: &NodeId) -> Result<(), Refusal> {
+    pub(crate) fn attach(
+        &mut self,
+        now: Timestamp,
+        robot: &NodeId,
+        unit: &NodeId,
+    ) -> Result<(), FabricError> {
         self.advance(now);
         let index = self.robot(robot)?;
-        let to = *self.unit_by_name.get(unit).ok_or_else(|| Refusal::UnknownRadioUnit(unit.clone()))?;
+        let to = *self.unit_by_name.get(unit).ok_or_else(|| FabricError::UnknownRadioUnit(unit.clone()))?;
         if self.robots[index].network != self.units[to].network {
-            return Err(Refusal::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });
+            return Err(FabricError::OtherNetwork { robot: robot.clone(), radio_unit: unit.clone() });
         }
         if self.robots[index].station.attached() != Some(to) {
             self.check_access(index, to)?;
             if self.hears(index, to).is_none() {
-                return Err(Refusal::OutOfReach { robot: robot.clone(), radio_unit: unit.clone() });
+                return Err(FabricError::OutOfReach { robot: robot.clone(), radio_unit: unit.clone() });
             }
         }
         let station = &mut self.robots[index].station;
         let was_away = station.is_away();
-        station.attach(now, to).map_err(|_| Refusal::Busy(robot.clone()))?;
+        station.attach(now, to).map_err(|_| FabricError::Busy(robot.clone()))?;
         if !was_away && station.is_away() {
             self.leave(index);
         }
@@ -559,16 +569,16 @@ impl Radio {
     /// that are profit from a shorter delay.
     ///
     /// # Errors
-    /// [`Refusal`], with the reason; nothing has changed then.
+    /// [`FabricError`], with the reason; nothing has changed then.
     pub(crate) fn change(
         &mut self,
         now: Timestamp,
         link: &LinkId,
         direction: Option<Direction>,
         change: &ConditionChange,
-    ) -> Result<(), Refusal> {
+    ) -> Result<(), FabricError> {
         self.advance(now);
-        let (robot, unit) = self.ends(link).ok_or_else(|| Refusal::UnknownLink(link.clone()))?;
+        let (robot, unit) = self.ends(link).ok_or_else(|| FabricError::UnknownLink(link.clone()))?;
         let both = [Direction::Forward, Direction::Backward];
         let directions = both.into_iter().filter(|d| direction.is_none_or(|wanted| wanted == *d));
         let paths: Vec<_> = directions.map(|direction| Path { robot, unit, direction }).collect();
@@ -601,8 +611,8 @@ impl Radio {
         link.as_str().match_indices('~').filter_map(split).find(same_network)
     }
 
-    fn robot(&self, id: &NodeId) -> Result<StationIndex, Refusal> {
-        self.robot_by_name.get(id).copied().ok_or_else(|| Refusal::UnknownRobot(id.clone()))
+    fn robot(&self, id: &NodeId) -> Result<StationIndex, FabricError> {
+        self.robot_by_name.get(id).copied().ok_or_else(|| FabricError::UnknownRobot(id.clone()))
     }
 
     fn role(&self, port: PortId) -> Option<Role> {
@@ -636,7 +646,7 @@ impl Radio {
 }
 
 impl Network {
-    fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, Refusal> {
+    fn new(ssid: &str, spec: &WirelessNetwork) -> Result<Self, FabricError> {
         let phy = Phy::of(spec.standard);
         Ok(Self {
             phy,

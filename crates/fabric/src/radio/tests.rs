@@ -263,18 +263,18 @@ fn what_cannot_be_is_refused_with_its_reason() {
     let mut world = World::new(network(), nodes);
     let mut attach = |now, robot: &str, unit: &str| world.radio.attach(now, &id(robot), &id(unit));
     let (r, radio_unit) = (id("r"), id("far"));
-    assert_eq!(attach(at(1), "nobody", "R1"), Err(Refusal::UnknownRobot(id("nobody"))));
-    assert_eq!(attach(at(1), "r", "R9"), Err(Refusal::UnknownRadioUnit(id("R9"))));
-    assert_eq!(attach(at(1), "r", "far"), Err(Refusal::OutOfReach { robot: r.clone(), radio_unit }));
+    assert_eq!(attach(at(1), "nobody", "R1"), Err(FabricError::UnknownRobot(id("nobody"))));
+    assert_eq!(attach(at(1), "r", "R9"), Err(FabricError::UnknownRadioUnit(id("R9"))));
+    assert_eq!(attach(at(1), "r", "far"), Err(FabricError::OutOfReach { robot: r.clone(), radio_unit }));
     let radio_unit = id("X");
-    assert_eq!(attach(at(1), "r", "X"), Err(Refusal::OtherNetwork { robot: r.clone(), radio_unit }));
+    assert_eq!(attach(at(1), "r", "X"), Err(FabricError::OtherNetwork { robot: r.clone(), radio_unit }));
     assert_eq!(attach(at(1), "r", "R1"), Ok(()), "it is there already");
     assert_eq!(attach(at(1), "r", "R2"), Ok(()));
-    assert_eq!(attach(at(2), "r", "R1"), Err(Refusal::Busy(r.clone())));
-    assert_eq!(world.radio.scan(at(2), &r), Err(Refusal::Busy(r.clone())));
+    assert_eq!(attach(at(2), "r", "R1"), Err(FabricError::Busy(r.clone())));
+    assert_eq!(world.radio.scan(at(2), &r), Err(FabricError::Busy(r.clone())));
     world.run(at(100));
     assert_eq!(world.radio.scan(at(100), &r), Ok(()));
-    assert_eq!(world.radio.scan(at(101), &r), Err(Refusal::Busy(r)));
+    assert_eq!(world.radio.scan(at(101), &r), Err(FabricError::Busy(r)));
     let trace = "1".parse::<u64>().map(|ms| vec![ms]).unwrap().try_into().unwrap();
     let change = ConditionChange {
         rate: Some(Rate::Trace { trace: std::sync::Arc::new(trace) }),
@@ -282,10 +282,10 @@ fn what_cannot_be_is_refused_with_its_reason() {
     };
     let link = LinkId::wireless(&id("r"), &id("R1"));
     let refusal = world.radio.change(at(200), &link, None, &change).unwrap_err();
-    assert!(matches!(refusal, Refusal::NotOnWireless(_)));
+    assert!(matches!(refusal, FabricError::NotOnWireless(_)));
     let unknown = LinkId::new("r-R1").unwrap();
     let refusal = world.radio.change(at(200), &unknown, None, &change).unwrap_err();
-    assert_eq!(refusal, Refusal::UnknownLink(unknown));
+    assert_eq!(refusal, FabricError::UnknownLink(unknown));
 }
 
 #[test]
@@ -532,7 +532,7 @@ fn emulation_scales_and_sets_a_wireless_link() {
     assert_eq!(up.delay, Some(Duration::from_nanos(3_666_666)));
     let above = ConditionChange { drop_scale: Some(0.1), ..ConditionChange::default() };
     let refusal = world.radio.change(at(100), &link, None, &above).unwrap_err();
-    assert_eq!(refusal, Refusal::AboveMedium { asked_mbps: 80.0, medium: mbps(65.0) });
+    assert_eq!(refusal, FabricError::AboveMedium { asked_mbps: 80.0, medium: mbps(65.0) });
 }
 
 #[test]
@@ -765,8 +765,8 @@ fn a_radio_unit_that_is_off_is_neither_heard_nor_attached_to() {
     let heard = world.radio.attachments(&id("r"));
     assert!(heard.iter().all(|a| a.radio_unit != id("B") || a.signal.is_none()), "{heard:?}");
     let attach = world.radio.attach(at(2_000), &id("r"), &id("B"));
-    assert_eq!(attach, Err(Refusal::NotServing(id("B"))));
-    assert_eq!(world.radio.switch_off(at(2_000), &id("B")), Err(Refusal::NotServing(id("B"))));
+    assert_eq!(attach, Err(FabricError::NotServing(id("B"))));
+    assert_eq!(world.radio.switch_off(at(2_000), &id("B")), Err(FabricError::NotServing(id("B"))));
 }
 
 #[test]
@@ -785,10 +785,10 @@ fn a_vap_is_deployed_once_and_for_the_network_that_its_radio_unit_is_made_for() 
     let mut world = domains(Roaming::Instructed);
     let other = AccessPoint { ssid: "other".into(), ..access_point(1, None) };
     let refused = world.radio.switch_on(at(0), &id("B"), other).unwrap_err();
-    assert!(matches!(&refused, Refusal::OtherSsid { asked, .. } if asked == "other"), "{refused}");
+    assert!(matches!(&refused, FabricError::OtherSsid { asked, .. } if asked == "other"), "{refused}");
     world.radio.switch_on(at(0), &id("B"), access_point(1, None)).unwrap();
     let again = world.radio.switch_on(at(0), &id("B"), access_point(1, None));
-    assert_eq!(again, Err(Refusal::Serving(id("B"))));
+    assert_eq!(again, Err(FabricError::Serving(id("B"))));
 }
 
 #[test]
@@ -806,7 +806,7 @@ fn a_robot_of_another_domain_attaches_with_the_very_key_and_no_other() {
         if let Some(wrong) = wrong {
             world.radio.provision(&id("r"), &id("B"), wrong).unwrap();
         }
-        let refused = Refusal::NotAdmitted { robot: id("r"), radio_unit: id("B") };
+        let refused = FabricError::NotAdmitted { robot: id("r"), radio_unit: id("B") };
         assert_eq!(world.radio.attach(at(0), &id("r"), &id("B")), Err(refused));
     }
     assert_eq!(world.attached("r"), Some(world.port("A")), "it stays where it was");

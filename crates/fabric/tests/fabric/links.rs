@@ -2,7 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use cotorra_fabric::Refusal;
+use cotorra_fabric::FabricError;
 use cotorra_graph::{
     ConditionChange, Conditions, Direction, Jitter, JitterDistribution, LinkId, Loss, Probability,
     QueueLimit, Rate, Scale, Timestamp, Trace,
@@ -237,10 +237,10 @@ fn a_refused_change_changes_neither_direction() {
     let faster =
         ConditionChange { rate: Some(rate(200_000.0)), delay_ms: Some(9.0), ..ConditionChange::default() };
     let refusal = fabric.change(ms(0.0), &link(), None, &faster).unwrap_err();
-    assert!(matches!(refusal, Refusal::AboveMedium { .. }), "{refusal}");
+    assert!(matches!(refusal, FabricError::AboveMedium { .. }), "{refusal}");
     assert_eq!(fabric.link_contexts(ms(0.0)), before);
     let unknown: LinkId = "a-c".parse().unwrap();
-    assert_eq!(fabric.change(ms(0.0), &unknown, None, &faster), Err(Refusal::UnknownLink(unknown)));
+    assert_eq!(fabric.change(ms(0.0), &unknown, None, &faster), Err(FabricError::UnknownLink(unknown)));
 }
 
 #[test]

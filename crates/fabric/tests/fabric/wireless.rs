@@ -1,6 +1,6 @@
 //! Robots on the fabric: over the air, round the radio units, to whoever is attached where.
 
-use cotorra_fabric::{Checksum, FabricError, Frame, Offload, PortId, Segmentation, SegmentationKind};
+use cotorra_fabric::{Checksum, Frame, GraphError, Offload, PortId, Segmentation, SegmentationKind};
 use cotorra_graph::{Conditions, Direction, Event, HostAddress, Timestamp};
 
 use crate::common::{Network, delay, frame, frame_to, ms, number, run};
@@ -122,7 +122,7 @@ fn lateness_on_the_air_is_told_by_link() {
 fn a_robot_has_no_wire() {
     let graph = floor().link("p", "s", delay(1)).graph();
     let error = cotorra_fabric::Fabric::new(&graph, 1).unwrap_err();
-    assert!(matches!(error, FabricError::WiredRobot { .. }), "{error}");
+    assert!(matches!(error, GraphError::WiredRobot { .. }), "{error}");
 }
 
 #[test]

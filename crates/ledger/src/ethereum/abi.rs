@@ -6,7 +6,7 @@ use alloy::{
 };
 
 use crate::{
-    message::{self, Call, Event, Refusal},
+    message::{self, Call, ContractError, Event},
     values::{Account, ChainTime, Commitment, Price, PublicKey, ServiceId, Wei},
 };
 
@@ -174,34 +174,34 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
 ///
 /// # Errors
 /// [`DecodeError`] if the contract does not revert so.
-pub fn decode_refusal(data: &[u8]) -> Result<Refusal, DecodeError> {
+pub fn decode_refusal(data: &[u8]) -> Result<ContractError, DecodeError> {
     let error = FederationErrors::abi_decode(data).map_err(|e| DecodeError(e.to_string()))?;
     Ok(match error {
-        FederationErrors::NotRegistered(_) => Refusal::NotRegistered,
-        FederationErrors::AlreadyRegistered(_) => Refusal::AlreadyRegistered,
-        FederationErrors::BadName(_) => Refusal::BadName,
-        FederationErrors::BadRequirements(_) => Refusal::BadRequirements,
-        FederationErrors::BadTerms(_) => Refusal::BadTerms,
-        FederationErrors::BadKey(_) => Refusal::BadKey,
-        FederationErrors::BadSealed(_) => Refusal::BadSealed,
-        FederationErrors::BadCommitment(_) => Refusal::BadCommitment,
-        FederationErrors::BadDeposit(e) => Refusal::BadDeposit(wei(e.due)?),
-        FederationErrors::AlreadyAnnounced(_) => Refusal::AlreadyAnnounced,
-        FederationErrors::AlreadyBid(_) => Refusal::AlreadyBid,
-        FederationErrors::NoSuchBid(_) => Refusal::NoSuchBid,
-        FederationErrors::CommitmentDiffers(_) => Refusal::CommitmentDiffers,
-        FederationErrors::PriceIsZero(_) => Refusal::PriceIsZero,
-        FederationErrors::OwnService(_) => Refusal::OwnService,
-        FederationErrors::OnlyCreator(_) => Refusal::OnlyCreator,
-        FederationErrors::OnlyProvider(_) => Refusal::OnlyProvider,
-        FederationErrors::OnlyParties(_) => Refusal::OnlyParties,
-        FederationErrors::WrongState(e) => Refusal::WrongState(state(e.state)?),
-        FederationErrors::TooLate(e) => Refusal::TooLate(ChainTime(e.deadline.to())),
-        FederationErrors::TooEarly(e) => Refusal::TooEarly(ChainTime(e.deadline.to())),
-        FederationErrors::BondBound(_) => Refusal::BondBound,
-        FederationErrors::BadReceiver(_) => Refusal::BadReceiver,
-        FederationErrors::NothingToWithdraw(_) => Refusal::NothingToWithdraw,
-        FederationErrors::TransferFailed(_) => Refusal::TransferFailed,
+        FederationErrors::NotRegistered(_) => ContractError::NotRegistered,
+        FederationErrors::AlreadyRegistered(_) => ContractError::AlreadyRegistered,
+        FederationErrors::BadName(_) => ContractError::BadName,
+        FederationErrors::BadRequirements(_) => ContractError::BadRequirements,
+        FederationErrors::BadTerms(_) => ContractError::BadTerms,
+        FederationErrors::BadKey(_) => ContractError::BadKey,
+        FederationErrors::BadSealed(_) => ContractError::BadSealed,
+        FederationErrors::BadCommitment(_) => ContractError::BadCommitment,
+        FederationErrors::BadDeposit(e) => ContractError::BadDeposit(wei(e.due)?),
+        FederationErrors::AlreadyAnnounced(_) => ContractError::AlreadyAnnounced,
+        FederationErrors::AlreadyBid(_) => ContractError::AlreadyBid,
+        FederationErrors::NoSuchBid(_) => ContractError::NoSuchBid,
+        FederationErrors::CommitmentDiffers(_) => ContractError::CommitmentDiffers,
+        FederationErrors::PriceIsZero(_) => ContractError::PriceIsZero,
+        FederationErrors::OwnService(_) => ContractError::OwnService,
+        FederationErrors::OnlyCreator(_) => ContractError::OnlyCreator,
+        FederationErrors::OnlyProvider(_) => ContractError::OnlyProvider,
+        FederationErrors::OnlyParties(_) => ContractError::OnlyParties,
+        FederationErrors::WrongState(e) => ContractError::WrongState(state(e.state)?),
+        FederationErrors::TooLate(e) => ContractError::TooLate(ChainTime(e.deadline.to())),
+        FederationErrors::TooEarly(e) => ContractError::TooEarly(ChainTime(e.deadline.to())),
+        FederationErrors::BondBound(_) => ContractError::BondBound,
+        FederationErrors::BadReceiver(_) => ContractError::BadReceiver,
+        FederationErrors::NothingToWithdraw(_) => ContractError::NothingToWithdraw,
+        FederationErrors::TransferFailed(_) => ContractError::TransferFailed,
     })
 }
 
@@ -281,7 +281,7 @@ mod tests {
         let due = Federation::BadDeposit { due: U256::MAX }.abi_encode();
         assert!(decode_refusal(&due).unwrap_err().to_string().contains("more than there can be"));
         let mut state = Federation::WrongState { state: Federation::State::Ended }.abi_encode();
-        assert_eq!(decode_refusal(&state), Ok(Refusal::WrongState(message::State::Ended)));
+        assert_eq!(decode_refusal(&state), Ok(ContractError::WrongState(message::State::Ended)));
         *state.last_mut().unwrap() = 77;
         assert!(decode_refusal(&state).is_err());
     }

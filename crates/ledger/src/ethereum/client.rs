@@ -19,7 +19,7 @@ use super::{
     node::{self, ANSWER, EthereumError, Failed, Heads},
 };
 use crate::{
-    ledger::{Ledger, Notice, Rejection, Ticket},
+    ledger::{CallError, Ledger, Notice, Ticket},
     message::{Call, Event},
     outbox::{Action, Fees, Outbox, Status, Told},
     values::{Account, BlockHash, ChainTime, Deployment, TransactionHash},
@@ -409,7 +409,7 @@ impl Client {
                 }
                 None => Ok(Bytes::new()),
             };
-            let unknown = || Rejection::Node(format!("the transaction {hash} was reverted"));
+            let unknown = || CallError::Node(format!("the transaction {hash} was reverted"));
             let reason = match answer {
                 Ok(_) => unknown(),
                 Err(error) => rejection(error)?,
@@ -460,10 +460,10 @@ impl Objection {
 }
 
 /// Why a node does not do a call; an error of the connection is passed on.
-fn rejection(error: Failed) -> Result<Rejection, Over> {
+fn rejection(error: Failed) -> Result<CallError, Over> {
     let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
     let refusal = payload.as_revert_data().and_then(|data| abi::decode_refusal(&data).ok());
-    Ok(refusal.map_or_else(|| Rejection::Node(payload.message.to_string()), Rejection::Contract))
+    Ok(refusal.map_or_else(|| CallError::Node(payload.message.to_string()), CallError::Contract))
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    ChainTime, Commitment, Deployment, ModelledChain, ModelledLedger, Price, PublicKey, Refusal,
+    ChainTime, Commitment, ContractError, Deployment, ModelledChain, ModelledLedger, Price, PublicKey,
     Requirements, Salt, State, Terms, Wei,
     seal::{Attachment, Secret},
 };
@@ -126,7 +126,7 @@ impl Faulty {
                     self.waiting.extend([(now, notice.clone()), (now, back), (now, notice)]);
                 }
                 (Fault::Rejected, Notice::Included(ticket)) => {
-                    let rejected = Notice::Refused(*ticket, Refusal::OnlyCreator.into());
+                    let rejected = Notice::Refused(*ticket, ContractError::OnlyCreator.into());
                     self.waiting.push_back((now, rejected));
                 }
                 (Fault::Late(by), _) => {
@@ -680,7 +680,7 @@ fn an_announcement_that_is_replayed_changes_nothing() {
     let heard = |ledger: &mut ModelledLedger| -> Vec<Notice> {
         std::iter::from_fn(|| ledger.poll(world.now)).collect()
     };
-    assert!(heard(&mut again).contains(&Notice::Refused(refused, Refusal::AlreadyAnnounced.into())));
+    assert!(heard(&mut again).contains(&Notice::Refused(refused, ContractError::AlreadyAnnounced.into())));
     assert!(heard(&mut mallory).contains(&Notice::Included(copied)), "it is another service");
 }
 
@@ -741,7 +741,7 @@ fn a_refusal_holds_back_the_call_that_was_refused_until_the_next_head_and_no_oth
     // It was restarted and has not heard that all of this is on the chain.
     creator.submit(Timestamp::ZERO, &mut ledger);
     assert!(matches!(ledger.0[..], [Call::Announce { .. }]));
-    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(1), Refusal::AlreadyAnnounced.into()));
+    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(1), ContractError::AlreadyAnnounced.into()));
     creator.submit(Timestamp::ZERO, &mut ledger);
     assert_eq!(ledger.0.len(), 1, "the chain would say the same");
     let id = creator.id();
@@ -751,7 +751,7 @@ fn a_refusal_holds_back_the_call_that_was_refused_until_the_next_head_and_no_oth
     creator.release();
     creator.submit(Timestamp::ZERO, &mut ledger);
     assert_eq!(ledger.0[1..], [Call::Cancel { id }]);
-    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(2), Refusal::OnlyCreator.into()));
+    creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(2), ContractError::OnlyCreator.into()));
     creator.handle(Timestamp::ZERO, &Notice::Head { number: 1, time: ChainTime(1) });
     creator.submit(Timestamp::ZERO, &mut ledger);
     assert_eq!(ledger.0[2..], [Call::Cancel { id }]);
@@ -825,7 +825,7 @@ fn any_notice() -> impl Strategy<Value = Notice> {
         2 => any_event().prop_map(Notice::Retracted),
         2 => (0..500u64).prop_map(|time| Notice::Head { number: time, time: ChainTime(time) }),
         1 => (1..6u64).prop_map(|ticket| Notice::Included(Ticket(ticket))),
-        1 => (1..6u64).prop_map(|ticket| Notice::Refused(Ticket(ticket), Refusal::TooLate(ChainTime(0)).into())),
+        1 => (1..6u64).prop_map(|ticket| Notice::Refused(Ticket(ticket), ContractError::TooLate(ChainTime(0)).into())),
         1 => Just(Notice::Down("away".to_owned())),
         1 => Just(Notice::Up),
     ]

@@ -1,7 +1,7 @@
 //! Those who mean no good, some of them contracts themselves.
 
 use alloy::{primitives::Bytes, sol_types::SolCall};
-use cotorra_ledger::{Account, Call, Commitment, Event, Refusal, Salt, Wei, ethereum};
+use cotorra_ledger::{Account, Call, Commitment, ContractError, Event, Salt, Wei, ethereum};
 
 use crate::{
     both::{Both, CREATOR, OTHER, PRICE, PROVIDER, TERMS, announce, bid, choose, deploy, salt_of},
@@ -17,7 +17,7 @@ const SALT: Salt = Salt([6; 32]);
 const MALLORY: Account = Account([66; 20]);
 
 /// `call` by way of a contract of Mallory's.
-fn execute(both: &mut Both, wallet: Account, call: &Call) -> Result<Vec<Event>, Refusal> {
+fn execute(both: &mut Both, wallet: Account, call: &Call) -> Result<Vec<Event>, ContractError> {
     both.wait(1);
     let input = Wallet::executeCall {
         target: both.chain.contract().0.into(),
@@ -78,14 +78,17 @@ fn a_payee_that_takes_no_money_holds_up_nobody() {
     // Its service ends although it cannot be paid back; only its own withdrawal fails, each time.
     with_balance(&mut both, wallet);
     for _ in 0..2 {
-        assert_eq!(execute(&mut both, wallet, &Call::Withdraw { to: wallet }), Err(Refusal::TransferFailed));
+        assert_eq!(
+            execute(&mut both, wallet, &Call::Withdraw { to: wallet }),
+            Err(ContractError::TransferFailed)
+        );
     }
     let bond = TERMS.bond().0;
     assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0 + bond);
     // What could not be paid is not lost: it goes to whom its owner says, and to nobody else at anybody else's word.
     both.wait(1);
     let anybody = both.chain.call(both.now, MALLORY, &Call::Withdraw { to: MALLORY });
-    assert_eq!(anybody.err(), Some(Refusal::NothingToWithdraw));
+    assert_eq!(anybody.err(), Some(ContractError::NothingToWithdraw));
     let to = Account([67; 20]);
     execute(&mut both, wallet, &Call::Withdraw { to }).unwrap();
     assert_eq!(both.chain.wealth(to), PRICE.times(TERMS.use_for).0);
@@ -105,9 +108,9 @@ fn nobody_takes_an_id_by_being_faster() {
 fn a_replayed_announcement_opens_nothing_again() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.deployed(SALT);
-    both.refuses(Refusal::AlreadyAnnounced, CREATOR, announce(SALT));
+    both.refuses(ContractError::AlreadyAnnounced, CREATOR, announce(SALT));
     both.does(CREATOR, Call::Cancel { id });
-    both.refuses(Refusal::AlreadyAnnounced, CREATOR, announce(SALT));
+    both.refuses(ContractError::AlreadyAnnounced, CREATOR, announce(SALT));
 }
 
 #[test]
@@ -118,20 +121,20 @@ fn a_copied_bid_cannot_be_opened() {
     both.does(OTHER, bid(id, PROVIDER));
     let deposit = PRICE.times(TERMS.use_for);
     let copied = Call::Choose { id, provider: OTHER, price: PRICE, salt: salt_of(PROVIDER), deposit };
-    both.refuses(Refusal::CommitmentDiffers, CREATOR, copied);
+    both.refuses(ContractError::CommitmentDiffers, CREATOR, copied);
     // Nor does a bid for one service serve for another.
     let second = both.id(CREATOR, Salt([8; 32]));
     both.does(CREATOR, announce(Salt([8; 32])));
     let commitment = Commitment::to(id, PROVIDER, PRICE, salt_of(PROVIDER));
     both.does(PROVIDER, Call::Bid { id: second, commitment, sealed: vec![1], bond: TERMS.bond() });
-    both.refuses(Refusal::CommitmentDiffers, CREATOR, choose(second, PROVIDER));
+    both.refuses(ContractError::CommitmentDiffers, CREATOR, choose(second, PROVIDER));
 }
 
 #[test]
 fn a_provider_that_lies_about_its_deployment_is_paid_nothing() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.deployed(SALT);
-    both.refuses(Refusal::OnlyCreator, PROVIDER, Call::Accept { id });
+    both.refuses(ContractError::OnlyCreator, PROVIDER, Call::Accept { id });
     both.wait(TERMS.accept_within);
     let left = both.does(PROVIDER, Call::Expire { id });
     assert!(matches!(left, Event::ServiceReopened { provider: PROVIDER, .. }), "{left:?}");
@@ -145,7 +148,7 @@ fn a_creator_cannot_take_its_deposit_out_of_a_used_service() {
     let id = both.in_use(SALT);
     both.wait(TERMS.use_for / 2);
     // Each call, refused or not, is a second later.
-    both.refuses(Refusal::NothingToWithdraw, CREATOR, Call::Withdraw { to: CREATOR });
+    both.refuses(ContractError::NothingToWithdraw, CREATOR, Call::Withdraw { to: CREATOR });
     both.does(PROVIDER, Call::Release { id });
     let used = PRICE.times(TERMS.use_for / 2 + 3);
     assert_eq!(both.balance(PROVIDER), Wei(used.0 + TERMS.bond().0));
@@ -157,14 +160,14 @@ fn the_losers_and_the_winners_of_other_services_deploy_nothing_here() {
     let id = both.bid_for(SALT);
     both.does(OTHER, bid(id, OTHER));
     both.does(CREATOR, choose(id, PROVIDER));
-    both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));
+    both.refuses(ContractError::OnlyProvider, OTHER, deploy(id));
     let second = Salt([8; 32]);
     both.does(CREATOR, announce(second));
     let second = both.id(CREATOR, second);
     both.does(OTHER, bid(second, OTHER));
     both.does(CREATOR, choose(second, OTHER));
-    both.refuses(Refusal::OnlyProvider, OTHER, deploy(id));
-    both.refuses(Refusal::OnlyProvider, PROVIDER, deploy(second));
+    both.refuses(ContractError::OnlyProvider, OTHER, deploy(id));
+    both.refuses(ContractError::OnlyProvider, PROVIDER, deploy(second));
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! The compiled contract and its rules in Rust, side by side: each call goes to both, and they must agree.
 
 use cotorra_ledger::{
-    Account, Call, ChainTime, Commitment, Contract, Event, Price, PublicKey, Refusal, Requirements, Salt,
-    ServiceId, State, Terms, Wei,
+    Account, Call, ChainTime, Commitment, Contract, ContractError, Event, Price, PublicKey, Requirements,
+    Salt, ServiceId, State, Terms, Wei,
 };
 
 use crate::chain::{Chain, START, account};
@@ -48,7 +48,7 @@ impl Both {
     }
 
     /// Calls both, a second after the last call.
-    pub fn call(&mut self, caller: Account, call: Call) -> Result<Event, Refusal> {
+    pub fn call(&mut self, caller: Account, call: Call) -> Result<Event, ContractError> {
         self.now = self.now.after(1);
         let by_rules = self.rules.apply(self.now, caller, &call);
         let by_chain = self.chain.call(self.now, caller, &call);
@@ -74,7 +74,7 @@ impl Both {
 
     /// A call that is refused.
     #[track_caller]
-    pub fn refuses(&mut self, refusal: Refusal, caller: Account, call: Call) {
+    pub fn refuses(&mut self, refusal: ContractError, caller: Account, call: Call) {
         assert_eq!(self.call(caller, call.clone()), Err(refusal), "{call:?}");
     }
 

@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use cotorra_ledger::{
-    Account, Call, ChainTime, Deployment, Event, Refusal,
+    Account, Call, ChainTime, ContractError, Deployment, Event,
     ethereum::{
         self,
         anvil::{self, Anvil},
@@ -70,7 +70,7 @@ impl Chain {
     }
 
     /// Calls the contract in a block of time `now`.
-    pub fn call(&self, now: ChainTime, caller: Account, call: &Call) -> Result<Receipt, Refusal> {
+    pub fn call(&self, now: ChainTime, caller: Account, call: &Call) -> Result<Receipt, ContractError> {
         self.transact(now, caller, self.contract, &ethereum::encode(call), call.value().0)
     }
 
@@ -82,7 +82,7 @@ impl Chain {
         to: Account,
         input: &[u8],
         value: u128,
-    ) -> Result<Receipt, Refusal> {
+    ) -> Result<Receipt, ContractError> {
         let (transaction, receipt) = self.send(now, from, to, input, value);
         if receipt["status"] == "0x0" {
             let error = self.try_rpc("eth_call", json!([transaction, receipt["blockNumber"]])).unwrap_err();

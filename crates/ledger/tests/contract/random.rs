@@ -4,8 +4,8 @@
 use std::{cell::RefCell, collections::BTreeMap};
 
 use cotorra_ledger::{
-    Account, Call, Commitment, Deployment, Event, Price, PublicKey, Refusal, Salt, ServiceId, State, Terms,
-    Wei,
+    Account, Call, Commitment, ContractError, Deployment, Event, Price, PublicKey, Salt, ServiceId, State,
+    Terms, Wei,
 };
 use proptest::{
     prelude::*,
@@ -116,7 +116,7 @@ fn whatever_is_called_the_contract_does_what_its_rules_say() {
                     None => service.next(both.state(service.id()), provider),
                 };
                 let result = both.call(caller, call);
-                is_late[number] = matches!(result, Err(Refusal::TooLate(_)));
+                is_late[number] = matches!(result, Err(ContractError::TooLate(_)));
                 let happened = match result {
                     Ok(Event::ServiceEnded { outcome, .. }) => format!("{outcome:?}"),
                     Ok(event) => kind(&event),

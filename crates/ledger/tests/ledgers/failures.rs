@@ -7,7 +7,7 @@
 use std::{env, panic, thread};
 
 use cotorra_ledger::{
-    Account, Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Terms, Wei,
+    Account, Call, CallError, ContractError, Event, Ledger, Notice, Outcome, Price, Terms, Wei,
     negotiation::{CreatorStep, Failure, ProviderStep},
 };
 
@@ -283,7 +283,7 @@ fn the_announcement_is_replayed(stage: &Stage<'_>) {
     let refused = creator.operator.ledger.submit(creator.operator.now(), again());
     let copied = mallory.ledger.submit(mallory.now(), again());
     stage.node.until(&mut mallory, "the copy", |notices| notices.contains(&Notice::Included(copied)));
-    let told = Notice::Refused(refused, Rejection::Contract(Refusal::AlreadyAnnounced));
+    let told = Notice::Refused(refused, CallError::Contract(ContractError::AlreadyAnnounced));
     used_and_paid(stage.node, &mut creator, &mut providers);
     assert!(creator.operator.notices.contains(&told), "{:?}", creator.operator.notices);
 }

@@ -16,7 +16,7 @@ use std::{
 };
 
 use cotorra_ledger::{
-    Call, Event, Ledger, Notice, Outcome, Price, Refusal, Rejection, Wei,
+    Call, CallError, ContractError, Event, Ledger, Notice, Outcome, Price, Wei,
     negotiation::{CreatorStep, Failure, ProviderStep},
 };
 use node::Node;
@@ -65,7 +65,7 @@ fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
     let ticket = operator.ledger.submit(operator.now(), Call::Withdraw { to: operator.key.account() });
-    let refused = Notice::Refused(ticket, Rejection::Contract(Refusal::NothingToWithdraw));
+    let refused = Notice::Refused(ticket, CallError::Contract(ContractError::NothingToWithdraw));
     node.until(&mut operator, "the refusal", |notices| notices.contains(&refused));
     assert_eq!(node.transactions(&operator), 1, "the registration");
 }
@@ -86,7 +86,7 @@ fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
     node.until(&mut operator, "the refusal", |notices| {
         notices
             .iter()
-            .any(|notice| matches!(notice, Notice::Refused(of, Rejection::Node(_)) if *of == ticket))
+            .any(|notice| matches!(notice, Notice::Refused(of, CallError::Node(_)) if *of == ticket))
     });
 }
 

@@ -7,7 +7,7 @@ use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use super::{believed, parameters, planar, told};
-use crate::{asked::Asked, lidar::Scan, rejection::Rejection};
+use crate::{answer_error::AnswerError, asked::Asked, lidar::Scan};
 
 /// A scan without an answer for so long is followed by the next, however little the robot went since.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -158,30 +158,30 @@ impl LocalizationEndpoint {
     /// An answer arrived from this address.
     ///
     /// # Errors
-    /// [`Rejection`] if the robot must not believe it; then nothing changed.
+    /// [`AnswerError`] if the robot must not believe it; then nothing changed.
     pub fn receive(
         &mut self,
         now: Timestamp,
         from: SocketAddrV4,
         packet: &PosePacket,
-    ) -> Result<(), Rejection> {
+    ) -> Result<(), AnswerError> {
         let is_of = |sent: &&mut Sent| sent.sequence == packet.sequence;
         let mut marks = self.trail.iter_mut().enumerate();
         let found = marks.find_map(|(place, mark)| Some((place, mark.scan.as_mut().filter(is_of)?)));
         let Some((place, sent)) = found else {
             let was_sent = packet.sequence < self.sequence;
-            return Err(if was_sent { Rejection::Late } else { Rejection::Unknown });
+            return Err(if was_sent { AnswerError::Late } else { AnswerError::Unknown });
         };
         let by = sent.asked.answered_by(from, packet.nonce).filter(|_| sent.emitted == packet.emitted);
-        let by = by.ok_or(Rejection::Forged)?;
+        let by = by.ok_or(AnswerError::Forged)?;
         if self.since == Some(packet.sequence) {
             return Err(sent.asked.hear_again(from, packet.nonce));
         }
         if now.since(sent.emitted) > GIVEN_UP {
-            return Err(Rejection::Late);
+            return Err(AnswerError::Late);
         }
         if [0, 4, 8].iter().any(|&entry| packet.pose.covariance[entry] < 0.0) {
-            return Err(Rejection::Invalid);
+            return Err(AnswerError::Invalid);
         }
         sent.asked.hear(by);
         self.since = Some(packet.sequence);

@@ -5,11 +5,11 @@ use cotorra_plugin::wire::{PosePacket, ScanPacket};
 
 use super::*;
 use crate::{
+    answer_error::AnswerError,
     asked::Asked,
     driver::RobotDriver,
     fixtures::{SERVER, id, robot, room, walk},
     nonce::Nonces,
-    rejection::Rejection,
     simulated::SimulatedRobot,
     world::World,
 };
@@ -198,12 +198,12 @@ fn answers_that_are_none_change_nothing() {
     impossible.covariance[4] = -1.0;
     let (now, elsewhere) = (at(drive.ms), SocketAddrV4::new(*SERVER.ip(), 9));
     for (now, from, wrong, rejection) in [
-        (now, SERVER, PosePacket { sequence: packet.sequence + 1, ..answer }, Rejection::Unknown),
-        (now, SERVER, PosePacket { emitted: at(7), ..answer }, Rejection::Forged),
-        (now, SERVER, PosePacket { nonce: 8, ..answer }, Rejection::Forged),
-        (now, elsewhere, answer.clone(), Rejection::Forged),
-        (now, SERVER, PosePacket { pose: impossible, ..answer }, Rejection::Invalid),
-        (at(drive.ms + 3001), SERVER, answer.clone(), Rejection::Late),
+        (now, SERVER, PosePacket { sequence: packet.sequence + 1, ..answer }, AnswerError::Unknown),
+        (now, SERVER, PosePacket { emitted: at(7), ..answer }, AnswerError::Forged),
+        (now, SERVER, PosePacket { nonce: 8, ..answer }, AnswerError::Forged),
+        (now, elsewhere, answer.clone(), AnswerError::Forged),
+        (now, SERVER, PosePacket { pose: impossible, ..answer }, AnswerError::Invalid),
+        (at(drive.ms + 3001), SERVER, answer.clone(), AnswerError::Late),
     ] {
         assert_eq!(drive.endpoint.receive(now, from, &wrong), Err(rejection));
         assert_eq!(drive.believed(), before);
@@ -213,7 +213,7 @@ fn answers_that_are_none_change_nothing() {
     assert_ne!(after, before);
     // Once is enough.
     for again in [PosePacket { pose: impossible, ..answer.clone() }, answer] {
-        assert_eq!(drive.endpoint.receive(now, SERVER, &again), Err(Rejection::Repeated));
+        assert_eq!(drive.endpoint.receive(now, SERVER, &again), Err(AnswerError::Repeated));
         assert_eq!(drive.believed(), after);
     }
 }
@@ -245,14 +245,16 @@ fn an_instance_answers_its_robot_once_and_in_order() {
         sent.extend(drive.look());
     }
     let (mut bytes, mut answer) = (Vec::new(), Vec::new());
-    assert!(matches!(vnf.answer(b"hello", &mut answer), Err(Rejected::Malformed(_))));
+    assert!(matches!(vnf.answer(b"hello", &mut answer), Err(PacketError::Malformed(_))));
     let stranger = ScanPacket { robot: NodeId::new("robot2").unwrap(), ..sent[0].clone() };
     stranger.encode(&mut bytes);
-    assert!(matches!(vnf.answer(&bytes, &mut answer), Err(Rejected::Stranger(robot)) if robot == "robot2"));
+    assert!(
+        matches!(vnf.answer(&bytes, &mut answer), Err(PacketError::Stranger(robot)) if robot == "robot2")
+    );
     let first = answered(&mut vnf, &sent[1]);
     assert_eq!(answered(&mut vnf, &sent[1]), first, "a packet that came twice");
     sent[0].encode(&mut bytes);
-    assert!(matches!(vnf.answer(&bytes, &mut answer), Err(Rejected::Overtaken(0))));
+    assert!(matches!(vnf.answer(&bytes, &mut answer), Err(PacketError::Overtaken(0))));
 }
 
 #[test]
@@ -311,10 +313,10 @@ fn of_several_instances_the_first_answer_is_believed_and_the_other_is_redundant(
     let nonces = both().copies();
     let [by_first, by_second] =
         [nonces[0].1, nonces[1].1].map(|nonce| answered(&mut vnf(), &ScanPacket { nonce, ..packet.clone() }));
-    assert_eq!(drive.endpoint.receive(now, SERVER, &by_second), Err(Rejection::Forged));
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_second), Err(AnswerError::Forged));
     assert_eq!(drive.endpoint.receive(now, OTHER, &by_second), Ok(()));
     let believed = drive.believed();
-    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(Rejection::Redundant));
-    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(Rejection::Repeated));
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(AnswerError::Redundant));
+    assert_eq!(drive.endpoint.receive(now, SERVER, &by_first), Err(AnswerError::Repeated));
     assert_eq!(drive.believed(), believed);
 }

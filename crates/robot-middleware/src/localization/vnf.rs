@@ -34,7 +34,7 @@ pub enum NotLocalized {
 
 /// Why a datagram gets no answer.
 #[derive(Debug, thiserror::Error)]
-pub enum Rejected {
+pub enum PacketError {
     /// It is no scan.
     #[error(transparent)]
     Malformed(#[from] WireError),
@@ -135,11 +135,11 @@ impl LocalizationVnf {
     /// Writes the answer to a datagram to `answer`, in place of what it held.
     ///
     /// # Errors
-    /// [`Rejected`] if there is none.
-    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), Rejected> {
+    /// [`PacketError`] if there is none.
+    pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), PacketError> {
         let packet = ScanPacket::decode(datagram)?;
         if packet.robot != self.robot {
-            return Err(Rejected::Stranger(packet.robot));
+            return Err(PacketError::Stranger(packet.robot));
         }
         let pose = self.localize(&packet)?;
         let ScanPacket { sequence, emitted, nonce, .. } = packet;
@@ -147,11 +147,11 @@ impl LocalizationVnf {
         Ok(())
     }
 
-    fn localize(&mut self, packet: &ScanPacket) -> Result<Pose, Rejected> {
+    fn localize(&mut self, packet: &ScanPacket) -> Result<Pose, PacketError> {
         match &self.served {
             Some(served) if packet.sequence == served.sequence => return Ok(served.answer),
             Some(served) if packet.sequence < served.sequence => {
-                return Err(Rejected::Overtaken(packet.sequence));
+                return Err(PacketError::Overtaken(packet.sequence));
             }
             _ => {}
         }
@@ -166,7 +166,7 @@ impl LocalizationVnf {
             sweep: Pose2::new(x, y, heading),
         };
         if !scan.is_usable(self.parameters.beams.range_max) {
-            return Err(Rejected::Blind(packet.sequence));
+            return Err(PacketError::Blind(packet.sequence));
         }
         // Whoever answered last knows best; an answer of this one that got lost is no less true for that.
         let continues = |served: &Served| packet.since.is_none_or(|since| since <= served.sequence);

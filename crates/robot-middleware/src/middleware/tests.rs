@@ -257,7 +257,7 @@ fn instructions_move_a_robot_and_say_why_not() {
     middleware.advance(at(1200), attached);
     assert_eq!(middleware.sensors(&id("idle")).unwrap().velocity, Velocity::default());
 
-    let refused = |result: Result<(), MoveRefused>| result.unwrap_err().to_string();
+    let refused = |result: Result<(), MoveError>| result.unwrap_err().to_string();
     assert_eq!(
         refused(middleware.instruct(at(0), &id("nobody"), drive(0.2), 0)),
         "there is no robot `nobody`"
@@ -353,7 +353,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     let walked = middleware.sensors(&robot).unwrap().pose.x;
     assert!(walked > 1.05, "{walked}");
     middleware.halt(at(500), &robot, true).unwrap();
-    assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveRefused::Halted(robot.clone())));
+    assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveError::Halted(robot.clone())));
     let packet = position(&mut middleware, at(600)).unwrap();
     middleware.receive(at(600), &robot, SERVER, &NavigationPacket::answering(&packet, 1, forward.into()));
     let samples = events(&mut middleware);
@@ -367,7 +367,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     middleware.instruct(at(2_000), &robot, forward, 1).unwrap();
     middleware.advance(at(2_500), attached);
     assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
-    assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveRefused::UnknownRobot(id("nobody"))));
+    assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveError::UnknownRobot(id("nobody"))));
 }
 
 /// What was told of goals: the state and the goal's x.
@@ -480,7 +480,7 @@ impl RobotDriver for Told {
         ms(600)
     }
     fn advance(&mut self, _now: Timestamp) {}
-    fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandRefused> {
+    fn command(&mut self, _now: Timestamp, velocity: Velocity) -> Result<Velocity, CommandError> {
         self.1.send(velocity).unwrap();
         Ok(velocity)
     }
@@ -525,14 +525,14 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
     assert_eq!(follows(&mut middleware), [wanted; 2], "it is as fast");
     for wrong in [-0.1, f64::NAN, f64::INFINITY] {
         let refused = middleware.limit_speed(at(0), &robot, Some(wrong));
-        assert!(matches!(refused, Err(MoveRefused::NotALimit(_))), "{refused:?}");
+        assert!(matches!(refused, Err(MoveError::NotALimit(_))), "{refused:?}");
     }
     assert_eq!(follows(&mut middleware), [wanted; 2]);
     middleware.limit_speed(at(0), &robot, None).unwrap();
     assert_eq!(follows(&mut middleware), [wanted; 2]);
     assert!(!events(&mut middleware).iter().any(|s| matches!(s.event, Event::Notice { .. })));
     let unknown = middleware.limit_speed(at(0), &id("nobody"), None);
-    assert_eq!(unknown, Err(MoveRefused::UnknownRobot(id("nobody"))));
+    assert_eq!(unknown, Err(MoveError::UnknownRobot(id("nobody"))));
 }
 
 #[test]

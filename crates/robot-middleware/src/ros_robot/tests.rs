@@ -200,14 +200,14 @@ fn what_is_over_its_limits_is_scaled_and_what_is_no_number_refused() {
     );
     robot.odometry(at(0), &odometry(0, 0.0));
     assert_eq!(robot.command(at(1), Velocity::planar(0.6, 1.0)), Ok(Velocity::planar(0.3, 0.5)));
-    assert!(matches!(robot.command(at(2), forward(f64::NAN)), Err(CommandRefused::NotFinite(_))));
+    assert!(matches!(robot.command(at(2), forward(f64::NAN)), Err(CommandError::NotFinite(_))));
     assert_eq!(robot.poll_velocity(at(3)), Some(Velocity::planar(0.3, 0.5)));
 }
 
 #[test]
 fn an_absent_robot_is_told_nothing_and_refuses() {
     let mut robot = absent();
-    assert_eq!(robot.command(at(5), forward(0.1)), Err(CommandRefused::Unwell(RobotFault::Absent)));
+    assert_eq!(robot.command(at(5), forward(0.1)), Err(CommandError::Unwell(RobotFault::Absent)));
     assert_eq!(said(&mut robot, 5, 3000), []);
 }
 
@@ -227,7 +227,7 @@ fn a_robot_that_falls_silent_is_stopped_and_refuses_until_it_is_back() {
     let last = said(&mut robot, 1801, 2000);
     assert_eq!(last, [(1801, 0.2), (1850, 0.0), (1950, 0.0)], "a second after it was heard last");
     assert_eq!(robot.health(), [RobotFault::Silent]);
-    assert_eq!(robot.command(at(2000), forward(0.2)), Err(CommandRefused::Unwell(RobotFault::Silent)));
+    assert_eq!(robot.command(at(2000), forward(0.2)), Err(CommandError::Unwell(RobotFault::Silent)));
     robot.odometry(at(2100), &odometry(2100, 3.1));
     assert_eq!(robot.command(at(2100), forward(0.2)), Ok(forward(0.2)));
 }

@@ -79,7 +79,7 @@ fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
     let asked = emit(&mut endpoint);
     assert_eq!((walks.goal, asked.goal), (None, goal));
     // Who knows nothing of goals would drive on along the walk.
-    assert_eq!(receive(&mut endpoint, &asked, None), Err(Rejection::Invalid));
+    assert_eq!(receive(&mut endpoint, &asked, None), Err(AnswerError::Invalid));
     let another = Some(Position::new(2.0, 1.0));
     let told: Vec<_> = endpoint.set_goal(asked.emitted, another).map(|goal| goal.state).collect();
     assert_eq!(told, [GoalState::Replaced, GoalState::Set]);
@@ -97,7 +97,7 @@ fn answers_to_packets_from_before_another_goal_are_measured_and_not_followed() {
     );
     assert_eq!(receive(&mut endpoint, &asked, Some(Headway::Left(1.0))).unwrap().velocity, None);
     let walks = emit(&mut endpoint);
-    assert_eq!(receive(&mut endpoint, &walks, Some(Headway::Arrived)), Err(Rejection::Invalid));
+    assert_eq!(receive(&mut endpoint, &walks, Some(Headway::Arrived)), Err(AnswerError::Invalid));
     assert!(receive(&mut endpoint, &walks, None).unwrap().velocity.is_some());
     assert_eq!(endpoint.waypoint(), 1);
 }
@@ -131,7 +131,7 @@ fn a_duplicate_changes_nothing() {
     let packet = emit(&mut endpoint);
     endpoint.receive(packet.emitted + ms(11), SERVER, &answer(&packet, 2)).unwrap();
     let again = endpoint.receive(packet.emitted + ms(12), SERVER, &answer(&packet, 1));
-    assert_eq!(again, Err(Rejection::Repeated));
+    assert_eq!(again, Err(AnswerError::Repeated));
     assert_eq!(endpoint.waypoint(), 2);
 }
 
@@ -156,7 +156,7 @@ fn without_an_answer_in_time_it_is_given_up() {
     assert!(endpoint.expire(packet.emitted + ms(600)).is_none());
     // It comes after all, and what the robot should do now is not what it says.
     let late = endpoint.receive(packet.emitted + ms(700), SERVER, &answer(&packet, 1));
-    assert_eq!(late, Err(Rejection::Late));
+    assert_eq!(late, Err(AnswerError::Late));
     assert_eq!(endpoint.waypoint(), 0);
 }
 
@@ -165,7 +165,7 @@ fn an_answer_at_the_timeout_is_given_up_whoever_looks_first() {
     let mut endpoint = endpoint(1);
     let packet = emit(&mut endpoint);
     let late = endpoint.receive(packet.emitted + ms(600), SERVER, &answer(&packet, 1));
-    assert_eq!(late, Err(Rejection::Late));
+    assert_eq!(late, Err(AnswerError::Late));
     assert_eq!(endpoint.expire(packet.emitted + ms(600)).unwrap().took, None);
 }
 
@@ -186,10 +186,10 @@ fn only_an_answer_to_a_pending_packet_with_its_nonce_from_where_it_was_sent_is_f
     let right = answer(&packet, 1);
     let elsewhere = SocketAddrV4::new(*SERVER.ip(), SERVER.port() + 1);
     for (from, wrong, rejection) in [
-        (SERVER, NavigationPacket { sequence: 9, ..right.clone() }, Rejection::Unknown),
-        (SERVER, NavigationPacket { nonce: packet.nonce ^ 1, ..right.clone() }, Rejection::Forged),
-        (SERVER, NavigationPacket { emitted: packet.emitted + ms(1), ..right.clone() }, Rejection::Forged),
-        (elsewhere, right.clone(), Rejection::Forged),
+        (SERVER, NavigationPacket { sequence: 9, ..right.clone() }, AnswerError::Unknown),
+        (SERVER, NavigationPacket { nonce: packet.nonce ^ 1, ..right.clone() }, AnswerError::Forged),
+        (SERVER, NavigationPacket { emitted: packet.emitted + ms(1), ..right.clone() }, AnswerError::Forged),
+        (elsewhere, right.clone(), AnswerError::Forged),
     ] {
         assert_eq!(endpoint.receive(packet.emitted + ms(4), from, &wrong), Err(rejection));
         assert_eq!(endpoint.waypoint(), 0);
@@ -207,7 +207,7 @@ fn a_sweep_of_sequence_numbers_moves_nothing() {
     for sequence in 0..10_000 {
         let forged = NavigationPacket { sequence, nonce: 0, ..answer(&packets[39], 1) };
         let rejection = endpoint.receive(now, SERVER, &forged).unwrap_err();
-        let expected = if sequence < 40 { Rejection::Forged } else { Rejection::Unknown };
+        let expected = if sequence < 40 { AnswerError::Forged } else { AnswerError::Unknown };
         assert_eq!(rejection, expected);
     }
     assert!(endpoint.receive(now, SERVER, &answer(&packets[39], 1)).unwrap().velocity.is_some());
@@ -225,7 +225,7 @@ fn the_walk_ends_once_and_packets_with_it() {
     assert_eq!(endpoint.next_deadline(), None);
     assert!(emit_at(&mut endpoint, packet.emitted + ms(5000)).is_none());
     let again = endpoint.receive(packet.emitted + ms(6), SERVER, &answer(&packet, 3));
-    assert_eq!(again, Err(Rejection::Repeated));
+    assert_eq!(again, Err(AnswerError::Repeated));
 }
 
 /// Another server than that of [`SERVER`].
@@ -250,17 +250,17 @@ fn the_first_answer_of_several_is_measured_and_followed_and_the_others_are_redun
     let [by_first, by_second] = [&first, &second].map(|packet| answer(packet, 1));
     let at = |millis| first.emitted + ms(millis);
     // Each has its own nonce.
-    assert_eq!(endpoint.receive(at(5), SERVER, &by_second), Err(Rejection::Forged));
-    assert_eq!(endpoint.receive(at(5), OTHER, &by_first), Err(Rejection::Forged));
+    assert_eq!(endpoint.receive(at(5), SERVER, &by_second), Err(AnswerError::Forged));
+    assert_eq!(endpoint.receive(at(5), OTHER, &by_first), Err(AnswerError::Forged));
     let taken = endpoint.receive(at(7), OTHER, &by_second).unwrap();
     assert_eq!((taken.service_time.took, taken.service_time.server), (Some(ms(7)), id("edge")));
     assert!(taken.velocity.is_some() && endpoint.is_quiet());
-    assert_eq!(endpoint.receive(at(8), OTHER, &by_second), Err(Rejection::Repeated));
-    assert_eq!(endpoint.receive(at(8), OTHER, &by_first), Err(Rejection::Repeated), "from elsewhere");
-    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(Rejection::Redundant));
-    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(Rejection::Repeated));
+    assert_eq!(endpoint.receive(at(8), OTHER, &by_second), Err(AnswerError::Repeated));
+    assert_eq!(endpoint.receive(at(8), OTHER, &by_first), Err(AnswerError::Repeated), "from elsewhere");
+    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(AnswerError::Redundant));
+    assert_eq!(endpoint.receive(at(9), SERVER, &by_first), Err(AnswerError::Repeated));
     let invented = NavigationPacket { nonce: !first.nonce, ..by_first };
-    assert_eq!(endpoint.receive(at(9), SERVER, &invented), Err(Rejection::Forged));
+    assert_eq!(endpoint.receive(at(9), SERVER, &invented), Err(AnswerError::Forged));
 }
 
 #[test]
@@ -272,6 +272,6 @@ fn a_packet_is_unanswered_once_if_none_of_several_answers() {
     assert_eq!(endpoint.expire(first.emitted + COMMAND_TIMEOUT), None);
     for (packet, from) in [(first, SERVER), (second, OTHER)] {
         let late = packet.emitted + COMMAND_TIMEOUT;
-        assert_eq!(endpoint.receive(late, from, &answer(&packet, 1)), Err(Rejection::Late));
+        assert_eq!(endpoint.receive(late, from, &answer(&packet, 1)), Err(AnswerError::Late));
     }
 }

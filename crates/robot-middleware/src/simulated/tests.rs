@@ -92,8 +92,8 @@ fn what_is_no_number_is_refused_and_the_command_before_goes_on() {
     robot.command(Timestamp::ZERO, forward(0.2)).unwrap();
     for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let turn = Velocity::planar(0.1, wrong);
-        assert!(matches!(robot.command(millis(100), forward(wrong)), Err(CommandRefused::NotFinite(_))));
-        assert!(matches!(robot.command(millis(100), turn), Err(CommandRefused::NotFinite(_))));
+        assert!(matches!(robot.command(millis(100), forward(wrong)), Err(CommandError::NotFinite(_))));
+        assert!(matches!(robot.command(millis(100), turn), Err(CommandError::NotFinite(_))));
     }
     robot.advance(millis(590));
     assert!((base(&robot).velocity.linear - 0.2).abs() < 1e-12);

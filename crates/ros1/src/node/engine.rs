@@ -166,7 +166,7 @@ impl Engine {
         while let Ok(command) = self.commands.try_recv() {
             match command {
                 Command::Stop => return false,
-                command => self.obey(shared, command),
+                command => self.run_command(shared, command),
             }
         }
         self.ring(shared);
@@ -200,7 +200,7 @@ impl Engine {
         }
     }
 
-    fn obey(&mut self, shared: &Arc<Shared>, command: Command) {
+    fn run_command(&mut self, shared: &Arc<Shared>, command: Command) {
         match command {
             Command::Publishers { subscription, publishers } => {
                 let subscribed = shared.state.lock().subscriptions.get(&subscription).cloned();

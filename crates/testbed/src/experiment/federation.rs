@@ -3,7 +3,7 @@
 
 pub mod dishonest;
 mod drawn;
-mod on;
+mod ledger_backend;
 
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::report::{FolderError, Quantiles, write};
 
 pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
-pub use on::On;
+pub use ledger_backend::LedgerBackend;
 
 /// The files that [`Comparison::write`] makes.
 pub const FILES: [&str; 4] = ["federation.svg", "federation.md", "federation.json", "steps.csv"];
@@ -345,12 +345,17 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
 
 /// What the plug-ins of a testbed are to be set to so that they federate with these blocks. `phase`, from 0 to 1, is where in
 /// a block period the announcement comes, as far as that can be chosen.
-pub fn settings(testbed: &Testbed, on: &On, block_period: Duration, phase: f64) -> Vec<(String, String)> {
+pub fn settings(
+    testbed: &Testbed,
+    on: &LedgerBackend,
+    block_period: Duration,
+    phase: f64,
+) -> Vec<(String, String)> {
     let period = block_period.as_secs_f64();
     // As an orchestrator does that knows its ledger's period. A network has other things to do, and is late now and then.
     let (collect, late) = match on {
-        On::Modelled | On::Anvil => (1.25 * period, 0.0),
-        On::Network { .. } => (3.0 * period + 2.0, 2.0 * period + 4.0),
+        LedgerBackend::Modelled | LedgerBackend::Anvil => (1.25 * period, 0.0),
+        LedgerBackend::Network { .. } => (3.0 * period + 2.0, 2.0 * period + 4.0),
     };
     // Four blocks, the deployment, some time to attach; halting takes time, too.
     let lead = period * (f64::from(1 + BLOCKS_BETWEEN) + phase) + 4.0 + late;

@@ -11,7 +11,7 @@ use std::{
 };
 
 use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
-use cotorra_network_control::Refused;
+use cotorra_network_control::InstructionError;
 use tokio::sync::broadcast;
 
 use super::{
@@ -44,7 +44,7 @@ pub(crate) trait Stage {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused>;
+    ) -> Result<(), InstructionError>;
 
     /// Cuts a program off, and tells that.
     fn cut_off(&mut self, programs: &mut Programs, plugin: &PluginId, fault: &Fault);

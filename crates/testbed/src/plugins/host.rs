@@ -10,7 +10,7 @@ use std::{
 };
 
 use cotorra_graph::{DomainId, Instruction, NodeId, PluginId, Stamped, Timestamp};
-use cotorra_network_control::Refused;
+use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
 use crate::api::{Follower, Told};
@@ -44,7 +44,7 @@ pub(crate) enum Fault {
 
 /// Why an instruction is not even tried.
 #[derive(Debug, thiserror::Error)]
-enum Refusal {
+enum NotTriedError {
     #[error("this plug-in was cut off")]
     CutOff,
     #[error("{0}")]
@@ -62,7 +62,7 @@ pub(crate) trait Controlled {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused>;
+    ) -> Result<(), InstructionError>;
 
     /// Stops the robots that a plug-in moved, which is cut off, and tells why it is.
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]);
@@ -194,16 +194,16 @@ impl PluginHost {
         instruction: Instruction,
         reason: Option<String>,
         controlled: &mut impl Controlled,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         if let Err(refusal) = self.admit(now, &plugin) {
-            let refused = Refused(refusal.to_string());
-            if let Refusal::Fault(fault) = refusal {
+            let refused = InstructionError(refusal.to_string());
+            if let NotTriedError::Fault(fault) = refusal {
                 self.cut_off(now, &plugin, &fault, controlled);
             }
             return Err(refused);
         }
         if let Some(bytes) = reason.as_ref().map(String::len).filter(|bytes| *bytes > MAX_REASON) {
-            return Err(Refused(format!("its reason has {bytes} bytes, more than {MAX_REASON}")));
+            return Err(InstructionError(format!("its reason has {bytes} bytes, more than {MAX_REASON}")));
         }
         let moved = match &instruction {
             Instruction::Move { robot, .. } if self.movers.get(robot) != Some(&plugin) => {
@@ -255,9 +255,9 @@ impl PluginHost {
         controlled.cut_off(now, plugin.clone(), fault, &robots);
     }
 
-    fn admit(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), Refusal> {
+    fn admit(&mut self, now: Timestamp, plugin: &PluginId) -> Result<(), NotTriedError> {
         if self.is_cut_off(plugin) {
-            return Err(Refusal::CutOff);
+            return Err(NotTriedError::CutOff);
         }
         let full = || Budget { left: INSTRUCTIONS_PER_SECOND, at: now };
         let budget = if self.members.contains(plugin) || self.domains.contains(plugin) {
@@ -270,7 +270,7 @@ impl PluginHost {
         }
         // Somebody at the API is no plug-in, and welcome again later.
         let is_plugin = self.members.contains(plugin);
-        Err(if is_plugin { Refusal::Fault(Fault::Flooded) } else { Refusal::TooMany })
+        Err(if is_plugin { NotTriedError::Fault(Fault::Flooded) } else { NotTriedError::TooMany })
     }
 }
 
@@ -383,7 +383,7 @@ mod tests {
             _plugin: PluginId,
             _instruction: Instruction,
             _reason: Option<String>,
-        ) -> Result<(), Refused> {
+        ) -> Result<(), InstructionError> {
             self.done += 1;
             Ok(())
         }

@@ -14,7 +14,7 @@ use std::{
 
 use cotorra_federation::Ledgers;
 use cotorra_graph::{Instruction, PluginId, PluginProgram, Stamped, Testbed, Timestamp};
-use cotorra_network_control::Refused;
+use cotorra_network_control::InstructionError;
 use cotorra_plugin::{Actions, Plugin};
 
 use super::{
@@ -26,7 +26,7 @@ use crate::{
     api::Server,
     core_loop::Message,
     domain::{self, DomainView, Domains},
-    earlier::Earlier,
+    previous_run::PreviousRun,
 };
 
 /// A call that takes longer than this counts as hung.
@@ -57,7 +57,7 @@ impl Prepared {
     }
 
     /// Tells those that are bundled what they noted in an earlier run.
-    pub(crate) fn resume(&mut self, earlier: &Earlier) {
+    pub(crate) fn resume(&mut self, earlier: &PreviousRun) {
         self.bundled.iter_mut().for_each(|(id, plugin)| plugin.resume(earlier.noted_by(id)));
     }
 
@@ -169,7 +169,7 @@ impl RunningPlugins {
         instruction: Instruction,
         reason: Option<String>,
         core: &mut impl Controlled,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let done = self.host.instruct(now, plugin, instruction, reason, core);
         self.end_cut_off();
         done
@@ -293,7 +293,7 @@ mod tests {
             _plugin: PluginId,
             _instruction: Instruction,
             _reason: Option<String>,
-        ) -> Result<(), Refused> {
+        ) -> Result<(), InstructionError> {
             Ok(())
         }
 
@@ -384,6 +384,6 @@ mod tests {
         );
         let scan = Instruction::Scan { robot: "robot".parse().unwrap() };
         let refused = plugins.instruct(Timestamp::from_secs_f64(3.2), id(), scan, None, &mut told);
-        assert_eq!(refused, Err(Refused("this plug-in was cut off".to_owned())));
+        assert_eq!(refused, Err(InstructionError("this plug-in was cut off".to_owned())));
     }
 }

@@ -23,7 +23,7 @@ use tokio::sync::broadcast;
 use super::{Now, host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
     core::Core,
-    core_loop::{CoreLoop, Message, Readers},
+    core_loop::{CoreLoop, EventSinks, Message},
     live::Live,
     replay::{Played, Replay, ReplayEnd, ReplayOptions, Speed},
     report::Report,
@@ -156,7 +156,7 @@ impl Misdeed {
         let history = History::in_memory().unwrap();
         let run = history.begin_run(&info()).unwrap();
         let (stream, mut events) = broadcast::channel(100_000);
-        let readers = Readers {
+        let sinks = EventSinks {
             live: Live::default(),
             recorder: history.recorder(run).unwrap(),
             report: Report::new(&testbed, 1),
@@ -166,7 +166,7 @@ impl Misdeed {
             keeper: None,
         };
         let (sockets, until) = (BTreeMap::new(), None);
-        let core = CoreLoop { core, readers, inbox, sockets, images: None, now, until };
+        let core = CoreLoop { core, sinks, inbox, sockets, images: None, now, until };
         let core = thread::spawn(move || core.run());
         let (mut told, mut is_cut_off) = (Vec::new(), false);
         loop {

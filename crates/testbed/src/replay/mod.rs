@@ -15,7 +15,7 @@ use cotorra_graph::{
     Decision, Event, Instruction, NodeId, PluginId, PluginProgram, Stamped, Testbed, Timestamp,
 };
 use cotorra_measurements::{GraphState, History, PageRequest, RunId, Sample};
-use cotorra_network_control::Refused;
+use cotorra_network_control::InstructionError;
 use cotorra_plugin::runs::Runs;
 use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 
@@ -132,11 +132,11 @@ impl Controlled for Record {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let refused = Some(REFUSAL.to_owned());
         let event = Event::Decision(Decision { plugin, instruction, reason, refused });
         self.told.push_back(Stamped { at: now, event });
-        Err(Refused(REFUSAL.to_owned()))
+        Err(InstructionError(REFUSAL.to_owned()))
     }
 
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, _robots: &[NodeId]) {
@@ -412,7 +412,7 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let audience = &mut *self.audience;
         let done = audience.host.instruct(audience.now, plugin, instruction, reason, &mut audience.record);
         self.tell_decisions();

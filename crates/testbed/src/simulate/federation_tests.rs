@@ -356,7 +356,7 @@ fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_ste
         let recorder = history.recorder(run).unwrap();
         noted.iter().for_each(|note| recorder.record(note.clone()));
         recorder.flush().unwrap();
-        let earlier = Earlier::kept(&history, &history.run(run).unwrap()).unwrap();
+        let earlier = PreviousRun::kept(&history, &history.run(run).unwrap()).unwrap();
 
         let walk = format!("walks.robot.waypoints=[[{x}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);

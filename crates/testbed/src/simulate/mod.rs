@@ -21,7 +21,7 @@ use cotorra_graph::{
     Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
-use cotorra_network_control::{Refused, vim::Managed};
+use cotorra_network_control::{InstructionError, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
 use self::interference::{Held, Interference};
@@ -33,13 +33,13 @@ pub(crate) use self::{
 use crate::{
     core::Core,
     domain::Domains,
-    earlier::Earlier,
     plugins::{
         Bundled, PATIENCE, PluginError,
         host::{Fault, PluginHost},
         lockstep::{Call, Locals, Lockstep, Returned},
         programs,
     },
+    previous_run::PreviousRun,
     robots::simulated,
     run::{RunError, probe_links},
     script::Script,
@@ -114,7 +114,7 @@ impl Simulation {
         testbed: Arc<Testbed>,
         seed: u64,
         ledgers: Ledgers,
-        earlier: Option<&Earlier>,
+        earlier: Option<&PreviousRun>,
     ) -> Result<Self, RunError> {
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
@@ -249,7 +249,7 @@ impl Simulation {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let done = self.host.instruct(self.network.now(), plugin, instruction, reason, &mut self.core);
         // It may have gone by the name of one in process.
         self.locals.end_cut_off(&self.host);

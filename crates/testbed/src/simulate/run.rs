@@ -9,7 +9,7 @@ use std::{
 
 use cotorra_graph::{Instruction, PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{PacedRecorder, RunInfo};
-use cotorra_network_control::Refused;
+use cotorra_network_control::InstructionError;
 use cotorra_recording::{Pace, Recording, Tap};
 use cotorra_robot_middleware::{SensedData, SensedScan};
 
@@ -206,7 +206,7 @@ impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
-    ) -> Result<(), Refused> {
+    ) -> Result<(), InstructionError> {
         let done = self.simulation.instruct(plugin, instruction, reason);
         self.advance(Stretch::Settle, Some(programs));
         done

@@ -32,7 +32,7 @@ use crate::{
     requests::Subscription,
     survey::{Site, Survey},
     types::Epoch,
-    wais::{Dispatch, Refused, Target, Wais},
+    wais::{Dispatch, RequestError, Target, Wais},
 };
 
 /// What is known changes without notice: while anybody has subscribed, it is looked at this often.
@@ -190,7 +190,7 @@ impl Service {
     async fn check_callback(&self, subscription: &Subscription) -> Result<(), Problem> {
         subscription.check()?;
         if let Target::Callback(callback) = Target::of(subscription)? {
-            delivery::resolve(&callback, self.allowed()).await.map_err(Refused::from)?;
+            delivery::resolve(&callback, self.allowed()).await.map_err(RequestError::from)?;
         }
         Ok(())
     }

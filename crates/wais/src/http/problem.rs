@@ -6,7 +6,7 @@ use axum::{
 };
 use serde::Serialize;
 
-use crate::{callback::CallbackError, requests::InvalidRequest, view::QueryError, wais::Refused};
+use crate::{callback::CallbackError, requests::InvalidRequest, view::QueryError, wais::RequestError};
 
 /// What went wrong (RFC 9457).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -69,21 +69,21 @@ impl IntoResponse for Problem {
     }
 }
 
-impl From<Refused> for Problem {
-    fn from(refused: Refused) -> Self {
+impl From<RequestError> for Problem {
+    fn from(refused: RequestError) -> Self {
         let status = match &refused {
-            Refused::Invalid(InvalidRequest::Malformed(_))
-            | Refused::Callback(CallbackError::Invalid(_) | CallbackError::Unknown(_)) => {
+            RequestError::Invalid(InvalidRequest::Malformed(_))
+            | RequestError::Callback(CallbackError::Invalid(_) | CallbackError::Unknown(_)) => {
                 StatusCode::BAD_REQUEST
             }
-            Refused::Invalid(InvalidRequest::Unsupported(_)) => StatusCode::UNPROCESSABLE_ENTITY,
-            Refused::Callback(CallbackError::Forbidden(_)) | Refused::Full => StatusCode::FORBIDDEN,
-            Refused::NotFound { .. } => StatusCode::NOT_FOUND,
-            Refused::Changed(_) => StatusCode::PRECONDITION_FAILED,
-            Refused::TooOften(_) => StatusCode::TOO_MANY_REQUESTS,
+            RequestError::Invalid(InvalidRequest::Unsupported(_)) => StatusCode::UNPROCESSABLE_ENTITY,
+            RequestError::Callback(CallbackError::Forbidden(_)) | RequestError::Full => StatusCode::FORBIDDEN,
+            RequestError::NotFound { .. } => StatusCode::NOT_FOUND,
+            RequestError::Changed(_) => StatusCode::PRECONDITION_FAILED,
+            RequestError::TooOften(_) => StatusCode::TOO_MANY_REQUESTS,
         };
         let header = match &refused {
-            Refused::TooOften(wait) => {
+            RequestError::TooOften(wait) => {
                 let seconds = HeaderValue::from(wait.as_secs() + 1);
                 Some((header::RETRY_AFTER, seconds))
             }
@@ -101,7 +101,7 @@ impl From<QueryError> for Problem {
 
 impl From<InvalidRequest> for Problem {
     fn from(error: InvalidRequest) -> Self {
-        Refused::from(error).into()
+        RequestError::from(error).into()
     }
 }
 

@@ -14,7 +14,7 @@ use parking_lot::Mutex;
 use tokio::sync::{mpsc, oneshot};
 
 use super::{Service, extract::Id, problem::Problem};
-use crate::{outbox::Outcome, wais::Refused};
+use crate::{outbox::Outcome, wais::RequestError};
 
 /// A consumer has nothing to say here that would be longer.
 const LONGEST_MESSAGE: usize = 4096;
@@ -64,7 +64,7 @@ pub(super) async fn open(
     Id(id): Id,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, Problem> {
-    let not_found = || Refused::NotFound { what: "WebSocket of a subscription", id: id.clone() };
+    let not_found = || RequestError::NotFound { what: "WebSocket of a subscription", id: id.clone() };
     let subscription: u64 = id.parse().map_err(|_| not_found())?;
     if !service.with(|wais| wais.has_websocket(subscription)) {
         return Err(not_found().into());

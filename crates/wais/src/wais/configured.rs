@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use cotorra_graph::Timestamp;
 
-use super::{MOST, Refused, Resource, Wais, etag};
+use super::{MOST, RequestError, Resource, Wais, etag};
 use crate::{
     conditional::may_change,
     requests::{InvalidRequest, MeasurementConfig, MeasurementConfigLink, MeasurementConfigLinkList},
@@ -21,17 +21,17 @@ impl Wais {
     /// Makes a measurement configuration.
     ///
     /// # Errors
-    /// [`Refused`]; then there is none.
+    /// [`RequestError`]; then there is none.
     pub fn configure(
         &mut self,
         now: Timestamp,
         base: &str,
         config: MeasurementConfig,
-    ) -> Result<Resource<MeasurementConfig>, Refused> {
+    ) -> Result<Resource<MeasurementConfig>, RequestError> {
         self.admit(now)?;
         self.check_config(None, &config)?;
         if self.configured.len() >= MOST {
-            return Err(Refused::Full);
+            return Err(RequestError::Full);
         }
         let (id, version) = (self.number(), self.number());
         self.configured.insert(id, Configured { config, version });
@@ -42,7 +42,7 @@ impl Wais {
     /// Replaces a measurement configuration.
     ///
     /// # Errors
-    /// [`Refused`]; then it is as it was.
+    /// [`RequestError`]; then it is as it was.
     pub fn reconfigure(
         &mut self,
         now: Timestamp,
@@ -50,13 +50,13 @@ impl Wais {
         id: &str,
         if_match: Option<&str>,
         config: MeasurementConfig,
-    ) -> Result<Resource<MeasurementConfig>, Refused> {
+    ) -> Result<Resource<MeasurementConfig>, RequestError> {
         self.admit(now)?;
         let (number, configured) = self.find_config(id)?;
         let etag = etag(number, configured.version);
         self.check_config(Some(number), &config)?;
         if !may_change(if_match, &etag) {
-            return Err(Refused::Changed(etag));
+            return Err(RequestError::Changed(etag));
         }
         let version = self.number();
         self.configured.insert(number, Configured { config, version });
@@ -64,7 +64,7 @@ impl Wais {
         self.measurement(base, id)
     }
 
-    fn check_config(&self, own: Option<u64>, config: &MeasurementConfig) -> Result<(), Refused> {
+    fn check_config(&self, own: Option<u64>, config: &MeasurementConfig) -> Result<(), RequestError> {
         config.check()?;
         let same = |(id, other): (&u64, &Configured)| {
             Some(*id) != own && other.config.measurement_id == config.measurement_id
@@ -76,17 +76,17 @@ impl Wais {
         Ok(())
     }
 
-    fn find_config(&self, id: &str) -> Result<(u64, &Configured), Refused> {
+    fn find_config(&self, id: &str) -> Result<(u64, &Configured), RequestError> {
         let number = id.parse().ok();
         let found = number.and_then(|number| Some((number, self.configured.get(&number)?)));
-        found.ok_or_else(|| Refused::NotFound { what: "measurement configuration", id: id.to_owned() })
+        found.ok_or_else(|| RequestError::NotFound { what: "measurement configuration", id: id.to_owned() })
     }
 
     /// A measurement configuration.
     ///
     /// # Errors
-    /// [`Refused::NotFound`].
-    pub fn measurement(&self, base: &str, id: &str) -> Result<Resource<MeasurementConfig>, Refused> {
+    /// [`RequestError::NotFound`].
+    pub fn measurement(&self, base: &str, id: &str) -> Result<Resource<MeasurementConfig>, RequestError> {
         let (number, configured) = self.find_config(id)?;
         let href = format!("{base}/measurements/{number}");
         let links = Some(SelfLink::to(href.clone()));
@@ -109,13 +109,18 @@ impl Wais {
     /// Ends a measurement configuration.
     ///
     /// # Errors
-    /// [`Refused`].
-    pub fn unconfigure(&mut self, now: Timestamp, id: &str, if_match: Option<&str>) -> Result<(), Refused> {
+    /// [`RequestError`].
+    pub fn unconfigure(
+        &mut self,
+        now: Timestamp,
+        id: &str,
+        if_match: Option<&str>,
+    ) -> Result<(), RequestError> {
         self.admit(now)?;
         let (number, configured) = self.find_config(id)?;
         let etag = etag(number, configured.version);
         if !may_change(if_match, &etag) {
-            return Err(Refused::Changed(etag));
+            return Err(RequestError::Changed(etag));
         }
         self.configured.remove(&number);
         self.listings.forget_stations();

@@ -48,7 +48,7 @@ impl Rig {
         serde_json::from_slice(&answer.body).unwrap()
     }
 
-    fn try_subscribe(&mut self, body: &Value) -> Result<Resource<Subscription>, Refused> {
+    fn try_subscribe(&mut self, body: &Value) -> Result<Resource<Subscription>, RequestError> {
         let subscription = Subscription::read(body.to_string().as_bytes())?;
         self.wais.subscribe(self.at(), BASE, subscription)
     }
@@ -57,7 +57,7 @@ impl Rig {
         self.try_subscribe(body).unwrap_or_else(|refused| panic!("{refused}: {body}"))
     }
 
-    fn configure(&mut self, body: &Value) -> Result<Resource<MeasurementConfig>, Refused> {
+    fn configure(&mut self, body: &Value) -> Result<Resource<MeasurementConfig>, RequestError> {
         let config = MeasurementConfig::read(body.to_string().as_bytes())?;
         self.wais.configure(self.at(), BASE, config)
     }
@@ -153,7 +153,7 @@ fn a_domain_sees_its_own_access_points_and_their_stations() {
         (1, &json!("02:77:00:00:00:03"))
     );
     let refused = rig.try_subscribe(&assoc(&json!({ "notificationPeriod": 1 }))).unwrap_err();
-    assert!(matches!(refused, Refused::Invalid(InvalidRequest::Unsupported(_))), "{refused}");
+    assert!(matches!(refused, RequestError::Invalid(InvalidRequest::Unsupported(_))), "{refused}");
 }
 
 #[test]
@@ -284,7 +284,7 @@ fn the_end_of_a_subscription_is_told_before_and_nothing_after() {
     let href = format!("{BASE}/subscriptions/1");
     assert!(sent.iter().all(|(_, sent)| sent["_links"]["subscription"]["href"] == *href), "{sent:?}");
     assert_eq!(sent[1].1["expiryDeadline"]["seconds"], 1100);
-    assert!(matches!(rig.wais.subscription(BASE, "1"), Err(Refused::NotFound { .. })));
+    assert!(matches!(rig.wais.subscription(BASE, "1"), Err(RequestError::NotFound { .. })));
     // A short life is announced at its half, and a long one is cut to a day.
     rig.now = 0.0;
     let made = rig.subscribe(&assoc(&json!({
@@ -312,11 +312,11 @@ fn replacing_needs_the_version_that_was_seen() {
     assert_ne!(changed.etag, made.etag);
     assert_eq!(
         replace(&mut rig, Some(&made.etag), five.clone()),
-        Err(Refused::Changed(changed.etag.clone()))
+        Err(RequestError::Changed(changed.etag.clone()))
     );
     assert_eq!(
         rig.wais.unsubscribe(rig.at(), "1", Some(&made.etag)),
-        Err(Refused::Changed(changed.etag.clone()))
+        Err(RequestError::Changed(changed.etag.clone()))
     );
     assert_eq!(rig.sent(11.0).len(), 2, "the new period counts");
     let other = json!({
@@ -330,7 +330,7 @@ fn replacing_needs_the_version_that_was_seen() {
     let itself = assoc(&json!({ "notificationPeriod": 5, "_links": { "self": { "href": made.href } } }));
     assert!(replace(&mut rig, Some("*"), itself).is_ok());
     rig.wais.unsubscribe(rig.at(), "1", None).unwrap();
-    assert!(matches!(replace(&mut rig, None, five), Err(Refused::NotFound { .. })));
+    assert!(matches!(replace(&mut rig, None, five), Err(RequestError::NotFound { .. })));
 }
 
 #[test]
@@ -388,12 +388,12 @@ fn lists_link_what_is_there_and_there_is_a_limit() {
     for _ in 0..MOST {
         rig.subscribe(&assoc(&json!({ "notificationPeriod": 1 })));
     }
-    assert_eq!(rig.try_subscribe(&assoc(&json!({ "notificationPeriod": 1 }))), Err(Refused::Full));
+    assert_eq!(rig.try_subscribe(&assoc(&json!({ "notificationPeriod": 1 }))), Err(RequestError::Full));
     assert_eq!(rig.wais.subscriptions(BASE, None).subscription.len(), MOST);
     assert_eq!(rig.wais.subscriptions(BASE, Some("AssocStaSubscription")).subscription.len(), MOST);
     assert_eq!(rig.wais.subscriptions(BASE, Some("StaDataRateSubscription")).subscription.len(), 0);
     let changes = (0..1000).map(|_| rig.wais.unsubscribe(rig.at(), "none", None));
-    let refused: Vec<_> = changes.filter(|r| matches!(r, Err(Refused::TooOften(_)))).collect();
+    let refused: Vec<_> = changes.filter(|r| matches!(r, Err(RequestError::TooOften(_)))).collect();
     assert!(!refused.is_empty());
 }
 

@@ -88,7 +88,7 @@ fn a_run_that_shows_none_says_how_far_it_went() {
 fn tables_figure_and_steps_are_written() {
     let comparison = Comparison {
         how: "in virtual time".to_owned(),
-        ledger: On::Modelled.to_string(),
+        ledger: LedgerBackend::Modelled.to_string(),
         runs: vec![federated(), Federated { block_period_s: 1.0, ..federated() }, federated()],
     };
     let table = comparison.to_markdown();

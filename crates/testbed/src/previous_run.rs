@@ -44,12 +44,12 @@ pub enum CannotGoOn {
 
 /// What plug-ins noted in an earlier run.
 #[derive(Debug, Clone)]
-pub struct Earlier {
+pub struct PreviousRun {
     /// When each was reached, nanoseconds since 1970, and what was.
     notes: Vec<(i64, Decision)>,
 }
 
-impl Earlier {
+impl PreviousRun {
     /// Reads what a run noted, for one of the testbed `now`; `parse` reads the text of its testbed file.
     ///
     /// # Errors
@@ -212,7 +212,7 @@ mod tests {
                 noted(26, "orchestrator-2", "nonsense", Some("it was refused")),
             ],
         );
-        let earlier = Earlier::read(&history, &first, &on, |_| Ok(on.clone())).unwrap();
+        let earlier = PreviousRun::read(&history, &first, &on, |_| Ok(on.clone())).unwrap();
         let notes: Vec<_> = earlier.notes_before(BEGAN + 60 * second).collect();
         assert!(notes.iter().all(|note| note.at == Timestamp::ZERO));
         assert_eq!(steps(notes.clone().into_iter()), [("announced".into(), 40), ("bid sent".into(), 35)]);
@@ -223,7 +223,7 @@ mod tests {
         // The run after it is killed, too.
         let more = [noted(3, "orchestrator-1", "winner chosen", None)];
         let next = keep(&history, BEGAN + 60 * second, notes.into_iter().chain(more));
-        let earlier = Earlier::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
+        let earlier = PreviousRun::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
         let told = steps(earlier.notes_before(BEGAN + 100 * second));
         assert_eq!(told, [("announced".into(), 80), ("bid sent".into(), 75), ("winner chosen".into(), 37)]);
         // A clock that was set back.
@@ -244,7 +244,8 @@ mod tests {
         let history = History::in_memory().unwrap();
         let run = keep(&history, BEGAN, []);
         let renamed = Testbed { name: "corridor".into(), ..here };
-        let other = Earlier::read(&history, &run, &renamed, |_| panic!("it is not looked at")).unwrap_err();
+        let other =
+            PreviousRun::read(&history, &run, &renamed, |_| panic!("it is not looked at")).unwrap_err();
         assert!(other.to_string().contains("`federation`, and this one is of `corridor`"), "{other}");
     }
 }

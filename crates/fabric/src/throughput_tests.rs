@@ -7,7 +7,7 @@ use cotorra_graph::{LinkId, Rate, Tested, ThroughputTest, Timestamp};
 
 use crate::{
     frame::{Frame, MEASURING},
-    settings::{Refusal, rate_bps},
+    settings::{FabricError, rate_bps},
     timers::Timers,
 };
 
@@ -15,11 +15,11 @@ use crate::{
 const GRACE: Duration = Duration::from_secs(1);
 
 /// Bits of a packet, Ethernet header included.
-const BITS: f64 = Trials::PACKET_BYTES as f64 * 8.0;
+const BITS: f64 = ThroughputTests::PACKET_BYTES as f64 * 8.0;
 
 /// A test that goes on or is over.
 #[derive(Debug, Clone)]
-struct Trial {
+struct Running {
     began: Timestamp,
     test: ThroughputTest,
     rate_bps: f64,
@@ -31,19 +31,19 @@ struct Trial {
     span: Option<[Timestamp; 2]>,
 }
 
-impl Trial {
+impl Running {
     /// A test that begins now, of a link that is asked to carry so many bit/s.
     ///
     /// # Errors
-    /// [`Refusal::TestDuration`] or [`Refusal::TestRate`] beyond the bounds.
-    fn new(now: Timestamp, test: ThroughputTest, link_bps: f64) -> Result<Self, Refusal> {
+    /// [`FabricError::TestDuration`] or [`FabricError::TestRate`] beyond the bounds.
+    fn new(now: Timestamp, test: ThroughputTest, link_bps: f64) -> Result<Self, FabricError> {
         if !(ThroughputTest::SHORTEST..=ThroughputTest::LONGEST).contains(&test.duration) {
-            return Err(Refusal::TestDuration(test.duration));
+            return Err(FabricError::TestDuration(test.duration));
         }
         let fastest = ThroughputTest::FASTEST_BPS as f64;
         let rate_bps = match test.rate_limit {
             Some(limit) if limit.bits_per_second() > ThroughputTest::FASTEST_BPS => {
-                return Err(Refusal::TestRate(limit));
+                return Err(FabricError::TestRate(limit));
             }
             Some(limit) => limit.bits_per_second() as f64,
             None => (link_bps * 1.1).min(fastest),
@@ -103,19 +103,19 @@ impl Trial {
 
 /// The tests of all directions of links, each known by its place.
 #[derive(Debug)]
-pub struct Trials {
+pub struct ThroughputTests {
     of: BTreeMap<usize, Latest>,
     timers: Timers,
 }
 
 #[derive(Debug)]
 struct Latest {
-    trial: Trial,
+    test: Running,
     /// The one before, which tells until this one is over.
-    before: Option<Trial>,
+    before: Option<Running>,
 }
 
-impl Trials {
+impl ThroughputTests {
     /// Octets of a packet, Ethernet header included.
     pub const PACKET_BYTES: usize = 1514;
 
@@ -127,22 +127,22 @@ impl Trials {
     /// Begins a test of an edge of that link, which is asked to carry packets at a rate.
     ///
     /// # Errors
-    /// [`Refusal`] for a test without bounds, or one so soon after another.
+    /// [`FabricError`] for a test without bounds, or one so soon after another.
     pub fn begin(
         &mut self,
         now: Timestamp,
         (edge, link): (usize, &LinkId),
         test: ThroughputTest,
         rate: &Rate,
-    ) -> Result<(), Refusal> {
-        let trial = Trial::new(now, test, rate_bps(rate))?;
-        let before = self.of.get(&edge).map(|latest| latest.trial.clone());
+    ) -> Result<(), FabricError> {
+        let test = Running::new(now, test, rate_bps(rate))?;
+        let before = self.of.get(&edge).map(|latest| latest.test.clone());
         let rest = before.as_ref().map_or(Duration::ZERO, |before| before.rests_for(now));
         if !rest.is_zero() {
-            return Err(Refusal::TestTooSoon { link: link.clone(), rest });
+            return Err(FabricError::TestTooSoon { link: link.clone(), rest });
         }
-        self.timers.set(edge, trial.deadline());
-        self.of.insert(edge, Latest { trial, before });
+        self.timers.set(edge, test.deadline());
+        self.of.insert(edge, Latest { test, before });
         Ok(())
     }
 
@@ -154,9 +154,9 @@ impl Trials {
     /// The next packet that is due by then, in a buffer, and the edge that it goes over.
     pub fn poll(&mut self, now: Timestamp, buffer: impl FnOnce(usize) -> Vec<u8>) -> Option<(usize, Frame)> {
         let (_, edge) = self.timers.next().filter(|(at, _)| *at <= now)?;
-        let trial = &mut self.of.get_mut(&edge)?.trial;
-        let due = trial.poll(now);
-        self.timers.set(edge, trial.deadline());
+        let test = &mut self.of.get_mut(&edge)?.test;
+        let due = test.poll(now);
+        self.timers.set(edge, test.deadline());
         due.then(|| {
             let mut bytes = buffer(Self::PACKET_BYTES);
             bytes.extend(MEASURING);
@@ -168,14 +168,14 @@ impl Trials {
     /// A packet has crossed an edge.
     pub fn crossed(&mut self, at: Timestamp, edge: usize) {
         if let Some(latest) = self.of.get_mut(&edge) {
-            latest.trial.arrived(at);
+            latest.test.arrived(at);
         }
     }
 
     /// What the last test of an edge told.
     pub fn tested(&self, now: Timestamp, edge: usize) -> Option<Tested> {
-        let Latest { trial, before } = self.of.get(&edge)?;
-        trial.tested(now).or_else(|| before.as_ref()?.tested(now))
+        let Latest { test, before } = self.of.get(&edge)?;
+        test.tested(now).or_else(|| before.as_ref()?.tested(now))
     }
 }
 
@@ -236,12 +236,12 @@ mod tests {
     #[test]
     fn who_cannot_keep_up_tells_what_it_sent() {
         let link: LinkId = "a-b".parse().unwrap();
-        let mut trials = Trials::new(1);
-        trials.begin(s(0.0), (0, &link), limit(2.0), &Rate::Unlimited).unwrap();
-        let mut due = |at| std::iter::from_fn(|| trials.poll(at, Vec::with_capacity)).count();
+        let mut throughput_tests = ThroughputTests::new(1);
+        throughput_tests.begin(s(0.0), (0, &link), limit(2.0), &Rate::Unlimited).unwrap();
+        let mut due = |at| std::iter::from_fn(|| throughput_tests.poll(at, Vec::with_capacity)).count();
         assert_eq!((due(s(0.5)), due(s(1.0))), (83, 0));
-        assert_eq!(trials.deadline(), None);
-        let told = trials.tested(s(2.0), 0).unwrap();
+        assert_eq!(throughput_tests.deadline(), None);
+        let told = throughput_tests.tested(s(2.0), 0).unwrap();
         assert!((told.offered_bps / 1e6 - 1.0).abs() < 0.01, "{told:?}");
     }
 
@@ -252,7 +252,7 @@ mod tests {
         test(s(0.0), ThroughputTest::default()).unwrap();
         let rest = Duration::from_secs(1);
         let refused = test(s(4.0), ThroughputTest::default());
-        assert_eq!(refused, Err(Refusal::TestTooSoon { link: link.clone(), rest }));
+        assert_eq!(refused, Err(FabricError::TestTooSoon { link: link.clone(), rest }));
         test(s(5.0), limit(1.0)).unwrap();
         let told = tested(&mut fabric, s(6.0)).unwrap();
         assert!(told.throughput_bps > 9e6 && told.age == Duration::from_secs(5), "{told:?}");
@@ -265,11 +265,11 @@ mod tests {
         let mut test = |link: &LinkId, test| fabric.test_throughput(s(0.0), link, Direction::Forward, test);
         for duration in [Duration::ZERO, Duration::from_secs(11)] {
             let refused = test(&link, ThroughputTest { duration, rate_limit: None });
-            assert_eq!(refused, Err(Refusal::TestDuration(duration)));
+            assert_eq!(refused, Err(FabricError::TestDuration(duration)));
         }
         let fast = BitRate::from_mbps(1_001.0).unwrap();
-        assert_eq!(test(&link, limit(1_001.0)), Err(Refusal::TestRate(fast)));
+        assert_eq!(test(&link, limit(1_001.0)), Err(FabricError::TestRate(fast)));
         let other: LinkId = "c-d".parse().unwrap();
-        assert_eq!(test(&other, limit(1.0)), Err(Refusal::UnknownLink(other.clone())));
+        assert_eq!(test(&other, limit(1.0)), Err(FabricError::UnknownLink(other.clone())));
     }
 }

@@ -4,7 +4,7 @@ use cotorra_graph::AnswersRejected;
 
 /// Why a robot does not follow a packet that arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Rejection {
+pub enum AnswerError {
     /// It answers a packet that was given up.
     #[error("the answer is late")]
     Late,
@@ -25,7 +25,7 @@ pub enum Rejection {
     Invalid,
 }
 
-impl Rejection {
+impl AnswerError {
     /// Counts it.
     pub(crate) fn count(self, counts: &mut AnswersRejected) {
         *match self {

@@ -9,7 +9,7 @@ use serde_json::json;
 
 /// A ledger.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum On {
+pub enum LedgerBackend {
     /// A model.
     Modelled,
     /// An anvil node for each run.
@@ -23,7 +23,7 @@ pub enum On {
     },
 }
 
-impl On {
+impl LedgerBackend {
     /// The setting `ledger` of a domain's orchestrator; YAML.
     pub(super) fn setting(&self, domain: Option<&DomainId>, block_period: Duration) -> String {
         let period = format!("{} s", block_period.as_secs_f64());
@@ -50,7 +50,7 @@ impl On {
     }
 }
 
-impl fmt::Display for On {
+impl fmt::Display for LedgerBackend {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Modelled => f.write_str("a modelled ledger"),
@@ -106,7 +106,7 @@ mod tests {
             depth: 0,
             block_period: Duration::from_secs(1),
         };
-        let on = On::Network { network, called: Some("a network of a university".to_owned()) };
+        let on = LedgerBackend::Network { network, called: Some("a network of a university".to_owned()) };
         assert_eq!(
             on.to_string(),
             "a network of a university: 4 nodes at 127.0.0.1, [::1], node.example (EthereumJS/1; chain 7701)"

@@ -41,7 +41,7 @@ impl Concerned<'_> {
 
 /// The testbed as events tell it.
 #[derive(Debug)]
-pub(crate) struct Now {
+pub(crate) struct NetworkView {
     pub(crate) graph: HardwareGraph,
     services: Arc<[Service]>,
     /// a(n).
@@ -58,7 +58,7 @@ pub(crate) struct Now {
     carriage: BTreeMap<(LinkId, Direction), Carriage>,
 }
 
-impl Now {
+impl NetworkView {
     pub(crate) fn new(testbed: &Testbed) -> Self {
         let links = testbed.graph.links.iter();
         let carriage = links.flat_map(|link| {
@@ -442,7 +442,7 @@ walks:
     }
 
     /// Of the two services, those whose decisions an event puts in question.
-    fn concerned(now: &mut Now, event: &Event) -> Vec<String> {
+    fn concerned(now: &mut NetworkView, event: &Event) -> Vec<String> {
         let concerned = now.learn(event);
         let services = now.services();
         services.iter().filter(|s| concerned.includes(s)).map(|s| s.id.to_string()).collect()
@@ -450,7 +450,7 @@ walks:
 
     #[test]
     fn only_what_others_do_puts_a_decision_in_question() {
-        let mut now = Now::new(&testbed());
+        let mut now = NetworkView::new(&testbed());
         assert!(concerned(&mut now, &placed("r-brain", "far")).is_empty(), "it was there before");
         assert_eq!(concerned(&mut now, &placed("r-brain", "near")), ["first", "second"], "another moved it");
         assert!(now.wants_place(&vnf_id("r-brain"), &node_id("far")));
@@ -478,7 +478,7 @@ walks:
     #[test]
     fn a_link_that_changes_concerns_everybody() {
         let testbed = testbed();
-        let mut now = Now::new(&testbed);
+        let mut now = NetworkView::new(&testbed);
         let link = testbed.graph.links.last().unwrap();
         let event = |delay_ms| {
             let effective = Conditions { delay: Duration::from_millis(delay_ms), ..link.forward.clone() };
@@ -506,7 +506,7 @@ walks:
         let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
         let testbed =
             testbed_file::parse("x.yaml", &text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
-        let seen = Now::new(&testbed).infrastructure(&testbed.services[0], &[]);
+        let seen = NetworkView::new(&testbed).infrastructure(&testbed.services[0], &[]);
         let far = seen.links.last().unwrap();
         assert_eq!((far.round_trip, far.free_bps), (Duration::from_millis(20), 2.5e6));
     }
@@ -533,7 +533,7 @@ walks:
         });
         let lost = Event::Detached { robot: robot.clone(), from: other.clone() };
         for end in [handed_over("r", "R"), lost, refused(attach("r", "R")), there] {
-            let mut now = Now::new(&testbed());
+            let mut now = NetworkView::new(&testbed());
             assert!(!now.wants_attachment(&robot, Some(&unit), &unit), "it is there");
             assert!(now.wants_attachment(&robot, Some(&other), &unit));
             assert!(!now.wants_attachment(&robot, Some(&other), &unit), "it is under way");
@@ -550,7 +550,7 @@ walks:
     #[test]
     fn a_place_is_asked_for_once_until_it_is_taken_refused_or_given_up() {
         let (vnf, near, far) = (vnf_id("r-brain"), node_id("near"), node_id("far"));
-        let mut now = Now::new(&testbed());
+        let mut now = NetworkView::new(&testbed());
         assert!(!now.wants_place(&vnf, &far), "it is there");
         assert!(now.wants_place(&vnf, &near));
         assert!(!now.wants_place(&vnf, &near), "it is under way");
@@ -575,7 +575,7 @@ walks:
         let over = |server: &str| vec![LinkId::new("r~R").unwrap(), LinkId::new(server).unwrap()];
         let to = |server: &str| BTreeMap::from([(ends(server), over(server))]);
         let asked = |server: &str, links| vec![(node_id("r"), node_id(server), links)];
-        let mut now = Now::new(&testbed);
+        let mut now = NetworkView::new(&testbed);
         assert_eq!(now.wants_paths(service, to("far")), asked("far", over("far")));
         assert_eq!(now.wants_paths(service, to("far")), [], "it was asked for");
         assert_eq!(now.wants_paths(other, BTreeMap::from([(ends("far"), over("near"))])), [], "it is taken");
@@ -591,8 +591,8 @@ walks:
     #[test]
     fn what_others_take_is_not_offered() {
         let testbed = testbed();
-        let mut now = Now::new(&testbed);
-        let free = |now: &Now, node: &str| {
+        let mut now = NetworkView::new(&testbed);
+        let free = |now: &NetworkView, node: &str| {
             let seen = now.infrastructure(&testbed.services[0], &[]);
             let node = seen.nodes.iter().find(|n| n.id == node).unwrap();
             (node.cpus, node.memory_bytes / 1_000_000_000)
