@@ -28,7 +28,7 @@ mod netem;
 mod netem_links;
 mod one_robot;
 mod plugin;
-#[path = "../../../ros1/tests/interop/process.rs"]
+#[path = "../../../robots/ros1/tests/interop/process.rs"]
 #[allow(dead_code, reason = "what the tests of the nodes themselves use of it")]
 #[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 mod process;

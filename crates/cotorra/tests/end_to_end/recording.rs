@@ -29,7 +29,7 @@ fn read(file: &Path) -> Option<Vec<Value>> {
         eprintln!("skipped: COTORRA_PEERS names no Python with rosbags, mcap and mcap-ros2-support");
         return None;
     };
-    let script = project_file("crates/recording/tests/peers/read.py");
+    let script = project_file("crates/robots/recording/tests/peers/read.py");
     let read = Command::new(python).arg(script).arg(file).output().unwrap();
     assert!(read.status.success(), "{}", stderr(&read));
     Some(stdout(&read).lines().map(|line| serde_json::from_str(line).unwrap()).collect())
@@ -126,7 +126,7 @@ fn an_emulated_run_that_is_killed_leaves_what_is_whole() {
     let bytes = fs::read(&file).unwrap();
     assert!(bytes.starts_with(b"\x89MCAP0\r\n"));
     let Some(python) = env::var_os("COTORRA_PEERS") else { return };
-    let script = project_file("crates/recording/tests/peers/recover.py");
+    let script = project_file("crates/robots/recording/tests/peers/recover.py");
     let read = Command::new(python).arg(script).arg(&file).output().unwrap();
     assert!(read.status.success(), "{}", stderr(&read));
     assert!(stdout(&read).trim().parse::<u32>().unwrap() > 10, "{}", stdout(&read));

@@ -2,7 +2,7 @@
 //! which nobody changed, speak to each other across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-#[path = "../../../ros1/tests/interop/ros.rs"]
+#[path = "../../../robots/ros1/tests/interop/ros.rs"]
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
 pub mod ros;
 

@@ -2,7 +2,7 @@
 //! to it and drives it as well, on this machine and across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-#[path = "../../../ros2/tests/interop/peer.rs"]
+#[path = "../../../robots/ros2/tests/interop/peer.rs"]
 #[allow(dead_code, reason = "what the tests of the node itself use of it")]
 pub mod peer;
 

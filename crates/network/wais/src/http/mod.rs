@@ -89,7 +89,7 @@ fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
 /// the two: a first build need not compile what derives it.
 #[cfg(not(feature = "openapi"))]
 pub fn openapi() -> String {
-    include_str!("../../../../docs/wais.openapi.json").to_owned()
+    include_str!("../../../../../docs/wais.openapi.json").to_owned()
 }
 
 impl Service {

@@ -20,7 +20,7 @@ const PERIOD: Duration = Duration::from_millis(100);
 const SEEDS: std::ops::Range<u64> = 1..3;
 
 fn corridor() -> OccupancyGrid {
-    map_server::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/maps/corridor.yaml")).unwrap()
+    map_server::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../testbeds/maps/corridor.yaml")).unwrap()
 }
 
 /// Rooms of different sizes beside a corridor, 20 m × 12 m, with doors.
