@@ -1,7 +1,7 @@
 //! No map panics or exhausts memory, be it its picture or the YAML file that says how to read it.
 #![no_main]
 
-use cotorra_graph::map_server;
+use cotorra_testbed_file::map_server;
 use libfuzzer_sys::fuzz_target;
 
 const YAML: &str = "image: x.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n";

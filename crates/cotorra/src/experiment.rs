@@ -8,13 +8,13 @@ pub use federation::federation;
 
 use std::{fs, path::Path, process::ExitCode};
 
-use cotorra_graph::testbed_file::Setting;
 use cotorra_measurements::Location;
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
     Finished, FolderError, Options, Place,
     experiment::okpi::{CONTENDERS, Comparison, FILES},
 };
+use cotorra_testbed_file::Setting;
 
 use self::args::OkpiArgs;
 use crate::{

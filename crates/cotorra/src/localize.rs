@@ -11,12 +11,12 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use cotorra_graph::map_server;
 use cotorra_localization::{
     Estimate, LikelihoodField, LocalizationError, Localizer, Parameters, Pose2,
     carmen::{Laser, Log, LogError, Message},
     trajectory::{Errors, LOST, Trajectory},
 };
+use cotorra_testbed_file::map_server;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{output, signals, testbed_file::FileError};

@@ -71,7 +71,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Replay(args) => return replay::replay(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),
-        Command::Schema => output::print(&format!("{:#}\n", cotorra_graph::testbed_file::schema()))?,
+        Command::Schema => output::print(&format!("{:#}\n", cotorra_testbed_file::schema()))?,
         Command::OpenApi { wais: false } => output::print(&cotorra_testbed::openapi())?,
         Command::OpenApi { wais: true } => output::print(&cotorra_testbed::wais_openapi())?,
         Command::Doctor => doctor::doctor()?,

@@ -6,10 +6,8 @@ use std::{
     sync::Arc,
 };
 
-use cotorra_graph::{
-    Diagnostics, Node, NodeKind, Position, Testbed,
-    testbed_file::{self, Setting},
-};
+use cotorra_graph::{Node, NodeKind, Position, Testbed};
+use cotorra_testbed_file::{Diagnostics, Setting};
 use miette::{LabeledSpan, NamedSource, Severity};
 
 /// A testbed file that is right, and its text, settings noted.
@@ -44,11 +42,11 @@ impl FileError {
 
 /// Reads a testbed file with settings and checks it as a whole.
 pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
-    let text =
-        testbed_file::read(path).map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
+    let text = cotorra_testbed_file::read(path)
+        .map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
     let base = path.parent().unwrap_or(Path::new(""));
-    match testbed_file::parse_with(&path.display().to_string(), &text, base, settings) {
-        Ok(testbed) => Ok(Loaded { testbed, text: testbed_file::annotated(&text, settings) }),
+    match cotorra_testbed_file::parse_with(&path.display().to_string(), &text, base, settings) {
+        Ok(testbed) => Ok(Loaded { testbed, text: cotorra_testbed_file::annotated(&text, settings) }),
         Err(found) => Err(found.into()),
     }
 }
@@ -58,7 +56,7 @@ pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
 #[error("{message}")]
 pub struct Mistake {
     message: String,
-    found: cotorra_graph::Diagnostic,
+    found: cotorra_testbed_file::Diagnostic,
     /// `None` where lines are too long to show.
     source_code: Option<Arc<NamedSource<String>>>,
 }
@@ -90,7 +88,7 @@ impl From<Diagnostics> for FileError {
         let source_code = found
             .can_be_shown_in_place()
             .then(|| Arc::new(NamedSource::new(&found.source_name, found.source_text).with_language("YAML")));
-        let mistake = |found: cotorra_graph::Diagnostic| Mistake {
+        let mistake = |found: cotorra_testbed_file::Diagnostic| Mistake {
             message: match source_code {
                 Some(_) => found.message.clone(),
                 None => format!("{name}:{}:{}: {}", found.line, found.column, found.message),
@@ -166,5 +164,5 @@ pub fn recorded_with(
     let mut settings: Vec<Setting> = noted.filter_map(|setting| setting.parse().ok()).collect();
     settings.reverse();
     settings.extend(more);
-    testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
+    cotorra_testbed_file::parse_with(&format!("the testbed file of {run}"), text, base, &settings)
 }

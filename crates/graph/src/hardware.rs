@@ -19,7 +19,7 @@ use crate::{
     units::{BitRate, Dbm, Position, millis},
 };
 
-/// The hardware graph. Made by [`crate::testbed_file`], which checks what this type takes for granted: names are
+/// The hardware graph. Made by the crate `testbed-file`, which checks what this type takes for granted: names are
 /// unique, ends of links exist, every server can be reached from every other node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

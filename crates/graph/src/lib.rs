@@ -1,35 +1,32 @@
 //! The hardware graph G, its embeddings, services and KPIs, the events that tell what happens to them, and the
 //! testbed file that describes it all. Pure data: no clock, no sockets, nothing asynchronous.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
-pub mod access;
-pub mod active;
-pub mod conditions;
-pub mod context;
-pub mod driver;
-pub mod event;
-pub mod exposure;
-mod file;
-pub mod flow;
-pub mod goal;
-pub mod hardware;
-pub mod id;
-pub mod map;
-pub mod map_server;
-pub mod medium;
+mod access;
+mod active;
+mod conditions;
+mod context;
+mod driver;
+mod event;
+mod exposure;
+mod flow;
+mod goal;
+mod hardware;
+mod id;
+mod map;
+mod medium;
 mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
 mod propagation;
 mod routing;
-pub mod schedule;
+mod schedule;
 pub mod seed;
-pub mod sensor;
-pub mod service;
-pub mod testbed;
-pub mod testbed_file;
-pub mod units;
-mod yaml;
+mod sensor;
+mod service;
+mod testbed;
+mod units;
 
 pub use access::{AccessPoint, FtKey, InvalidFtKey};
 pub use active::{Probed, Probing, Tested, ThroughputTest};
@@ -54,11 +51,11 @@ pub use hardware::{
     PathLoss, RadioUnit, Reached, RealLink, Roaming, Robot, RobotModel, Server, Shadowing, Tier,
     WifiStandard, WirelessNetwork,
 };
-pub use id::{ComponentId, DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};
+pub use id::{ComponentId, DomainId, InvalidId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId};
 pub use map::{Cell, OccupancyGrid};
 pub use medium::{Medium, NotOffered};
 pub use nodes::{InvalidNodes, Nodes};
-pub use routing::Route;
+pub use routing::{Arrival, Edge, Route, Topology};
 pub use schedule::{Scheduled, Script, When};
 pub use sensor::{Camera, DataFormat, LargeData, Sensor, SensorKind, SensorReading};
 pub use service::{Granted, Kpis, LinuxCapability, Program, Requests, Rights, Service, VirtualLink, Vnf};
@@ -66,4 +63,3 @@ pub use testbed::{
     BUNDLED_PLUGINS, Emulation, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk,
 };
 pub use units::{BitRate, Dbm, Position, Probability, Timestamp, millis};
-pub use yaml::{Diagnostic, Diagnostics};

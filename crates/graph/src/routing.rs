@@ -56,8 +56,9 @@ fn nanos(delay: Duration) -> u64 {
     u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// G with numbers for names.
-pub(crate) struct Topology<'a> {
+/// G as adjacency lists, to find paths of least cost. Nodes go by their places in [`HardwareGraph::nodes`].
+#[derive(Debug)]
+pub struct Topology<'a> {
     graph: &'a HardwareGraph,
     places: HashMap<&'a str, usize>,
     edges: Vec<Vec<Edge>>,
@@ -65,7 +66,7 @@ pub(crate) struct Topology<'a> {
 
 /// One direction of a link, from the node that lists it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Edge {
+pub struct Edge {
     to: usize,
     delay_ns: u64,
     /// Place in the graph's links; `None` for a wireless one.
@@ -84,10 +85,10 @@ impl Edge {
     }
 }
 
-/// How a node is reached best.
+/// The cheapest path to a node.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Reached {
-    /// Sum of what the edges cost, and of what the source did.
+pub struct Arrival {
+    /// Cost of the source and of all edges.
     pub cost: u64,
     hops: u32,
     /// The node before it and the edge from there; `None` at a source.
@@ -162,12 +163,12 @@ impl<'a> Topology<'a> {
 
     /// How each node is reached best from any of the sources, each with what it costs to begin there (Dijkstra 1959).
     /// A path goes on from a source and from nodes that forward.
-    pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Reached>> {
-        let mut reached: Vec<Option<Reached>> = vec![None; self.edges.len()];
+    pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Arrival>> {
+        let mut reached: Vec<Option<Arrival>> = vec![None; self.edges.len()];
         let mut queue = BinaryHeap::new();
         for &(at, cost) in sources {
             if reached[at].is_none_or(|known| cost < known.cost) {
-                reached[at] = Some(Reached { cost, hops: 0, by: None });
+                reached[at] = Some(Arrival { cost, hops: 0, by: None });
                 queue.push(Reverse((cost, 0, at)));
             }
         }
@@ -180,85 +181,11 @@ impl<'a> Topology<'a> {
             for edge in &self.edges[at] {
                 let next = (so_far.saturating_add(cost(edge)), hops + 1);
                 if reached[edge.to].is_none_or(|known| next < (known.cost, known.hops)) {
-                    reached[edge.to] = Some(Reached { cost: next.0, hops: next.1, by: Some((at, *edge)) });
+                    reached[edge.to] = Some(Arrival { cost: next.0, hops: next.1, by: Some((at, *edge)) });
                     queue.push(Reverse((next.0, next.1, edge.to)));
                 }
             }
         }
         reached
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    use super::*;
-    use crate::testbed_file;
-
-    fn graph(links: &str) -> HardwareGraph {
-        let server = "{ kind: server, tier: fog, cpus: 1, memory: 1 GB }";
-        let text = format!(
-            "name: x\nwireless: {{ w: {{ delay: 3 ms }} }}\nnodes:\n  a: {server}\n  b: {server}\n  \
-             s1: {{ kind: switch }}\n  s2: {{ kind: switch }}\n  s3: {{ kind: switch }}\n  \
-             r: {{ kind: robot, position: [0, 0] }}\n  q: {{ kind: robot, position: [0, 0] }}\n  \
-             R: {{ kind: radio_unit, position: [0, 0], channel: 1 }}\nlinks:\n{links}"
-        );
-        testbed_file::parse("x.yaml", &text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}")).graph
-    }
-
-    fn id(name: &str) -> NodeId {
-        NodeId::new(name).expect("a name")
-    }
-
-    const LINKS: &str = "  - { ends: [a, [s1, s2, s3]] }\n  - { ends: [s1, b], delay: 2 ms }\n  \
-                         - { ends: [s2, b], delay: 1 ms, backward: { delay: 9 ms } }\n  \
-                         - { ends: [s3, [s1, R]] }\n";
-
-    #[test]
-    fn least_delay_in_each_direction_then_fewest_hops() {
-        let graph = graph(LINKS);
-        let route =
-            |from, to| graph.route(&id(from), &id(to), |_| None).map(|route| (route.links, route.delay));
-        let ms = Duration::from_millis;
-        assert_eq!(
-            route("a", "b"),
-            Some((vec![LinkId::between(&id("a"), &id("s2")), LinkId::between(&id("s2"), &id("b"))], ms(1)))
-        );
-        // The way back is slow through s2; of the two ways through s1, the one without s3.
-        let (links, delay) = route("b", "a").unwrap();
-        assert_eq!(
-            (links.iter().map(LinkId::as_str).collect::<Vec<_>>(), delay),
-            (vec!["s1-b", "a-s1"], ms(2))
-        );
-        // s2 is reached through servers only, which do not forward.
-        assert_eq!(route("s2", "R"), None);
-        assert_eq!(route("a", "nowhere"), None);
-    }
-
-    #[test]
-    fn robots_are_reached_where_they_are_attached() {
-        let graph = graph(LINKS);
-        let unit = id("R");
-        let route = |attached: bool| {
-            graph
-                .route(&id("r"), &id("q"), |_| attached.then_some(&unit))
-                .map(|route| (route.links, route.delay))
-        };
-        let hops = vec![LinkId::wireless(&id("r"), &unit), LinkId::wireless(&id("q"), &unit)];
-        assert_eq!(route(true), Some((hops, Duration::from_millis(6))));
-        assert_eq!(route(false), None);
-    }
-
-    #[test]
-    fn what_is_attached_can_be_detached() {
-        let graph = graph(LINKS);
-        let mut topology = Topology::new(&graph);
-        let before = topology.edges.iter().map(Vec::len).collect::<Vec<_>>();
-        topology.attach(&id("r"), &id("R"));
-        topology.attach(&id("r"), &id("R"));
-        topology.attach(&id("a"), &id("R"));
-        topology.detach(&id("r"));
-        assert_eq!(topology.edges.iter().map(Vec::len).collect::<Vec<_>>(), before);
     }
 }

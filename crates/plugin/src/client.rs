@@ -10,9 +10,9 @@ mod run;
 use std::{path::PathBuf, time::Duration};
 
 use cotorra_graph::{
-    Emulation, HardwareGraph, HostAddress, Instruction, LinkContext, LinkId, NodeId, Placement, PluginId,
-    PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed, Timestamp,
-    VirtualLinkMapping, WaisSettings, Walk, id::InvalidId,
+    Emulation, HardwareGraph, HostAddress, Instruction, InvalidId, LinkContext, LinkId, NodeId, Placement,
+    PluginId, PluginSpec, RadioContext, RobotContext, SensorReading, Service, ServiceTime, Testbed,
+    Timestamp, VirtualLinkMapping, WaisSettings, Walk,
 };
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 

@@ -33,6 +33,7 @@
 //!
 //! [`messages`], [`vnf`] and [`wire`] are for VNFs, which talk to robots over the network under test.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod client;
 pub mod messages;

@@ -13,14 +13,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use cotorra_graph::{Testbed, Timestamp, testbed_file};
+use cotorra_graph::{Testbed, Timestamp};
 use cotorra_recording::{RecordingPlace, Wanted};
 use cotorra_testbed::{Options, Place, Simulation, simulate};
 
 fn main() {
     let corridor = |plugin: &str| {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
-        testbed_file::load_with(file, &[format!("plugin={plugin}").parse().unwrap()]).unwrap()
+        cotorra_testbed_file::load_with(file, &[format!("plugin={plugin}").parse().unwrap()]).unwrap()
     };
     println!("{:<58} {:>10} {:>10}", "virtual seconds in a second", "median", "slowest");
     for plugin in ["probing", "okpi"] {
@@ -117,5 +117,6 @@ fn hundred_robots() -> Testbed {
          path_loss: {{ model: log_distance, exponent: 3.0 }}\n\
          nodes:\n{nodes}links:\n{links}services:\n{services}walks:\n{walks}plugins: [probing]\n"
     );
-    testbed_file::parse("hundred.yaml", &text, Path::new(".")).unwrap_or_else(|error| panic!("{error}"))
+    cotorra_testbed_file::parse("hundred.yaml", &text, Path::new("."))
+        .unwrap_or_else(|error| panic!("{error}"))
 }

@@ -4,13 +4,11 @@
 use std::{convert::Infallible, env, io, net::UdpSocket, path::PathBuf};
 
 use cotorra_brain::{NavigationVnf, NoWalk};
-use cotorra_graph::{
-    NodeId, Testbed,
-    testbed_file::{self, InvalidSetting},
-};
+use cotorra_graph::{NodeId, Testbed};
 use cotorra_network_control::vim::READY;
 use cotorra_plugin::vnf;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
+use cotorra_testbed_file::InvalidSetting;
 
 /// The testbed file that the run uses.
 pub(crate) const TESTBED: &str = "COTORRA_TESTBED";
@@ -29,7 +27,7 @@ pub enum VnfError {
     Environment(&'static str),
     /// The name of the robot is none.
     #[error(transparent)]
-    Robot(#[from] cotorra_graph::id::InvalidId),
+    Robot(#[from] cotorra_graph::InvalidId),
     /// The testbed file changed under the run's feet.
     #[error("the run's testbed file cannot be read: {0}")]
     Testbed(String),
@@ -88,7 +86,7 @@ fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
     let port = text(PORT)?.parse().map_err(|_| VnfError::Environment(PORT))?;
     let settings = env::var(SETTINGS).unwrap_or_default();
     let settings = settings.lines().map(str::parse).collect::<Result<Vec<_>, _>>()?;
-    let testbed = testbed_file::load_with(&file, &settings)
+    let testbed = cotorra_testbed_file::load_with(&file, &settings)
         .map_err(|problems| VnfError::Testbed(problems.to_string()))?;
     Ok((testbed, robot, port))
 }

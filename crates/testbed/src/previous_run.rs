@@ -4,11 +4,10 @@
 use std::time::Duration;
 
 use cotorra_federation::{LedgerChoice, Settings};
-use cotorra_graph::{
-    Decision, Diagnostics, Event, Instruction, PluginId, PluginSpec, Stamped, Testbed, Timestamp,
-};
+use cotorra_graph::{Decision, Event, Instruction, PluginId, PluginSpec, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{History, Kind, PageRequest, Run};
 use cotorra_plugin::Noted;
+use cotorra_testbed_file::Diagnostics;
 
 use crate::experiment::federation::orchestrators;
 
@@ -143,8 +142,8 @@ fn contract(spec: &PluginSpec) -> Option<(u64, String)> {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::testbed_file::{self, Setting};
     use cotorra_measurements::RunInfo;
+    use cotorra_testbed_file::Setting;
 
     use super::*;
 
@@ -154,7 +153,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/federation.yaml");
         let text = std::fs::read_to_string(&path).unwrap();
         let settings: Vec<Setting> = settings.iter().map(|setting| setting.parse().unwrap()).collect();
-        testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings).unwrap()
+        cotorra_testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings).unwrap()
     }
 
     fn on(contract: &str) -> Testbed {

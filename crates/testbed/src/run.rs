@@ -16,9 +16,7 @@ use std::{
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{
-    IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment, testbed_file::Setting,
-};
+use cotorra_graph::{IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment};
 use cotorra_measurements::{History, Location, Recorder, RecorderStats, RunId, RunInfo};
 use cotorra_netem::Confirmed;
 use cotorra_network_control::{
@@ -28,6 +26,7 @@ use cotorra_network_control::{
 use cotorra_plugin::{runs::Runs, wire};
 use cotorra_recording::{About, Pace, Recording, RecordingError, RecordingSummary, Wanted};
 use cotorra_robot_middleware::{Nonces, SimulatedRobot};
+use cotorra_testbed_file::Setting;
 use cotorra_wais::types::Epoch;
 use tokio::sync::broadcast;
 

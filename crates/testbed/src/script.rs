@@ -287,7 +287,7 @@ fn open(folder: &Path) -> Result<(History, RunId), ScriptError> {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{Decision, Event, testbed_file};
+    use cotorra_graph::{Decision, Event};
 
     use super::*;
     use crate::{Options, Place, simulate};
@@ -296,7 +296,7 @@ mod tests {
                        links:\n  - { ends: [a, b], delay: 1 ms, rate: 10 Mbit/s }\n";
 
     fn lab(more: &str) -> Testbed {
-        testbed_file::parse("lab.yaml", &format!("{LAB}{more}"), Path::new(""))
+        cotorra_testbed_file::parse("lab.yaml", &format!("{LAB}{more}"), Path::new(""))
             .unwrap_or_else(|e| panic!("{e}"))
     }
 
@@ -385,7 +385,7 @@ mod tests {
         let said = refused(&format!("conditions: {{ replay: {} }}\n", empty.path().display()));
         assert!(said.contains("neither the folder of a run nor that of an export"), "{said}");
         let out = tempfile::tempdir().unwrap();
-        let other = testbed_file::parse(
+        let other = cotorra_testbed_file::parse(
             "o.yaml",
             &LAB.replace("ends: [a, b]", "id: other, ends: [a, b]"),
             Path::new(""),

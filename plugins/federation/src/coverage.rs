@@ -131,7 +131,7 @@ fn deviation_m(pose: &Pose) -> f64 {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::{PoseSource, testbed_file};
+    use cotorra_graph::PoseSource;
     use proptest::prelude::*;
 
     use super::*;
@@ -148,7 +148,8 @@ walks:
 
     /// Log-distance with n = 3: 15 dBm - 40.1 dB at 1 m, and 30 dB a decade: -65 dBm at 21.4 m.
     fn coverage() -> (Coverage, Walk) {
-        let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+        let testbed =
+            cotorra_testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
         (Coverage::of(&testbed.graph, Dbm(-65.0)), testbed.walks[0].clone())
     }
 

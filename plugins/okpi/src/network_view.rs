@@ -371,7 +371,7 @@ mod tests {
 
     use cotorra_graph::{
         Attachment, Decision, Handover, LinkContext, PathKind, Placement, Pose, PoseSource, RobotContext,
-        SensorData, Velocity, VirtualLinkMapping, testbed_file,
+        SensorData, Velocity, VirtualLinkMapping,
     };
 
     use super::*;
@@ -412,7 +412,7 @@ walks:
 ";
 
     fn testbed() -> Testbed {
-        testbed_file::parse("x.yaml", TEXT, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
+        cotorra_testbed_file::parse("x.yaml", TEXT, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"))
     }
 
     fn node_id(name: &str) -> NodeId {
@@ -504,8 +504,8 @@ walks:
     #[test]
     fn a_link_that_is_scaled_from_the_beginning_is_seen_so() {
         let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
-        let testbed =
-            testbed_file::parse("x.yaml", &text, Path::new("")).unwrap_or_else(|wrong| panic!("{wrong}"));
+        let testbed = cotorra_testbed_file::parse("x.yaml", &text, Path::new(""))
+            .unwrap_or_else(|wrong| panic!("{wrong}"));
         let seen = NetworkView::new(&testbed).infrastructure(&testbed.services[0], &[]);
         let far = seen.links.last().unwrap();
         assert_eq!((far.round_trip, far.free_bps), (Duration::from_millis(20), 2.5e6));

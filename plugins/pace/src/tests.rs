@@ -1,8 +1,6 @@
 use std::path::Path;
 
-use cotorra_graph::{
-    Pose, PoseSource, RadioContext, RobotContext, SensorData, StationContext, Velocity, testbed_file,
-};
+use cotorra_graph::{Pose, PoseSource, RadioContext, RobotContext, SensorData, StationContext, Velocity};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -22,7 +20,8 @@ nodes:
   r: { kind: robot, position: [0, 0] }
   A: { kind: radio_unit, position: [0, 1], channel: 1 }
 ";
-    let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+    let testbed =
+        cotorra_testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
     let mut pace = with(json!({})).unwrap();
     pace.start(Timestamp::ZERO, &testbed, &mut Actions::default());
     pace

@@ -131,7 +131,7 @@ fn stream(run_seed: u64, robot: &str) -> Xoshiro256PlusPlus {
 mod tests {
     use std::path::Path;
 
-    use cotorra_graph::{Dbm, Pose, PoseSource, SensorData, Velocity, testbed_file};
+    use cotorra_graph::{Dbm, Pose, PoseSource, SensorData, Velocity};
     use proptest::prelude::*;
     use serde_json::{Map, json};
 
@@ -156,7 +156,8 @@ links:
     }
 
     fn started(settings: serde_json::Value, seed: u64) -> Probing {
-        let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+        let testbed =
+            cotorra_testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
         let mut probing = Probing::from_settings(settings.as_object().unwrap(), seed).unwrap();
         probing.start(Timestamp::ZERO, &testbed, &mut Actions::default());
         probing

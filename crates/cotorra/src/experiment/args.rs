@@ -3,8 +3,9 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use cotorra_graph::{DomainId, testbed_file::Setting};
+use cotorra_graph::DomainId;
 use cotorra_testbed::experiment::federation::Account;
+use cotorra_testbed_file::Setting;
 
 use crate::{
     duration::parse_duration,

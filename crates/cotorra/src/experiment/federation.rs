@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{DomainId, testbed_file::Setting};
+use cotorra_graph::DomainId;
 use cotorra_measurements::{History, RunId};
 use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{
@@ -16,6 +16,7 @@ use cotorra_testbed::{
         domains, longest, settings,
     },
 };
+use cotorra_testbed_file::Setting;
 
 use super::args::{FederationArgs, LedgerArgs, LedgerNode};
 use crate::{

@@ -1,6 +1,6 @@
 //! `cotorra history prune`: rolls old samples up, once it said what that would do.
 
-use cotorra_graph::{Retention, Timestamp, testbed_file};
+use cotorra_graph::{Retention, Timestamp};
 use cotorra_measurements::{History, Kind, Pruned, Run};
 use indicatif::ProgressBar;
 
@@ -86,7 +86,7 @@ fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
             Kind::SAMPLED.map(|kind| (kind, Some(typed)))
         }
         None => {
-            let kept = testbed_file::retentions(&run.info.testbed).unwrap_or_default();
+            let kept = cotorra_testbed_file::retentions(&run.info.testbed).unwrap_or_default();
             [
                 (Kind::Robot, kept.robots),
                 (Kind::Radio, kept.radio_units),

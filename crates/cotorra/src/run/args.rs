@@ -3,7 +3,8 @@
 use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use clap::Args;
-use cotorra_graph::{IpNetwork, testbed_file::Setting};
+use cotorra_graph::IpNetwork;
+use cotorra_testbed_file::Setting;
 
 use crate::{
     duration::parse_duration,

@@ -14,7 +14,7 @@ use std::{
 
 use cotorra_datapath::{Datapath, Namespace, Options, enter_user_namespace_if_needed};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{NodeId, testbed_file};
+use cotorra_graph::NodeId;
 use cotorra_ros1::{
     Endpoint, MasterServer, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Header, LaserScan},
@@ -83,7 +83,7 @@ fn end_at_panics() {
 fn main() {
     end_at_panics();
     enter_user_namespace_if_needed().unwrap();
-    let graph = testbed_file::parse("path", TESTBED, Path::new("")).unwrap().graph;
+    let graph = cotorra_testbed_file::parse("path", TESTBED, Path::new("")).unwrap().graph;
     let fabric = Fabric::new(&graph, 1).unwrap();
     let datapath = Datapath::start(&graph, fabric, Options::default()).unwrap();
     let place = |name: &str| {

@@ -15,7 +15,6 @@ use cotorra_datapath::{KernelNetwork, NoKernelNetwork, Observed};
 use cotorra_fabric::{Fabric, FabricError};
 use cotorra_graph::{
     BitRate, Conditions, Direction, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed, ThroughputTest,
-    testbed_file,
 };
 
 const PROBING: Probing =
@@ -28,7 +27,7 @@ fn testbed(left: &str, right: &str) -> Testbed {
         "name: lab\nnodes:\n  left: {host}\n  lan: {{ kind: switch }}\n  right: {host}\n\
          links:\n  - {{ id: one, ends: [left, lan], {left} }}\n  - {{ id: two, ends: [lan, right], {right} }}\n"
     );
-    testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap_or_else(|error| panic!("{error}"))
+    cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// `None`, with a message, where the kernel cannot; that fails where the rig says that it must.

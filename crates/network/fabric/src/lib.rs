@@ -76,6 +76,7 @@
 //! All chance comes from one seed, split by link, robot and purpose: the same graph and seed, driven the same way,
 //! give the same bytes.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 mod balance;
 mod checksum;

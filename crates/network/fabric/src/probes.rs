@@ -271,7 +271,7 @@ fn udp_sum(bytes: &[u8]) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{ConditionChange, LinkContext, LinkId, NodeId, testbed_file};
+    use cotorra_graph::{ConditionChange, LinkContext, LinkId, NodeId};
 
     use super::*;
     use crate::Fabric;
@@ -282,7 +282,7 @@ mod tests {
             "name: lab\nnodes:\n  a: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n  b: {{ kind: switch }}\n\
              links:\n  - {{ ends: [a, b], {keys} }}\n"
         );
-        let testbed = testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
+        let testbed = cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
         let mut fabric = Fabric::new(&testbed.graph, 1).unwrap();
         fabric.probe_links(Timestamp::ZERO, Probing::default());
         let now = run(&mut fabric, Timestamp::ZERO, seconds);
@@ -395,7 +395,7 @@ mod tests {
              B: {{ kind: radio_unit, position: [9, 0], channel: 1 }}\n{robots}\
              links:\n  - {{ ends: [A, B] }}\n"
         );
-        let testbed = testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
+        let testbed = cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
         let mut fabric = Fabric::new(&testbed.graph, 1).unwrap();
         fabric.probe_links(Timestamp::ZERO, Probing::default());
         fabric

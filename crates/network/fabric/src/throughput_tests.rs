@@ -181,7 +181,7 @@ impl ThroughputTests {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_graph::{BitRate, Direction, testbed_file};
+    use cotorra_graph::{BitRate, Direction};
 
     use super::*;
     use crate::Fabric;
@@ -192,7 +192,7 @@ mod tests {
             "name: lab\nnodes:\n  a: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n  b: {{ kind: switch }}\n\
              links:\n  - {{ ends: [a, b], {keys} }}\n"
         );
-        let testbed = testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
+        let testbed = cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap();
         (Fabric::new(&testbed.graph, 1).unwrap(), "a-b".parse().unwrap())
     }
 

@@ -24,6 +24,7 @@
 //! # Ok::<(), cotorra_stamp::Malformed>(())
 //! ```
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 mod apart;
 mod extension;

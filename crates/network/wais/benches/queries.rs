@@ -19,7 +19,7 @@ use std::{
 };
 
 use axum::{Router, routing::get};
-use cotorra_graph::{Dbm, NodeId, RadioContext, StationContext, Timestamp, testbed_file};
+use cotorra_graph::{Dbm, NodeId, RadioContext, StationContext, Timestamp};
 use cotorra_wais::{
     Allowed, Scope, Site, Survey,
     http::{Service, Testbed},
@@ -66,7 +66,7 @@ fn serve() -> SocketAddr {
     }
     let units: Vec<_> = (0..ACCESS_POINTS).map(|ap| format!("a{ap}")).collect();
     writeln!(text, "  lan: {{ kind: switch }}\nlinks: [{{ ends: [lan, [{}]] }}]", units.join(", ")).unwrap();
-    let testbed = testbed_file::parse("campus.yaml", &text, Path::new("")).expect("it is a good one");
+    let testbed = cotorra_testbed_file::parse("campus.yaml", &text, Path::new("")).expect("it is a good one");
     let radio = (0..ACCESS_POINTS).map(|ap| {
         let id = NodeId::new(&format!("a{ap}")).unwrap();
         let stations = (ap..STATIONS).step_by(ACCESS_POINTS).map(|station| StationContext {

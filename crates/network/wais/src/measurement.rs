@@ -126,7 +126,7 @@ impl Measured<'_> {
 
 /// What an emulated access point can do, beside the one that serves a station.
 fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
-    use cotorra_graph::WifiStandard::{Ac, N};
+    use cotorra_graph::{WifiStandard::Ac, WifiStandard::N};
     let same = unit.ssid == serving.ssid;
     BssidInfo {
         // Its network's access points can be reached, of others it is not known.

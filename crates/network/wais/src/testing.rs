@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use cotorra_graph::{
     Attachment, Dbm, NodeId, Pose, PoseSource, RadioContext, RobotContext, SensorData, StationContext,
-    Testbed, Timestamp, Velocity, testbed_file,
+    Testbed, Timestamp, Velocity,
 };
 
 use crate::survey::{Scope, Site, Survey};
@@ -29,7 +29,7 @@ links:
 ";
 
 pub(crate) fn testbed() -> Testbed {
-    testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap()
+    cotorra_testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap()
 }
 
 pub(crate) fn site(scope: &Scope) -> Arc<Site> {

@@ -4,6 +4,7 @@
 //! [`Localizer`] is the way in: a state machine without clock or sockets, seeded, the same to the bit each time.
 //! [`carmen`] reads recorded logs, and [`trajectory`] compares what came of them with a reference.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 mod belief;
 mod bins;

@@ -7,12 +7,13 @@ use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{
     Capacity, Cell, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid, Position, Roaming, Robot,
-    RobotModel, Timestamp, Velocity, map_server,
+    RobotModel, Timestamp, Velocity,
 };
 use cotorra_localization::{
     Estimate, LikelihoodField, LocalizationError, Localizer, Parameters, Pose2, Scan, trajectory::Errors,
 };
 use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
+use cotorra_testbed_file::map_server;
 
 const WALK: [(f64, f64); 5] = [(27.1, -12.4), (27.2, -9.4), (27.5, -6.2), (25.5, -4.3), (22.5, -2.4)];
 /// From a scan to the next.
@@ -20,7 +21,8 @@ const PERIOD: Duration = Duration::from_millis(100);
 const SEEDS: std::ops::Range<u64> = 1..3;
 
 fn corridor() -> OccupancyGrid {
-    map_server::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../testbeds/maps/corridor.yaml")).unwrap()
+    map_server::load(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../testbeds/maps/corridor.yaml"))
+        .unwrap()
 }
 
 /// Rooms of different sizes beside a corridor, 20 m × 12 m, with doors.

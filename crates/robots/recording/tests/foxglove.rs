@@ -12,7 +12,7 @@ use std::{
 };
 
 use cotorra_graph::{
-    Event, NodeId, Pose, PoseSource, RobotContext, SensorData, Stamped, Timestamp, Velocity, testbed_file,
+    Event, NodeId, Pose, PoseSource, RobotContext, SensorData, Stamped, Timestamp, Velocity,
 };
 use cotorra_recording::{About, Pace, Recording, RecordingError, Wanted};
 use serde_json::{Value, json};
@@ -50,7 +50,7 @@ fn moved(second: u64) -> Arc<Stamped> {
 }
 
 fn serve(address: SocketAddr) -> Result<Recording, RecordingError> {
-    let testbed = testbed_file::parse("hall.yaml", TESTBED, Path::new("."));
+    let testbed = cotorra_testbed_file::parse("hall.yaml", TESTBED, Path::new("."));
     let testbed = Arc::new(testbed.unwrap_or_else(|error| panic!("{error}")));
     let wanted = Wanted { file: None, foxglove: Some(address) };
     let about = About { name: "hall", seed: 1, started_at_unix_ns: 0, testbed_file: TESTBED };

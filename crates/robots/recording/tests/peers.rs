@@ -8,7 +8,7 @@ use cotorra_graph::{
     Attachment, Conditions, Dbm, Decision, Direction, Event, Handover, Instruction, Lateness, LinkContext,
     LinkCounters, LinkId, NodeId, PathKind, Placement, PluginId, Pose, PoseSource, RadioContext,
     RobotContext, RobotFault, Scale, SensorData, ServiceId, ServiceTime, Stamped, StationContext, Testbed,
-    Timestamp, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState, testbed_file,
+    Timestamp, Velocity, VirtualLinkMapping, VnfEvent, VnfId, VnfState,
 };
 use cotorra_recording::{About, Pace, Recording, RecordingPlace, Wanted};
 use cotorra_robot_middleware::{Scan, SensedScan};
@@ -32,7 +32,7 @@ fn testbed(place: &Path) -> Arc<Testbed> {
     std::fs::write(place.join("map.yaml"), map).unwrap();
     // Occupied, free, unknown, above free, free, free.
     std::fs::write(place.join("map.pgm"), b"P5 3 2 255 \x00\xfe\xcd\xfe\xfe\xfe").unwrap();
-    let read = testbed_file::parse("hall.yaml", TESTBED, place);
+    let read = cotorra_testbed_file::parse("hall.yaml", TESTBED, place);
     Arc::new(read.unwrap_or_else(|error| panic!("{error}")))
 }
 

@@ -24,6 +24,7 @@
 //! node has two threads, one more for each service that it offers, and one while it connects to a publisher. All
 //! are started by the thread that makes the node or by each other, so that they live in its network namespace.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 mod config;
 mod definition;

@@ -20,6 +20,7 @@
 //! A node leaves when its last handle is dropped, or by [`Node::shut_down`]. It has a thread besides RustDDS's two; all
 //! are started by the thread that makes the node or by each other, so that they live in its network namespace.
 #![forbid(unsafe_code)]
+#![warn(missing_docs)]
 
 mod carried;
 mod config;

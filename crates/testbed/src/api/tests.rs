@@ -60,7 +60,7 @@ nodes:
     sensors: { pack: { kind: battery }, gripper: { kind: vector, size: 2, unit: N }, front: { kind: lidar } }
 links: [{ ends: [left, ap] }]
 ";
-    let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
+    let testbed = cotorra_testbed_file::parse("served.yaml", text, Path::new("")).unwrap();
     let history = Arc::new(History::in_memory().unwrap());
     let begin = |seed| {
         let info =
@@ -389,7 +389,7 @@ plugins:
   - { bundled: probing, domain: one }
   - { id: watcher, command: [\"true\"] }
 ";
-        let testbed = cotorra_graph::testbed_file::parse("served.yaml", text, Path::new(""))
+        let testbed = cotorra_testbed_file::parse("served.yaml", text, Path::new(""))
             .unwrap_or_else(|e| panic!("{e:?}"));
         let history = Arc::new(History::in_memory().unwrap());
         let info =

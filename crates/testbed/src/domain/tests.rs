@@ -2,7 +2,6 @@ use std::path::Path;
 
 use cotorra_graph::{
     Attachment, ConditionChange, Dbm, Pose, PoseSource, SensorData, ServiceTime, Timestamp, Velocity,
-    testbed_file,
 };
 
 use super::*;
@@ -40,7 +39,7 @@ plugins:
 ";
 
 fn testbed() -> Testbed {
-    testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"))
+    cotorra_testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"))
 }
 
 fn views() -> [Arc<DomainView>; 2] {

@@ -12,7 +12,7 @@ use std::{
     },
 };
 
-use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp, testbed_file};
+use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{Error as HistoryError, History, PacedRecorder, PageRequest, RunId, RunInfo};
 
 use super::{
@@ -48,7 +48,7 @@ pub(super) fn run(seed: u64) -> Result<Outcome, FaultTestError> {
     let generated = generator::testbed(seed);
     let scratch = Scratch::new()?;
     write_map(&generated, &scratch.0).map_err(|e| FaultTestError::folder(&scratch.0, e))?;
-    let testbed = testbed_file::parse("testbed.yaml", &generated.text, &scratch.0);
+    let testbed = cotorra_testbed_file::parse("testbed.yaml", &generated.text, &scratch.0);
     let testbed = Arc::new(testbed.map_err(|e| FaultTestError::Testbed { seed, reason: e.to_string() })?);
     let plan = Plan::new(seed, &testbed);
     let mut run = Run::new(seed, testbed, &plan, &scratch.0)?;

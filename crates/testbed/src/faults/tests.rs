@@ -3,7 +3,7 @@ use std::{path::Path, time::Duration};
 use cotorra_fabric::Balance;
 use cotorra_graph::{
     Decision, Direction, Event, Instruction, NodeId, PluginId, Pose, PoseSource, RobotContext, SensorData,
-    ServiceTime, Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState, testbed_file,
+    ServiceTime, Stamped, Testbed, Velocity, Vnf, VnfEvent, VnfState,
 };
 use cotorra_network_control::vim::{InstanceId, Managed, Stage};
 
@@ -48,7 +48,7 @@ services:
 walks:
   robot: { waypoints: [[0, 0], [1, 0]] }
 ";
-    testbed_file::parse("lab.yaml", text, Path::new("")).unwrap_or_else(|e| panic!("{e}"))
+    cotorra_testbed_file::parse("lab.yaml", text, Path::new("")).unwrap_or_else(|e| panic!("{e}"))
 }
 
 fn brain(testbed: &Testbed) -> &Vnf {
@@ -104,7 +104,7 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
         if text.contains("program: localization") {
             continue;
         }
-        let testbed = testbed_file::parse("generated.yaml", &text, Path::new(""))
+        let testbed = cotorra_testbed_file::parse("generated.yaml", &text, Path::new(""))
             .unwrap_or_else(|e| panic!("seed {seed}: {e}\n{text}"));
         federated += usize::from(testbed.graph.domains.len() > 1);
         sizes.insert((testbed.graph.robots().count(), testbed.graph.radio_units().count()));
@@ -138,7 +138,7 @@ fn a_run_that_is_kept_has_its_testbed_plan_and_history() {
     let outcome = run::run(5).unwrap();
     let kept = outcome.keep(5, folder.path()).unwrap();
     let text = std::fs::read_to_string(kept.join("testbed.yaml")).unwrap();
-    testbed_file::load(kept.join("testbed.yaml")).unwrap_or_else(|e| panic!("{e}"));
+    cotorra_testbed_file::load(kept.join("testbed.yaml")).unwrap_or_else(|e| panic!("{e}"));
     assert_eq!(text, outcome.generated.text);
     let plan = std::fs::read_to_string(kept.join("plan.txt")).unwrap();
     assert_eq!(plan.lines().count(), outcome.plan.faults.len() + 1);

@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_fabric::Fabric;
-use cotorra_graph::{Event, Instruction, PluginId, Stamped, Testbed, Timestamp, Velocity, testbed_file};
+use cotorra_graph::{Event, Instruction, PluginId, Stamped, Testbed, Timestamp, Velocity};
 use cotorra_measurements::{History, RunInfo};
 use cotorra_network_control::{Network, NetworkGone};
 use cotorra_plugin::{Actions, Plugin, client::Client};
@@ -115,7 +115,9 @@ impl Recorded {
 }
 
 fn testbed() -> Arc<Testbed> {
-    Arc::new(testbed_file::parse("hall.yaml", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}")))
+    Arc::new(
+        cotorra_testbed_file::parse("hall.yaml", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}")),
+    )
 }
 
 fn id() -> PluginId {

@@ -609,7 +609,7 @@ mod tests {
 
     fn report() -> Report {
         let text = "name: test\nnodes: { a: { kind: switch } }\n";
-        let testbed = cotorra_graph::testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
+        let testbed = cotorra_testbed_file::parse("test.yaml", text, Path::new("")).unwrap();
         let services = [("navigation", 15.0, false), ("detect", 100.0, true)];
         let services = services.map(|(id, target_ms, is_flow)| (id.parse().unwrap(), target_ms, is_flow));
         Report { services: services.into(), ..Report::new(&testbed, 1) }

@@ -1,5 +1,3 @@
-use cotorra_graph::testbed_file;
-
 use super::*;
 
 /// A robot with a camera walks 9 m and back.
@@ -27,7 +25,8 @@ const SECONDS: f64 = 10.0;
 
 fn events(camera: &str) -> Vec<Stamped> {
     let testbed =
-        testbed_file::parse("room.yaml", &ROOM.replace("CAMERA", camera), std::path::Path::new("")).unwrap();
+        cotorra_testbed_file::parse("room.yaml", &ROOM.replace("CAMERA", camera), std::path::Path::new(""))
+            .unwrap();
     let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
     let mut events = Vec::new();
     while simulation.now().as_secs_f64() < SECONDS {

@@ -4,9 +4,10 @@
 use std::{collections::BTreeMap, path::Path};
 
 use cotorra_federation::Step;
-use cotorra_graph::{Decision, Event, RobotContext, VnfState, testbed_file, testbed_file::Setting};
+use cotorra_graph::{Decision, Event, RobotContext, VnfState};
 use cotorra_ledger::{Account, Call, Event as Said, Ledger as _, Notice, Wei};
 use cotorra_measurements::{History, RunInfo};
+use cotorra_testbed_file::Setting;
 
 use super::*;
 use crate::experiment::federation::STEPS;
@@ -24,7 +25,8 @@ fn testbed(settings: &[&str]) -> Arc<Testbed> {
     let walk = &"walks.robot.waypoints=[[10, 0], [34, 0]]";
     let settings = std::iter::once(walk).chain(settings);
     let settings: Vec<Setting> = settings.map(|setting| setting.parse().unwrap()).collect();
-    let testbed = testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings);
+    let testbed =
+        cotorra_testbed_file::parse_with("federation.yaml", &text, path.parent().unwrap(), &settings);
     Arc::new(testbed.unwrap_or_else(|e| panic!("{e:?}")))
 }
 

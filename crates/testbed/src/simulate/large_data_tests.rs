@@ -4,7 +4,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use cotorra_graph::{DataFormat, Event, SensorReading, testbed_file};
+use cotorra_graph::{DataFormat, Event, SensorReading};
 use cotorra_measurements::{WantedData, read_large_data};
 
 use super::*;
@@ -27,7 +27,7 @@ fn text(sensors: &str) -> String {
 }
 
 fn parse(text: &str) -> Testbed {
-    testbed_file::parse("corridor.yaml", text, &testbeds()).unwrap()
+    cotorra_testbed_file::parse("corridor.yaml", text, &testbeds()).unwrap()
 }
 
 #[test]

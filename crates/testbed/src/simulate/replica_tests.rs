@@ -3,8 +3,7 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    AnswersRejected, ConditionChange, Event, Instruction, LinkId, Nodes, Probability, ServiceTime,
-    conditions::Loss,
+    AnswersRejected, ConditionChange, Event, Instruction, LinkId, Loss, Nodes, Probability, ServiceTime,
 };
 
 use super::*;
@@ -24,7 +23,7 @@ fn changed(nodes: &str, requests: &str, change: impl FnOnce(String) -> String) -
     let text = text.replace("navigation, node: cloud", &format!("navigation, node: [{nodes}]"));
     let text = text.replace("  navigation:\n", &format!("  navigation:\n    requests: {requests}\n"));
     let text = change(text);
-    let parsed = cotorra_graph::testbed_file::parse("corridor.yaml", &text, file.parent().unwrap());
+    let parsed = cotorra_testbed_file::parse("corridor.yaml", &text, file.parent().unwrap());
     Arc::new(parsed.unwrap_or_else(|wrong| panic!("{wrong}")))
 }
 

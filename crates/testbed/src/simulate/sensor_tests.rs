@@ -1,4 +1,4 @@
-use cotorra_graph::{ComponentId, Event, Instruction, SensorReading, testbed_file};
+use cotorra_graph::{ComponentId, Event, Instruction, SensorReading};
 
 use super::*;
 
@@ -31,7 +31,7 @@ const SENSORS: &str = "roaming: signal, sensors: {
 
 fn room(with_sensors: bool) -> Arc<Testbed> {
     let text = if with_sensors { ROOM.replace("roaming: signal }", SENSORS) } else { ROOM.to_owned() };
-    Arc::new(testbed_file::parse("room.yaml", &text, std::path::Path::new("")).unwrap())
+    Arc::new(cotorra_testbed_file::parse("room.yaml", &text, std::path::Path::new("")).unwrap())
 }
 
 /// All events of 30 s, in which the gripper feels 3 and 4 N at 10.1 s, and then nothing any more.

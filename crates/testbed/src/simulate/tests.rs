@@ -1,8 +1,8 @@
 use std::path::Path;
 
 use cotorra_graph::{
-    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, Nodes, OccupancyGrid,
-    PoseSource, Position, Probability, Program, RobotContext, Velocity, conditions::Loss,
+    Cell, ConditionChange, Event, GoalEvent, GoalState, Instruction, LinkId, Loss, Nodes, OccupancyGrid,
+    PoseSource, Position, Probability, Program, RobotContext, Velocity,
 };
 use cotorra_plugin::{Actions, Plugin, client::ClientError};
 
@@ -19,7 +19,7 @@ fn corridor() -> Arc<Testbed> {
 
 fn loaded(name: &str) -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
-    Arc::new(cotorra_graph::testbed_file::load(file).unwrap())
+    Arc::new(cotorra_testbed_file::load(file).unwrap())
 }
 
 /// All events of the first seconds.
@@ -169,7 +169,7 @@ fn pace_lets_a_robot_drive_less_far_blind_for_a_longer_walk() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/aisle.yaml");
     let walked = |paced: bool| {
         let setting = format!("plugins.pace.enabled={paced}").parse().unwrap();
-        let testbed = cotorra_graph::testbed_file::load_with(&file, &[setting]).unwrap();
+        let testbed = cotorra_testbed_file::load_with(&file, &[setting]).unwrap();
         let testbed = Arc::new(testbed);
         let events = events_of(&testbed, 2, 400.0);
         let mut report = Report::new(&testbed, 2);
@@ -370,7 +370,7 @@ fn with_navigation_as_a_flow() -> Arc<Testbed> {
         "\nservices:\n  flow:\n    robot: robot\n    kpis: {{ service_time: 15 ms, flow: {{ {flow} }} }}\n    vnfs: {{}}\n"
     );
     let text = std::fs::read_to_string(&file).unwrap().replace("\nservices:\n", &service);
-    let testbed = cotorra_graph::testbed_file::parse("corridor.yaml", &text, file.parent().unwrap()).unwrap();
+    let testbed = cotorra_testbed_file::parse("corridor.yaml", &text, file.parent().unwrap()).unwrap();
     Arc::new(testbed)
 }
 
@@ -610,7 +610,7 @@ fn okpi_keeps_the_target_with_the_published_placements() {
 fn two_paths(with_okpi: bool) -> Testbed {
     let text = include_str!("../../../../testbeds/two-paths.yaml");
     let text = text.replace("enabled: false", &format!("enabled: {with_okpi}"));
-    cotorra_graph::testbed_file::parse("two-paths.yaml", &text, Path::new("")).unwrap()
+    cotorra_testbed_file::parse("two-paths.yaml", &text, Path::new("")).unwrap()
 }
 
 /// Service times that were measured from a time on, sorted, and the packets that the first link of each path carried

@@ -42,10 +42,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{
-    Diagnostics, Testbed, Timestamp, seed,
-    testbed_file::{self, InvalidSetting, Setting},
-};
+use cotorra_graph::{Testbed, Timestamp, seed};
+use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
     axis::{Axis, InvalidAxis},
@@ -202,7 +200,7 @@ impl Sweep {
     /// # Errors
     /// [`SweepError::Testbed`] if the file cannot be run as it is.
     pub fn default_folder(&self, parent: &Path) -> Result<PathBuf, SweepError> {
-        let testbed = testbed_file::parse(&self.source_name, &self.text, &self.base_dir)?;
+        let testbed = cotorra_testbed_file::parse(&self.source_name, &self.text, &self.base_dir)?;
         let paths: Vec<_> = self.axes.iter().map(Axis::path).collect();
         // Its map and traces are in it.
         let depends = format!("{} {testbed:?} {paths:?} {:?}", env!("CARGO_PKG_VERSION"), self.until);
@@ -216,7 +214,7 @@ impl Sweep {
 
     fn testbed(&self, values: &[String]) -> Result<Testbed, SweepError> {
         let settings = self.settings(values)?;
-        Ok(testbed_file::parse_with(&self.source_name, &self.text, &self.base_dir, &settings)?)
+        Ok(cotorra_testbed_file::parse_with(&self.source_name, &self.text, &self.base_dir, &settings)?)
     }
 
     /// Which run a point is, for people and for the folder.

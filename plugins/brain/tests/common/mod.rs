@@ -7,7 +7,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{
     Attachment, Capacity, Dbm, DomainId, Driver, Event, HardwareGraph, Node, NodeId, NodeKind, OccupancyGrid,
     Pose, PoseSource, Position, Roaming, Robot, RobotContext, RobotModel, SensorData, Testbed, Velocity,
-    Walk, testbed_file,
+    Walk,
 };
 
 /// Radius of the robot, metres.
@@ -15,7 +15,7 @@ pub const RADIUS: f64 = 0.1758;
 
 /// The published testbed, as it ships.
 pub fn corridor() -> Testbed {
-    testbed_file::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../testbeds/corridor.yaml"))
+    cotorra_testbed_file::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../testbeds/corridor.yaml"))
         .expect("the testbed that ships is a good one")
 }
 

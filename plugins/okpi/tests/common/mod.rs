@@ -8,7 +8,7 @@ use std::{path::Path, time::Duration};
 
 use cotorra_graph::{
     Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Testbed, Velocity, VnfId,
-    seed, testbed_file,
+    seed,
 };
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Vnf};
 use serde_json::{Map, Value, json};
@@ -16,7 +16,7 @@ use serde_json::{Map, Value, json};
 /// The published testbed.
 pub fn corridor() -> Testbed {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
-    testbed_file::load(path).unwrap_or_else(|e| panic!("{e:?}"))
+    cotorra_testbed_file::load(path).unwrap_or_else(|e| panic!("{e:?}"))
 }
 
 /// The areas in which the published system used each radio unit: their edges lie halfway between where it changed

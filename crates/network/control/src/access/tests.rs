@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use cotorra_graph::{HardwareGraph, Timestamp, VnfId, testbed_file};
+use cotorra_graph::{HardwareGraph, Timestamp, VnfId};
 
 use super::*;
 use crate::{testing::Here, vim::InMemoryEngine};
@@ -17,7 +17,8 @@ links:
 ";
 
 fn world() -> (HardwareGraph, Here, Vim<InMemoryEngine>, AccessPoints) {
-    let testbed = testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
+    let testbed =
+        cotorra_testbed_file::parse("test", TESTBED, Path::new("")).unwrap_or_else(|e| panic!("{e:?}"));
     let graph = testbed.graph;
     let network = Here::new(&graph);
     let vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());

@@ -1,6 +1,6 @@
 use std::path::Path as FilePath;
 
-use cotorra_graph::{Loss, Probability, testbed_file};
+use cotorra_graph::{Loss, Probability};
 
 use super::*;
 use crate::{testing::Here, vim::InMemoryEngine};
@@ -48,7 +48,8 @@ struct Lab(NetworkControl<Here, InMemoryEngine>);
 
 impl Lab {
     fn new() -> Self {
-        let testbed = testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
+        let testbed =
+            cotorra_testbed_file::parse("x", TESTBED, FilePath::new("")).unwrap_or_else(|e| panic!("{e}"));
         let network = Here::new(&testbed.graph);
         let mut lab = Self(NetworkControl::new(&testbed, network, InMemoryEngine::default()));
         lab.0.start(Timestamp::ZERO);

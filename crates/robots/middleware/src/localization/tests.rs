@@ -27,7 +27,7 @@ fn testbed() -> Testbed {
         wireless: Default::default(),
     };
     let text = "name: test\nnodes: { a: { kind: switch } }\n";
-    let empty = cotorra_graph::testbed_file::parse("test.yaml", text, std::path::Path::new("")).unwrap();
+    let empty = cotorra_testbed_file::parse("test.yaml", text, std::path::Path::new("")).unwrap();
     Testbed { graph, map: Some(room(6.0, 4.0)), ..empty }
 }
 

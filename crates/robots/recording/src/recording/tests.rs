@@ -1,4 +1,4 @@
-use cotorra_graph::{Event, NodeId, Timestamp, testbed_file};
+use cotorra_graph::{Event, NodeId, Timestamp};
 use cotorra_robot_middleware::Scan;
 
 use super::*;
@@ -13,7 +13,7 @@ links: []
 ";
 
 fn testbed() -> Arc<Testbed> {
-    let read = testbed_file::parse("hall.yaml", TESTBED, Path::new("."));
+    let read = cotorra_testbed_file::parse("hall.yaml", TESTBED, Path::new("."));
     Arc::new(read.unwrap_or_else(|error| panic!("{error}")))
 }
 

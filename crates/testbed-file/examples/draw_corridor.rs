@@ -1,7 +1,7 @@
 //! Draws the corridor's map, `testbeds/maps/corridor.pgm`: free ground within 2 m of the walk of
 //! `testbeds/corridor.yaml`, a wall around it, and nothing known beyond. The original map is not public.
 //!
-//! `cargo run -p cotorra-graph --example draw_corridor`, in the root of the project.
+//! `cargo run -p cotorra-testbed-file --example draw_corridor`, in the root of the project.
 
 use std::{error::Error, fs, path::Path};
 
@@ -61,7 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     fs::write(
         maps.join("corridor.yaml"),
         format!(
-            "# Drawn by `cargo run -p cotorra-graph --example draw_corridor`.\n\
+            "# Drawn by `cargo run -p cotorra-testbed-file --example draw_corridor`.\n\
              image: corridor.pgm\n\
              resolution: {RESOLUTION}\n\
              origin: [{:.1}, {:.1}, 0.0]\n\

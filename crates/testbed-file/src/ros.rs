@@ -2,16 +2,14 @@
 
 use std::{collections::BTreeMap, net::IpAddr};
 
-use super::{
+use cotorra_graph::{Driver, NodeId, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics};
+
+use crate::{
     records::{
         DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
         RosTopicsRecord,
     },
     sensors,
-};
-use crate::{
-    driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics},
-    id::NodeId,
     yaml::{
         Sink,
         decode::{Either, Spanned},

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use serde_json::{Value as Json, json};
 
+use cotorra_graph::{Cell, OccupancyGrid, Position};
+
 use crate::{
     file,
-    map::{Cell, OccupancyGrid},
-    units::Position,
     yaml::{
         self, Diagnostics, Sink,
         decode::{Amount, Decode, Node, Spanned, choice, expected, record},

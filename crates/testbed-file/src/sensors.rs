@@ -2,17 +2,14 @@
 
 use std::{collections::BTreeMap, f64::consts::PI, time::Duration};
 
-use super::{
+use cotorra_graph::{
+    Camera, DataFormat, Driver, Program, RobotModel, Sensor, SensorId, SensorKind, SensorMessage,
+    SensorTopic, Testbed,
+};
+
+use crate::{
     build::dangling,
     records::{CameraRecord, DriverRecord, DriverWord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
-};
-use crate::{
-    driver::{Driver, SensorMessage, SensorTopic},
-    hardware::RobotModel,
-    id::SensorId,
-    sensor::{Camera, DataFormat, Sensor, SensorKind},
-    service::Program,
-    testbed::Testbed,
     yaml::{
         Frequency, Sink, Span,
         decode::{Either, Spanned},

@@ -3,13 +3,11 @@
 
 use std::{fmt, ops::Range, str::FromStr};
 
-use crate::{
-    hardware::HardwareGraph,
-    testbed::BUNDLED_PLUGINS,
-    yaml::{
-        self, Sink,
-        decode::{Entry, Node, Value, nearest, there_are},
-    },
+use cotorra_graph::{BUNDLED_PLUGINS, HardwareGraph};
+
+use crate::yaml::{
+    self, Sink,
+    decode::{Entry, Node, Value, nearest, there_are},
 };
 
 /// What is to be otherwise than a testbed file says, written `path=value`.

@@ -1,15 +1,12 @@
 //! What is to happen to links by itself: each entry of a schedule, and the run whose conditions are played.
 
-use super::{
+use cotorra_graph::{
+    BitRate, ConditionChange, Jitter, JitterDistribution, Link, LinkId, Rate, Scheduled, Script, When,
+};
+
+use crate::{
     build::Builder,
     records::{ConditionsRecord, NodeRecord, ScheduledRecord, WhenRecord},
-};
-use crate::{
-    conditions::{ConditionChange, Jitter, JitterDistribution, Rate},
-    hardware::Link,
-    id::LinkId,
-    schedule::{Scheduled, Script, When},
-    units::BitRate,
     yaml::decode::{Either, Spanned},
 };
 

@@ -1,9 +1,7 @@
 //! What a testbed file says when something is wrong with it: each rule has a file in `tests/bad`, and beside it what
-//! is told. `BLESS=1 cargo test -p cotorra-graph --test bad` writes that anew, to be read in the diff.
+//! is told. `BLESS=1 cargo test -p cotorra-testbed-file --test bad` writes that anew, to be read in the diff.
 
 use std::{fs, path::Path};
-
-use cotorra_graph::testbed_file;
 
 #[test]
 fn every_rule_tells_what_is_wrong_in_its_place() {
@@ -19,7 +17,9 @@ fn every_rule_tells_what_is_wrong_in_its_place() {
     for path in files {
         let name = path.file_name().unwrap().to_str().unwrap();
         let text = fs::read_to_string(&path).unwrap();
-        let Err(wrong) = testbed_file::parse(name, &text, &folder) else { panic!("{name} is accepted") };
+        let Err(wrong) = cotorra_testbed_file::parse(name, &text, &folder) else {
+            panic!("{name} is accepted")
+        };
         assert!(wrong.list.iter().all(|d| d.help.is_some()), "{name} says what would be right");
         let told = wrong.to_string();
         let expected = path.with_extension("txt");

@@ -2,11 +2,11 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use cotorra_graph::{LinkId, NodeId, Position, Program, Rate, Testbed, testbed_file};
+use cotorra_graph::{LinkId, NodeId, Position, Program, Rate, Testbed};
 
 fn shipped(name: &str) -> Testbed {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../testbeds").join(name);
-    testbed_file::load(path).unwrap_or_else(|wrong| panic!("{wrong}"))
+    cotorra_testbed_file::load(path).unwrap_or_else(|wrong| panic!("{wrong}"))
 }
 
 fn id(name: &str) -> NodeId {

@@ -8,10 +8,7 @@ use super::{
     Sink,
     decode::{Decode, Node, expected, nearest, words},
 };
-use crate::{
-    conditions::{QueueLimit, Rate},
-    units::{BitRate, Dbm, Probability},
-};
+use cotorra_graph::{BitRate, Dbm, Probability, QueueLimit, Rate};
 
 /// A ratio in dB, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,14 +3,11 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::{
+use cotorra_graph::{HardwareGraph, IpNetwork, NodeKind, Rate};
+
+use crate::{
     check::{entries, places},
     records::{LinkRecord, TestbedRecord},
-};
-use crate::{
-    conditions::Rate,
-    exposure::IpNetwork,
-    hardware::{HardwareGraph, NodeKind},
     yaml::Sink,
 };
 

@@ -4,11 +4,7 @@ use serde_json::{Value as Json, json};
 
 pub(crate) use super::tree::{Entry, Node, Value};
 use super::{Sink, Span, tree::shorten};
-use crate::{
-    exposure::IpNetwork,
-    id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
-    units::Position,
-};
+use cotorra_graph::{DomainId, IpNetwork, LinkId, NodeId, PluginId, Position, SensorId, ServiceId, VnfId};
 
 /// A type that stands in a file.
 pub(crate) trait Decode: Sized {

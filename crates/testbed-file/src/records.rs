@@ -2,20 +2,15 @@
 
 use std::time::Duration;
 
-use crate::{
-    conditions::{JitterDistribution, QueueLimit, Rate},
-    driver::RosNetwork,
-    exposure::IpNetwork,
-    hardware::{Direction, GapPolicy, Roaming, RobotModel, Tier, WifiStandard},
-    id::{DomainId, LinkId, NodeId, PluginId, SensorId, ServiceId, VnfId},
-    sensor::DataFormat,
-    service::{LinuxCapability, Requests},
-    testbed::Emulation,
-    units::{BitRate, Dbm, Position, Probability},
-    yaml::{
-        Angle, Bytes, Decibels, Frequency, Metres, Speed,
-        decode::{Amount, Either, Spanned, Table, choice, record, tagged},
-    },
+use cotorra_graph::{
+    BitRate, DataFormat, Dbm, Direction, DomainId, Emulation, GapPolicy, IpNetwork, JitterDistribution,
+    LinkId, LinuxCapability, NodeId, PluginId, Position, Probability, QueueLimit, Rate, Requests, Roaming,
+    RobotModel, RosNetwork, SensorId, ServiceId, Tier, VnfId, WifiStandard,
+};
+
+use crate::yaml::{
+    Angle, Bytes, Decibels, Frequency, Metres, Speed,
+    decode::{Amount, Either, Spanned, Table, choice, record, tagged},
 };
 
 record! {

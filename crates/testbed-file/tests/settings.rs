@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use cotorra_graph::{
-    Testbed,
-    testbed_file::{self, Setting},
-};
+use cotorra_graph::Testbed;
+use cotorra_testbed_file::Setting;
 
 const FILE: &str = "\
 name: rooms
@@ -28,7 +26,8 @@ plugins:
 
 fn with(settings: &[&str]) -> Result<Testbed, String> {
     let settings: Vec<Setting> = settings.iter().map(|s| s.parse().expect("it is a setting")).collect();
-    testbed_file::parse_with("rooms.yaml", FILE, Path::new(""), &settings).map_err(|wrong| wrong.to_string())
+    cotorra_testbed_file::parse_with("rooms.yaml", FILE, Path::new(""), &settings)
+        .map_err(|wrong| wrong.to_string())
 }
 
 fn delays(testbed: &Testbed) -> Vec<(String, u128, f64)> {
@@ -39,7 +38,7 @@ fn delays(testbed: &Testbed) -> Vec<(String, u128, f64)> {
 #[test]
 fn without_settings_the_file_is_as_it_is() {
     let testbed = with(&[]).unwrap();
-    assert_eq!(testbed, testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap());
+    assert_eq!(testbed, cotorra_testbed_file::parse("rooms.yaml", FILE, Path::new("")).unwrap());
     let ids: Vec<_> = testbed.plugins.iter().map(|p| p.id.as_str()).collect();
     assert_eq!(ids, ["probing"], "what is not enabled does not run");
 }

@@ -2,13 +2,11 @@
 
 use std::time::Duration;
 
-use super::{
+use cotorra_graph::{Flow, FlowId, FlowProtocol, Program, Service};
+
+use crate::{
     build::Builder,
     records::{FlowIdRecord, FlowRecord, FlowWhereRecord, KpisRecord, ServiceRecord},
-};
-use crate::{
-    flow::{Flow, FlowId, FlowProtocol},
-    service::{Program, Service},
     yaml::{Sink, decode::Spanned},
 };
 

@@ -3,20 +3,16 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::{
+use cotorra_graph::{
+    Capacity, Driver, Edge, HardwareGraph, Node, NodeId, NodeKind, Offer, Position, Program, Rmw, Ros, Ros1,
+    Ros2, RosMaster, RosNetwork, Service, Testbed, Topology, Vnf, VnfId, WifiStandard,
+};
+
+use crate::{
     flow,
     machines::machines,
     records::{NodeRecord, ServiceRecord, TestbedRecord, VnfRecord},
     sensors,
-};
-use crate::{
-    driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork},
-    hardware::{Capacity, HardwareGraph, Node, NodeKind, WifiStandard},
-    id::{NodeId, VnfId},
-    routing::{Edge, Topology},
-    service::{Program, Service, Vnf},
-    testbed::Testbed,
-    units::Position,
     yaml::{
         Sink, Span,
         decode::{Either, Spanned, words},

@@ -1,25 +1,29 @@
 //! The testbed file: what people write to describe a testbed. Read as a whole and checked as a whole, so that what
 //! this module lets pass can run, and so that one look shows all that is wrong with what it does not.
+#![forbid(unsafe_code)]
 
 mod build;
 mod check;
+mod file;
 mod flow;
 mod machines;
+pub mod map_server;
 mod records;
 mod ros;
 mod script;
 mod sensors;
 mod setting;
+mod yaml;
 
 use std::{io, path::Path};
 
+use cotorra_graph::{Retentions, Testbed};
 use serde_json::{Value as Json, json};
 
-pub use self::setting::{InvalidSetting, Setting};
-use crate::{
-    file,
-    testbed::{Retentions, Testbed},
-    yaml::{self, Diagnostics, Sink, decode::Decode},
+use self::yaml::{Sink, decode::Decode};
+pub use self::{
+    setting::{InvalidSetting, Setting},
+    yaml::{Diagnostic, Diagnostics},
 };
 
 /// Reads a testbed file, and the map and traces that it names.
@@ -113,12 +117,10 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{
-        driver::{Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, SensorMessage},
-        hardware::HostAddress,
-        id::NodeId,
-        sensor::SensorKind,
-        yaml::decode::Node,
+    use crate::yaml::decode::Node;
+    use cotorra_graph::{
+        Driver, HostAddress, NodeId, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics,
+        SensorKind, SensorMessage,
     };
 
     fn testbeds() -> PathBuf {

@@ -8,31 +8,23 @@ use std::{
     time::Duration,
 };
 
-use super::{
-    check,
+use cotorra_graph::{
+    BUNDLED_PLUGINS, BitRate, Capacity, Conditions, DomainId, GeoOrigin, Granted, HandoverTimes,
+    HardwareGraph, HostAddress, Jitter, JitterDistribution, Kpis, Link, LinkId, Loss, Machine, Node, NodeId,
+    NodeKind, Nodes, OccupancyGrid, PathLoss, PluginId, PluginProgram, PluginSpec, Position, Probability,
+    Probing, Program, RadioUnit, Rate, Reached, Requests, Retention, Retentions, Rights, Robot, Scale,
+    Server, Service, ServiceId, Shadowing, Testbed, Trace, VirtualLink, Vnf, WaisSettings, Walk,
+    WirelessNetwork,
+};
+
+use crate::{
+    check, file, map_server,
     records::{
         ConditionsRecord, LinkRecord, LossRecord, MachineRecord, NodeRecord, PathLossRecord, PluginRecord,
         ProbesRecord, ProbesWord, ProgramWord, RetentionRecord, RetentionsRecord, ServiceRecord,
         TestbedRecord, VnfRecord, WaisRecord, WalkRecord, WirelessRecord,
     },
     ros, script, sensors,
-};
-use crate::{
-    active::Probing,
-    conditions::{Conditions, Jitter, JitterDistribution, Loss, Rate, Scale, Trace},
-    exposure::{GeoOrigin, WaisSettings},
-    file,
-    hardware::{
-        Capacity, HandoverTimes, HardwareGraph, HostAddress, Link, Machine, Node, NodeKind, PathLoss,
-        RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
-    },
-    id::{DomainId, LinkId, NodeId, PluginId, ServiceId},
-    map::OccupancyGrid,
-    map_server,
-    nodes::Nodes,
-    service::{Granted, Kpis, Program, Requests, Rights, Service, VirtualLink, Vnf},
-    testbed::{BUNDLED_PLUGINS, PluginProgram, PluginSpec, Retention, Retentions, Testbed, Walk},
-    units::{BitRate, Position, Probability},
     yaml::{
         Bytes, Sink, Span,
         decode::{Amount, Either, Name as _, Spanned, nearest, there_are, words},
