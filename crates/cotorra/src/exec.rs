@@ -4,7 +4,7 @@ use std::{convert::Infallible, io, os::unix::process::CommandExt, path::PathBuf,
 
 use clap::Args;
 use cotorra_datapath::HostsFile;
-use cotorra_graph::{HardwareGraph, NodeId, ros1_environment};
+use cotorra_graph::{HardwareGraph, NodeId};
 use cotorra_plugin::runs::{RunEntry, Runs};
 
 use crate::running::{self, WhichRun, explained, token_text};
@@ -68,7 +68,7 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
         args.command.split_first().expect("the command line asks for one word or more");
     let mut command = Command::new(program);
     command.args(arguments).env("COTORRA_NODE", args.node.as_str());
-    let reason = command.envs(ros1_environment(&graph, &args.node)).exec();
+    let reason = command.envs(graph.ros1_environment(&args.node)).exec();
     Err(Error::Program { program: program.clone(), reason })
 }
 

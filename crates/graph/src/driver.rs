@@ -5,10 +5,7 @@ use std::{collections::BTreeMap, net::IpAddr};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    hardware::HardwareGraph,
-    id::{NodeId, SensorId},
-};
+use crate::id::{NodeId, SensorId};
 
 /// What moves a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -162,26 +159,6 @@ pub enum RosMaster {
         /// The node.
         node: NodeId,
     },
-}
-
-/// The environment variables with which ROS 1's programs in a host find each other: `ROS_IP`, and `ROS_MASTER_URI` for
-/// the first master in the emulated network. None without such a master.
-pub fn ros1_environment(graph: &HardwareGraph, host: &NodeId) -> Vec<(&'static str, String)> {
-    let address = |node: &NodeId| graph.address(node).map(|address| address.ipv4.to_string());
-    let master = graph.robots().find_map(|(_, robot)| {
-        let (Driver::Ros1(ros1) | Driver::Simulated { offer: Some(Offer { ros: Ros::Ros1(ros1), .. }) }) =
-            &robot.driver
-        else {
-            return None;
-        };
-        match &ros1.master {
-            RosMaster::Machine { .. } => None,
-            RosMaster::Testbed { uri } => Some(uri.clone()),
-            RosMaster::Node { node } => Some(format!("http://{}:{}", address(node)?, RosMaster::PORT)),
-        }
-    });
-    let Some((master, host)) = master.zip(address(host)) else { return Vec::new() };
-    vec![("ROS_MASTER_URI", master), ("ROS_IP", host)]
 }
 
 impl RosMaster {

@@ -20,6 +20,7 @@ mod nodes;
 #[cfg(feature = "openapi")]
 pub mod openapi;
 mod propagation;
+mod ros1_environment;
 mod routing;
 mod schedule;
 pub mod seed;
@@ -40,7 +41,6 @@ pub use context::{
 };
 pub use driver::{
     Driver, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics, SensorMessage, SensorTopic,
-    ros1_environment,
 };
 pub use event::{Decision, Event, Instruction, Stamped, VnfEvent, VnfState};
 pub use exposure::{GeoOrigin, InvalidIpNetwork, IpNetwork, WaisSettings};

@@ -38,6 +38,7 @@
 pub mod client;
 pub mod messages;
 pub mod runs;
+pub mod settings;
 pub mod vnf;
 pub mod wire;
 

@@ -5,13 +5,8 @@
 mod build;
 mod check;
 mod file;
-mod flow;
-mod machines;
 pub mod map_server;
 mod records;
-mod ros;
-mod script;
-mod sensors;
 mod setting;
 mod yaml;
 
@@ -81,7 +76,11 @@ pub fn parse_with(
             root
         })
         .and_then(|root| records::TestbedRecord::decode(&root, &mut sink))
-        .and_then(|record| build::build(record, base_dir, &mut sink));
+        .and_then(|record| {
+            let testbed = build::build(&record, base_dir, &mut sink)?;
+            check::check(&record, &testbed, &mut sink);
+            Some(testbed)
+        });
     match testbed {
         Some(testbed) if sink.is_empty() => Ok(testbed),
         _ => Err(sink.finish(source_name, &text)),

@@ -9,7 +9,7 @@ use cotorra_graph::{
 };
 
 use crate::yaml::{
-    Angle, Bytes, Decibels, Frequency, Metres, Speed,
+    Angle, Bytes, Decibels, Frequency, Metres, Span, Speed,
     decode::{Amount, Either, Spanned, Table, choice, record, tagged},
 };
 
@@ -51,6 +51,25 @@ record! {
         probes: Either<ProbesWord, ProbesRecord> = {},
         /// How its history is kept.
         history: HistoryRecord = {},
+    }
+}
+
+impl TestbedRecord {
+    /// Places of the graph's links in the file, in the graph's order.
+    pub(crate) fn link_places(&self) -> impl Iterator<Item = &Span> {
+        self.link_entries().map(|(_, place)| place)
+    }
+
+    /// For each link of the graph, in order: the index of its entry under `links`, and its place in the file.
+    pub(crate) fn link_entries(&self) -> impl Iterator<Item = (usize, &Span)> {
+        self.links.iter().enumerate().flat_map(|(entry, link)| {
+            let ends = link.ends.value.iter().map(|end| match end {
+                Either::Short(_) => 1,
+                Either::Long(several) => several.len(),
+            });
+            let span = link.id.as_ref().map_or(&link.ends.span, |id| &id.span);
+            std::iter::repeat_n((entry, span), ends.fold(1, usize::saturating_mul))
+        })
     }
 }
 

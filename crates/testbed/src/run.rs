@@ -16,7 +16,7 @@ use std::{
 
 use cotorra_datapath::{Child, Datapath, SpawnOptions};
 use cotorra_fabric::Fabric;
-use cotorra_graph::{IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId, ros1_environment};
+use cotorra_graph::{IpNetwork, Node, NodeId, Program, Testbed, Timestamp, Vnf, VnfId};
 use cotorra_measurements::{History, Location, Recorder, RecorderStats, RunId, RunInfo};
 use cotorra_netem::Confirmed;
 use cotorra_network_control::{
@@ -563,7 +563,7 @@ impl Launcher for NodeLauncher {
         mut command: Command,
         cgroups: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>> {
-        command.envs(ros1_environment(&self.testbed.graph, node));
+        command.envs(self.testbed.graph.ros1_environment(node));
         if matches!(vnf.program, Program::Command(_)) {
             command.current_dir(self.confined.folder());
             // Where images come to.

@@ -19,12 +19,11 @@ use cotorra_graph::{
     Event, Instruction, LinkId, NodeId, NodeKind, Placement, Position, Roaming, RobotContext, Service,
     Testbed, Timestamp, VirtualLink,
 };
-use cotorra_plugin::{Actions, Plugin, client::Client};
+use cotorra_plugin::{Actions, Plugin, client::Client, settings::InvalidSettings};
 
 pub use crate::{
     model::{Infrastructure, Link, Node, Queue, Service as Chain, Vnf},
     placement::{Infeasible, Placed, Search, Slack, place},
-    settings::InvalidSettings,
 };
 use crate::{
     network_view::NetworkView,
@@ -88,10 +87,12 @@ impl Okpi {
     /// The same, if all that its settings name exists in the testbed that it is to orchestrate.
     ///
     /// # Errors
-    /// [`InvalidSettings::UnknownName`].
+    /// [`InvalidSettings`] for the first name that the testbed does not have.
     pub fn for_testbed(self, testbed: &Testbed) -> Result<Self, InvalidSettings> {
         if self.settings.delays == Delays::History && self.client.is_none() {
-            return Err(InvalidSettings::NoClient);
+            let reason = "`history` is for an okpi that is a program of its own, and asks over the API; let the plug-in's \
+                          `command` name one, or leave `delays` out";
+            return Err(InvalidSettings::new("delays", reason));
         }
         self.settings.check(testbed).map(|()| self)
     }

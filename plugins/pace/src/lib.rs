@@ -10,9 +10,9 @@ mod settings;
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{Dbm, Event, Instruction, NodeId, Testbed, Timestamp};
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
 
-pub use crate::settings::{InvalidSettings, Settings};
+pub use crate::settings::Settings;
 
 /// A robot is told no more often.
 const HOLD: Duration = Duration::from_secs(1);

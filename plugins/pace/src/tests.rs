@@ -102,17 +102,17 @@ fn a_robot_that_lost_its_radio_unit_is_slowed_at_once() {
 }
 
 #[test]
-fn settings_are_read_and_wrong_ones_are_told() {
+fn invalid_settings_are_rejected_with_their_name() {
     let settings = with(json!({ "weak_dbm": -80, "speed_mps": 1.5 })).unwrap().settings;
     assert_eq!(settings, Settings { weak_dbm: -80.0, strong_dbm: -70.0, speed_mps: 1.5 });
-    for (wrong, told) in [
-        (json!({ "weak": -80 }), "unknown field `weak`"),
-        (json!({ "weak_dbm": "-80 dBm" }), "invalid type"),
+    for (wrong, message) in [
+        (json!({ "weak": -80 }), "weak: unknown field `weak`"),
+        (json!({ "weak_dbm": "-80 dBm" }), "weak_dbm: invalid type"),
         (json!({ "weak_dbm": -70 }), "weak_dbm: -70 dBm is not below strong_dbm, -70 dBm"),
         (json!({ "speed_mps": 0 }), "speed_mps: 0 m/s is not above 0"),
     ] {
-        let said = with(wrong).unwrap_err();
-        assert!(said.starts_with(told), "{said}");
+        let error = with(wrong).unwrap_err();
+        assert!(error.starts_with(message), "{error}");
     }
 }
 

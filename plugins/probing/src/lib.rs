@@ -12,11 +12,10 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{
     Attachment, Event, Instruction, NodeId, Roaming, RobotContext, Testbed, Timestamp, seed,
 };
-use cotorra_plugin::{Actions, Plugin};
+use cotorra_plugin::{Actions, Plugin, settings::InvalidSettings};
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-pub use crate::settings::InvalidSettings;
 use crate::settings::Settings;
 
 /// Lets robots roam by periodic probing: all whose roaming is instructed.

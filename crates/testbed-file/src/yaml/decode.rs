@@ -671,3 +671,23 @@ impl Decode for serde_json::Map<String, Json> {
         }
     }
 }
+
+impl Sink {
+    /// Reports a reference to a name that nothing has, with the known names of that kind.
+    pub(crate) fn unknown_name<'a>(
+        &mut self,
+        span: &Span,
+        kind: &str,
+        name: &str,
+        known: impl Iterator<Item = &'a str>,
+    ) {
+        let mut known: Vec<_> = known.collect();
+        known.sort_unstable();
+        let help = match nearest(name, known.iter().copied()) {
+            Some(near) => format!("did you mean `{near}`?"),
+            None if known.is_empty() => format!("this file has no {kind} at all"),
+            None => there_are(&known),
+        };
+        self.error(span, format!("there is no {kind} `{name}`")).help(help);
+    }
+}

@@ -4,12 +4,12 @@ use std::{collections::BTreeMap, net::IpAddr};
 
 use cotorra_graph::{Driver, NodeId, Offer, Rmw, Ros, Ros1, Ros2, RosMaster, RosNetwork, RosTopics};
 
+use super::sensors;
 use crate::{
     records::{
         DriverRecord, DriverWord, OfferRecord, OfferWord, RmwWord, RobotRecord, Ros1Record, Ros2Record,
         RosTopicsRecord,
     },
-    sensors,
     yaml::{
         Sink,
         decode::{Either, Spanned},

@@ -4,8 +4,8 @@ use cotorra_graph::{
     BitRate, ConditionChange, Jitter, JitterDistribution, Link, LinkId, Rate, Scheduled, Script, When,
 };
 
+use super::builder::Builder;
 use crate::{
-    build::Builder,
     records::{ConditionsRecord, NodeRecord, ScheduledRecord, WhenRecord},
     yaml::decode::{Either, Spanned},
 };
@@ -100,7 +100,7 @@ fn is_there(builder: &mut Builder<'_>, link: &Spanned<LinkId>, links: Option<&[L
     if wireless || links.iter().any(|l| l.id == link.value) {
         return true;
     }
-    builder.dangling(&link.span, "link", name, links.iter().map(|link| link.id.as_str()));
+    builder.sink.unknown_name(&link.span, "link", name, links.iter().map(|link| link.id.as_str()));
     false
 }
 

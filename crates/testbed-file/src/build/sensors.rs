@@ -3,17 +3,12 @@
 use std::{collections::BTreeMap, f64::consts::PI, time::Duration};
 
 use cotorra_graph::{
-    Camera, DataFormat, Driver, Program, RobotModel, Sensor, SensorId, SensorKind, SensorMessage,
-    SensorTopic, Testbed,
+    Camera, DataFormat, Driver, RobotModel, Sensor, SensorId, SensorKind, SensorMessage, SensorTopic,
 };
 
 use crate::{
-    build::dangling,
-    records::{CameraRecord, DriverRecord, DriverWord, NodeRecord, RobotRecord, SensorRecord, TestbedRecord},
-    yaml::{
-        Frequency, Sink, Span,
-        decode::{Either, Spanned},
-    },
+    records::{CameraRecord, RobotRecord, SensorRecord},
+    yaml::{Frequency, Sink, Span, decode::Spanned},
 };
 
 /// Readings a second, at least and at most.
@@ -160,33 +155,6 @@ fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
         field_of_view,
         to: record.to.as_ref().map(|to| to.value.clone()),
         keep_bytes: record.keep.0,
-    }
-}
-
-/// Images go to VNFs that can take them.
-pub(super) fn receivers(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
-    // Images of others go nowhere, which is reported elsewhere.
-    let is_simulated = |robot: &RobotRecord| {
-        let driver = &robot.driver.value;
-        matches!(driver, Either::Short(DriverWord::Simulated) | Either::Long(DriverRecord::Simulated(_)))
-    };
-    let robots = record.nodes.0.iter().filter_map(|(_, node)| match node {
-        NodeRecord::Robot(robot) if is_simulated(robot) => Some(robot),
-        _ => None,
-    });
-    let vnfs = || testbed.services.iter().flat_map(|service| &service.vnfs);
-    for (_, sensor) in robots.flat_map(|robot| &robot.sensors.0) {
-        let SensorRecord::Camera(CameraRecord { to: Some(to), .. }) = sensor else { continue };
-        match vnfs().find(|vnf| vnf.id == to.value).map(|vnf| &vnf.program) {
-            Some(Program::Command(_)) => {}
-            Some(_) => {
-                sink.error(&to.span, format!("`{}` is a bundled VNF, which takes no images", to.value))
-                    .help("name a VNF with a `command`");
-            }
-            None => {
-                dangling(&to.span, "VNF", to.value.as_str(), vnfs().map(|vnf| vnf.id.as_str()), sink);
-            }
-        }
     }
 }
 

@@ -6,7 +6,6 @@ use std::collections::{HashMap, HashSet};
 use cotorra_graph::{HardwareGraph, IpNetwork, NodeKind, Rate};
 
 use crate::{
-    check::{entries, places},
     records::{LinkRecord, TestbedRecord},
     yaml::Sink,
 };
@@ -56,7 +55,7 @@ fn media(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
     }
     let real: HashMap<_, _> = graph.real_links().map(|real| (&real.link.id, real.reached)).collect();
     let mut told = HashSet::new();
-    for (link, (of, _)) in graph.links.iter().zip(entries(record)) {
+    for (link, (of, _)) in graph.links.iter().zip(record.link_entries()) {
         let Some(declared) = &record.links[of].medium_delay else { continue };
         let (what, help) = match real.get(&link.id) {
             None => (
@@ -82,7 +81,7 @@ fn links(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
         _ => None,
     };
     let is_trace = |rate: &Rate| matches!(rate, Rate::Trace { .. });
-    for (link, place) in graph.links.iter().zip(places(record)) {
+    for (link, place) in graph.links.iter().zip(record.link_places()) {
         let (what, help) = match link.ends.each_ref().map(is_reached) {
             [None, None] => continue,
             [Some(a), Some(b)] if a != b => {

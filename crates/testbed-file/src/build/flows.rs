@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use cotorra_graph::{Flow, FlowId, FlowProtocol, Program, Service};
+use cotorra_graph::{Flow, FlowId, FlowProtocol};
 
+use super::builder::Builder;
 use crate::{
-    build::Builder,
     records::{FlowIdRecord, FlowRecord, FlowWhereRecord, KpisRecord, ServiceRecord},
-    yaml::{Sink, decode::Spanned},
+    yaml::decode::Spanned,
 };
 
 /// How long the answer to a request can take at least before it is lost, where it is plain to which request it belongs.
@@ -101,14 +101,5 @@ impl Builder<'_> {
                 .error(&path.span, format!("`{}` is not the path of a request", path.value))
                 .help("write what is between the host and the `?`, such as `/detect`");
         }
-    }
-}
-
-/// A service has one time: navigation's, or that of a flow.
-pub(super) fn check(record: &ServiceRecord, service: &Service, sink: &mut Sink) {
-    let Some(flow) = &record.kpis.flow else { return };
-    if service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
-        sink.error(&flow.span, "a flow in a service whose navigation is measured")
-            .help("describe the flow in a service of its own; it may have `vnfs: {}`");
     }
 }

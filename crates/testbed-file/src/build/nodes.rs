@@ -1,0 +1,248 @@
+//! Nodes, and the wireless networks that connect them.
+
+use cotorra_graph::{
+    Capacity, DomainId, HandoverTimes, HostAddress, Machine, Node, NodeId, NodeKind, PathLoss, Position,
+    Probability, RadioUnit, Reached, Robot, Server, Shadowing, WirelessNetwork,
+};
+
+use super::{
+    builder::{Builder, each, find},
+    ros, sensors,
+};
+use crate::{
+    records::{MachineRecord, NodeRecord, PathLossRecord, WalkRecord, WirelessRecord},
+    yaml::{
+        Bytes, Sink,
+        decode::{Amount, Spanned, words},
+    },
+};
+
+impl Builder<'_> {
+    pub(super) fn wireless(
+        &mut self,
+        ssid: &Spanned<String>,
+        record: &WirelessRecord,
+    ) -> Option<WirelessNetwork> {
+        if ssid.value.len() > 32 {
+            self.sink
+                .error(&ssid.span, format!("this SSID has {} bytes", ssid.value.len()))
+                .help("IEEE 802.11 allows 32");
+        }
+        let correlation = &record.shadowing.correlation;
+        if correlation.value.0 == 0.0 {
+            self.sink
+                .error(&correlation.span, "a correlation distance of zero")
+                .help("write one above zero, such as `5 m`; `deviation: 0 dB` switches shadowing off");
+        }
+        let handover = &record.handover;
+        Some(WirelessNetwork {
+            standard: record.standard,
+            delay: record.delay,
+            rate: record.rate,
+            fast_transition: record.fast_transition,
+            mobility_domain: record.mobility_domain,
+            path_loss: match &record.path_loss {
+                PathLossRecord::FreeSpace(_) => PathLoss::FreeSpace,
+                PathLossRecord::LogDistance(model) => PathLoss::LogDistance { exponent: model.exponent.0 },
+                PathLossRecord::ItuIndoor(model) => PathLoss::ItuIndoor {
+                    coefficient: model.coefficient.0,
+                    floor_loss_db: model.floor_loss.0,
+                },
+            },
+            shadowing: Shadowing {
+                deviation_db: record.shadowing.deviation.0,
+                correlation_m: correlation.value.0,
+            },
+            noise_floor: record.noise_floor,
+            hysteresis_db: record.hysteresis.0,
+            time_to_trigger: record.time_to_trigger,
+            handover: HandoverTimes {
+                scan: handover.scan,
+                authenticate: handover.authenticate,
+                reassociate: handover.reassociate,
+                handshake: handover.handshake,
+                variation: handover.variation.get(),
+            },
+            gap: record.gap,
+        })
+    }
+
+    pub(super) fn nodes(&mut self) -> Option<Vec<Node>> {
+        let records = &self.record.nodes.0;
+        let hosts = records.iter().filter(|(_, n)| is_host(n));
+        if let Some((id, _)) = hosts.clone().nth(HostAddress::MAX_HOSTS) {
+            let message = format!("there are {} hosts", hosts.count());
+            let help = format!("a testbed has addresses for {}", HostAddress::MAX_HOSTS);
+            self.sink.error(&id.span, message).help(help);
+        }
+        if records.is_empty() {
+            self.sink
+                .error(&self.record.name.span, "this testbed has no nodes")
+                .help("describe them under `nodes:`, such as `fog: { kind: server, … }`");
+        }
+        each(records, |(id, record)| self.build_node(id, record))
+    }
+
+    fn build_node(&mut self, id: &Spanned<NodeId>, record: &NodeRecord) -> Option<Node> {
+        let domain = self.domain(record.domain());
+        let (position, kind) = match record {
+            NodeRecord::Robot(r) => {
+                let position = self.start(id, r.position.as_ref());
+                let network = self.network(id, r.network.as_ref());
+                let walk = self.record.walks.0.iter().find(|(robot, _)| robot.value == id.value);
+                let facing = |walk: &WalkRecord| {
+                    let way: Vec<_> = walk.waypoints.value.iter().take(2).map(|w| w.value).collect();
+                    if let [from, to] = way[..] { (to.y - from.y).atan2(to.x - from.x) } else { 0.0 }
+                };
+                let nodes = &self.nodes;
+                let mut host = |node: &Spanned<NodeId>, sink: &mut Sink| {
+                    find(nodes, node, "node with a network of its own", is_host, sink)
+                };
+                let driver = ros::driver(r, &id.value, &mut host, self.sink);
+                let robot = Robot {
+                    capacity: capacity(r.cpus, r.memory),
+                    model: r.model,
+                    network: network?,
+                    tx_power: r.tx_power,
+                    heading: r.heading.map_or_else(|| walk.map_or(0.0, |(_, w)| facing(w)), |a| a.0),
+                    roaming: r.roaming,
+                    sensors: sensors::sensors(r, driver.as_ref(), self.sink),
+                    driver: driver?,
+                };
+                (Some(position?), NodeKind::Robot(robot))
+            }
+            NodeRecord::RadioUnit(r) => {
+                let unit = RadioUnit {
+                    capacity: capacity(r.cpus, r.memory),
+                    network: self.network(id, r.network.as_ref())?,
+                    channel: r.channel.value,
+                    tx_power: r.tx_power,
+                    serving: r.serving,
+                    deployment: r.deployment,
+                };
+                (Some(r.position), NodeKind::RadioUnit(unit))
+            }
+            NodeRecord::Switch(s) => (s.position, NodeKind::Switch),
+            NodeRecord::Server(s) => {
+                let server = Server {
+                    tier: s.tier,
+                    capacity: capacity(s.cpus, s.memory),
+                    cost: s.cost.0,
+                    reliability: self.reliability(&s.reliability),
+                };
+                (s.position, NodeKind::Server(server))
+            }
+            NodeRecord::Machine(m) => (m.position, NodeKind::Machine(self.machine(m)?)),
+        };
+        Some(Node { id: id.value.clone(), domain: domain?, position, kind })
+    }
+
+    fn machine(&mut self, record: &MachineRecord) -> Option<Machine> {
+        let Some(interface) = &record.interface else {
+            if let Some(address) = &record.address {
+                self.sink
+                    .error(&address.span, "an address, and no interface through which it is reached")
+                    .help("name the interface, such as `interface: eth1`; `ip route get ADDRESS` says which it is");
+                return None;
+            }
+            return Some(Machine { reached: None });
+        };
+        // As the kernel has it (dev_valid_name).
+        let name = &interface.value;
+        let fits = |c: char| !c.is_whitespace() && !matches!(c, '/' | ':');
+        if !(1..=15).contains(&name.len()) || matches!(name.as_str(), "." | "..") || !name.chars().all(fits) {
+            self.sink
+                .error(&interface.span, format!("no interface can have the name `{name}`"))
+                .help("write one as `ip link` names it, such as `eth1`");
+            return None;
+        }
+        let address = record.address.as_ref().map(|address| address.value);
+        let reflector = record.reflector.value;
+        if reflector && !address.is_some_and(|address| address.is_one()) {
+            self.sink
+                .error(&record.reflector.span, "a reflector, and not the one address at which it is")
+                .help("write the machine's own, such as `address: 192.168.1.7`");
+        }
+        Some(Machine { reached: Some(Reached { interface: name.clone(), address, reflector }) })
+    }
+
+    pub(super) fn domain(&mut self, wanted: Option<&Spanned<DomainId>>) -> Option<DomainId> {
+        let Some(wanted) = wanted else { return self.domains.first().cloned() };
+        if !self.domains.contains(&wanted.value) {
+            let domains = self.domains.clone();
+            self.sink.unknown_name(
+                &wanted.span,
+                "domain",
+                wanted.value.as_str(),
+                domains.iter().map(DomainId::as_str),
+            );
+            return None;
+        }
+        Some(wanted.value.clone())
+    }
+
+    fn network(&mut self, node: &Spanned<NodeId>, wanted: Option<&Spanned<String>>) -> Option<String> {
+        match (wanted, &self.networks[..]) {
+            (Some(ssid), networks) if networks.contains(&ssid.value.as_str()) => Some(ssid.value.clone()),
+            (Some(ssid), _) => {
+                let networks = self.networks.clone();
+                self.sink.unknown_name(&ssid.span, "wireless network", &ssid.value, networks.into_iter());
+                None
+            }
+            (None, [only]) => Some((*only).to_owned()),
+            (None, networks) => {
+                let help = if networks.is_empty() {
+                    "describe one under `wireless:`, such as `campus: {}`".to_owned()
+                } else {
+                    format!("add `network:` with one of {}", words(networks))
+                };
+                self.sink.error(&node.span, format!("`{}` has no wireless network", node.value)).help(help);
+                None
+            }
+        }
+    }
+
+    /// Where a robot starts.
+    fn start(&mut self, robot: &Spanned<NodeId>, at: Option<&Spanned<Position>>) -> Option<Position> {
+        let walk = self.record.walks.0.iter().find(|(id, _)| id.value == robot.value);
+        let first = walk.and_then(|(_, w)| w.waypoints.value.first()).map(|w| w.value);
+        match (at, first) {
+            (Some(at), Some(first)) if at.value != first => {
+                self.sink
+                    .error(
+                        &at.span,
+                        format!("`{}` starts at {}, but its walk at {first}", robot.value, at.value),
+                    )
+                    .help("leave out `position`: a robot starts at the first waypoint of its walk");
+                None
+            }
+            (Some(at), _) => Some(at.value),
+            (None, Some(first)) => Some(first),
+            (None, None) => {
+                self.sink
+                    .error(&robot.span, format!("nothing says where `{}` is", robot.value))
+                    .help("add `position: [x, y]`, or a walk under `walks:`");
+                None
+            }
+        }
+    }
+
+    pub(super) fn reliability(&mut self, reliability: &Spanned<Probability>) -> f64 {
+        let value = reliability.value.get();
+        if value == 0.0 {
+            self.sink
+                .error(&reliability.span, "it would never work")
+                .help("write a reliability above 0 %, or leave the thing out");
+        }
+        value
+    }
+}
+
+fn capacity(cpus: Amount, memory: Bytes) -> Capacity {
+    Capacity { cpus: cpus.0, memory_bytes: memory.0 }
+}
+
+/// Whether programs of cotorra's run on it.
+fn is_host(record: &NodeRecord) -> bool {
+    !matches!(record, NodeRecord::Switch(_) | NodeRecord::Machine(_))
+}

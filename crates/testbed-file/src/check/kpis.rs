@@ -1,0 +1,129 @@
+//! KPIs: some placement can keep each.
+
+use cotorra_graph::{Edge, HardwareGraph, Node, NodeId, NodeKind, Service, Topology, Vnf, WifiStandard};
+
+use super::services::carries;
+use crate::{records::ServiceRecord, yaml::Sink};
+
+/// KPIs that some placement can keep.
+pub(super) fn kpis(
+    record: &ServiceRecord,
+    service: &Service,
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+    sink: &mut Sink,
+) {
+    let robot = graph.robots().find(|(node, _)| node.id == service.robot).map(|(_, robot)| robot);
+    let ssid = &robot.expect("the builder found it").network;
+    let network = &graph.wireless[ssid];
+    let units: Vec<_> =
+        graph.radio_units().filter(|(_, unit)| unit.network == *ssid).map(|(node, _)| &node.id).collect();
+    let kpis = &record.kpis;
+    if let Some(radio) = kpis.radio.as_ref().filter(|radio| radio.value != network.standard) {
+        sink.error(&radio.span, format!("this service needs {}", described(radio.value))).help(format!(
+            "the wireless network of `{}` has {}: change one of them",
+            service.robot,
+            described(network.standard)
+        ));
+    }
+    if let Some(area) = kpis.area.as_ref().filter(|area| area.value.len() < 3) {
+        sink.error(&area.span, format!("an area of {} corners", area.value.len()))
+            .help("write 3 places or more, such as `[[0, 0], [5, 0], [5, 5]]`");
+    }
+    let target = &kpis.service_time;
+    // How the requests of another node go through the VNFs, nobody says.
+    let is_elsewhere = service.kpis.flow.as_ref().is_some_and(|flow| flow.from != service.robot);
+    match fastest_ns(service, &units, graph, topology, target.value.as_nanos()) {
+        Some(best) if u128::from(best) > target.value.as_nanos() && !is_elsewhere => {
+            sink.error(&target.span, "no placement reaches this service time").help(format!(
+                "the delays of the fastest paths alone add up to {} ms: allow more, or shorten a link",
+                best as f64 / 1e6
+            ));
+        }
+        _ => {}
+    }
+    if let Some(wanted) = &kpis.reliability {
+        let best = most_reliable(service, &units, graph, topology);
+        if best < wanted.value.get() - 1e-12 {
+            sink.error(&wanted.span, "no placement is that reliable").help(format!(
+                "the most reliable servers and links together give {:.4} %: ask for less, or improve them",
+                best * 100.0
+            ));
+        }
+    }
+}
+
+pub(super) fn described(standard: WifiStandard) -> &'static str {
+    match standard {
+        WifiStandard::G => "802.11g at 2.4 GHz",
+        WifiStandard::A => "802.11a at 5 GHz",
+        WifiStandard::N => "802.11n at 2.4 GHz",
+        WifiStandard::Ac => "802.11ac at 5 GHz",
+    }
+}
+
+/// The hosts that could carry a VNF.
+fn candidates(vnf: &Vnf, graph: &HardwareGraph) -> Vec<usize> {
+    let fits = |node: &Node| match &vnf.pinned_to {
+        Some(pinned) => node.id == *pinned,
+        None => carries(node, vnf),
+    };
+    graph.nodes.iter().enumerate().filter(|(_, node)| fits(node)).map(|(i, _)| i).collect()
+}
+
+/// The least that link delays add up to from the robot through the VNFs, in order, and back, over all placements and
+/// radio units; the first found within `enough_ns` will do.
+fn fastest_ns(
+    service: &Service,
+    units: &[&NodeId],
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+    enough_ns: u128,
+) -> Option<u64> {
+    let stages: Vec<_> = service.vnfs.iter().map(|vnf| candidates(vnf, graph)).collect();
+    let start = topology.place(&service.robot)?;
+    let mut best = None;
+    for unit in units {
+        topology.attach(&service.robot, unit);
+        let mut at = vec![(start, 0)];
+        for stage in &stages {
+            let reached = topology.shortest(&at, Edge::delay_ns);
+            at = stage.iter().filter_map(|&host| Some((host, reached[host]?.cost))).collect();
+        }
+        let back = topology.shortest(&at, Edge::delay_ns)[start];
+        topology.detach(&service.robot);
+        best = best.into_iter().chain(back.map(|back| back.cost)).min();
+        if best.is_some_and(|best| u128::from(best) <= enough_ns) {
+            break;
+        }
+    }
+    best
+}
+
+/// An upper bound of the probability that all that a placement uses works: of each VNF alone, the best host and path
+/// from the robot; the worst of these.
+fn most_reliable(
+    service: &Service,
+    units: &[&NodeId],
+    graph: &HardwareGraph,
+    topology: &mut Topology<'_>,
+) -> f64 {
+    // -ln in fixed point, so that products become sums of integers; rounded down, as befits an upper bound.
+    const UNIT: f64 = 1e12;
+    let cost = |reliability: f64| (-reliability.ln() * UNIT) as u64;
+    units.iter().for_each(|unit| topology.attach(&service.robot, unit));
+    let start = topology.place(&service.robot).expect("the builder found it");
+    let reached = topology
+        .shortest(&[(start, 0)], |edge| edge.wired().map_or(0, |link| cost(graph.links[link].reliability)));
+    topology.detach(&service.robot);
+    let host = |i: usize| {
+        let own = match &graph.nodes[i].kind {
+            NodeKind::Server(server) => cost(server.reliability),
+            _ => 0,
+        };
+        reached[i].map(|path| path.cost + own)
+    };
+    let best = |vnf: &Vnf| candidates(vnf, graph).into_iter().filter_map(host).min();
+    let worst = service.vnfs.iter().filter_map(best).max().unwrap_or(0);
+    (-(worst as f64) / UNIT).exp()
+}

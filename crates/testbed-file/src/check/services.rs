@@ -1,0 +1,141 @@
+//! VNFs: distinct names, hosts with room for them, and robots that they serve.
+
+use std::collections::{HashMap, HashSet};
+
+use cotorra_graph::{Capacity, HardwareGraph, Node, NodeId, NodeKind, Program, Service, Testbed, Vnf, VnfId};
+
+use crate::{
+    records::{ServiceRecord, TestbedRecord, VnfRecord},
+    yaml::{
+        Sink, Span,
+        decode::{Either, Spanned, words},
+    },
+};
+
+/// VNFs have names of their own, run on hosts that can carry them, and navigation has a robot that it drives.
+pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
+    let graph = &testbed.graph;
+    let mut seen = HashSet::new();
+    let mut used: HashMap<&NodeId, Capacity> = HashMap::new();
+    for ((_, r), service) in record.services.0.iter().zip(&testbed.services) {
+        for ((id, r), vnf) in r.vnfs.0.iter().zip(&service.vnfs) {
+            if !seen.insert(&vnf.id) {
+                sink.error(&id.span, format!("the VNF `{}` is here twice", vnf.id))
+                    .help("rename one of them: VNFs of all services have names of their own");
+            }
+            for (node, place) in vnf.node.all().iter().zip(starts(id, r)) {
+                let node = graph.node(node).expect("the builder found it");
+                let Some(capacity) = node.capacity() else {
+                    let what = match node.kind {
+                        NodeKind::Machine(_) => "a real machine, on which cotorra runs nothing",
+                        _ => "a switch, and a switch runs no VNF",
+                    };
+                    sink.error(place, format!("`{}` is {what}", node.id))
+                        .help(format!("place it on one of {}", words(&able(graph, vnf))));
+                    continue;
+                };
+                let all = used.entry(&node.id).or_insert(Capacity { cpus: 0.0, memory_bytes: 0 });
+                all.cpus += vnf.cpus;
+                all.memory_bytes = all.memory_bytes.saturating_add(vnf.memory_bytes);
+                let able = able(graph, vnf);
+                if able.is_empty() {
+                    sink.error(
+                        &id.span,
+                        format!("`{}` fits no node: it takes {}", vnf.id, amount(vnf.cpus, vnf.memory_bytes)),
+                    )
+                    .help("let it take less, or give a node more");
+                    break;
+                } else if all.cpus > capacity.cpus || all.memory_bytes > capacity.memory_bytes {
+                    sink.error(
+                        place,
+                        format!("`{}` has {}", node.id, amount(capacity.cpus, capacity.memory_bytes)),
+                    )
+                    .label(format!("its VNFs take {}", amount(all.cpus, all.memory_bytes)))
+                    .help(format!("`{}` alone would fit {}", vnf.id, words(&able)));
+                }
+            }
+        }
+        driver(r, service, testbed, sink);
+        flow(r, service, sink);
+    }
+}
+
+/// Where each node of a VNF stands in the file.
+fn starts<'a>(id: &'a Spanned<VnfId>, record: &'a VnfRecord) -> Vec<&'a Span> {
+    match (&record.pinned_to, record.node.as_ref().map(|node| &node.value)) {
+        (Some(pinned), _) => vec![&pinned.span],
+        (None, Some(Either::Short(one))) => vec![&one.span],
+        (None, Some(Either::Long(several))) => several.iter().map(|node| &node.span).collect(),
+        (None, None) => vec![&id.span],
+    }
+}
+
+/// The hosts that can carry a VNF alone.
+fn able<'a>(graph: &'a HardwareGraph, vnf: &Vnf) -> Vec<&'a str> {
+    graph.nodes.iter().filter(|node| carries(node, vnf)).map(|node| node.id.as_str()).collect()
+}
+
+pub(super) fn carries(node: &Node, vnf: &Vnf) -> bool {
+    node.capacity().is_some_and(|c| vnf.cpus <= c.cpus && vnf.memory_bytes <= c.memory_bytes)
+}
+
+fn amount(cpus: f64, memory_bytes: u64) -> String {
+    let s = if cpus == 1.0 { "" } else { "s" };
+    format!("{cpus} CPU{s} and {:.2} GB", memory_bytes as f64 / 1e9)
+}
+
+/// Navigation answers the position packets of a robot on its walk, localization its scans, on a map.
+fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &mut Sink) {
+    for ((id, r), vnf) in record.vnfs.0.iter().zip(&service.vnfs) {
+        let place = r.program.as_ref().map_or(&id.span, |program| &program.span);
+        match vnf.program {
+            Program::RobotDriver if vnf.pinned_to.as_ref() != Some(&service.robot) => {
+                sink.error(place, format!("a robot driver that is not pinned to `{}`", service.robot))
+                    .help(format!("write `pinned_to: {}`, the robot that the service serves", service.robot));
+            }
+            Program::Localization => {
+                driven("localization", place, service, sink);
+                if testbed.map.is_none() {
+                    sink.error(place, "localization without a map")
+                        .help("name the map on which it finds the robot, under `map:`");
+                }
+            }
+            Program::Navigation => {
+                driven("navigation", place, service, sink);
+                if testbed.walk(&service.robot).is_none() {
+                    sink.error(place, format!("navigation for `{}`, which has no walk", service.robot))
+                        .help(format!("say where it goes, under `walks:`, at `{}:`", service.robot));
+                }
+            }
+            _ => {}
+        }
+    }
+    let is_asked = |vnf: &Vnf| matches!(vnf.program, Program::Navigation | Program::Localization);
+    if let Some(requests) = record.requests.as_ref().filter(|_| !service.vnfs.iter().any(is_asked)) {
+        sink.error(&requests.span, "`requests` of a service that the robot asks nothing")
+            .help("leave it out: where requests of your own programs go, these programs decide");
+    }
+    if service.vnfs.is_empty() && service.kpis.flow.is_none() {
+        sink.error(&record.robot.span, format!("the service `{}` has no VNFs", service.id))
+            .help("describe them under `vnfs:`, in the order in which packets visit them");
+    }
+}
+
+/// What answers a robot is in a service with the robot's driver.
+fn driven(what: &str, place: &Span, service: &Service, sink: &mut Sink) {
+    if !service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
+        sink.error(place, format!("{what} without a robot driver")).help(format!(
+            "add a VNF before it, such as `driver: {{ program: robot_driver, pinned_to: {} }}`",
+            service.robot
+        ));
+    }
+}
+
+/// A service has one time: navigation's, or that of a flow.
+fn flow(record: &ServiceRecord, service: &Service, sink: &mut Sink) {
+    let Some(flow) = &record.kpis.flow else { return };
+    if service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
+        sink.error(&flow.span, "a flow in a service whose navigation is measured")
+            .help("describe the flow in a service of its own; it may have `vnfs: {}`");
+    }
+}
