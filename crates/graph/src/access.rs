@@ -1,4 +1,4 @@
-//! What a virtual access point is deployed with, and whoever attaches to it needs.
+//! Virtual access points: their settings, and the keys of robots that attach to them.
 
 use std::{fmt, str::FromStr};
 
@@ -13,11 +13,11 @@ use crate::id::{NodeId, VnfId};
 pub struct AccessPoint {
     /// The network's name.
     pub ssid: String,
-    /// Of fast transition (IEEE 802.11r): between access points of one mobility domain a robot changes without the key
-    /// handshakes.
+    /// Mobility domain of fast transition (IEEE 802.11r). Between access points of one domain, a robot changes without
+    /// key handshakes.
     pub mobility_domain: u16,
-    /// Who has it may attach, whatever its domain. Without one the robots of the radio unit's own domain may. Decisions
-    /// never tell it.
+    /// Key that admits its holder, whatever the holder's domain. Without one, robots of the radio unit's own domain may
+    /// attach. Recorded decisions leave it out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub key: Option<FtKey>,
@@ -30,7 +30,7 @@ impl AccessPoint {
         Self { key: None, ..self.clone() }
     }
 
-    /// What the VNF on a radio unit is called: `vAP-` and the radio unit's name.
+    /// Returns the name of the access point's VNF on a radio unit: `vAP-` and the radio unit's name.
     pub fn vnf(radio_unit: &NodeId) -> VnfId {
         let name = format!("vAP-{radio_unit}");
         // A radio unit's name may be as long as any.
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_may_know_of_an_access_point_has_no_key() {
+    fn public_settings_of_an_access_point_have_no_key() {
         let secret = AccessPoint { ssid: "lab".into(), mobility_domain: 7, key: Some(FtKey([1; 32])) };
         assert_eq!(
             serde_json::to_value(secret.public()).unwrap(),
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn the_vnf_of_a_radio_unit_has_a_name_however_long_that_of_the_radio_unit_is() {
+    fn vnf_names_fit_for_radio_units_with_long_names() {
         assert_eq!(AccessPoint::vnf(&NodeId::new("R3").unwrap()).as_str(), "vAP-R3");
         let _ = AccessPoint::vnf(&NodeId::new(&"r".repeat(NodeId::LONGEST)).unwrap());
     }

@@ -1,5 +1,4 @@
-//! Active measurements of links: what is asked for, and what they tell. Passive ones need no words of their own: what
-//! packets met that cross a link anyway is in its context.
+//! Active measurements of links: their settings and results. Passive ones are part of a link's context.
 
 use std::time::Duration;
 
@@ -7,13 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::{BitRate, millis};
 
-/// How links are probed by STAMP (RFC 8762): wired ones, and each robot's present one.
+/// Probing by STAMP (RFC 8762) of wired links, and of each robot's present wireless link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Probing {
     /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate, or those
     /// of all robots more than 1 % of a channel's time.
     pub interval: Duration,
-    /// How far back what they tell looks.
+    /// Time over which results are averaged.
     pub window: Duration,
 }
 
@@ -29,7 +28,7 @@ impl Default for Probing {
     }
 }
 
-/// What probes tell of one direction of a link, each figure with its age.
+/// Result of probes of one direction of a link, each figure with its age.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Probed {
@@ -59,11 +58,12 @@ pub struct Probed {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ThroughputTest {
-    /// How long packets are sent, milliseconds: 10 ms to 10 s.
+    /// Time for which packets are sent, 10 ms to 10 s.
     #[serde(rename = "duration_ms", default = "ThroughputTest::second", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub duration: Duration,
-    /// How fast, bit/s; by default a tenth faster than the link is asked to be, and 1 Gbit/s at most.
+    /// Rate at which packets are sent, bit/s. By default a tenth above the link's configured rate, and 1 Gbit/s at
+    /// most.
     #[serde(rename = "rate_limit_bps", default, skip_serializing_if = "Option::is_none")]
     pub rate_limit: Option<BitRate>,
 }
@@ -73,7 +73,7 @@ impl ThroughputTest {
     pub const SHORTEST: Duration = Duration::from_millis(10);
     /// The longest.
     pub const LONGEST: Duration = Duration::from_secs(10);
-    /// How many times as long as a test a direction has none after it.
+    /// Pause after a test, in multiples of its duration.
     pub const REST: u32 = 4;
     /// The fastest.
     pub const FASTEST_BPS: u64 = 1_000_000_000;
@@ -90,7 +90,7 @@ impl Default for ThroughputTest {
     }
 }
 
-/// What the last test of a direction of a link told.
+/// Result of the last throughput test of one direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Tested {
@@ -98,7 +98,7 @@ pub struct Tested {
     pub throughput_bps: f64,
     /// The rate at which they were sent. Where it is no higher, the link may carry more.
     pub offered_bps: f64,
-    /// How long before this was told it ended.
+    /// Time since the test ended.
     #[serde(rename = "age_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub age: Duration,

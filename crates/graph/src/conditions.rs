@@ -1,4 +1,4 @@
-//! What a link does to the packets that cross it, and how that is changed while it runs.
+//! Conditions of links, and their changes while a run goes on.
 
 use std::{sync::Arc, time::Duration};
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::{BitRate, Probability, millis};
 
-/// How one direction of a link treats packets.
+/// Conditions of one direction of a link.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Conditions {
@@ -29,16 +29,16 @@ pub struct Conditions {
     /// Share of packets that skip the delay, and so overtake those before them.
     #[serde(default)]
     pub reordering: Probability,
-    /// How fast packets are serialised.
+    /// Serialisation rate.
     #[serde(default)]
     pub rate: Rate,
-    /// How much waits before a packet is dropped at the tail.
+    /// Length of the drop-tail queue.
     #[serde(default)]
     pub queue: QueueLimit,
 }
 
 impl Conditions {
-    /// How long a frame of so many bytes takes where nothing else is under way; `None` where chance or a trace decides.
+    /// Returns the time that a frame takes on the idle link; `None` where it depends on chance or on a trace.
     pub fn alone(&self, bytes: usize) -> Option<Duration> {
         let Self { delay, jitter, reordering, rate, .. } = self;
         let by_chance = jitter.is_some_and(|jitter| !jitter.deviation.is_zero()) || reordering.get() > 0.0;
@@ -61,7 +61,7 @@ pub struct Jitter {
     #[serde(rename = "deviation_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub deviation: Duration,
-    /// Its shape.
+    /// Shape of the distribution.
     #[serde(default)]
     pub distribution: JitterDistribution,
 }
@@ -105,21 +105,21 @@ pub enum Loss {
     },
 }
 
-/// How fast a link serialises.
+/// Serialisation rate of a link.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Rate {
-    /// In no time.
+    /// Takes no time.
     #[default]
     Unlimited,
-    /// At a fixed rate. What is counted is the Ethernet frame without preamble, FCS and gap.
+    /// Fixed rate. It counts Ethernet frames without preamble, FCS and gap.
     Fixed {
         /// bit/s.
         #[serde(rename = "rate_bps")]
         bits_per_second: BitRate,
     },
-    /// When a trace says so.
+    /// Rate of a trace's opportunities.
     Trace {
         /// The delivery opportunities.
         #[serde(rename = "trace_ms")]
@@ -134,7 +134,7 @@ pub enum Rate {
 #[serde(try_from = "Vec<u64>", into = "Vec<u64>")]
 pub struct Trace(Vec<u64>);
 
-/// Why a trace is none.
+/// Error of a text or list that is not a trace.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidTrace {
     /// There is no line in it.
@@ -145,7 +145,7 @@ pub enum InvalidTrace {
     Backwards {
         /// Line, from 1.
         line: usize,
-        /// Its time.
+        /// Time of the line, ms.
         at: u64,
         /// The time before.
         before: u64,
@@ -158,7 +158,7 @@ pub enum InvalidTrace {
     NotANumber {
         /// Line, from 1.
         line: usize,
-        /// What it says.
+        /// The line's text.
         text: String,
     },
 }
@@ -223,14 +223,14 @@ impl From<Trace> for Vec<u64> {
     }
 }
 
-/// How much a link's drop-tail queue holds, the packet in transmission not counted.
+/// Length of a link's drop-tail queue, without the packet in transmission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum QueueLimit {
-    /// At most so many packets, as they are on the wire.
+    /// Limit in packets, as they are on the wire.
     Packets(u32),
-    /// At most so many bytes, counted as [`Rate`] counts them.
+    /// Limit in bytes, counted as [`Rate`] counts them.
     Bytes(u64),
 }
 
@@ -241,7 +241,7 @@ impl Default for QueueLimit {
     }
 }
 
-/// What emulation does to a link on top of its own conditions: delay ψ·d, throughput λ/δ.
+/// Scaling of a link by emulation: delay ψ·d, throughput λ/δ.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Scale {

@@ -34,7 +34,7 @@ pub struct Pose {
     pub heading: f64,
     /// Row-major covariance of (x, y, heading); m², m·rad, rad².
     pub covariance: [f64; 9],
-    /// Where it comes from.
+    /// Source of the pose.
     pub source: PoseSource,
 }
 
@@ -44,7 +44,7 @@ impl Pose {
         Self { x, y, z: 0.0, roll: 0.0, pitch: 0.0, heading, covariance, source }
     }
 
-    /// Where that is.
+    /// Returns the position alone.
     pub const fn position(&self) -> Position {
         Position { x: self.x, y: self.y, z: self.z }
     }
@@ -55,7 +55,7 @@ impl Pose {
     }
 }
 
-/// Where a pose comes from.
+/// Source of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -82,7 +82,7 @@ pub struct Velocity {
 }
 
 impl Velocity {
-    /// Of a robot on the floor.
+    /// Returns the velocity of a robot on the floor.
     pub const fn planar(linear: f64, angular: f64) -> Self {
         Self { linear, vertical: 0.0, angular }
     }
@@ -106,11 +106,11 @@ impl Velocity {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SensorData {
-    /// Where it is.
+    /// Best estimate of its pose.
     pub pose: Pose,
-    /// Where its wheels say it is, from the same start.
+    /// Pose by wheel odometry alone, from the same start.
     pub odometry: Pose,
-    /// What its wheels do.
+    /// Velocity by its wheels.
     pub velocity: Velocity,
     /// Whether it touches something.
     pub bumper: bool,
@@ -143,8 +143,8 @@ pub struct RobotContext {
     pub sensors: SensorData,
     /// The next waypoint of its walk, from 0; equals the walk's length at its end.
     pub waypoint: u32,
-    /// What is wrong with the robot, in the order of [`RobotFault`]; empty for one that is well. One that is not stands
-    /// still, and refuses to move.
+    /// Faults, in the order of [`RobotFault`]; empty for a healthy robot. A faulty robot stands still and rejects
+    /// instructions to move.
     #[serde(default)]
     pub health: Vec<RobotFault>,
     /// The speed, m/s, that an instruction limits it to; left out where none does.
@@ -160,14 +160,14 @@ pub struct AnswersRejected {
     pub robot: NodeId,
     /// Answers that came after the robot's command timeout.
     pub late: u64,
-    /// With a nonce that the robot did not send, or from elsewhere than where it sent the packet.
+    /// Answers with a nonce that the robot did not send, or from another address than that of its request.
     pub forged: u64,
     /// Answers that came again.
     pub repeated: u64,
-    /// To a packet that went to several instances, of which another had answered first.
+    /// Answers to a packet that went to several instances, of which another had answered first.
     #[serde(default)]
     pub redundant: u64,
-    /// To no packet that the robot remembers.
+    /// Answers to no packet that the robot remembers.
     pub unknown: u64,
     /// Not packets of the service, or with what cannot be.
     pub invalid: u64,
@@ -180,22 +180,22 @@ impl AnswersRejected {
     }
 }
 
-/// What can be wrong with a robot. Only robots that are reached over something, such as ROS, can have any of it.
+/// Fault of a robot. Only robots that are reached over a network, such as ROS, can have any.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum RobotFault {
-    /// It was never heard.
+    /// No message has ever arrived.
     Absent,
-    /// It was heard, and is not any more.
+    /// Messages have stopped.
     Silent,
-    /// It says NaN or infinity where only a number makes sense.
+    /// Messages hold NaN or infinity in place of a number.
     NotFinite,
-    /// Its stamps go back, or far ahead of time.
+    /// Time stamps go back, or far ahead.
     TimeJump,
-    /// It says far more than a robot has to say.
+    /// Messages arrive far too often.
     Flood,
-    /// It says what makes no sense.
+    /// Messages make no sense.
     Malformed,
 }
 
@@ -204,7 +204,7 @@ impl RobotFault {
     pub const ALL: [Self; 6] =
         [Self::Absent, Self::Silent, Self::NotFinite, Self::TimeJump, Self::Flood, Self::Malformed];
 
-    /// Its name, as in JSON.
+    /// Returns the name in JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Absent => "absent",
@@ -251,7 +251,7 @@ pub struct RadioContext {
     pub stations: Vec<StationContext>,
 }
 
-/// What a radio unit knows of one station.
+/// A radio unit's view of one station.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StationContext {
@@ -270,9 +270,9 @@ pub struct StationContext {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LinkContext {
-    /// Which link.
+    /// The link.
     pub link: LinkId,
-    /// Which direction.
+    /// The direction.
     pub direction: Direction,
     /// d: mean time that packets took over the last second, queueing included; `None` if none crossed.
     #[serde(rename = "delay_ms", with = "millis::option")]
@@ -280,17 +280,18 @@ pub struct LinkContext {
     pub delay: Option<Duration>,
     /// λ: what crossed over the last second, bit/s.
     pub throughput_bps: f64,
-    /// What probes tell, whether or not anything else crosses; `None` for a link that is not probed, or not yet.
+    /// Results of probes; `None` for a link that is not probed, or not yet.
     #[serde(default)]
     pub probed: Option<Probed>,
-    /// What the last test of its throughput told; `None` before the first.
+    /// Result of the last throughput test; `None` before the first.
     #[serde(default)]
     pub tested: Option<Tested>,
-    /// What it was asked to do.
+    /// Configured conditions.
     pub asked: Conditions,
     /// ψ and δ.
     pub scale: Scale,
-    /// What it does: `asked`, scaled; where the medium takes time by itself, that and what was asked, scaled.
+    /// Effective conditions: `asked`, scaled. Where the medium has a delay of its own, the sum of that and `asked`,
+    /// scaled.
     pub effective: Conditions,
     /// Packets and bytes so far.
     pub counters: LinkCounters,
@@ -316,7 +317,7 @@ impl LinkContext {
     }
 }
 
-/// What one direction of a link did, in packets as they are on the wire.
+/// Counters of one direction of a link, in packets as they are on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LinkCounters {
@@ -344,20 +345,21 @@ pub struct Placement {
     pub node: Nodes,
 }
 
-/// a(n1,n2): which hardware links carry one direction of a virtual link.
+/// a(n1,n2): the hardware links that carry one direction of a virtual link.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct VirtualLinkMapping {
-    /// From this VNF …
+    /// VNF at which packets start.
     pub from: VnfId,
-    /// … to this one …
+    /// VNF at which they end.
     pub to: VnfId,
-    /// … over these links.
+    /// Links of the path, in order.
     pub links: Vec<LinkId>,
-    /// Why these.
+    /// Reason for this path.
     #[serde(default)]
     pub path: PathKind,
-    /// Where one of the two VNFs has several instances: the same of each other pair. The above is of their first ones.
+    /// Paths of the other pairs of instances, where one of the two VNFs has several. The fields above are those of the
+    /// first pair.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<InstancePath>,
 }
@@ -366,22 +368,22 @@ pub struct VirtualLinkMapping {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstancePath {
-    /// From the instance on this node …
+    /// Node of the instance at which packets start.
     pub from: NodeId,
-    /// … to the one on this …
+    /// Node of the instance at which they end.
     pub to: NodeId,
-    /// … over these links.
+    /// Links of the path, in order.
     pub links: Vec<LinkId>,
-    /// Why these.
+    /// Reason for this path.
     pub path: PathKind,
 }
 
-/// Why packets take a path.
+/// Reason why packets take a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PathKind {
-    /// It has the least delay, and nobody mapped another.
+    /// The path of least delay. No other is mapped.
     #[default]
     Shortest,
     /// An instruction mapped it.
@@ -394,7 +396,7 @@ impl PathKind {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Shortest, Self::Mapped, Self::Fallback];
 
-    /// Its name, as in JSON.
+    /// Returns the name in JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Shortest => "shortest",
@@ -415,10 +417,10 @@ pub struct ServiceTime {
     pub robot: NodeId,
     /// Number of the position packet, from 0.
     pub sequence: u32,
-    /// When it was emitted.
+    /// Time of emission.
     #[serde(rename = "emitted_ns")]
     pub emitted: Timestamp,
-    /// How long it took; `None` if no answer came within the robot's command timeout.
+    /// Service time; `None` if no answer came within the robot's command timeout.
     #[serde(rename = "service_time_ms", with = "millis::option")]
     #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
     pub took: Option<Duration>,
@@ -440,13 +442,13 @@ pub struct Handover {
     pub to: NodeId,
     /// Whether fast transition was used.
     pub fast: bool,
-    /// How long no frame could pass.
+    /// Time for which no frame could pass.
     #[serde(rename = "gap_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub gap: Duration,
 }
 
-/// How late the emulator delivered, against what it was asked.
+/// Lateness of the emulator: actual against due delivery times.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Lateness {

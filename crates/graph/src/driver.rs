@@ -1,5 +1,5 @@
-//! What moves a robot: the simulation, or a robot out there that is reached over ROS; and how a simulated one is offered
-//! to others.
+//! Drivers of robots: the simulation, or a robot reached over ROS. Also how a simulated robot is offered to ROS
+//! programs.
 
 use std::{collections::BTreeMap, net::IpAddr};
 
@@ -7,19 +7,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::id::{NodeId, SensorId};
 
-/// What moves a robot.
+/// Driver of a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Driver {
-    /// It is simulated.
+    /// Simulated by cotorra.
     Simulated {
-        /// How others reach it, beside the testbed itself.
+        /// ROS interface by which other programs reach it.
         offer: Option<Offer>,
     },
-    /// It is a robot that speaks ROS 1.
+    /// Robot that speaks ROS 1.
     Ros1(Box<Ros1>),
-    /// It is a robot that speaks ROS 2.
+    /// Robot that speaks ROS 2.
     Ros2(Box<Ros2>),
 }
 
@@ -30,7 +30,7 @@ impl Default for Driver {
     }
 }
 
-/// How others reach a simulated robot.
+/// ROS interface of a simulated robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Offer {
@@ -41,22 +41,22 @@ pub struct Offer {
     pub clock: bool,
 }
 
-/// Where a robot is in ROS.
+/// Address of a robot in ROS.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Ros {
-    /// It speaks ROS 1.
+    /// Address in ROS 1.
     Ros1(Box<Ros1>),
-    /// It speaks ROS 2.
+    /// Address in ROS 2.
     Ros2(Box<Ros2>),
 }
 
-/// Where a robot is in ROS 1.
+/// Address of a robot in ROS 1.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Ros1 {
-    /// Where its master is, and in which network it is reached.
+    /// Its master, and the network in which it is reached.
     pub master: RosMaster,
     /// The namespace in which its topics are.
     pub namespace: String,
@@ -71,13 +71,13 @@ impl Ros1 {
     }
 }
 
-/// Where a robot is in ROS 2.
+/// Address of a robot in ROS 2.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Ros2 {
-    /// What carries its messages.
+    /// Its middleware.
     pub rmw: Rmw,
-    /// Its domain, 0 to 232; without one, that in `ROS_DOMAIN_ID`, or 0.
+    /// ROS domain, 0 to 232. Without one, that of `ROS_DOMAIN_ID`, or 0.
     pub domain: Option<u16>,
     /// The namespace in which its topics are.
     pub namespace: String,
@@ -92,14 +92,14 @@ impl Ros2 {
     }
 }
 
-/// What carries a robot's messages in ROS 2: its middleware (RMW).
+/// ROS 2 middleware (RMW) of a robot.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Rmw {
     /// DDS.
     Dds {
-        /// In which network it is reached.
+        /// Network in which the robot is reached.
         network: RosNetwork,
         /// The address of the one network interface to use; without one, all of them.
         #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
@@ -113,7 +113,7 @@ pub enum Rmw {
 }
 
 impl Rmw {
-    /// In which network the robot is reached.
+    /// Returns the network in which the robot is reached.
     pub fn network(&self) -> RosNetwork {
         match self {
             Self::Dds { network, .. } => *network,
@@ -122,14 +122,14 @@ impl Rmw {
     }
 }
 
-/// In which network a robot speaks ROS 2.
+/// Network in which a robot speaks ROS 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum RosNetwork {
-    /// In that of this machine.
+    /// The network of this machine.
     Machine,
-    /// In the emulated one: the robot's ROS node is in the robot's own node.
+    /// The emulated network. The robot's ROS node runs in the robot's own node.
     Testbed,
 }
 
@@ -138,23 +138,23 @@ fn resolved(namespace: &str, topic: &str) -> String {
     if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") }
 }
 
-/// Where a ROS 1 master is.
+/// Address of a ROS 1 master.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "network")]
 pub enum RosMaster {
-    /// In the network of this machine: at this address, or at that in `ROS_MASTER_URI`.
+    /// Master in the network of this machine: at this address, or at that of `ROS_MASTER_URI`.
     Machine {
         /// Such as `http://localhost:11311`.
         uri: Option<String>,
     },
-    /// In the emulated network, where somebody else runs it. The robot's ROS node is in the robot's own node.
+    /// Master in the emulated network, started by the user. The robot's ROS node runs in the robot's own node.
     Testbed {
         /// Such as `http://10.77.0.3:11311`; the host may be a node's name.
         uri: String,
     },
-    /// In the emulated network, at port 11311 of this node, where cotorra runs it. The robot's ROS node is in the robot's
-    /// own node.
+    /// Master in the emulated network, at port 11311 of this node, started by cotorra. The robot's ROS node runs in the
+    /// robot's own node.
     Node {
         /// The node.
         node: NodeId,
@@ -182,7 +182,7 @@ pub struct RosTopics {
     pub amcl_pose: String,
     /// `nav_msgs/OccupancyGrid`.
     pub map: String,
-    /// What its sensors say, of those that are declared.
+    /// Topics of declared sensors.
     #[cfg_attr(feature = "openapi", schema(value_type = BTreeMap<String, SensorTopic>))]
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub sensors: BTreeMap<SensorId, SensorTopic>,
@@ -194,11 +194,11 @@ pub struct RosTopics {
 pub struct SensorTopic {
     /// Its name.
     pub name: String,
-    /// What it carries.
+    /// Its message type.
     pub message: SensorMessage,
 }
 
-/// What the topic of a sensor carries.
+/// Message type of a sensor's topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]

@@ -1,5 +1,5 @@
-//! What happens in a testbed, told once. The terminal, the recorder, the API's stream and the report read these
-//! events and nothing else; plug-ins receive them as their contexts, and answer with instructions.
+//! Events of a run, each reported once. The terminal, the recorder, the API's stream and the report read events and
+//! nothing else. Plug-ins receive them as their contexts, and answer with instructions.
 
 use std::time::Duration;
 
@@ -28,12 +28,12 @@ pub struct Stamped {
     /// Nanoseconds since the run began.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
-    /// What happened.
+    /// The event.
     #[serde(flatten)]
     pub event: Event,
 }
 
-/// What can happen.
+/// Anything that happens in a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "event")]
@@ -68,18 +68,18 @@ pub enum Event {
     },
     /// A VNF's process began, ended or was begun again.
     Vnf(VnfEvent),
-    /// A plug-in asked for something.
+    /// A plug-in gave an instruction.
     Decision(Decision),
     /// A plug-in was cut off.
     PluginFault {
-        /// Which.
+        /// The plug-in.
         plugin: PluginId,
-        /// What it did.
+        /// Reason why it was cut off.
         reason: String,
     },
     /// The emulator's lateness since the run began, periodically.
     Lateness(Lateness),
-    /// Something became of a goal that a robot was given.
+    /// The state of a robot's goal changed.
     Goal(GoalEvent),
     /// A robot reached the end of its walk.
     WalkFinished {
@@ -88,14 +88,14 @@ pub enum Event {
     },
     /// A sensor that a robot declares was read, at its rate.
     Sensor(SensorReading),
-    /// Something that a user should know, and that nothing else tells.
+    /// A message for the user that no other event carries.
     Notice {
-        /// What.
+        /// The message.
         message: String,
     },
 }
 
-/// What became of a VNF's process.
+/// Change of a VNF's process.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct VnfEvent {
@@ -103,45 +103,45 @@ pub struct VnfEvent {
     pub vnf: VnfId,
     /// Its node.
     pub node: NodeId,
-    /// What became of it.
+    /// Its new state.
     pub state: VnfState,
     /// Exit status or error, for people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detail: Option<String>,
 }
 
-/// The life of a VNF's process.
+/// State of a VNF's process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum VnfState {
-    /// It runs.
+    /// The process runs.
     Started,
-    /// It ended by itself and will be started again.
+    /// The process ended by itself, and will be started again.
     Died,
-    /// It was stopped.
+    /// The process was stopped.
     Stopped,
-    /// It cannot be started.
+    /// The process cannot be started.
     Failed,
 }
 
-/// What a plug-in asked for, why, and what came of it.
+/// An instruction of a plug-in, its reason and its outcome.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Decision {
-    /// Which plug-in.
+    /// The plug-in.
     pub plugin: PluginId,
-    /// What it asked for.
+    /// The instruction.
     pub instruction: Instruction,
-    /// Why, in its words.
+    /// The plug-in's reason.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Why it was refused; `None` if it was done.
+    /// Reason for its rejection; `None` if it was applied.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<String>,
 }
 
-/// What a plug-in can ask for.
+/// Instruction that a plug-in can give.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "instruction", deny_unknown_fields)]
@@ -150,26 +150,26 @@ pub enum Instruction {
     Move {
         /// The robot.
         robot: NodeId,
-        /// How.
+        /// The velocity.
         velocity: Velocity,
         /// The next waypoint of its walk, for whoever navigates it next.
         waypoint: u32,
     },
-    /// Limit a robot's speed, whoever moves it: what is faster is slowed on the same curve, from its next velocity on.
+    /// Limit a robot's speed, whoever moves it. From its next velocity on, faster ones are slowed along the same curve.
     LimitSpeed {
         /// The robot.
         robot: NodeId,
-        /// The limit, m/s; with 0 it stands at once, and null takes the limit back.
+        /// The limit, m/s; 0 stops the robot at once, null removes the limit.
         speed_limit_mps: Option<f64>,
     },
-    /// Let a robot leave its walk for a goal, and stand there; [`Event::Goal`] tells what becomes of that.
+    /// Send a robot from its walk to a goal, where it stops. [`Event::Goal`] reports its progress.
     NavigateTo {
         /// The robot.
         robot: NodeId,
-        /// The goal, which takes the place of the one before; null lets the robot go on with its walk.
+        /// The goal, which replaces an earlier one; null sends the robot back to its walk.
         goal: Option<Position>,
     },
-    /// Report what a sensor of kind `vector` measures. The sensor's next reading tells it, the last report of several.
+    /// Report the values of a sensor of kind `vector`. The sensor's next reading has those of the last report.
     Report {
         /// The robot.
         robot: NodeId,
@@ -178,7 +178,7 @@ pub enum Instruction {
         /// As many finite numbers as the sensor has components.
         values: Vec<f64>,
     },
-    /// Let a robot's radio leave its channel and scan all others.
+    /// Scan all channels with a robot's radio, which leaves its own meanwhile.
     Scan {
         /// The robot.
         robot: NodeId,
@@ -190,25 +190,25 @@ pub enum Instruction {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// Run a VNF on a node, or an instance of it on each of several: started there first, then packets go over, then old
-    /// ones stop. Instances that are there already stay.
+    /// Run a VNF on a node, or an instance of it on each of several. New instances start first, then packets go to them, then
+    /// old instances stop. Instances that run there already stay.
     Place {
         /// The VNF.
         vnf: VnfId,
         /// The node, or one for each instance.
         node: Nodes,
     },
-    /// Map the virtual links between two nodes, a(n1,n2): packets from one node to the other take this path, and the rate
-    /// of these virtual links is reserved on it in that direction. It stays for these nodes, whatever runs on them.
+    /// Map the virtual links between two nodes, a(n1,n2). Packets from one node to the other take this path, and the rate of
+    /// these virtual links is reserved on it in that direction. The mapping stays, whatever runs on the nodes.
     Map {
         /// The node at which the path begins.
         from: NodeId,
         /// The node at which it ends.
         to: NodeId,
-        /// The path's links, in order; none takes the mapping back.
+        /// The path's links, in order; an empty list removes the mapping.
         links: Vec<LinkId>,
     },
-    /// Change what a link does.
+    /// Change the conditions of a link.
     Condition {
         /// The link.
         link: LinkId,
@@ -218,46 +218,45 @@ pub enum Instruction {
         /// The change.
         change: ConditionChange,
     },
-    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}: it serves once that is done, which
-    /// [`Event::Vnf`] tells.
+    /// Deploy the VNF `vAP` on a radio unit that is off, a(R) = {vAP}. [`Event::Vnf`] reports when it serves.
     Deploy {
         /// The radio unit.
         radio_unit: NodeId,
-        /// What it serves.
+        /// Settings of the access point.
         access_point: AccessPoint,
     },
-    /// Take the VNF `vAP` of a radio unit down, a(R) = {}: it is off, and its stations lose it.
+    /// Remove the VNF `vAP` from a radio unit, a(R) = {}. The radio unit is off, and its stations lose it.
     Remove {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// Give a robot what it needs to attach to a radio unit of another domain.
+    /// Give a robot the settings and the key with which it attaches to a radio unit of another domain.
     Provision {
         /// The robot.
         robot: NodeId,
         /// The radio unit.
         radio_unit: NodeId,
-        /// What that one was deployed with.
+        /// Settings with which it was deployed.
         access_point: AccessPoint,
     },
-    /// Let a robot stand still, whatever its navigation says, until it is to [`Instruction::Go`].
+    /// Stop a robot until [`Instruction::Go`], whatever its navigation answers.
     Halt {
         /// The robot.
         robot: NodeId,
     },
-    /// Let a robot that was halted follow its navigation again.
+    /// Let a halted robot follow its navigation again.
     Go {
         /// The robot.
         robot: NodeId,
     },
-    /// Change nothing, and keep with the decisions that a step was reached of something that the plug-in conducts.
+    /// Record a step of a process that the plug-in conducts. Changes nothing else.
     Note {
-        /// Of what: a name of at most 128 characters.
+        /// Name of the process that the note is about, of at most 128 characters.
         process: String,
         /// The step: a name of at most 128 characters.
         step: String,
-        /// So long before now it was reached, where that is not now: a run that goes on after another keeps so what
-        /// that one noted.
+        /// Time since the step was reached, where that was earlier: a run that goes on after another repeats the
+        /// other's notes.
         #[serde(
             rename = "ago_ms",
             default,
@@ -267,19 +266,19 @@ pub enum Instruction {
         #[cfg_attr(feature = "openapi", schema(value_type = Option<f64>))]
         ago: Option<Duration>,
     },
-    /// Test what one direction of a wired link carries; what came of it is in the link's context when the test is over.
+    /// Test the throughput of one direction of a wired link. The link's context has the result when the test is over.
     TestThroughput {
         /// The link.
         link: LinkId,
         /// The direction.
         direction: Direction,
-        /// How long and how fast.
+        /// Its duration and rate.
         test: ThroughputTest,
     },
 }
 
 impl Instruction {
-    /// Its name, as in JSON.
+    /// Returns the name in JSON.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Move { .. } => "move",

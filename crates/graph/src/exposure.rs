@@ -1,5 +1,5 @@
-//! What a testbed tells the world about itself beyond its own API, and whom it may call: settings of the WLAN Access
-//! Information Service (ETSI GS MEC 028).
+//! Settings of the WLAN Access Information Service (ETSI GS MEC 028): the data that a testbed exposes beyond its own
+//! API, and the hosts that it may call back.
 
 use std::{
     fmt,
@@ -9,25 +9,25 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-/// What a testbed file says about its WLAN Access Information Service.
+/// Settings of the WLAN Access Information Service.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct WaisSettings {
     /// Networks that notifications may be sent to beside this machine's loopback addresses.
     pub callbacks: Vec<IpNetwork>,
-    /// Where the map's origin is on Earth; without it no location is told.
+    /// Place of the map's origin on Earth. Without it, no locations are exposed.
     pub origin: Option<GeoOrigin>,
 }
 
-/// Where the map's origin is on Earth (WGS 84), and how the map is turned.
+/// Place of the map's origin on Earth (WGS 84), and the map's orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GeoOrigin {
     /// Degrees to the north, -90 to 90.
     pub latitude: f64,
     /// Degrees to the east, -180 to 180.
     pub longitude: f64,
-    /// Where the map's y axis points: radians from north, clockwise.
+    /// Direction of the map's y axis: radians from north, clockwise.
     pub bearing: f64,
-    /// Of the map's floor, metres above the ellipsoid; `None` where nobody knows.
+    /// Altitude of the map's floor, metres above the ellipsoid; `None` if unknown.
     pub altitude: Option<f64>,
 }
 
@@ -39,7 +39,7 @@ pub struct IpNetwork {
     prefix: u8,
 }
 
-/// Why a text is no network.
+/// Error of a text that is not a network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a network of IP addresses: write it like 10.1.2.3, 10.1.0.0/16 or fd00::/8")]
 pub struct InvalidIpNetwork(String);
@@ -51,7 +51,7 @@ impl IpNetwork {
         Self { address: IpAddr::V6(Ipv6Addr::LOCALHOST), prefix: 128 },
     ];
 
-    /// Its first address.
+    /// Returns the first address.
     pub fn address(&self) -> IpAddr {
         self.address
     }
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_is_what_the_machine_says_it_is() {
+    fn loopback_is_recognised() {
         for address in ["127.0.0.1", "127.1.2.3", "::1", "::ffff:127.0.0.1"] {
             let address: IpAddr = address.parse().unwrap();
             assert!(IpNetwork::LOOPBACK.iter().any(|net| net.contains(address)), "{address}");

@@ -16,12 +16,12 @@ pub struct Flow {
     #[serde(rename = "timeout_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub timeout: Duration,
-    /// What the two say to each other.
+    /// Protocol between the two.
     #[serde(flatten)]
     pub protocol: FlowProtocol,
 }
 
-/// What a request and its answer are.
+/// Protocol of a flow: it defines requests and answers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "protocol")]
@@ -30,11 +30,11 @@ pub enum FlowProtocol {
     Udp {
         /// The server's port.
         port: u16,
-        /// What an answer repeats of its request; without it, one request of a socket is under way at a time.
+        /// Bytes that an answer repeats of its request. Without them, a socket has one request under way at a time.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         id: Option<FlowId>,
     },
-    /// What a client says on a connection before the server says something, and the first byte of that.
+    /// A client's bytes on a connection until the server's next first byte.
     Tcp {
         /// The server's port.
         port: u16,
@@ -53,7 +53,7 @@ pub enum FlowProtocol {
         request: String,
         /// The topic of answers.
         answer: String,
-        /// What an answer repeats of its request; without it, one request is under way at a time.
+        /// Bytes that an answer repeats of its request. Without them, one request is under way at a time.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         id: Option<FlowId>,
     },
@@ -68,7 +68,7 @@ pub enum FlowProtocol {
         request: String,
         /// The topic of answers.
         answer: String,
-        /// What an answer repeats of its request; without it, one request is under way at a time.
+        /// Bytes that an answer repeats of its request. Without them, one request is under way at a time.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         id: Option<FlowId>,
     },
@@ -88,9 +88,9 @@ pub enum FlowProtocol {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct FlowId {
-    /// Where they begin.
+    /// Index of the first byte.
     pub offset: u8,
-    /// How many they are.
+    /// Number of bytes.
     pub length: u8,
 }
 

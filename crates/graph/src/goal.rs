@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{id::NodeId, units::Position};
 
-/// What became of a goal that a robot was given.
+/// Change of a robot's goal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct GoalEvent {
@@ -12,12 +12,12 @@ pub struct GoalEvent {
     pub robot: NodeId,
     /// The goal.
     pub goal: Position,
-    /// What became of it.
+    /// Its new state.
     pub state: GoalState,
-    /// Of progress: how much is left of the way there, metres.
+    /// Length of the way that is left, metres; with [`GoalState::Progress`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub remaining_m: Option<f64>,
-    /// Of a failure: why.
+    /// Reason of a failure; with [`GoalState::Failed`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
@@ -35,7 +35,7 @@ pub enum GoalState {
     Reached,
     /// The robot was given another before it was there.
     Replaced,
-    /// It was taken back before the robot was there.
+    /// Canceled before the robot was there.
     Canceled,
     /// No way leads there; the robot stands.
     Failed,
@@ -46,7 +46,7 @@ impl GoalState {
     pub const ALL: [Self; 6] =
         [Self::Set, Self::Progress, Self::Reached, Self::Replaced, Self::Canceled, Self::Failed];
 
-    /// Its name, as in JSON.
+    /// Returns the name in JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Set => "set",

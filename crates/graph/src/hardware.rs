@@ -105,11 +105,11 @@ impl HardwareGraph {
 pub struct Node {
     /// Its name.
     pub id: NodeId,
-    /// Who runs it.
+    /// The domain that operates it.
     pub domain: DomainId,
-    /// Where it is, with the height of its antenna; a robot's is where it starts.
+    /// Position, with the height of its antenna. A robot's is its start.
     pub position: Option<Position>,
-    /// What it is.
+    /// Kind of node, with its hardware.
     #[serde(flatten)]
     pub kind: NodeKind,
 }
@@ -125,7 +125,7 @@ impl Node {
         matches!(self.kind, NodeKind::Switch | NodeKind::RadioUnit(_))
     }
 
-    /// How it is reached, if it is a real machine and not this one.
+    /// Returns how a real machine other than this one is reached.
     pub fn reached(&self) -> Option<&Reached> {
         match &self.kind {
             NodeKind::Machine(machine) => machine.reached.as_ref(),
@@ -133,7 +133,7 @@ impl Node {
         }
     }
 
-    /// What VNFs can take of it; `None` for a switch and a real machine.
+    /// Returns its capacity for VNFs; `None` for a switch and a real machine.
     pub fn capacity(&self) -> Option<Capacity> {
         match &self.kind {
             NodeKind::Robot(r) => Some(r.capacity),
@@ -144,7 +144,7 @@ impl Node {
     }
 }
 
-/// What kind of node it is.
+/// Kind of a node.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
@@ -161,7 +161,7 @@ pub enum NodeKind {
     Machine(Machine),
 }
 
-/// What VNFs can take of a node.
+/// Capacity of a node for VNFs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Capacity {
@@ -175,7 +175,7 @@ pub struct Capacity {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Robot {
-    /// What VNFs can take of it.
+    /// Capacity for VNFs.
     pub capacity: Capacity,
     /// Model of the simulated base.
     pub model: RobotModel,
@@ -186,12 +186,12 @@ pub struct Robot {
     pub tx_power: Dbm,
     /// Heading at the start, radians from the x axis, counter-clockwise.
     pub heading: f64,
-    /// Who decides when it changes its radio unit.
+    /// Roaming policy.
     pub roaming: Roaming,
-    /// What moves it.
+    /// Its driver.
     #[serde(default)]
     pub driver: Driver,
-    /// What is read of it beside its contexts, in the file's order.
+    /// Declared sensors, in the file's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sensors: Vec<Sensor>,
 }
@@ -222,7 +222,7 @@ impl RobotModel {
         }
     }
 
-    /// Of its outline, metres.
+    /// Returns the radius of its outline, metres.
     pub const fn radius(self) -> f64 {
         match self {
             // Half the diameter of a Kobuki base, 351.5 mm, rounded up.
@@ -231,7 +231,7 @@ impl RobotModel {
         }
     }
 
-    /// What people call it.
+    /// Returns its name for people.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Turtlebot2 => "TurtleBot 2",
@@ -240,12 +240,12 @@ impl RobotModel {
     }
 }
 
-/// Who decides when a robot changes its radio unit.
+/// Roaming policy: the component that decides when a robot changes its radio unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Roaming {
-    /// Its station, by signal with hysteresis and time-to-trigger (see [`WirelessNetwork`]).
+    /// The station decides by signal, with hysteresis and time-to-trigger (see [`WirelessNetwork`]).
     Signal,
     /// Instructions from plug-ins. The station joins the strongest radio unit at the start, and scans by itself
     /// only when it lost its radio unit.
@@ -257,7 +257,7 @@ pub enum Roaming {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct RadioUnit {
-    /// What VNFs can take of it.
+    /// Capacity for VNFs.
     pub capacity: Capacity,
     /// SSID that it serves.
     pub network: String,
@@ -269,7 +269,7 @@ pub struct RadioUnit {
     /// Whether it serves its network from the start: a(R) = {vAP}. One that does not is off until a vAP is deployed on it.
     #[serde(default = "yes")]
     pub serving: bool,
-    /// How long a vAP takes to be deployed on it, from the start to its first beacon.
+    /// Deployment time of a vAP, from the start to its first beacon.
     #[serde(rename = "deployment_ms", with = "millis", default)]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub deployment: Duration,
@@ -283,9 +283,9 @@ const fn yes() -> bool {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Server {
-    /// How far from the robots it is.
+    /// Distance from the robots.
     pub tier: Tier,
-    /// What VNFs can take of it.
+    /// Capacity for VNFs.
     pub capacity: Capacity,
     /// Price of a CPU, in the file's own currency.
     pub cost: f64,
@@ -298,17 +298,17 @@ pub struct Server {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Machine {
-    /// How it is reached; `None` is this machine itself.
+    /// Interface and address by which it is reached; `None` for this machine.
     pub reached: Option<Reached>,
 }
 
-/// How a real machine is reached from this one.
+/// Interface and address of another real machine.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Reached {
     /// Through this interface of this machine, as `ip link` names it.
     pub interface: String,
-    /// At these addresses; `None` is all behind the interface that no other machine has.
+    /// Addresses of the machine; `None` for everything behind the interface that no other machine has.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub address: Option<IpNetwork>,
     /// Whether a reflector of STAMP (RFC 8762) is at its address, by which a run measures the delay of the medium before
@@ -322,22 +322,22 @@ pub struct Reached {
 pub struct RealLink<'a> {
     /// The link.
     pub link: &'a Link,
-    /// What it leads over.
+    /// Interface and address of the other machine.
     pub reached: &'a Reached,
     /// The direction in which packets leave this machine; in the other one they arrive.
     pub leaving: Direction,
 }
 
-/// How far from the robots a server is.
+/// Distance of a server from the robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Tier {
     /// On the premises.
     Fog,
-    /// At the operator's edge.
+    /// Server at the operator's edge.
     Edge,
-    /// In a data centre.
+    /// Server in a data centre.
     Cloud,
 }
 
@@ -349,18 +349,17 @@ pub struct Link {
     pub id: LinkId,
     /// Its two ends.
     pub ends: [NodeId; 2],
-    /// From the first end to the second.
+    /// Conditions from the first end to the second.
     pub forward: Conditions,
-    /// From the second end to the first.
+    /// Conditions from the second end to the first.
     pub backward: Conditions,
     /// ψ and δ at the start, forward and backward.
     #[serde(default)]
     pub scales: [Scale; 2],
-    /// What the medium itself can carry; no condition may ask for more.
+    /// Rate of the medium itself; conditions may not exceed it.
     #[serde(rename = "medium_bps")]
     pub medium: BitRate,
-    /// How long the medium itself takes, one way, before anything is emulated on it: see [`Medium`]. None at all where the
-    /// whole link is emulated.
+    /// One-way delay of the medium itself, before emulation: see [`Medium`]. Zero where the whole link is emulated.
     #[serde(rename = "medium_delay_ms", with = "millis", default)]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub medium_delay: Duration,
@@ -369,7 +368,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// What its medium gives in each direction.
+    /// Returns the medium's own delay and rate.
     pub fn medium(&self) -> Medium {
         Medium { delay: self.medium_delay, rate: self.medium }
     }
@@ -380,9 +379,9 @@ impl Link {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
-    /// From the first end to the second; on a wireless link from the robot up to the radio unit.
+    /// The direction from the first end to the second. On a wireless link, from the robot up to the radio unit.
     Forward,
-    /// From the second end to the first.
+    /// The direction from the second end to the first.
     Backward,
 }
 
@@ -397,7 +396,7 @@ pub struct WirelessNetwork {
     #[serde(rename = "delay_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub delay: Duration,
-    /// What one station gets at most, whatever its signal; the airtime of a frame is at least its bits over this.
+    /// Highest rate of one station, whatever its signal. A frame's airtime is at least its bits over this rate.
     #[serde(rename = "rate_bps")]
     pub rate: Option<BitRate>,
     /// Fast transition (IEEE 802.11r) within the mobility domain.
@@ -405,9 +404,9 @@ pub struct WirelessNetwork {
     /// The mobility domain of its radio units.
     #[serde(default)]
     pub mobility_domain: u16,
-    /// How the signal falls with distance.
+    /// Loss of signal over distance.
     pub path_loss: PathLoss,
-    /// How it varies around that.
+    /// Variation of the signal around the path loss.
     pub shadowing: Shadowing,
     /// Noise floor of a receiver, thermal noise over 20 MHz and noise figure together.
     #[serde(rename = "noise_floor_dbm")]
@@ -418,9 +417,9 @@ pub struct WirelessNetwork {
     #[serde(rename = "time_to_trigger_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub time_to_trigger: Duration,
-    /// How long the phases of a handover take.
+    /// Durations of a handover's phases.
     pub handover: HandoverTimes,
-    /// What happens to frames for a station that is off its channel.
+    /// Treatment of frames for a station that is off its channel.
     pub gap: GapPolicy,
 }
 
@@ -440,7 +439,7 @@ pub enum WifiStandard {
     Ac,
 }
 
-/// How the signal falls with distance d (metres).
+/// Path loss over distance d (metres).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "model")]
@@ -471,7 +470,7 @@ pub struct Shadowing {
     pub correlation_m: f64,
 }
 
-/// How long the phases of a handover take.
+/// Durations of a handover's phases.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct HandoverTimes {
@@ -495,7 +494,7 @@ pub struct HandoverTimes {
     pub variation: f64,
 }
 
-/// What happens to frames for or from a station that is off its channel or between two radio units.
+/// Treatment of frames for or from a station that is off its channel or between two radio units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -527,7 +526,7 @@ impl HostAddress {
     pub const IPV4_PREFIX: u8 = 16;
     /// Length of the IPv6 prefix.
     pub const IPV6_PREFIX: u8 = 64;
-    /// How many hosts have addresses.
+    /// Number of hosts that addresses suffice for.
     pub const MAX_HOSTS: usize = 65_000;
 
     /// The addresses of the host at that place, from 0.

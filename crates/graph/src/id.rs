@@ -4,7 +4,7 @@ use std::{borrow::Borrow, fmt, sync::Arc};
 
 use serde::{Deserialize, Serialize};
 
-/// Why a name cannot be one.
+/// Error of a text that cannot be a name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{name}` is not a name: use 1 to {longest} letters, digits, `_`, `-`, `.` or `~`, beginning with a letter or digit"

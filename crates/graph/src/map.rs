@@ -2,7 +2,7 @@
 
 use crate::units::Position;
 
-/// What is known of one cell.
+/// Occupancy of one cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cell {
     /// Nothing is there.
@@ -91,7 +91,7 @@ impl OccupancyGrid {
         }
     }
 
-    /// Where a place lies that is no free ground; `None` for one that is.
+    /// Describes a place that is not free ground, such as "in a wall"; `None` for free ground.
     pub fn not_free(&self, place: Position) -> Option<&'static str> {
         match (self.index(place), self.at(place)) {
             (None, _) => Some("off the map"),

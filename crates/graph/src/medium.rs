@@ -1,28 +1,26 @@
-//! What a link gives by itself, and what it is offered as once ψ and δ scale it: the one place where d and λ meet the scales,
-//! whoever emulates the link.
+//! Delay and rate of a link's medium, and the delay that ψ makes of them. Every emulator of links computes it here.
 
 use std::time::Duration;
 
 use crate::units::BitRate;
 
-/// What a link's medium gives in one direction before anything is emulated on it: d_m and λ_m.
+/// Delay d_m and rate λ_m of a link's medium in one direction, before emulation.
 ///
-/// Emulation at ψ = δ = 1 adds the delay a and admits the rate r that were asked for; the link then gives
+/// Emulation at ψ = δ = 1 adds a configured delay a and limits the rate to a configured r. The link then has
 ///
 /// > d = d_m + a, λ = min(r, λ_m)
 ///
-/// and is offered at ψ·d and λ/δ, as in the COTORRA letter (arXiv 2101.07676). What emulation adds to the medium is therefore
+/// and is offered at ψ·d and λ/δ, as in the COTORRA letter (arXiv 2101.07676). Emulation therefore adds
 ///
 /// > e = ψ·(d_m + a) - d_m
 ///
-/// which is (ψ - 1)·d_m where no delay was asked for. No emulation takes time out of a medium, nor puts rate into it: what
-/// would need e < 0 or λ/δ > λ_m is refused.
+/// which is (ψ - 1)·d_m without a configured delay. No emulation makes a medium faster: a change that would need e < 0 or
+/// λ/δ > λ_m is rejected.
 ///
-/// **Where d_m is from.** A link that is emulated as a whole has no medium: d_m = 0, and d is what was asked, exact to the
-/// nanosecond. What probes measure of it has queueing in it, and what is emulated already; to scale that would scale the same
-/// delay again with each change. Of a link over a real interface, d_m was measured before anything was emulated on it, or is
-/// declared; it stays for the run, so that what emulation adds never comes back as a d to be scaled. λ_m is declared, because
-/// counters tell what crossed, and not what could.
+/// **Source of d_m.** A link that is emulated as a whole has no medium: d_m = 0, and d is the configured delay, exact to the
+/// nanosecond. Probes of it would include queueing and the emulated delay, so scaling their result would scale the same delay
+/// again with each change. Over a real interface, d_m is declared, or measured before emulation begins. It stays for the whole
+/// run, so that emulated delay is never scaled again. λ_m is declared, because counters show what crossed, not what could.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Medium {
     /// d_m.
@@ -31,14 +29,14 @@ pub struct Medium {
     pub rate: BitRate,
 }
 
-/// Why no emulation offers a delay.
+/// Reason why a delay cannot be emulated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NotOffered {
-    /// It would be none that a number of nanoseconds can say, or below zero.
+    /// The delay is below zero, or no number of nanoseconds.
     Absurd,
     /// The medium alone takes longer.
     BelowMedium {
-        /// What was to be offered.
+        /// Delay that the scale would need.
         offered: Duration,
     },
 }
@@ -82,9 +80,9 @@ mod tests {
     const NS: std::ops::Range<u64> = 0..60_000_000_000;
 
     proptest! {
-        /// What the medium takes and what is added make what is offered, and that is ψ·d.
+        /// The medium's delay and the added delay sum up to the scaled delay ψ·d.
         #[test]
-        fn what_is_added_makes_what_is_offered(own in NS, asked in NS, psi in 0.0..100.0) {
+        fn medium_and_added_delay_sum_up_to_the_scaled_delay(own in NS, asked in NS, psi in 0.0..100.0) {
             let (medium, d) = (medium(own), (own + asked) as f64);
             match medium.offered_delay(Duration::from_nanos(asked), psi) {
                 Ok(offered) => {
@@ -107,7 +105,7 @@ mod tests {
             prop_assert_eq!(medium.added_delay(medium.offered_delay(asked, 1.0).unwrap()), asked);
         }
 
-        /// What is emulated as a whole takes any ψ from 0 on.
+        /// A link that is emulated as a whole accepts any ψ from 0 on.
         #[test]
         fn without_a_medium_no_scale_is_too_small(asked in NS, psi in 0.0..1.0) {
             let asked = Duration::from_nanos(asked);

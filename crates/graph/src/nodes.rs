@@ -23,7 +23,7 @@ enum OneOrSeveral {
     Several(Vec<NodeId>),
 }
 
-/// Why nodes cannot be those of a VNF's instances.
+/// Error of nodes that cannot be those of a VNF's instances.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidNodes {
     /// There are too few or too many.

@@ -1,5 +1,4 @@
-//! What a signal loses on its way: frequencies of channels, and loss over distance. Whoever emulates the radio and
-//! whoever decides on coverage use the same.
+//! Frequencies of channels, and path loss over distance. The radio model and coverage decisions share it.
 
 use crate::hardware::{PathLoss, WifiStandard};
 

@@ -161,8 +161,8 @@ impl<'a> Topology<'a> {
         }
     }
 
-    /// How each node is reached best from any of the sources, each with what it costs to begin there (Dijkstra 1959).
-    /// A path goes on from a source and from nodes that forward.
+    /// Returns the cheapest path to each node from any of the sources, each with its initial cost (Dijkstra 1959).
+    /// Paths go on from sources, and from nodes that forward.
     pub fn shortest(&self, sources: &[(usize, u64)], cost: impl Fn(&Edge) -> u64) -> Vec<Option<Arrival>> {
         let mut reached: Vec<Option<Arrival>> = vec![None; self.edges.len()];
         let mut queue = BinaryHeap::new();

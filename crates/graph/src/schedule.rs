@@ -1,4 +1,4 @@
-//! What is to happen to links by itself: conditions that follow the time, or where a robot is.
+//! Scripted conditions of links: by time, or by where a robot is.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -9,7 +9,7 @@ use crate::{
     units::Position,
 };
 
-/// What a testbed file scripts for its links.
+/// Scripted conditions of a testbed's links.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Script {
     /// A recorded run whose conditions are played: its folder, or an export.
@@ -21,9 +21,9 @@ pub struct Script {
 /// A change of some links that happens by itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scheduled {
-    /// When.
+    /// Time or place of the change.
     pub when: When,
-    /// Which links.
+    /// The links.
     pub links: Vec<LinkId>,
     /// One direction, or both.
     pub direction: Option<Direction>,
@@ -31,10 +31,10 @@ pub struct Scheduled {
     pub set: ConditionChange,
 }
 
-/// When a change happens.
+/// Time or place of a scripted change.
 #[derive(Debug, Clone, PartialEq)]
 pub enum When {
-    /// So long after the run began.
+    /// Time since the run began.
     At(Duration),
     /// Each time that a robot comes into a polygon; also if it starts there.
     Enters {

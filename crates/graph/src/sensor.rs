@@ -17,21 +17,21 @@ pub struct Sensor {
     /// Its name.
     #[serde(rename = "sensor")]
     pub id: SensorId,
-    /// From one reading to the next.
+    /// Time from one reading to the next.
     #[serde(rename = "interval_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub interval: Duration,
-    /// What it measures.
+    /// Measured quantity.
     #[serde(flatten)]
     pub kind: SensorKind,
 }
 
-/// What a sensor measures.
+/// Measured quantity of a sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum SensorKind {
-    /// Where the wheels, or what takes their place, have the robot, and what they do.
+    /// Pose and velocity by the wheels, or by what takes their place.
     Odometry,
     /// The battery's charge and voltage.
     Battery {
@@ -55,7 +55,7 @@ pub enum SensorKind {
     },
     /// Numbers that a plug-in or a program reports ([`crate::Instruction::Report`]), or the robot over ROS.
     Vector {
-        /// How many.
+        /// Number of components.
         size: u8,
         /// Their unit, in the user's words.
         unit: String,
@@ -70,9 +70,9 @@ pub struct Camera {
     pub width: u16,
     /// Rows of an image.
     pub height: u16,
-    /// What a pixel is: [`DataFormat::Mono8`] or [`DataFormat::Rgb8`].
+    /// Pixel format: [`DataFormat::Mono8`] or [`DataFormat::Rgb8`].
     pub format: DataFormat,
-    /// From the left column to the right one, radians.
+    /// Angle from the left column to the right one, radians.
     #[serde(rename = "field_of_view_rad")]
     pub field_of_view: f64,
     /// The VNF to which images go, over the network.
@@ -82,7 +82,7 @@ pub struct Camera {
     pub keep_bytes: u64,
 }
 
-/// How large data is written.
+/// Encoding of large data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -103,7 +103,7 @@ impl DataFormat {
     /// All there are.
     pub const ALL: [Self; 5] = [Self::Scan, Self::Mono8, Self::Rgb8, Self::Jpeg, Self::Png];
 
-    /// Its name, as events have it.
+    /// Returns the name in events.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Scan => "scan",
@@ -156,7 +156,7 @@ impl SensorKind {
         }
     }
 
-    /// How many bytes of its readings a run keeps; `None` of one that measures numbers.
+    /// Returns how many bytes of its readings a run keeps; `None` for a sensor that measures numbers.
     pub fn keep_bytes(&self) -> Option<u64> {
         match self {
             Self::Lidar { keep_bytes }
@@ -173,7 +173,7 @@ impl SensorKind {
     }
 }
 
-/// What a sensor read: numbers, or large data.
+/// Reading of a sensor: numbers, or a reference to large data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SensorReading {
@@ -181,7 +181,7 @@ pub struct SensorReading {
     pub robot: NodeId,
     /// Its sensor.
     pub sensor: SensorId,
-    /// When it was measured, or reported.
+    /// Time of the measurement, or of its report.
     #[serde(rename = "measured_ns")]
     pub measured: Timestamp,
     /// Finite numbers, by the names of [`SensorKind::components`].
@@ -199,13 +199,13 @@ pub struct SensorReading {
 pub struct LargeData {
     /// The number of the sensor's reading, from 0.
     pub sequence: u64,
-    /// How its bytes are written.
+    /// Encoding of its bytes.
     pub format: DataFormat,
     /// Columns of an image, rays of a scan.
     pub width: u32,
     /// Rows of an image; 1 of a scan.
     pub height: u32,
-    /// How many bytes it has.
+    /// Number of bytes.
     pub bytes: u64,
 }
 

@@ -24,24 +24,24 @@ pub struct Service {
     pub vnfs: Vec<Vnf>,
     /// Links between its VNFs.
     pub virtual_links: Vec<VirtualLink>,
-    /// What it must keep.
+    /// KPIs that it must keep.
     pub kpis: Kpis,
-    /// Where a robot's requests go, of instances of the bundled VNFs.
+    /// Destination of a robot's requests, where a bundled VNF has several instances.
     #[serde(default, skip_serializing_if = "Requests::are_usual")]
     pub requests: Requests,
 }
 
-/// Where requests to a VNF go that has several instances.
+/// Destination of requests to a VNF that has several instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Requests {
-    /// To the first that serves.
+    /// Sent to the first that serves.
     #[default]
     One,
-    /// To the one that serves with the least delay from the robot.
+    /// Sent to the serving instance with the least delay from the robot.
     Nearest,
-    /// To all that serve; the first answer wins.
+    /// Sent to all that serve; the first answer wins.
     All,
 }
 
@@ -57,7 +57,7 @@ impl Requests {
 pub struct Vnf {
     /// Its name, unique in the testbed.
     pub id: VnfId,
-    /// What runs.
+    /// The program.
     pub program: Program,
     /// CPUs that it takes of its node.
     pub cpus: f64,
@@ -65,28 +65,28 @@ pub struct Vnf {
     pub memory_bytes: u64,
     /// The one node that can carry it, if it cannot move.
     pub pinned_to: Option<NodeId>,
-    /// Where it runs at the start, each instance on a node of its own; the pinned one if it is pinned.
+    /// Nodes of its instances at the start, all different. A pinned VNF starts on its pinned node.
     pub node: Nodes,
     /// Variables of cotorra's own environment that a command gets beside the usual ones, by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
-    /// What a command may do on the machine that runs the testbed.
+    /// Rights of a command on the machine that runs the testbed.
     #[serde(default, skip_serializing_if = "Rights::are_usual")]
     pub rights: Rights,
 }
 
-/// What a VNF's command may do on the machine that runs the testbed.
+/// Rights of a VNF's command on the machine that runs the testbed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Rights {
-    /// It is kept from the machine, and has this besides.
+    /// Confined to the node, with these rights besides.
     Confined(Granted),
-    /// It may do what cotorra may.
+    /// Unconfined: the command may do whatever cotorra may.
     Trusted,
 }
 
-/// What a confined VNF has beside its own node and folder.
+/// Rights of a confined VNF beyond its own node and folder.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Granted {
@@ -130,7 +130,7 @@ pub enum LinuxCapability {
     SysNice,
 }
 
-/// What a VNF runs.
+/// Program of a VNF.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
@@ -149,16 +149,16 @@ pub enum Program {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct VirtualLink {
-    /// From this VNF …
+    /// VNF at one end.
     pub from: VnfId,
-    /// … to this one.
+    /// VNF at the other end.
     pub to: VnfId,
-    /// What it needs at most.
+    /// Highest rate that it needs.
     #[serde(rename = "rate_bps")]
     pub rate: BitRate,
 }
 
-/// What a service must keep.
+/// KPIs that a service must keep.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Kpis {
@@ -170,7 +170,7 @@ pub struct Kpis {
     pub service_time: Duration,
     /// Probability that all nodes and links in use work; 0 to 1.
     pub reliability: Option<f64>,
-    /// Where it must be offered: a polygon of three places or more.
+    /// Area of the service: a polygon of three places or more.
     pub area: Option<Vec<Position>>,
     /// The radio technology that it needs.
     pub radio: Option<WifiStandard>,

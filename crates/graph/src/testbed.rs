@@ -18,10 +18,10 @@ use crate::{
 /// Names of the plug-ins that come with cotorra, and run in process. A testbed file can name no others.
 pub const BUNDLED_PLUGINS: &[&str] = &["federation", "okpi", "pace", "probing"];
 
-/// What a testbed file says, checked as a whole.
+/// Content of a testbed file, checked as a whole.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Testbed {
-    /// Its name; names the run's folder.
+    /// Name, also of the run's folder.
     pub name: String,
     /// One sentence on it; may be empty.
     pub description: String,
@@ -29,7 +29,7 @@ pub struct Testbed {
     pub graph: HardwareGraph,
     /// Its services.
     pub services: Vec<Service>,
-    /// Where the robots move; without one there is open space.
+    /// Map on which robots move; without one, open space.
     pub map: Option<OccupancyGrid>,
     /// One walk a robot at most.
     pub walks: Vec<Walk>,
@@ -39,17 +39,17 @@ pub struct Testbed {
     pub seed: u64,
     /// Its WLAN Access Information Service.
     pub wais: WaisSettings,
-    /// Who emulates the wired links in real time.
+    /// Emulator of wired links in real time.
     pub emulation: Emulation,
-    /// What happens to its links by itself.
+    /// Scripted conditions of its links.
     pub script: Script,
-    /// How its links are probed; `None` if they are not.
+    /// Probing of its links; `None` without probes.
     pub probes: Option<Probing>,
-    /// How long its history keeps samples as they were recorded.
+    /// Retention of samples in its history.
     pub retention: Retentions,
 }
 
-/// Who emulates links.
+/// Emulator of links.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Emulation {
     /// cotorra's own fabric: everything, on every kernel.
@@ -66,7 +66,7 @@ impl Testbed {
     }
 }
 
-/// How long samples of each embedding are kept as they were recorded; `None` for ever.
+/// Retention of samples of each embedding; `None` keeps them for ever.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Retentions {
     /// κ of robots.
@@ -79,14 +79,14 @@ pub struct Retentions {
     pub sensors: Option<Retention>,
 }
 
-/// How long samples are kept. Their age counts to the present of their run.
+/// Retention of samples. Their age counts to the present of their run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Retention {
-    /// How long as they were recorded.
+    /// Time for which samples are kept as recorded.
     pub raw: Duration,
     /// Older ones become one point for each step of time, of each series: [`Self::is_step`].
     pub step: Duration,
-    /// How long these points are kept; `None` for ever.
+    /// Time for which rolled-up points are kept; `None` for ever.
     pub keep: Option<Duration>,
 }
 
@@ -98,7 +98,7 @@ impl Retention {
     }
 }
 
-/// Where a robot goes.
+/// Walk of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Walk {
@@ -109,7 +109,7 @@ pub struct Walk {
     /// Speed that it does not exceed, m/s.
     #[serde(rename = "speed_limit_mps")]
     pub speed_limit: f64,
-    /// How often the robot emits a position packet.
+    /// Interval of the robot's position packets.
     #[serde(rename = "position_interval_ms", with = "millis")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub position_interval: Duration,
@@ -119,9 +119,9 @@ pub struct Walk {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct PluginSpec {
-    /// Its name in this testbed.
+    /// Name in this testbed.
     pub id: PluginId,
-    /// What runs.
+    /// The program.
     pub program: PluginProgram,
     /// The one domain that it sees and changes; without one it is the operator's, and sees and changes all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -129,11 +129,11 @@ pub struct PluginSpec {
     /// Variables of cotorra's own environment that a program gets beside the usual ones, by name.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub env: Vec<String>,
-    /// Its own settings, as the file has them.
+    /// Settings, as the file has them.
     pub settings: serde_json::Map<String, serde_json::Value>,
 }
 
-/// What a plug-in runs.
+/// Program of a plug-in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]

@@ -93,7 +93,7 @@ impl BitRate {
         self.bits_per_second() as f64 / 1e6
     }
 
-    /// How long `bytes` take to serialise at this rate, rounded up to the nanosecond.
+    /// Returns the time to serialise `bytes` at this rate, rounded up to the nanosecond.
     pub fn serialisation(self, bytes: usize) -> Duration {
         let bits = bytes as u128 * 8;
         Duration::from_nanos((bits * 1_000_000_000).div_ceil(u128::from(self.bits_per_second())) as u64)
@@ -173,7 +173,7 @@ impl Dbm {
         10f64.powf(self.0 / 10.0)
     }
 
-    /// From milliwatts; minus infinity for none.
+    /// Converts from milliwatts; 0 mW is minus infinity.
     pub fn from_milliwatts(mw: f64) -> Self {
         Self(10.0 * mw.log10())
     }

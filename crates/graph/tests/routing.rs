@@ -55,7 +55,7 @@ fn robots_are_reached_where_they_are_attached() {
 }
 
 #[test]
-fn what_is_attached_can_be_detached() {
+fn detaching_undoes_attaching() {
     let graph = graph(LINKS);
     let neighbours = |topology: &Topology<'_>| {
         (0..graph.nodes.len()).map(|at| topology.neighbours(at)).collect::<Vec<_>>()
