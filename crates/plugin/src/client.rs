@@ -62,13 +62,13 @@ pub struct Client {
     plugin: Option<PluginId>,
 }
 
-/// Why the API gives no answer.
+/// Error of a call to the API.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     /// The environment does not say where the API is, nor does one run alone on this machine.
     #[error("COTORRA_API is not set, and {0}: let it name the testbed's API, as in http://127.0.0.1:7700")]
     NotSet(#[from] RunsError),
-    /// That is no address of an API.
+    /// The text is not an address of an API.
     #[error("`{0}` is not the address of an API: write it like http://127.0.0.1:7700")]
     Address(String),
     /// The plug-in's name can be none.
@@ -80,9 +80,9 @@ pub enum ClientError {
     /// Nobody answers there.
     #[error("the API at {url} cannot be reached: {source}")]
     Unreachable {
-        /// What was asked.
+        /// URL of the request.
         url: String,
-        /// Why.
+        /// Cause.
         source: Box<ureq::Error>,
     },
     /// The testbed does not do what an instruction asks for.
@@ -91,19 +91,19 @@ pub enum ClientError {
     /// The request cannot be answered.
     #[error("{url} answers {status}: {reason}")]
     Failed {
-        /// What was asked.
+        /// URL of the request.
         url: String,
         /// HTTP status.
         status: u16,
-        /// Why.
+        /// The API's reason.
         reason: String,
     },
     /// The answer is not what this version of cotorra expects.
     #[error("{url} answers what this client does not understand: {reason}")]
     Malformed {
-        /// What was asked.
+        /// URL of the request.
         url: String,
-        /// What is wrong.
+        /// Mistake in the answer.
         reason: String,
     },
 }
@@ -115,14 +115,14 @@ impl ClientError {
     }
 }
 
-/// Which part of a history is wanted; by default all of it, from its beginning, up to the server's limit.
+/// Part of a history; by default all of it from the beginning, up to the server's limit.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Part {
-    /// From here on.
+    /// Earliest time.
     pub from: Timestamp,
     /// Up to here, this excluded.
     pub to: Option<Timestamp>,
-    /// How many at the most.
+    /// Highest number of items.
     pub limit: Option<usize>,
     /// The [`Page::next`] of the page before.
     pub after: Option<String>,
@@ -131,27 +131,27 @@ pub struct Part {
 /// A part of a history.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Page<T> {
-    /// In the order of time.
+    /// Items in order of time.
     pub items: Vec<T>,
-    /// Where the next page begins; `None` on the last.
+    /// Start of the next page; `None` on the last.
     pub next: Option<String>,
 }
 
 /// Something measured, and when.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Sample<T> {
-    /// When.
+    /// Time of the sample.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
-    /// What.
+    /// Sampled value.
     #[serde(flatten)]
     pub value: T,
 }
 
-/// What was known of the whole graph at a time: the last of everything.
+/// State of the whole graph at a time: the last sample of every embedding.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct GraphState {
-    /// When.
+    /// Time of the state.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ(r).
@@ -164,7 +164,7 @@ pub struct GraphState {
     pub placements: Vec<Sample<Placement>>,
     /// a(n1,n2).
     pub virtual_links: Vec<Sample<VirtualLinkMapping>>,
-    /// What sensors read, by robot and sensor.
+    /// Readings, by robot and sensor.
     #[serde(default)]
     pub sensors: Vec<Sample<SensorReading>>,
 }
@@ -193,16 +193,16 @@ struct TestbedBody {
     seed: u64,
 }
 
-/// How a node is reached from this machine.
+/// Access to a node from this machine.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 pub struct NodeAccess {
-    /// Its addresses in the emulated network; none for a switch and a real machine.
+    /// Addresses in the emulated network; none for a switch and a real machine.
     pub address: Option<HostAddress>,
     /// A file that stands for its network namespace, as `nsenter --net=` takes it; none for a switch and a real machine.
     pub namespace: Option<PathBuf>,
 }
 
-/// What a failure says: `refused` if the testbed does not do it, else `error`.
+/// Body of a failure: `refused` for a rejected instruction, else `error`.
 #[derive(Default, Deserialize)]
 struct Failure {
     refused: Option<String>,
@@ -287,10 +287,11 @@ impl Client {
         })
     }
 
-    /// How a node is reached.
+    /// Returns how a node is reached.
     ///
     /// # Errors
-    /// [`ClientError`], with status 404 if there is no such node.
+    ///
+    /// [`ClientError`], with status 404 for an unknown node.
     pub fn node(&self, node: &NodeId) -> Result<NodeAccess, ClientError> {
         self.get(&format!("network/nodes/{node}"), &[])
     }
@@ -392,10 +393,12 @@ impl Client {
         Ok(())
     }
 
-    /// What happens from now on: events of these kinds (`robot`, `handover`, …), of all if none is named. Virtual time
-    /// stands still from one event until the next is asked for: what is instructed meanwhile is done at once.
+    /// Opens a stream of events from now on, of these kinds (`robot`, `handover`, …), or of all if none is named.
+    /// Virtual time stands still between an event and the request for the next: instructions in between are applied at
+    /// once.
     ///
     /// # Errors
+    ///
     /// [`ClientError`].
     pub fn events(&self, kinds: &[&str]) -> Result<Events, ClientError> {
         let url = self.url("events");

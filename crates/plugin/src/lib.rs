@@ -1,11 +1,11 @@
-//! What a plug-in author imports: contexts in, instructions out.
+//! Plug-ins of cotorra: contexts in, instructions out.
 //!
-//! A [`Plugin`] is a state machine without a clock: it is told the time with every event, says when it wants to be
-//! woken next, and leaves its instructions in [`Actions`]. The same plug-in so runs against real and virtual time,
-//! in process or behind the HTTP API: a program that calls [`client::run`] is one, too, once a testbed file names it
-//! as a command, or it is started with the testbed's address in `COTORRA_API`.
+//! A [`Plugin`] is a state machine without a clock. Every call carries the time, [`Plugin::next_deadline`] returns when to
+//! call again, and instructions go into [`Actions`]. The same plug-in therefore runs in real and in virtual time, in process
+//! or behind the HTTP API. To make a plug-in a program of its own, call [`client::run`]. Name the program as a command in a
+//! testbed file, or start it with the testbed's address in `COTORRA_API`.
 //!
-//! This one keeps robots off a radio unit, as long as they hear another:
+//! This plug-in keeps robots off a radio unit as long as they hear another:
 //!
 //! ```no_run
 //! use cotorra_graph::{Event, Instruction, NodeId, Timestamp};
@@ -22,7 +22,7 @@
 //!         let others = context.attachments.iter().filter(|a| !a.attached && a.signal.is_some());
 //!         if let Some(other) = others.max_by(|a, b| a.signal.partial_cmp(&b.signal).expect("signals are numbers")) {
 //!             let (robot, radio_unit) = (context.robot.clone(), other.radio_unit.clone());
-//!             actions.instruct_because(Instruction::Attach { robot, radio_unit }, "it is to be avoided");
+//!             actions.instruct_because(Instruction::Attach { robot, radio_unit }, "the radio unit is to be avoided");
 //!         }
 //!     }
 //! }
@@ -31,7 +31,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`messages`], [`vnf`] and [`wire`] are for VNFs, which talk to robots over the network under test.
+//! [`settings`] decodes a plug-in's settings. [`messages`], [`vnf`] and [`wire`] are for VNFs, which exchange packets with
+//! robots over the network under test.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -44,69 +45,69 @@ pub mod wire;
 
 use cotorra_graph::{Event, Instruction, Testbed, Timestamp};
 
-/// A plug-in: receives what happens, answers with instructions.
+/// A plug-in: receives events, answers with instructions.
 ///
 /// Calls come one at a time, with `now` never falling. A call that panics, that takes longer than the host's limit,
 /// or that leaves more instructions than the host's limit gets the plug-in cut off; its robots stop.
 pub trait Plugin: Send {
-    /// The run goes on after another, which noted this of the plug-in ([`Instruction::Note`]): called once, before
-    /// [`Plugin::start`]. The new run's history has these notes already. Programs of their own are not told.
+    /// Called once before [`Plugin::start`] if the run goes on after another, with the plug-in's notes in that run
+    /// ([`Instruction::Note`]). The new run's history has these notes already. Not called for programs of their own.
     fn resume(&mut self, _noted: Vec<Noted>) {}
 
     /// Called once, before anything else but [`Plugin::resume`].
     fn start(&mut self, _now: Timestamp, _testbed: &Testbed, _actions: &mut Actions) {}
 
-    /// Something happened.
+    /// Handles an event.
     fn handle(&mut self, now: Timestamp, event: &Event, actions: &mut Actions);
 
-    /// When [`Plugin::expire`] wants to be called; asked after each call. `None`: only events matter.
+    /// Returns when [`Plugin::expire`] is due; asked after each call. `None` waits for events only.
     fn next_deadline(&self) -> Option<Timestamp> {
         None
     }
 
-    /// The deadline has come.
+    /// Handles the deadline of [`Plugin::next_deadline`].
     fn expire(&mut self, _now: Timestamp, _actions: &mut Actions) {}
 }
 
-/// What a plug-in noted in an earlier run.
+/// Step that a plug-in noted in an earlier run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Noted {
-    /// Of what.
+    /// Process that the step is of.
     pub process: String,
     /// The step.
     pub step: String,
-    /// Why, or what about it.
+    /// Reason or detail.
     pub reason: Option<String>,
 }
 
-/// What a plug-in wants done, in order.
+/// Instructions of a plug-in, in order.
 #[derive(Debug, Clone, Default)]
 pub struct Actions {
     wanted: Vec<(Instruction, Option<String>)>,
 }
 
 impl Actions {
-    /// Asks for something.
+    /// Adds an instruction.
     pub fn instruct(&mut self, instruction: Instruction) {
         self.wanted.push((instruction, None));
     }
 
-    /// Asks for something and says why; the reason is kept with the decision.
+    /// Adds an instruction with its reason, which the decision records.
     pub fn instruct_because(&mut self, instruction: Instruction, reason: impl Into<String>) {
         self.wanted.push((instruction, Some(reason.into())));
     }
 
-    /// How many instructions wait.
+    /// Number of instructions.
     pub fn len(&self) -> usize {
         self.wanted.len()
     }
 
-    /// Whether none waits.
+    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.wanted.is_empty()
     }
 
-    /// Takes what was asked for, oldest first.
+    /// Removes and returns all instructions, oldest first.
     pub fn drain(&mut self) -> impl Iterator<Item = (Instruction, Option<String>)> {
         self.wanted.drain(..)
     }

@@ -37,7 +37,7 @@ const LONGEST_ENTRY: u64 = 64 << 10;
 const ENTRY: &str = "json";
 const SOCKET: &str = "sock";
 
-/// Where the runs of a user are found.
+/// Registry of a user's runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Runs {
     /// New ones are put into the first.
@@ -47,18 +47,18 @@ pub struct Runs {
 /// A run that goes on.
 #[derive(Debug, Clone)]
 pub struct RunEntry {
-    /// Where it serves its API over TCP.
+    /// Address of its API over TCP.
     pub api: SocketAddr,
-    /// What it is, for people: a run's folder.
+    /// Description for people: the run's folder.
     pub what: String,
-    /// Its process.
+    /// Process ID.
     pub process: u32,
     folder: Folder,
     stem: String,
     entry: Arc<File>,
 }
 
-/// What an entry's file holds.
+/// Content of an entry's file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
@@ -67,7 +67,7 @@ struct Written {
     process: u32,
 }
 
-/// Why a run is not found, or cannot be.
+/// Error of finding or registering a run.
 #[derive(Debug, thiserror::Error)]
 pub enum RunsError {
     /// The system does not let this user use a file.
@@ -75,7 +75,7 @@ pub enum RunsError {
     System {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// Another user may have written it.
@@ -83,7 +83,7 @@ pub enum RunsError {
     NotPrivate {
         /// The file or folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Reason.
         why: NotPrivate,
     },
     /// Another version may have written it.
@@ -91,7 +91,7 @@ pub enum RunsError {
     Malformed {
         /// The entry.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Mistake in the file.
         reason: serde_json::Error,
     },
     /// Nothing runs.
@@ -100,7 +100,7 @@ pub enum RunsError {
         list(folders.iter().map(|path| path.display()))
     )]
     None {
-        /// Where one would be.
+        /// Searched folders.
         folders: Vec<PathBuf>,
     },
     /// Several go on, and no address says which is meant.
@@ -116,22 +116,22 @@ pub enum RunsError {
     },
 }
 
-/// What is wrong with a file or folder that is to be this user's alone.
+/// Reason why a file or folder is not this user's alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NotPrivate {
-    /// It is of another kind, such as a symbolic link.
+    /// The file is of another kind, such as a symbolic link.
     Kind {
-        /// What it should be.
+        /// Expected kind.
         wanted: &'static str,
     },
-    /// It belongs to another user.
+    /// The file belongs to another user.
     Owner {
-        /// That user.
+        /// The user's ID.
         uid: u32,
     },
     /// Others may use it.
     Mode {
-        /// Its permissions.
+        /// Permissions of the file.
         mode: u32,
     },
 }
@@ -393,7 +393,7 @@ fn open(
 /// A folder that is this user's alone, held open. Each run has two files there: the entry and the socket, of one stem.
 #[derive(Debug, Clone)]
 struct Folder {
-    /// For messages; it may lead elsewhere by now.
+    /// Path for messages; it may lead elsewhere by now.
     path: PathBuf,
     opened: Arc<File>,
 }

@@ -56,7 +56,7 @@ pub fn decode<T: DeserializeOwned>(settings: &Map<String, Value>) -> Result<T, I
 /// A kind of figure with a unit.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    /// Its name with its bounds, such as "a time from 1 ms to 1 day".
+    /// Name with bounds, such as "a time from 1 ms to 1 day".
     pub what: &'static str,
     /// A correct one, for error messages.
     pub example: &'static str,

@@ -34,7 +34,7 @@ use crate::messages::{Message, MessageError, Pose, Twist};
 
 /// The UDP port of a testbed's first VNF.
 const FIRST_PORT: u16 = 7711;
-/// From there on the system gives ports away.
+/// First port that the system assigns by itself.
 const END_OF_PORTS: u16 = 32_768;
 /// Bytes of the header.
 pub const HEADER_LEN: usize = 32;
@@ -54,7 +54,7 @@ pub fn port(testbed: &Testbed, vnf: &VnfId) -> Option<u16> {
     Some(FIRST_PORT + (place % usize::from(END_OF_PORTS - FIRST_PORT)) as u16)
 }
 
-/// Why a datagram is none of the service's.
+/// Error of a datagram that is not a packet of the service.
 #[derive(Debug, thiserror::Error)]
 pub enum WireError {
     /// Fewer bytes than the header and the robot's name have.
@@ -69,9 +69,9 @@ pub enum WireError {
     /// Another packet than should be there.
     #[error("the packet is of kind {found}, expected was {expected}")]
     Kind {
-        /// What it says.
+        /// Value in the datagram.
         found: u8,
-        /// What it should say.
+        /// Expected value.
         expected: u8,
     },
     /// The robot's name can be no name.
@@ -88,7 +88,7 @@ pub enum WireError {
         /// Ranges that it has.
         found: usize,
     },
-    /// What cannot be said of a goal.
+    /// The goal's fields contradict one another.
     #[error("the packet says of a goal what makes no sense")]
     Goal,
     /// A part of an image that cannot be one.
@@ -110,17 +110,17 @@ pub enum WireError {
 pub struct PositionPacket {
     /// Number of the packet, from 0.
     pub sequence: u32,
-    /// When it was emitted, on the robot's clock.
+    /// Time of emission, on the robot's clock.
     pub emitted: Timestamp,
     /// A number that nobody can guess who did not receive the packet.
     pub nonce: u64,
     /// The next waypoint of the robot's walk, from 0.
     pub waypoint: u32,
-    /// Where it shall go in place of its walk.
+    /// Goal that takes the place of its walk.
     pub goal: Option<Position>,
-    /// Who emits it.
+    /// The robot.
     pub robot: NodeId,
-    /// Where it is.
+    /// Pose of the robot.
     pub pose: Pose,
 }
 
@@ -171,24 +171,24 @@ impl PositionPacket {
 pub struct NavigationPacket {
     /// Number of the position packet that it answers.
     pub sequence: u32,
-    /// When that one was emitted, as it said.
+    /// Time of emission of the position packet, copied from it.
     pub emitted: Timestamp,
     /// The nonce of that one.
     pub nonce: u64,
     /// The next waypoint from here on; the walk's length at its end.
     pub waypoint: u32,
-    /// How to move.
+    /// Velocity for the robot.
     pub velocity: Twist,
-    /// How far the robot is on the way to its goal, if it has one.
+    /// Progress on the way to the goal, if there is one.
     pub headway: Option<Headway>,
 }
 
-/// How far a robot is on the way to its goal.
+/// Progress of a robot on the way to its goal.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Headway {
-    /// So many metres are left.
+    /// Metres that are left.
     Left(f64),
-    /// It is there.
+    /// The robot has arrived.
     Arrived,
     /// No way leads there, and why; of the reason, 255 bytes at most are sent.
     Blocked(String),
@@ -250,12 +250,12 @@ impl NavigationPacket {
     }
 }
 
-/// What answers a robot.
+/// Packet that answers a robot.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Answer {
-    /// How to move.
+    /// Answer to a position packet.
     Navigation(NavigationPacket),
-    /// Where it was.
+    /// Answer to a scan.
     Pose(PosePacket),
 }
 

@@ -1,5 +1,5 @@
-//! From what stands in a testbed file to a testbed: names become references, figures become conditions. What is
-//! wrong with one thing by itself is found here; what is wrong between them, in [`super::check`].
+//! Builds a testbed from its records: names become references, figures become conditions. Mistakes within one record
+//! are reported here, those between records in [`super::check`].
 
 mod builder;
 mod flows;

@@ -1,5 +1,5 @@
-//! What is wrong between the parts of a testbed, each of which may be right by itself: names taken twice, nodes out
-//! of reach, KPIs that no placement keeps, walks through walls.
+//! Checks between the records of a testbed: duplicate names, unreachable nodes, KPIs that no placement keeps, walks
+//! through walls.
 
 mod kpis;
 mod machines;
@@ -88,7 +88,7 @@ fn radio_units(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
 
 /// Robots in one place of ROS have topics of their own.
 fn ros(record: &TestbedRecord, graph: &HardwareGraph, sink: &mut Sink) {
-    /// Where nodes of ROS hear each other.
+    /// Network in which ROS nodes discover each other.
     #[derive(PartialEq, Eq, Hash)]
     enum Place<'a> {
         Master(&'a RosMaster),

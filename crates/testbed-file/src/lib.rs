@@ -1,5 +1,7 @@
-//! The testbed file: what people write to describe a testbed. Read as a whole and checked as a whole, so that what
-//! this module lets pass can run, and so that one look shows all that is wrong with what it does not.
+//! Reads testbed files: YAML with references to maps and traces.
+//!
+//! A file is read and checked as a whole. A testbed that passes can run; otherwise [`Diagnostics`] lists all mistakes, each with
+//! its place and a correct alternative. [`schema`] returns the JSON Schema. Both come from the declarations in `records.rs`.
 #![forbid(unsafe_code)]
 
 mod build;
@@ -24,15 +26,15 @@ pub use self::{
 /// Reads a testbed file, and the map and traces that it names.
 ///
 /// # Errors
-/// Everything that is wrong with it, each in its place.
+/// All mistakes, each with its place.
 pub fn load(path: impl AsRef<Path>) -> Result<Testbed, Diagnostics> {
     load_with(path, &[])
 }
 
-/// The same with settings.
+/// Reads a testbed file with settings from outside.
 ///
 /// # Errors
-/// Everything that is wrong with it, each in its place.
+/// All mistakes, each with its place.
 pub fn load_with(path: impl AsRef<Path>, settings: &[Setting]) -> Result<Testbed, Diagnostics> {
     let path = path.as_ref();
     let name = path.display().to_string();
@@ -42,7 +44,7 @@ pub fn load_with(path: impl AsRef<Path>, settings: &[Setting]) -> Result<Testbed
     parse_with(&name, &text, path.parent().unwrap_or(Path::new("")), settings)
 }
 
-/// The text of a testbed file, which may also come through a pipe.
+/// Reads the text of a testbed file, which may be a pipe.
 ///
 /// # Errors
 /// When it cannot be read, is not UTF-8, or has more than 32 MiB.
@@ -50,18 +52,18 @@ pub fn read(path: &Path) -> io::Result<String> {
     file::read_text_or_pipe(path)
 }
 
-/// Reads a testbed file's text; `base_dir` is where the paths in it begin.
+/// Parses a testbed file's text. Relative paths in it start at `base_dir`.
 ///
 /// # Errors
-/// Everything that is wrong with it, each in its place.
+/// All mistakes, each with its place.
 pub fn parse(source_name: &str, text: &str, base_dir: &Path) -> Result<Testbed, Diagnostics> {
     parse_with(source_name, text, base_dir, &[])
 }
 
-/// Reads a testbed file's text as if it said what the settings do.
+/// Parses a testbed file's text with settings from outside.
 ///
 /// # Errors
-/// Everything that is wrong with it, each in its place; a setting's is its line in [`annotated`].
+/// All mistakes, each with its place. A setting's place is its line in [`annotated`].
 pub fn parse_with(
     source_name: &str,
     text: &str,
@@ -87,8 +89,8 @@ pub fn parse_with(
     }
 }
 
-/// What a testbed file's text says of how long samples are kept, whether or not all else in it still holds; `None` if
-/// that cannot be read.
+/// Reads the retention settings of a testbed file, even if other parts of it are no longer valid. Returns `None` if
+/// they cannot be read.
 pub fn retentions(text: &str) -> Option<Retentions> {
     let mut sink = Sink::default();
     let record = records::TestbedRecord::decode(&yaml::parse(text, &mut sink)?, &mut sink)?;
@@ -96,12 +98,12 @@ pub fn retentions(text: &str) -> Option<Retentions> {
     sink.is_empty().then_some(found)
 }
 
-/// A testbed file's text with the settings as comments behind it, for the record.
+/// Returns a testbed file's text with the settings appended as comments, for the record.
 pub fn annotated(text: &str, settings: &[Setting]) -> String {
     setting::annotate(text, settings).0
 }
 
-/// The JSON Schema (2020-12) of a testbed file, from the declarations that also read it.
+/// Returns the JSON Schema (2020-12) of a testbed file.
 pub fn schema() -> Json {
     let mut schema = records::TestbedRecord::schema();
     schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
@@ -126,7 +128,7 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
     }
 
-    /// Why a value is not what a schema asks for; the keywords that the schema uses, but for patterns.
+    /// Returns how a value violates a schema. Knows the keywords that the schema uses, except patterns.
     fn violation(value: &Json, schema: &Json, path: &str) -> Option<String> {
         if let Some(any) = schema.get("anyOf").or_else(|| schema.get("oneOf")).and_then(Json::as_array) {
             let fitting = any.iter().filter(|s| violation(value, s, path).is_none()).count();
@@ -392,7 +394,7 @@ mod tests {
             }
         }
 
-        /// A setting changes the shipped file, or is told about, in its place.
+        /// A setting changes the shipped file, or is rejected with its place.
         #[test]
         fn no_setting_panics(path in "(links|plugins|nodes|walks|plugin|wireless|\\PC{1,5})(\\.[a-zA-Z0-9*-]{1,9}){0,4}", value in "\\PC{0,12}") {
             let text = std::fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
@@ -404,7 +406,7 @@ mod tests {
             }
         }
 
-        /// A file that was cut, or in which something was written over, is accepted or told about, in its place.
+        /// A truncated or overwritten file is accepted, or rejected with a place.
         #[test]
         fn no_spoilt_file_panics(at in 0_usize..5000, cut in 0_usize..40, put in "\\PC{0,8}") {
             let text = std::fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();

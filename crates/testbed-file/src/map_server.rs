@@ -15,7 +15,7 @@ use crate::{
 };
 
 record! {
-    /// How to read a map's picture.
+    /// Description of a map: its picture, and how to read it.
     MapRecord {
         /// Path of the PGM file, from this file's folder.
         image: Spanned<String>,
@@ -29,7 +29,7 @@ record! {
         occupied_thresh: Spanned<Amount> = 0.65,
         /// Brighter than the rest of this share is free.
         free_thresh: Spanned<Amount> = 0.196,
-        /// How values between the thresholds are read: as unknown.
+        /// Reading of values between the thresholds: as unknown.
         mode: Mode = "trinary",
     }
 }
@@ -167,7 +167,7 @@ struct Picture {
     values: Vec<u16>,
 }
 
-/// Why a picture is none.
+/// Error of a PGM picture.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 enum InvalidPicture {
     #[error("it is no PGM picture: it begins with neither P2 nor P5")]

@@ -1,4 +1,4 @@
-//! What stands in a testbed file, key by key. The documentation here is what the JSON Schema and an editor show.
+//! Records of a testbed file, key by key. The JSON Schema, and so editors, show the documentation here.
 
 use std::time::Duration;
 
@@ -16,13 +16,13 @@ use crate::yaml::{
 record! {
     /// A testbed: a hardware graph, the services on it, and what moves and decides in it.
     TestbedRecord {
-        /// Its name; names the folder of a run.
+        /// Name, also of a run's folder.
         name: Spanned<String>,
         /// One sentence on it.
         description: String = "",
         /// Seed of everything random; a run with the same seed is the same run.
         seed: u64 = 1,
-        /// Who emulates the links of a run in real time.
+        /// Emulator of the links in real time.
         emulation: Emulation = "fabric",
         /// Administrative domains. Without them there is one, `local`.
         domains: Vec<Spanned<DomainId>> = [],
@@ -37,19 +37,19 @@ record! {
         links: Vec<LinkRecord> = [],
         /// Services that robots use, by name.
         services: Table<ServiceId, ServiceRecord> = {},
-        /// Where each robot goes.
+        /// Walks of robots.
         walks: Table<NodeId, WalkRecord> = {},
         /// Plug-ins that run with the testbed: a bundled one's name, or a mapping.
         plugins: Vec<Spanned<Either<String, PluginRecord>>> = [],
         /// The WLAN Access Information Service (ETSI GS MEC 028).
         wais: WaisRecord = {},
-        /// Where conditions of links come from beside what stands at them.
+        /// Replayed conditions of links, in place of those at the links.
         conditions: ReplayRecord = {},
-        /// What happens to links by itself, over time or where a robot is.
+        /// Changes of links over time, or where a robot is.
         schedule: Vec<ScheduledRecord> = [],
-        /// How links are probed, or `none`.
+        /// Probing of links, or `none`.
         probes: Either<ProbesWord, ProbesRecord> = {},
-        /// How its history is kept.
+        /// Settings of its history.
         history: HistoryRecord = {},
     }
 }
@@ -60,7 +60,7 @@ impl TestbedRecord {
         self.link_entries().map(|(_, place)| place)
     }
 
-    /// For each link of the graph, in order: the index of its entry under `links`, and its place in the file.
+    /// Returns, for each link of the graph in order, the index of its entry under `links` and its place in the file.
     pub(crate) fn link_entries(&self) -> impl Iterator<Item = (usize, &Span)> {
         self.links.iter().enumerate().flat_map(|(entry, link)| {
             let ends = link.ends.value.iter().map(|end| match end {
@@ -74,7 +74,7 @@ impl TestbedRecord {
 }
 
 record! {
-    /// Where conditions of links come from beside what stands at them.
+    /// Replayed conditions of links.
     ReplayRecord {
         /// A recorded run whose conditions links of the same names get, over time: the folder of a run or of an export,
         /// from this file's folder.
@@ -85,21 +85,21 @@ record! {
 record! {
     /// A change of links that happens by itself, `at` a time or `when` a robot is somewhere.
     ScheduledRecord {
-        /// How long after the run began.
+        /// Time since the run began.
         at: Option<Spanned<Duration>>,
-        /// Where a robot is to be.
+        /// Place of a robot.
         when: Option<Spanned<WhenRecord>>,
         /// The links, by name; that of a wireless one is `ROBOT~RADIO_UNIT`.
         links: Spanned<Either<Spanned<LinkId>, Vec<Spanned<LinkId>>>>,
         /// One direction. Without it: both.
         direction: Option<Direction>,
-        /// What they do from then on; what is left out stays as it is.
+        /// New conditions; those left out stay as they are.
         set: Spanned<ConditionsRecord>,
     }
 }
 
 record! {
-    /// Where a robot is to be. The change happens each time that it comes there.
+    /// Place of a robot. The change happens each time the robot enters it.
     WhenRecord {
         /// The robot.
         robot: Spanned<NodeId>,
@@ -115,25 +115,25 @@ pub(crate) enum ProbesWord {
 }
 
 record! {
-    /// How links are probed by STAMP (RFC 8762): wired ones, and each robot's present one.
+    /// Probing by STAMP (RFC 8762) of wired links, and of each robot's present wireless link.
     ProbesRecord {
         /// Time from one probe of a link to the next; longer where probes would take more than 1 % of its rate.
         interval: Spanned<Duration> = "500 ms",
-        /// How far back delay, jitter and loss look.
+        /// Time over which delay, jitter and loss are averaged.
         window: Spanned<Duration> = "10 s",
     }
 }
 
 record! {
-    /// How a history is kept.
+    /// Settings of a history.
     HistoryRecord {
-        /// How long samples are kept as they were recorded, by embedding. Without it: for ever.
+        /// Retention of samples, by embedding. Without it: for ever.
         retention: RetentionsRecord = {},
     }
 }
 
 record! {
-    /// How long samples of each embedding are kept as they were recorded. All other events are kept for ever.
+    /// Retention of samples of each embedding. All other events are kept for ever.
     RetentionsRecord {
         /// Contexts of robots: poses, velocities, signals.
         robots: Option<RetentionRecord>,
@@ -147,33 +147,33 @@ record! {
 }
 
 record! {
-    /// How long samples are kept as they were recorded, and what is left of them afterwards.
+    /// Retention of samples, and of the points that they are rolled up to.
     RetentionRecord {
-        /// How long as they were recorded.
+        /// Time for which samples are kept as recorded.
         raw: Duration,
         /// Then the samples of so much time become one point: count, least, greatest, mean and last. It divides a minute.
         step: Spanned<Duration> = "1 s",
-        /// How long these points are kept, counted from when they were samples. Without it: for ever.
+        /// Time for which these points are kept, counted from when they were samples. Without it: for ever.
         keep: Option<Duration>,
     }
 }
 
 record! {
-    /// What the radio units of one SSID, and the robots that join it, have in common.
+    /// Wireless network: the radio units of one SSID, and the robots that join it.
     WirelessRecord {
         /// Physical layer.
         standard: WifiStandard = "n",
         /// One-way delay of a small frame on an idle channel, its airtime included.
         delay: Duration = "1 ms",
-        /// What one station gets at most, whatever its signal. Without it the signal alone decides.
+        /// Highest rate of one station, whatever its signal. Without it, the signal alone decides.
         rate: Option<BitRate>,
         /// Fast transition (IEEE 802.11r) in one mobility domain: a handover leaves the key handshakes out.
         fast_transition: bool = true,
         /// Mobility domain of its radio units.
         mobility_domain: u16 = 1,
-        /// How the signal falls with distance.
+        /// Path loss over distance.
         path_loss: PathLossRecord = { "model": "log_distance", "exponent": 3.0 },
-        /// How the signal varies around that.
+        /// Variation of the signal around the path loss.
         shadowing: ShadowingRecord = {},
         /// Noise floor of a receiver: thermal noise over 20 MHz (-101 dBm) and a noise figure of 6 dB.
         noise_floor: Dbm = "-95 dBm",
@@ -181,15 +181,15 @@ record! {
         hysteresis: Decibels = "4 dB",
         /// ... for so long.
         time_to_trigger: Duration = "100 ms",
-        /// How long the phases of a handover take.
+        /// Durations of a handover's phases.
         handover: HandoverRecord = {},
-        /// What happens to frames of a station that is off its channel.
+        /// Treatment of frames for a station that is off its channel.
         gap: GapPolicy = "hold",
     }
 }
 
 tagged! {
-    /// How the signal falls with distance.
+    /// Path loss over distance.
     PathLossRecord by model {
         "free_space" => FreeSpace(FreeSpaceRecord),
         "log_distance" => LogDistance(LogDistanceRecord),
@@ -231,7 +231,7 @@ record! {
 }
 
 record! {
-    /// How long the phases of a handover take.
+    /// Durations of a handover's phases.
     HandoverRecord {
         /// Scanning all channels, off one's own.
         scan: Duration = "100 ms",
@@ -275,23 +275,23 @@ record! {
     RobotRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
-        /// Where it starts. Without it: at the first waypoint of its walk.
+        /// Position at the start. Without it: the first waypoint of its walk.
         position: Option<Spanned<Position>>,
-        /// Where it faces at the start, counter-clockwise from the x axis. Without it: to its second waypoint.
+        /// Heading at the start, counter-clockwise from the x axis. Without it: to its second waypoint.
         heading: Option<Angle>,
-        /// Its base and sensors.
+        /// Model of its base and lidar.
         model: RobotModel = "turtlebot2",
         /// SSID of the wireless network that it joins. Without it: the only one.
         network: Option<Spanned<String>>,
         /// Transmission power of its radio.
         tx_power: Dbm = "15 dBm",
-        /// Who decides when it changes its radio unit.
+        /// Roaming policy: the component that decides when it changes its radio unit.
         roaming: Roaming = "instructed",
-        /// What moves it: the simulation, or the driver of a robot that is reached over ROS. A word, or a mapping.
+        /// Driver: the simulation, or a robot that is reached over ROS. A word, or a mapping.
         driver: Spanned<Either<DriverWord, DriverRecord>> = "simulated",
-        /// How a simulated robot is offered to others. A word, or a mapping.
+        /// ROS interface of a simulated robot. A word, or a mapping.
         offer: Option<Spanned<Either<OfferWord, OfferRecord>>>,
-        /// What is read of it beside its contexts, by name.
+        /// Sensors by name, beside those of its contexts.
         sensors: Table<SensorId, SensorRecord> = {},
         /// CPUs for VNFs.
         cpus: Amount = 2,
@@ -315,7 +315,7 @@ tagged! {
 record! {
     /// Pose and velocity by its wheels, or what takes their place.
     OdometryRecord {
-        /// How often it is read.
+        /// Rate of readings.
         rate: Spanned<Frequency> = "10 Hz",
     }
 }
@@ -323,11 +323,11 @@ record! {
 record! {
     /// Charge and voltage of the battery of a simulated TurtleBot 2, or of a robot in ROS.
     BatteryRecord {
-        /// How often it is read.
+        /// Rate of readings.
         rate: Spanned<Frequency> = "1 Hz",
         /// A simulated one's charge when the run begins. Without it: 100 %.
         charge: Option<Spanned<Probability>>,
-        /// Of a robot in ROS: the topic of its `sensor_msgs/BatteryState`. Without it: `battery_state`.
+        /// Topic of its `sensor_msgs/BatteryState`, for a robot in ROS. Without it: `battery_state`.
         topic: Option<Spanned<String>>,
     }
 }
@@ -335,9 +335,9 @@ record! {
 record! {
     /// Angular velocity and acceleration.
     ImuRecord {
-        /// How often it is read.
+        /// Rate of readings.
         rate: Spanned<Frequency> = "50 Hz",
-        /// Of a robot in ROS: the topic of its `sensor_msgs/Imu`. Without it: `imu`.
+        /// Topic of its `sensor_msgs/Imu`, for a robot in ROS. Without it: `imu`.
         topic: Option<Spanned<String>>,
     }
 }
@@ -345,9 +345,9 @@ record! {
 record! {
     /// Scans of the robot's lidar, which can be read then.
     LidarRecord {
-        /// How often it is read.
+        /// Rate of readings.
         rate: Spanned<Frequency> = "10 Hz",
-        /// How much of its readings a run keeps; the oldest go first.
+        /// Size of the readings that a run keeps; the oldest go first.
         keep: Bytes = "64 MB",
     }
 }
@@ -355,22 +355,22 @@ record! {
 record! {
     /// Images of a camera that looks ahead.
     CameraRecord {
-        /// How often it is read.
+        /// Rate of images.
         rate: Spanned<Frequency> = "15 Hz",
         /// Columns of an image. Without it: 320. A robot in ROS says this and the next three by its messages.
         width: Option<Spanned<u16>>,
         /// Rows of an image. Without it: 240.
         height: Option<Spanned<u16>>,
-        /// What a pixel is. Without it: `mono8`.
+        /// Pixel format. Without it: `mono8`.
         format: Option<Spanned<DataFormat>>,
-        /// From the left column to the right one. Without it: `60 deg`.
+        /// Angle from the left column to the right one. Without it: `60 deg`.
         field_of_view: Option<Spanned<Angle>>,
         /// The VNF to which a simulated robot's images go, over the network. Without it, they stay on the robot.
         to: Option<Spanned<VnfId>>,
-        /// Of a robot in ROS: the topic of its images, `sensor_msgs/CompressedImage` if the name ends in `/compressed`,
+        /// Topic of its images, for a robot in ROS: `sensor_msgs/CompressedImage` if the name ends in `/compressed`,
         /// else `sensor_msgs/Image`. Without it: `camera/image_raw`.
         topic: Option<Spanned<String>>,
-        /// How much of its images a run keeps; the oldest go first.
+        /// Size of the images that a run keeps; the oldest go first.
         keep: Bytes = "64 MB",
     }
 }
@@ -378,13 +378,13 @@ record! {
 record! {
     /// Numbers that plug-ins or programs report by the instruction `report`, or a robot in ROS on a topic.
     VectorRecord {
-        /// How many numbers a reading has.
+        /// Number of components.
         size: Spanned<u8>,
-        /// How often it is read at most: of several reports in between, the last counts.
+        /// Highest rate of readings. Of several reports in between, the last counts.
         rate: Spanned<Frequency> = "10 Hz",
         /// Their unit, as you call it.
         unit: Spanned<String> = "",
-        /// Of a robot in ROS: a topic with `std_msgs/Float64MultiArray`. Without it, none is listened to.
+        /// Topic of `std_msgs/Float64MultiArray`, for a robot in ROS. Without it, values come from reports alone.
         topic: Option<Spanned<String>>,
     }
 }
@@ -398,7 +398,7 @@ pub(crate) enum DriverWord {
 }
 
 tagged! {
-    /// What moves a robot.
+    /// Driver of a robot.
     DriverRecord by kind {
         "simulated" => Simulated(SimulatedRecord),
         "ros1" => Ros1(Ros1Record),
@@ -419,7 +419,7 @@ pub(crate) enum OfferWord {
 }
 
 tagged! {
-    /// How a simulated robot is offered to others.
+    /// ROS interface of a simulated robot.
     OfferRecord by kind {
         "ros1" => Ros1(Ros1Record),
         "ros2" => Ros2(Ros2Record),
@@ -430,10 +430,10 @@ record! {
     /// A robot in ROS 1.
     #[derive(Default)]
     Ros1Record {
-        /// Where the master is: its address, such as `http://192.168.0.10:11311`, or a node, in which cotorra then runs
-        /// one. Without it: in the machine's network that in `ROS_MASTER_URI`, in the testbed's the robot's own node.
+        /// Address of the master, such as `http://192.168.0.10:11311`, or a node in which cotorra runs one. Without it:
+        /// that of `ROS_MASTER_URI` in the machine's network, the robot's own node in the testbed's.
         master: Option<Spanned<String>>,
-        /// In which network the robot speaks ROS. Without it: a driver in the machine's, an offer in the testbed's.
+        /// Network in which the robot speaks ROS. Without it: the machine's for a driver, the testbed's for an offer.
         network: Option<Spanned<RosNetwork>>,
         /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
         namespace: Option<Spanned<String>>,
@@ -449,15 +449,15 @@ record! {
     /// A robot in ROS 2.
     #[derive(Default)]
     Ros2Record {
-        /// What carries its messages. Without it: DDS, which all of ROS 2's middlewares but `rmw_zenoh` speak.
+        /// Middleware. Without it: DDS, which all of ROS 2's middlewares but `rmw_zenoh` speak.
         rmw: Option<Spanned<RmwWord>>,
-        /// With `rmw: zenoh`: Zenoh's endpoint of the router. Without it: `tcp/localhost:7447`.
+        /// Zenoh's endpoint of the router, with `rmw: zenoh`. Without it: `tcp/localhost:7447`.
         router: Option<Spanned<String>>,
-        /// Its domain, 0 to 232. Without it: that in `ROS_DOMAIN_ID`, or 0.
+        /// ROS domain, 0 to 232. Without it: that of `ROS_DOMAIN_ID`, or 0.
         domain: Option<Spanned<u64>>,
         /// The address of the one network interface to use, such as `192.168.0.10`. Without it: all of them.
         interface: Option<Spanned<String>>,
-        /// In which network the robot speaks ROS. Without it: a driver in the machine's, an offer in the testbed's.
+        /// Network in which the robot speaks ROS. Without it: the machine's for a driver, the testbed's for an offer.
         network: Option<Spanned<RosNetwork>>,
         /// The namespace in which its topics are, such as `/tb2`. Without it: the root.
         namespace: Option<Spanned<String>>,
@@ -469,7 +469,7 @@ record! {
     }
 }
 
-/// What carries messages in ROS 2.
+/// ROS 2 middleware.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RmwWord {
     Dds,
@@ -482,13 +482,13 @@ record! {
     RosTopicsRecord {
         /// Turns of its lidar.
         scan: Option<Spanned<String>>,
-        /// Its odometry.
+        /// Topic of its odometry.
         odom: Option<Spanned<String>>,
         /// Velocities for it.
         cmd_vel: Option<Spanned<String>>,
-        /// Its coordinate frames.
+        /// Topic of its coordinate frames.
         tf: Option<Spanned<String>>,
-        /// Where it is on the map.
+        /// Topic of its pose on the map.
         amcl_pose: Option<Spanned<String>>,
         /// The map.
         map: Option<Spanned<String>>,
@@ -500,7 +500,7 @@ record! {
     RadioUnitRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
-        /// Where it is.
+        /// Position.
         position: Position,
         /// SSID that it serves. Without it: the only one.
         network: Option<Spanned<String>>,
@@ -510,7 +510,7 @@ record! {
         tx_power: Dbm = "15 dBm",
         /// Whether it serves its network from the start. One that does not is off until a vAP is deployed on it.
         serving: bool = true,
-        /// How long a vAP takes to be deployed on it, from the start to its first beacon.
+        /// Deployment time of a vAP, from the start to its first beacon.
         deployment: Duration = "400 ms",
         /// CPUs for VNFs.
         cpus: Amount = 1,
@@ -524,7 +524,7 @@ record! {
     SwitchRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
-        /// Where it is, for pictures.
+        /// Position, for pictures.
         position: Option<Position>,
     }
 }
@@ -534,9 +534,9 @@ record! {
     ServerRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
-        /// Where it is, for pictures.
+        /// Position, for pictures.
         position: Option<Position>,
-        /// How far from the robots it is.
+        /// Distance from the robots.
         tier: Tier,
         /// CPUs for VNFs.
         cpus: Amount,
@@ -555,12 +555,12 @@ record! {
     MachineRecord {
         /// Domain that runs it. Without one: the first.
         domain: Option<Spanned<DomainId>>,
-        /// Where it is, for pictures.
+        /// Position, for pictures.
         position: Option<Position>,
         /// The interface of this machine through which it is reached, as `ip link` names it. Without one: it is this
         /// machine.
         interface: Option<Spanned<String>>,
-        /// Its address or network, such as `192.168.1.7`. Without one: all that is reached through the interface and is no
+        /// Address or network, such as `192.168.1.7`. Without one: everything reached through the interface that is no
         /// other node's.
         address: Option<Spanned<IpNetwork>>,
         /// Whether a reflector of STAMP (RFC 8762, port 862) is at its address, such as `cotorra stamp reflect`: a run then
@@ -572,27 +572,27 @@ record! {
 record! {
     /// A wired link, or several alike: an end may be a list, and then each there is linked to each at the other end.
     LinkRecord {
-        /// Its two ends, `[A, B]`; forward is from A to B. `[A, [B, C]]` are two links.
+        /// The two ends, `[A, B]`; forward is from A to B. `[A, [B, C]]` are two links.
         ends: Spanned<Vec<Either<Spanned<NodeId>, Vec<Spanned<NodeId>>>>>,
-        /// Its name. Without one: `A-B`.
+        /// Name. Without one: `A-B`.
         id: Option<Spanned<LinkId>>,
-        /// What the medium itself can carry.
+        /// Rate of the medium itself.
         medium: BitRate = "10 Gbit/s",
         /// Between real machines: how long the medium itself takes, one way, before anything is emulated on it. Without it:
         /// what a run measures, if there is a `reflector`, or none.
         medium_delay: Option<Spanned<Duration>>,
         /// Probability that it works at any time.
         reliability: Spanned<Probability> = "100 %",
-        /// What is different from the first end to the second.
+        /// Differing conditions from the first end to the second.
         forward: Option<ConditionsRecord>,
-        /// What is different from the second end to the first.
+        /// Differing conditions from the second end to the first.
         backward: Option<ConditionsRecord>,
         ..conditions: ConditionsRecord,
     }
 }
 
 record! {
-    /// How a link treats packets.
+    /// Conditions of a link.
     ConditionsRecord {
         /// Time from the last bit sent to the last bit received, one way. Without it: none.
         delay: Option<Duration>,
@@ -606,11 +606,11 @@ record! {
         corruption: Option<Probability>,
         /// Share of packets that skip the delay, and so overtake those before them.
         reordering: Option<Spanned<Probability>>,
-        /// How fast packets are serialised, Ethernet header included. Without it: at the medium's rate.
+        /// Serialisation rate, Ethernet header included. Without it: the medium's rate.
         rate: Option<Spanned<Rate>>,
-        /// In place of a rate: path of a packet-delivery trace in Mahimahi's format, from this file's folder.
+        /// Path of a packet-delivery trace in Mahimahi's format, from this file's folder. Takes the place of a rate.
         trace: Option<Spanned<String>>,
-        /// How much waits before a packet is dropped at the tail, in packets or bytes. Without it: 1000 packets.
+        /// Length of the drop-tail queue, in packets or bytes. Without it: 1000 packets.
         queue: Option<QueueLimit>,
         /// ψ: emulation multiplies the delay by it. Without it: 1. It is no part of what the link itself gives.
         delay_scale: Option<Amount>,
@@ -624,7 +624,7 @@ record! {
     JitterRecord {
         /// Half-width of a uniform, standard deviation of the other distributions.
         deviation: Duration,
-        /// Its shape.
+        /// Shape of the distribution.
         distribution: JitterDistribution = "normal",
     }
 }
@@ -644,11 +644,11 @@ record! {
     ServiceRecord {
         /// The robot that it serves.
         robot: Spanned<NodeId>,
-        /// What it must keep.
+        /// KPIs that it must keep.
         kpis: KpisRecord,
-        /// Where requests of the robot go, if a bundled VNF has several instances. Without it: `one`.
+        /// Destination of the robot's requests, if a bundled VNF has several instances. Without it: `one`.
         requests: Option<Spanned<Requests>>,
-        /// Its VNFs by name, in the order in which packets visit them.
+        /// VNFs by name, in the order in which packets visit them.
         vnfs: Table<VnfId, VnfRecord>,
         /// Links between its VNFs.
         virtual_links: Vec<VirtualLinkRecord> = [],
@@ -656,7 +656,7 @@ record! {
 }
 
 record! {
-    /// What a service must keep.
+    /// KPIs that a service must keep.
     KpisRecord {
         /// Target of the service time: from the emission of a position packet to the reception of the navigation
         /// packet that answers it. Of a service that localizes, from a scan to the pose; of one with a `flow`, from its
@@ -666,7 +666,7 @@ record! {
         flow: Option<Spanned<FlowRecord>>,
         /// Probability that all nodes and links in use work.
         reliability: Option<Spanned<Probability>>,
-        /// Where it must be offered: corners of a polygon.
+        /// Area of the service: corners of a polygon.
         area: Option<Spanned<Vec<Position>>>,
         /// The radio technology that it needs.
         radio: Option<Spanned<WifiStandard>>,
@@ -700,7 +700,7 @@ record! {
 }
 
 record! {
-    /// What a client says on a connection before the server says something, and the first byte of that.
+    /// A client's bytes on a connection until the server's next first byte.
     FlowTcpRecord {
         /// The server's port.
         port: Spanned<u16>,
@@ -775,12 +775,12 @@ record! {
 }
 
 record! {
-    /// Where a flow is.
+    /// Node at which a flow is measured, and limits.
     FlowWhereRecord {
         /// The node of the client. Without it: the service's robot.
         from: Option<Spanned<NodeId>>,
-        /// A request without an answer after so long is lost. Without it: 1 s, or twice the target if that is longer; of UDP
-        /// and topics without `id`, twice the target.
+        /// Time after which a request without an answer is lost. Without it: 1 s, or twice the target if that is longer. For UDP
+        /// and topics without `id`: twice the target.
         timeout: Option<Spanned<Duration>>,
     }
 }
@@ -788,9 +788,9 @@ record! {
 record! {
     /// Bytes of a datagram's payload, or of a message.
     FlowIdRecord {
-        /// Where they begin, from 0.
+        /// Index of the first byte, from 0.
         offset: u8,
-        /// How many they are, 16 at most.
+        /// Number of bytes, 16 at most.
         length: u8,
     }
 }
@@ -813,9 +813,9 @@ record! {
         trusted: Spanned<bool> = false,
         /// The one node that can carry it.
         pinned_to: Option<Spanned<NodeId>>,
-        /// Where it runs at the start: a node, or a list of nodes with an instance on each.
+        /// Node at the start, or a list of nodes with an instance on each.
         node: Option<Spanned<Either<Spanned<NodeId>, Vec<Spanned<NodeId>>>>>,
-        /// How many instances it has at the start, 1 to 16. Without it: as many as `node` names.
+        /// Number of instances at the start, 1 to 16. Without it: as many as `node` names.
         replicas: Option<Spanned<u8>>,
         /// CPUs that it takes of its node, each instance.
         cpus: Amount = 1,
@@ -835,17 +835,17 @@ pub(crate) enum ProgramWord {
 record! {
     /// A link between two VNFs of a service.
     VirtualLinkRecord {
-        /// From this VNF ...
+        /// VNF at one end.
         from: Spanned<VnfId>,
-        /// ... to this one.
+        /// VNF at the other end.
         to: Spanned<VnfId>,
-        /// What it needs at most.
+        /// Highest rate that it needs.
         rate: BitRate,
     }
 }
 
 record! {
-    /// Where a robot goes.
+    /// Walk of a robot.
     WalkRecord {
         /// The waypoints, in order. The robot starts at the first.
         waypoints: Spanned<Vec<Spanned<Position>>>,
@@ -853,7 +853,7 @@ record! {
         and_back: bool = false,
         /// Speed that it does not exceed.
         speed_limit: Spanned<Speed> = "0.3 m/s",
-        /// How often the robot emits a position packet.
+        /// Interval of the robot's position packets.
         position_interval: Spanned<Duration> = "200 ms",
     }
 }
@@ -861,7 +861,7 @@ record! {
 record! {
     /// A plug-in: a bundled one, or any program that uses the HTTP API.
     PluginRecord {
-        /// Its name in this testbed. Without one: the bundled plug-in's.
+        /// Name in this testbed. Without one: the bundled plug-in's.
         id: Option<Spanned<PluginId>>,
         /// Name of a bundled plug-in, which runs in process.
         bundled: Option<Spanned<String>>,
@@ -873,7 +873,7 @@ record! {
         env: Vec<Spanned<String>> = [],
         /// Whether it runs by itself. One that does not runs where the setting `plugin=…` chooses it.
         enabled: bool = true,
-        /// Its own settings.
+        /// Settings of the plug-in.
         settings: serde_json::Map<String, serde_json::Value> = {},
     }
 }
@@ -883,21 +883,21 @@ record! {
     WaisRecord {
         /// Networks that notifications may be sent to beside this machine's loopback addresses, such as `10.1.0.0/16`.
         callbacks: Vec<IpNetwork> = [],
-        /// Where the map's origin is on Earth. Without it, no location is told.
+        /// Place of the map's origin on Earth. Without it, no locations are exposed.
         origin: Option<OriginRecord>,
     }
 }
 
 record! {
-    /// Where the map's origin is on Earth (WGS 84).
+    /// Place of the map's origin on Earth (WGS 84).
     OriginRecord {
         /// Degrees to the north.
         latitude: Spanned<f64>,
         /// Degrees to the east.
         longitude: Spanned<f64>,
-        /// Where the map's y axis points, clockwise from north.
+        /// Direction of the map's y axis, clockwise from north.
         bearing: Angle = "0 deg",
-        /// Of the map's floor, metres above the ellipsoid. Without it, no altitude is reported.
+        /// Altitude of the map's floor, metres above the ellipsoid. Without it, no altitude is reported.
         altitude: Option<Spanned<f64>>,
     }
 }

@@ -10,19 +10,21 @@ use crate::yaml::{
     decode::{Entry, Node, Value, nearest, there_are},
 };
 
-/// What is to be otherwise than a testbed file says, written `path=value`.
+/// Override of one key of a testbed file, written `path=value`.
 ///
-/// A path leads from key to key, as in `wireless.corridor.rate`. In a list it names an item by its place from 0, a
-/// link by its name, a plug-in by its id; `*` stands for any part of a name, as in `links.*-cloud.delay_scale`. A value
-/// is YAML. The path `plugin` is short for all plug-ins: its value is the one that runs, be it declared in the file,
-/// enabled or not, or bundled.
+/// A path leads from key to key, as in `wireless.corridor.rate`. In a list it names an item by its index from 0, a link
+/// by its name, a plug-in by its id. `*` stands for any part of a name, as in `links.*-cloud.delay_scale`. The value is
+/// YAML.
+///
+/// The path `plugin` sets all plug-ins at once. Its value is the one that runs: declared in the file, enabled or not,
+/// or bundled.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Setting {
     path: String,
     value: String,
 }
 
-/// Why a text is no setting.
+/// Error of a text that is not a setting.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is no setting: write a key's path and its value, as in links.*.delay_scale=2")]
 pub struct InvalidSetting(String);
@@ -45,7 +47,7 @@ impl Setting {
         &self.path
     }
 
-    /// Its value.
+    /// Returns the value, as YAML.
     pub fn value(&self) -> &str {
         &self.value
     }
@@ -227,8 +229,8 @@ impl Change<'_> {
     }
 }
 
-/// Which names a path's first part means, that part, and the path's rest. As a name may have dots, the longest that
-/// fits is meant; failing that, the part up to the first dot as a pattern.
+/// Splits a path at its first part, and returns the names that this part matches. Names may have dots, so the longest
+/// name that fits wins. Otherwise the part up to the first dot is a pattern.
 fn choose<'a>(names: &[String], path: &'a str) -> (Vec<usize>, &'a str, &'a str) {
     let fits =
         |name: &str| path.strip_prefix(name).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
@@ -263,7 +265,7 @@ fn scalar(text: &str, place: &Range<usize>) -> Node {
     Node { span: place.clone(), value: Value::Scalar { text: text.to_owned(), plain: true } }
 }
 
-/// What an item of a list is called: a link by its name, a plug-in by its id.
+/// Returns the name of a list's item: a link's name, or a plug-in's id.
 fn name(item: &Node) -> Option<String> {
     let Value::Mapping(entries) = &item.value else { return item.text().map(str::to_owned) };
     let get = |key: &str| entries.iter().find(|e| e.key == key).map(|e| &e.value);
@@ -285,7 +287,7 @@ fn expand_links(links: &mut Node) {
     *items = std::mem::take(items).into_iter().flat_map(expand_link).collect();
 }
 
-/// How many links an entry stands for.
+/// Returns the number of links that an entry describes.
 fn stands_for(link: &Node) -> usize {
     let Value::Mapping(entries) = &link.value else { return 1 };
     let ends = entries.iter().find(|e| e.key == "ends").map(|e| &e.value.value);

@@ -1,10 +1,10 @@
-//! What a testbed file says when something is wrong with it: each rule has a file in `tests/bad`, and beside it what
-//! is told. `BLESS=1 cargo test -p cotorra-testbed-file --test bad` writes that anew, to be read in the diff.
+//! Error messages of testbed files: each rule has a file in `tests/bad`, with the expected message beside it. `BLESS=1
+//! cargo test -p cotorra-testbed-file --test bad` writes the messages anew, to be read in the diff.
 
 use std::{fs, path::Path};
 
 #[test]
-fn every_rule_tells_what_is_wrong_in_its_place() {
+fn mistakes_have_a_place_and_a_correction() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bad");
     let bless = std::env::var_os("BLESS").is_some();
     let mut files: Vec<_> = fs::read_dir(&folder)

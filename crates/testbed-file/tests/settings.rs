@@ -1,4 +1,4 @@
-//! What settings from outside do to a testbed file, and what is told of wrong ones.
+//! Settings from outside a testbed file, and the errors of wrong ones.
 
 use std::path::Path;
 
@@ -44,7 +44,7 @@ fn without_settings_the_file_is_as_it_is() {
 }
 
 #[test]
-fn links_are_set_all_or_by_name_one_of_a_group_too() {
+fn links_are_set_by_name_or_pattern() {
     let expected = |r1, r2, core, scale| {
         vec![("lan-R1".to_owned(), r1, 1.0), ("lan-R2".to_owned(), r2, 1.0), ("core".to_owned(), core, scale)]
     };
@@ -77,7 +77,7 @@ fn one_plugin_is_chosen_declared_or_bundled_and_has_its_settings() {
 }
 
 #[test]
-fn a_wrong_setting_is_shown_where_it_stands() {
+fn wrong_settings_are_shown_in_place() {
     for (setting, expected) in [
         ("links.*.delay=5", "17:8: `5` has no unit"),
         ("links.lan-R3.delay=5 ms", "`lan-R3` in `links` matches nothing"),

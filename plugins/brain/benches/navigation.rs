@@ -1,4 +1,4 @@
-//! What planning and control cost: `cargo bench -p cotorra-brain`.
+//! Benchmarks of planning and control: `cargo bench -p cotorra-brain`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

@@ -1,5 +1,5 @@
-//! What a cell of the map costs a robot of some size: which cells it cannot be in, how near obstacles are, and
-//! which places it can reach from which. Made once per map, so that planning and control only look things up.
+//! Costs of the map's cells for a robot of some size: cells that it cannot be in, distances to obstacles, and regions
+//! that it can reach. Computed once per map; planning and control look them up.
 
 use cotorra_graph::{Cell, OccupancyGrid, Position};
 
@@ -11,7 +11,7 @@ pub const OFF_FLOOR: u8 = 254;
 const TOUCHING: f64 = 252.0;
 /// Costs end so far from an obstacle, metres.
 const INFLATION_RADIUS: f64 = 1.0;
-/// How fast costs fall with the distance from an obstacle, 1/m.
+/// Decay of costs with the distance from an obstacle, 1/m.
 const DECAY: f64 = 3.0;
 /// Square of more cells than any map has in a row, where no obstacle is.
 const FAR: f64 = 1e12;
@@ -127,8 +127,8 @@ impl Costmap {
         (nearest.0 <= cells * cells).then_some(nearest.1)
     }
 
-    /// What it costs to drive straight from one place to another, in metres of free floor; `None` if something
-    /// blocks it. Visits each cell on the way (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", 1987).
+    /// Returns the cost of driving straight from one place to another, in metres of free floor; `None` if the way is
+    /// blocked. Visits each cell on the way (Amanatides and Woo, "A Fast Voxel Traversal Algorithm", 1987).
     pub fn straight_cost(&self, from: Position, to: Position) -> Option<f64> {
         let (start, goal) = (self.cell_at(from)?, self.cell_at(to)?);
         let place = |cell: usize| (cell % self.width, cell / self.width);
@@ -171,7 +171,7 @@ impl Costmap {
     }
 }
 
-/// How many metres of free floor one metre at this cost is worth.
+/// Converts the cost of one metre to metres of free floor.
 pub fn weight(cost: u8) -> f64 {
     1.0 + f64::from(cost) / 64.0
 }
@@ -186,7 +186,7 @@ fn cost(clearance: f64, robot_radius: f64) -> u8 {
     }
 }
 
-/// Where a line crosses from one column (or row) of cells into the next, as a share of its length.
+/// Crossings of a line from one column (or row) of cells into the next, as shares of its length.
 struct Crossings {
     next: f64,
     step: f64,
@@ -235,9 +235,9 @@ fn clearances(grid: &OccupancyGrid) -> Vec<f32> {
 
 /// The lower envelope of parabolas, which gives the distance transform along one line.
 struct Envelope {
-    /// Where the parabolas of the envelope have their feet.
+    /// Feet of the envelope's parabolas.
     feet: Vec<usize>,
-    /// From where each of them is the lowest.
+    /// Starts of the ranges in which each parabola is the lowest.
     starts: Vec<f64>,
 }
 

@@ -35,17 +35,17 @@ pub struct Brain {
 }
 
 impl Brain {
-    /// For every robot that has a walk.
+    /// Makes a brain for every robot that has a walk.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// For one robot, as a navigation VNF serves it.
+    /// Makes a brain for one robot, as a navigation VNF serves it.
     pub fn for_robot(robot: NodeId) -> Self {
         Self { only: Some(robot), ..Self::default() }
     }
 
-    /// How a robot moves from a pose to a goal, and how far it is on the way there; `None` for a robot without a walk.
+    /// Returns a robot's velocity towards a goal and its progress; `None` for a robot without a walk.
     pub(crate) fn approach(
         &mut self,
         robot: &NodeId,

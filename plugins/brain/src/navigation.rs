@@ -25,14 +25,14 @@ const OFF_PATH: f64 = 0.5;
 /// Detours begin at heights that are so far apart, metres.
 const HEIGHT_STEP: f64 = 0.25;
 
-/// How to move now.
+/// Motion of a robot for now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
-    /// How.
+    /// Its velocity.
     pub velocity: Velocity,
     /// The next waypoint; the walk's length at its end.
     pub waypoint: u32,
-    /// Why the robot stands still though its walk goes on.
+    /// Reason why the robot stands still in the middle of its walk.
     pub blocked: Option<Unreachable>,
 }
 
@@ -41,7 +41,7 @@ pub struct Step {
 pub struct Navigation {
     map: Option<Arc<Costmap>>,
     walk: Walk,
-    /// For detours; it grows with the first.
+    /// Planner of detours. It allocates memory on the first.
     planner: Planner,
     /// The way to each waypoint from the one before it; to the first there is none.
     legs: Vec<Option<Result<Path, Unreachable>>>,
@@ -68,7 +68,7 @@ impl Navigation {
         Self { map, walk, planner: Planner::default(), legs, detour: None, errand: None }
     }
 
-    /// How to move from `pose` when `waypoint` is the next one.
+    /// Returns the motion from `pose`, with `waypoint` as the next waypoint.
     pub fn step(&mut self, pose: &Pose, waypoint: u32) -> Step {
         if !pose.is_finite() {
             return Step { velocity: Velocity::default(), waypoint, blocked: Some(Unreachable::NoPose) };
@@ -84,10 +84,11 @@ impl Navigation {
         }
     }
 
-    /// How to move from `pose` to a goal, and metres that are left; `None` at the goal.
+    /// Returns the velocity from `pose` to a goal and the metres that are left; `None` at the goal.
     ///
     /// # Errors
-    /// [`Unreachable`] says why no way leads there.
+    ///
+    /// [`Unreachable`] if no way leads there.
     pub fn approach(&mut self, pose: &Pose, goal: Position) -> Result<Option<(Velocity, f64)>, Unreachable> {
         if !pose.is_finite() {
             return Err(Unreachable::NoPose);

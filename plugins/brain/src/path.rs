@@ -13,7 +13,7 @@ pub struct Path {
 pub struct Projection {
     /// The place on the path.
     pub place: Position,
-    /// How far that is from the other place, metres.
+    /// Distance from the other place, metres.
     pub distance: f64,
     /// The stretch it lies on begins at this point.
     stretch: usize,
@@ -35,7 +35,7 @@ impl Path {
         Self { points: vec![from, to] }
     }
 
-    /// Its points.
+    /// Returns the points of the path.
     #[cfg(test)]
     pub fn points(&self) -> &[Position] {
         &self.points
@@ -54,7 +54,7 @@ impl Path {
         self
     }
 
-    /// Its points, to be moved.
+    /// Returns the points of the path, to be moved.
     pub(crate) fn points_mut(&mut self) -> &mut [Position] {
         &mut self.points
     }

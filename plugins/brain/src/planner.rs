@@ -9,20 +9,20 @@ use crate::{
     path::Path,
 };
 
-/// How far a robot that stands too near an obstacle may be from floor that it can plan on, metres.
+/// Longest way of a robot that stands too near an obstacle back to floor that it can plan on, metres.
 const ESCAPE: f64 = 0.5;
 /// Distance between the points of a smoothed path, metres.
 const SPACING: f64 = 0.1;
-/// How often each point is moved when a path is smoothed.
+/// Number of smoothing passes over a path.
 const SMOOTHING_PASSES: usize = 40;
-/// How much a point is drawn back to where the search put it, each pass …
+/// Pull of a point to its place in the search, each pass.
 const KEEP: f64 = 0.1;
 /// … and towards the middle of its neighbours.
 const SMOOTH: f64 = 0.4;
 /// One metre of free floor, in the search's whole numbers per cell side.
 const STRAIGHT: f64 = 1000.0;
 
-/// Why there is no way.
+/// Reason why no path leads to a place.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Unreachable {
     /// The robot does not say where it is.
@@ -39,7 +39,7 @@ pub enum Unreachable {
     GoalTooNear {
         /// The goal.
         goal: Position,
-        /// How far the obstacle is, metres.
+        /// Distance of the obstacle, metres.
         clearance: f64,
     },
     /// Walls are between.
@@ -62,7 +62,7 @@ pub struct Planner {
     cells: Vec<usize>,
 }
 
-/// What a search knows of a cell.
+/// State of a cell in a search.
 #[derive(Debug, Clone, Copy, Default)]
 struct Visit {
     /// The search that wrote this; another's is void.

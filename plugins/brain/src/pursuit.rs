@@ -13,7 +13,7 @@ use crate::{
     path::{Path, Projection},
 };
 
-/// How far ahead in time the robot looks on the path, seconds; metres follow from the speed limit.
+/// Lookahead on the path, seconds; metres follow from the speed limit.
 const LOOKAHEAD_TIME: f64 = 1.5;
 /// Bounds of the lookahead distance, metres.
 const LOOKAHEAD: (f64, f64) = (0.3, 0.9);
@@ -27,7 +27,7 @@ const REGULATED_FLOOR: f64 = 0.25;
 const APPROACH: f64 = 1.1;
 /// Speed that an approach does not fall below, m/s.
 const APPROACH_FLOOR: f64 = 0.05;
-/// When the path leads off by more than this, the robot turns on the spot; radians.
+/// Angle to the path above which the robot turns on the spot, radians.
 const TURN_THRESHOLD: f64 = FRAC_PI_4;
 /// Rate of a turn on the spot per radian that is left, 1/s: an answer may be 0.5 s old without overshoot.
 const TURN_GAIN: f64 = 1.0;
@@ -74,7 +74,7 @@ pub fn follow(
     Velocity { linear, vertical, angular: linear * curvature }
 }
 
-/// How far ahead a robot of that speed limit, m/s, looks on its path, metres.
+/// Returns the lookahead for a speed limit in m/s, metres.
 fn lookahead(speed_limit: f64) -> f64 {
     (speed_limit * LOOKAHEAD_TIME).clamp(LOOKAHEAD.0, LOOKAHEAD.1)
 }

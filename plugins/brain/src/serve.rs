@@ -18,13 +18,13 @@ pub struct NoWalk {
     testbed: String,
 }
 
-/// Why a datagram gets no answer.
+/// Reason why a datagram gets no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum PacketError {
-    /// It is no position packet.
+    /// The datagram is not a position packet.
     #[error(transparent)]
     Malformed(#[from] WireError),
-    /// It is from another robot than the one that is served.
+    /// The packet is from another robot than the one that is served.
     #[error("it is from `{0}`, another robot than the one that is served here")]
     Stranger(NodeId),
 }
@@ -35,7 +35,7 @@ pub struct NavigationVnf {
     brain: Brain,
     actions: Actions,
     robot: NodeId,
-    /// Why the robot was told to stand still by the last answer.
+    /// Reason of a standstill in the last answer.
     standstill: Option<String>,
 }
 
@@ -95,7 +95,7 @@ impl NavigationVnf {
         Ok(())
     }
 
-    /// Why the last answer told the robot to stand still in the middle of its walk; `None` if it did not.
+    /// Returns why the last answer stopped the robot in the middle of its walk; `None` if it did not.
     pub fn standstill(&self) -> Option<&str> {
         self.standstill.as_deref()
     }

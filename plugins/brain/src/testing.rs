@@ -1,4 +1,4 @@
-//! What the unit tests share: drawn maps, and testbeds of one robot on them.
+//! Fixtures of unit tests: drawn maps, and testbeds of one robot on them.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

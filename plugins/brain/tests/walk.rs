@@ -20,7 +20,7 @@ const ACCELERATION: f64 = 0.5;
 /// rad/s².
 const TURN_ACCELERATION: f64 = 2.0;
 
-/// What a walk was like.
+/// Record of a walk.
 #[derive(Debug, PartialEq)]
 struct Course {
     seconds: f64,

@@ -1,5 +1,6 @@
-//! How far decisions are from the exact optimum, over γ: `cargo bench -p cotorra-okpi --bench gap`. Graphs are generated,
-//! and so narrow that CPUs, bandwidth, service time and reliability all bite; the optimum is a mixed integer program's.
+//! Gap between decisions and the exact optimum, over γ: `cargo bench -p cotorra-okpi --bench gap`. Graphs are
+//! generated, with scarce CPUs, bandwidth, service time and reliability. The optimum comes from a mixed integer
+//! program.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

@@ -1,4 +1,4 @@
-//! What decisions cost, and how that grows: `cargo bench -p cotorra-okpi`.
+//! Time of decisions, over the size of the graph: `cargo bench -p cotorra-okpi`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

@@ -1,18 +1,18 @@
-//! Which radio units cover a location: by a survey of their areas where there is one, else by the signal that the
-//! network's path loss gives there.
+//! Radio units that cover a location: by a survey of their areas, or by the mean signal that the network's path loss
+//! gives.
 
 use std::collections::BTreeMap;
 
 use cotorra_graph::{HardwareGraph, NodeId, Position};
 
-/// How coverage is told.
+/// Source of coverage.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Coverage {
     /// The mean signal is above a floor, and not much weaker than the strongest.
     Signal {
         /// Weakest usable signal, dBm.
         floor_dbm: f64,
-        /// How much weaker than the strongest, dB.
+        /// Highest difference to the strongest signal, dB.
         margin_db: f64,
     },
     /// The location is in the radio unit's area.
@@ -57,7 +57,7 @@ impl Coverage {
     }
 }
 
-/// How far a place is inside a polygon on the floor, whatever its height, metres; negative outside.
+/// Returns the depth of a place inside a polygon on the floor, whatever its height, metres; negative outside.
 fn depth(polygon: &[Position], place: Position) -> f64 {
     let edges = || polygon.iter().zip(polygon.iter().cycle().skip(1));
     let distance = edges().map(|(&a, &b)| distance_to(a, b, place)).fold(f64::INFINITY, f64::min);

@@ -20,22 +20,22 @@ use crate::{
 /// Service time and unreliability: a figure of each.
 type Pair<T> = [T; 2];
 
-/// How a search takes a KPI.
+/// Treatment of a KPI by a search.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kpi {
-    /// It is kept.
+    /// The KPI is kept.
     Kept,
-    /// It is exceeded as little as can be, whatever that costs.
+    /// The KPI is exceeded as little as possible, at any cost.
     Relaxed,
-    /// It does not matter.
+    /// The KPI is ignored.
     Ignored,
 }
 
 /// γ of a search for what can be reached where nothing keeps the KPIs: a level is next to nothing.
 pub(crate) const EXACTLY: f64 = 1e9;
 
-/// What labels are taken up by, in this order: levels beyond the budgets and cost, both with what must still come, the
-/// place of the radio unit, delay and unreliability.
+/// Order in which labels are explored: levels beyond the budgets and cost, both with the least that must still follow;
+/// then the index of the radio unit, delay and unreliability.
 type Rank = (u64, u64, usize, u64, u64);
 
 /// A VNF on a host, and how it came there.
@@ -44,7 +44,7 @@ struct Label {
     vnf: usize,
     node: usize,
     cost: u64,
-    /// How late the wireless link comes in the infrastructure; breaks ties of cost.
+    /// Index of the wireless link in the infrastructure; breaks ties of cost.
     preference: usize,
     levels: Pair<u64>,
     exact: Figures,
@@ -61,14 +61,14 @@ struct Way {
     /// Wireless links at its ends.
     wireless: Pair<Option<usize>>,
     wired: Wired,
-    /// What the wireless link at its beginning, its wired part and the wireless link at its end amount to.
+    /// Figures of the wireless link at the beginning, the wired part, and the wireless link at the end.
     hops: [Figures; 3],
-    /// What is free on its narrowest link, bit/s.
+    /// Free rate on the narrowest link, bit/s.
     free_bps: f64,
 }
 
 impl Way {
-    /// From a host to itself.
+    /// Makes the path from a host to itself.
     fn stay() -> Self {
         let hops = [Figures::default(); 3];
         Self { wireless: [None; 2], wired: Wired::Nothing, hops, free_bps: f64::INFINITY }
@@ -92,7 +92,7 @@ impl Wired {
     }
 }
 
-/// What all searches of a decision have in common.
+/// State that all searches of a decision share.
 pub(crate) struct Decision<'a> {
     service: &'a Service,
     infrastructure: &'a Infrastructure,
@@ -105,17 +105,17 @@ pub(crate) struct Decision<'a> {
     cost_units: f64,
     /// The wireless links that a way can begin or end with at each node; the one `None` where it is wired.
     ends: Vec<Vec<Option<usize>>>,
-    /// For each VNF, what those after it need.
+    /// For each VNF, the needs of those after it.
     after: Vec<Need>,
 }
 
-/// What VNFs need.
+/// Needs of VNFs.
 #[derive(Debug, Clone, Default)]
 struct Need {
     cpus: f64,
     memory_bytes: u64,
     rate_bps: f64,
-    /// At the least.
+    /// Lowest cost.
     cost: u64,
     /// Delay from each node, at the least, nanoseconds.
     delay_ns: Vec<u64>,
@@ -169,7 +169,7 @@ impl<'a> Decision<'a> {
         Ok(decision)
     }
 
-    /// What the VNFs after each need, from the last one back.
+    /// Computes the needs of the VNFs after each, from the last one back.
     fn needs(&self) -> Vec<Need> {
         let mut needs = vec![Need::default()];
         for (i, vnf) in self.service.vnfs.iter().enumerate().skip(1).rev() {
@@ -193,7 +193,7 @@ impl<'a> Decision<'a> {
         needs
     }
 
-    /// What a host asks for a VNF.
+    /// Returns the price of a VNF on a host.
     fn cost(&self, vnf: usize, host: usize) -> u64 {
         (self.service.vnfs[vnf].cpus * self.infrastructure.nodes[host].cost * self.cost_units).round() as u64
     }
@@ -212,7 +212,7 @@ pub(crate) struct Exploration<'d, 'a> {
     /// Labels of each VNF on each host.
     fronts: Vec<Vec<usize>>,
     queue: BinaryHeap<Reverse<(Rank, usize)>>,
-    /// What the path that is being continued sends over each link, bit/s; `None` over those that it does not use.
+    /// Rate that the continued path sends over each link, bit/s; `None` for unused links.
     used: Vec<Option<f64>>,
 }
 
@@ -326,7 +326,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         }
     }
 
-    /// What a wireless link amounts to now, and what is free on it; nothing and all where there is none.
+    /// Returns the figures of a wireless link now, and its free rate; zero and infinite without a link.
     fn over_the_air(&self, link: Option<usize>) -> (Figures, f64) {
         link.map_or((Figures::default(), f64::INFINITY), |link| {
             let figures = self.decision.paths.figures(link);
@@ -335,7 +335,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         })
     }
 
-    /// What a path amounts to, without the failure of links that are in use already.
+    /// Returns the figures of a path without the failure probability of links that are in use already.
     fn anew(&self, figures: Figures, path: impl Iterator<Item = usize>) -> Figures {
         if self.decision.service.reliability.is_none() {
             return figures;
@@ -446,7 +446,7 @@ impl<'d, 'a> Exploration<'d, 'a> {
         first.into_iter().chain(label.way.wired.links()).chain(last).collect()
     }
 
-    /// What a path takes of each link that it uses, bit/s.
+    /// Returns the rate that a path takes of each of its links, bit/s.
     fn taken_of_links(&self, label: &Label) -> Vec<(usize, f64)> {
         let mut taken: Vec<(usize, f64)> = Vec::new();
         for label in self.path(label) {

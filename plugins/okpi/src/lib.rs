@@ -39,18 +39,18 @@ pub struct Okpi {
     settings: Settings,
     now: Option<NetworkView>,
     client: Option<Client>,
-    /// What is decided for each service, in the testbed's order.
+    /// Decisions for the services, in the testbed's order.
     decisions: Vec<Decision>,
 }
 
-/// What is decided for a service.
+/// Decision for a service.
 #[derive(Debug, Default)]
 struct Decision {
-    /// Where the robot was; `None` where it is to be decided anew, wherever the robot is.
+    /// Location of the robot at the decision; `None` asks for a new decision wherever the robot is.
     at: Option<Position>,
     /// The radio unit.
     attachment: Option<NodeId>,
-    /// That the KPIs cannot be kept has been said.
+    /// Whether the warning that KPIs cannot be kept was given.
     warned: bool,
 }
 
@@ -212,7 +212,7 @@ fn paths(service: &Service, placed: &Placed) -> BTreeMap<(NodeId, NodeId), Vec<L
     paths
 }
 
-/// Why a placement is what it is, for people.
+/// Describes a placement's reason for people.
 fn reason(service: &Service, placed: &Placed, location: Position) -> String {
     let attachment = placed.attachment.iter();
     let moved = placed.placement.iter().zip(&service.vnfs).filter(|(_, vnf)| vnf.pinned_to.is_none());

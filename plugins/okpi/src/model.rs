@@ -1,5 +1,5 @@
-//! What a placement is decided on: the infrastructure as it is now, with what others have taken already left out,
-//! and the service that it is to carry. Plain figures, so that any source can fill them in.
+//! Input of a placement: the infrastructure as it is now, less the resources that others have taken, and the service.
+//! Plain figures, so that any source can fill them in.
 
 use std::time::Duration;
 
@@ -40,7 +40,7 @@ pub struct Link {
     pub ends: [usize; 2],
     /// Delay there and back.
     pub round_trip: Duration,
-    /// What is free in the fuller direction, bit/s; infinite where nothing limits it.
+    /// Free rate in the fuller direction, bit/s; infinite where nothing limits it.
     pub free_bps: f64,
     /// Probability that it works at any time; above 0.
     pub reliability: f64,
@@ -70,9 +70,9 @@ pub struct Vnf {
     pub memory_bytes: u64,
     /// Places of the nodes that can carry it; of equals, the first is taken.
     pub hosts: Vec<usize>,
-    /// What it exchanges with the VNF before it, bit/s.
+    /// Rate between it and the VNF before it, bit/s.
     pub rate_bps: f64,
-    /// How it processes packets; `None` for in no time.
+    /// Its processor; `None` if processing takes no time.
     pub processing: Option<Queue>,
 }
 

@@ -1,5 +1,6 @@
-//! What the plug-in knows of the testbed now, kept up with its events, as the infrastructure that a service sees; and
-//! what it asked for itself and waits for, so that it neither asks again nor takes its own doing for another's.
+//! The plug-in's view of the network, kept up to date by events, and the infrastructure that a service sees in it. It
+//! remembers instructions that are not done yet, so that the plug-in neither repeats them nor takes their effects for
+//! another's.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -17,7 +18,7 @@ use crate::model::{self, Infrastructure, Queue};
 /// Delay one way, and rate in bit/s.
 type Carriage = (Duration, f64);
 
-/// Whose decisions something puts in question.
+/// Services whose decisions an event puts in question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Concerned<'e> {
     Nobody,
@@ -46,7 +47,7 @@ pub(crate) struct NetworkView {
     services: Arc<[Service]>,
     /// a(n).
     placements: BTreeMap<VnfId, Nodes>,
-    /// Where VNFs were asked to go and do not serve yet.
+    /// Requested nodes of VNFs that do not serve there yet.
     moves: BTreeMap<VnfId, NodeId>,
     /// The radio units that robots were asked to attach to and are not with yet.
     handovers: BTreeMap<NodeId, NodeId>,
@@ -54,7 +55,7 @@ pub(crate) struct NetworkView {
     mappings: BTreeMap<(VnfId, VnfId), Vec<LinkId>>,
     /// The paths between nodes that were asked for, and for which service.
     paths: BTreeMap<(NodeId, NodeId), (ServiceId, Vec<LinkId>)>,
-    /// What the directions of links do.
+    /// Delays and rates of the directions of links.
     carriage: BTreeMap<(LinkId, Direction), Carriage>,
 }
 
@@ -232,7 +233,8 @@ impl NetworkView {
         self.handovers.contains_key(robot)
     }
 
-    /// What a service can use: all that no other service takes, with these radio units in the robot's reach.
+    /// Returns the infrastructure for a service: all that no other service takes, with these radio units in the robot's
+    /// reach.
     pub(crate) fn infrastructure(&self, service: &Service, units: &[NodeId]) -> Infrastructure {
         let place: BTreeMap<_, _> =
             self.graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
@@ -343,7 +345,8 @@ fn node(node: &cotorra_graph::Node) -> model::Node {
     model::Node { id: node.id.clone(), cpus, memory_bytes, cost, reliability, forwards: node.forwards() }
 }
 
-/// What a link that is scaled from the beginning does, before its first event tells: delay ψ·d, throughput λ/δ.
+/// Returns the delay and rate of a link that is scaled from the start, before its first event: delay ψ·d, throughput
+/// λ/δ.
 fn scaled((delay, rate_bps): Carriage, scale: Scale, medium_bps: f64) -> Carriage {
     let seconds = delay.as_secs_f64() * scale.delay_scale;
     let delay =
@@ -441,7 +444,7 @@ walks:
         Instruction::Attach { robot: node_id(robot), radio_unit: node_id(unit) }
     }
 
-    /// Of the two services, those whose decisions an event puts in question.
+    /// Returns those of the two services whose decisions an event puts in question.
     fn concerned(now: &mut NetworkView, event: &Event) -> Vec<String> {
         let concerned = now.learn(event);
         let services = now.services();

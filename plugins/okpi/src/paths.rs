@@ -26,7 +26,7 @@ impl Figures {
         Self { delay_ns, failure: -link.reliability.ln() }
     }
 
-    /// What is used once more takes its time again, but can fail only once.
+    /// Returns the figures of a repeated use: it takes time again, but can fail only once.
     pub(crate) fn again(self) -> Self {
         Self { failure: 0.0, ..self }
     }
@@ -36,7 +36,7 @@ impl Figures {
     }
 }
 
-/// What a path is short in.
+/// Figure by which a path is shortest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum By {
     Delay,
@@ -44,7 +44,7 @@ enum By {
 }
 
 impl By {
-    /// What is to be least, first; that of a float is in the order of its bits.
+    /// Returns the figure to minimise first. Floats are ordered by their bits.
     fn weigh(self, figures: Figures) -> (u64, u64) {
         let both = (figures.delay_ns, figures.failure.max(0.0).to_bits());
         match self {
@@ -58,7 +58,7 @@ impl By {
 #[derive(Debug, Clone, Copy)]
 struct Reached {
     figures: Figures,
-    /// What is free on its narrowest link, bit/s.
+    /// Free rate on the narrowest link, bit/s.
     free_bps: f64,
     /// The node before it and the link from there; `None` at the source.
     by: Option<(usize, usize)>,
@@ -69,7 +69,7 @@ struct Reached {
 pub(crate) struct Tree(Vec<Option<Reached>>);
 
 impl Tree {
-    /// What the shortest path to a node amounts to, and what is free on it; `None` if there is none.
+    /// Returns the figures of the shortest path to a node, and its free rate; `None` if there is none.
     pub(crate) fn to(&self, to: usize) -> Option<(Figures, f64)> {
         self.0[to].map(|reached| (reached.figures, reached.free_bps))
     }
@@ -107,7 +107,7 @@ pub(crate) struct Paths<'a> {
     figures: Vec<Figures>,
     /// Wired links of each node: the other end and the link.
     edges: Vec<Vec<(usize, usize)>>,
-    /// How many paths are tried between two hosts.
+    /// Highest number of paths between two hosts.
     at_most: usize,
     reliability_counts: bool,
     shortest: HashMap<Key, Shortest>,
@@ -126,7 +126,7 @@ impl<'a> Paths<'a> {
         Self { infrastructure, figures, edges, at_most, reliability_counts, shortest: HashMap::new() }
     }
 
-    /// What a link amounts to.
+    /// Returns the figures of a link.
     pub(crate) fn figures(&self, link: usize) -> Figures {
         self.figures[link]
     }

@@ -11,7 +11,7 @@ use crate::{
     model::{Infrastructure, Service, Vnf},
 };
 
-/// How a placement is sought.
+/// Parameters of the search for a placement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Search {
     /// γ: levels that each KPI's budget is divided into.
@@ -19,9 +19,9 @@ pub struct Search {
     /// Paths that are tried between two hosts, as far as they differ: the fastest, the one that fails least often, the
     /// fastest with room beside what the service sends already. There are no more.
     pub k_paths: NonZeroUsize,
-    /// So many labels of a VNF on a host must beat another, each with other resources taken, before it is dropped.
+    /// Number of better labels of a VNF on a host, each with other resources taken, at which a label is dropped.
     pub rivals: NonZeroUsize,
-    /// Where no placement keeps the KPIs, give the one that exceeds them least; its slack tells by how much.
+    /// Whether to return the placement that exceeds the KPIs least, where none keeps them. Its slack says by how much.
     pub relax: bool,
 }
 
@@ -33,7 +33,7 @@ impl Search {
     }
 }
 
-/// Where a service goes.
+/// Placement of a service.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Placed {
     /// a(n) for each VNF, in order: one node each.
@@ -48,7 +48,7 @@ pub struct Placed {
     pub service_time: Duration,
     /// Probability that all that it uses works.
     pub reliability: f64,
-    /// What the KPIs leave.
+    /// Margins of the KPIs.
     pub slack: Slack,
 }
 
@@ -61,7 +61,7 @@ pub struct Slack {
     pub reliability: Option<f64>,
 }
 
-/// Why a service cannot be placed.
+/// Reason why a service cannot be placed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Infeasible {
     /// γ is none.
@@ -84,7 +84,7 @@ pub enum Infeasible {
         cpus: f64,
         /// Memory that it needs.
         memory_bytes: u64,
-        /// How many nodes could carry it.
+        /// Number of nodes that could carry it.
         hosts: usize,
         /// CPUs of the one that has most free.
         most_cpus: f64,
@@ -96,13 +96,13 @@ pub enum Infeasible {
         vnf: VnfId,
         /// CPUs that it needs.
         cpus: f64,
-        /// What it exchanges with the one before it.
+        /// Rate between it and the one before it.
         mbps: f64,
     },
     /// Every placement takes too long.
     #[error("the service time is {least:?} at the least, {excess:?} above its target of {target:?}")]
     ServiceTime {
-        /// What can be reached.
+        /// Best reachable value.
         least: Duration,
         /// The KPI.
         target: Duration,
@@ -112,7 +112,7 @@ pub enum Infeasible {
     /// Every placement fails too often.
     #[error("the reliability is {most:.6} at the most, {lack:.2e} below its target of {target}")]
     Reliability {
-        /// What can be reached.
+        /// Best reachable value.
         most: f64,
         /// The KPI.
         target: f64,

@@ -287,7 +287,7 @@ fn instructed() -> (Okpi, [Instruction; 2]) {
     (okpi, asked.try_into().unwrap())
 }
 
-/// What an event makes it ask for, without mappings.
+/// Returns the instructions that an event causes, without mappings.
 fn told(okpi: &mut Okpi, event: &Event) -> Vec<Instruction> {
     let mut actions = Actions::default();
     okpi.handle(Timestamp::ZERO, event, &mut actions);

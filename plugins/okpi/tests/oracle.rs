@@ -146,8 +146,7 @@ proptest! {
     }
 }
 
-/// Where all is scarce the heuristic can miss a placement, and say that there is none: this is how often, and never the
-/// other way round.
+/// The heuristic can miss a placement where all is scarce. This counts how often; the other way round never happens.
 #[test]
 fn few_placements_are_missed_on_contested_graphs() {
     let (mut placements, mut missed) = (0, Vec::new());

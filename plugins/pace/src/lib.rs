@@ -24,12 +24,12 @@ pub struct Pace {
     robots: BTreeMap<NodeId, Known>,
 }
 
-/// What is known of a robot.
+/// State of a robot.
 #[derive(Debug, Clone, Copy, Default)]
 struct Known {
-    /// Its limit, as its last context says.
+    /// Speed limit in its last context.
     limit: Option<f64>,
-    /// When it was last told.
+    /// Time of the last instruction to it.
     told: Option<Timestamp>,
 }
 

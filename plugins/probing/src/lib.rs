@@ -31,7 +31,7 @@ pub struct Probing {
 struct Radio {
     random: Xoshiro256PlusPlus,
     next_scan: Timestamp,
-    /// It has scanned since its last context: the next one's signals are fresh.
+    /// Whether it has scanned since its last context, so that the next one's signals are fresh.
     scanned: bool,
 }
 
@@ -202,7 +202,7 @@ links:
         })
     }
 
-    /// Where the robot goes after a scan, and why.
+    /// Returns the instruction after a scan, and its reason.
     fn roams(margin: &str, attachments: &[(&str, bool, Option<f64>)]) -> Option<(NodeId, String)> {
         let mut probing = started(json!({ "margin": margin }), 1);
         let mut actions = Actions::default();

@@ -12,7 +12,7 @@ pub(crate) struct Settings {
     /// Bounds of the time from one scan to the next.
     #[serde(deserialize_with = "interval")]
     pub(crate) interval: RangeInclusive<Duration>,
-    /// How much stronger another radio unit must be, dB.
+    /// Lead of another radio unit's signal at which the robot changes, dB.
     #[serde(rename = "margin", deserialize_with = "margin")]
     pub(crate) margin_db: f64,
 }

@@ -6,7 +6,7 @@ use cotorra_graph::{Stamped, Timestamp};
 
 use super::{Client, ClientError};
 
-/// What happens in a testbed, as it happens: an iterator that blocks for the next event and ends with the run.
+/// Events of a run as they happen: an iterator that blocks until the next event, and ends with the run.
 pub struct Events {
     client: Client,
     url: String,
@@ -15,11 +15,11 @@ pub struct Events {
     missed: u64,
 }
 
-/// What a stream tells.
+/// Message of a stream.
 #[derive(Debug)]
-pub(super) enum Told {
+pub(super) enum StreamMessage {
     Event(Box<Stamped>),
-    /// That is all up to now; virtual time stands still until it is done with that.
+    /// End of the events so far. Virtual time stands still until the mark is acknowledged.
     Mark {
         number: u64,
         now: Timestamp,
@@ -39,7 +39,7 @@ impl Events {
         Self { client, url, lines: BufReader::new(Box::new(stream)), line: Vec::new(), missed: 0 }
     }
 
-    /// How many events this reader was too slow for so far.
+    /// Returns the number of events that this reader was too slow for.
     pub fn missed(&self) -> u64 {
         self.missed
     }
@@ -81,8 +81,8 @@ impl Events {
 }
 
 impl Events {
-    /// What is told next; `None` at the end of the stream.
-    pub(super) fn told(&mut self) -> Option<Result<Told, ClientError>> {
+    /// Returns the next message; `None` at the end of the stream.
+    pub(super) fn next_message(&mut self) -> Option<Result<StreamMessage, ClientError>> {
         loop {
             // A testbed that ends closes all connections: a stream that breaks off has ended, too.
             let message = self.message().ok()??;
@@ -93,12 +93,14 @@ impl Events {
                     continue;
                 }
                 "mark" => match (message.id.parse(), message.data.parse()) {
-                    (Ok(number), Ok(now)) => Ok(Told::Mark { number, now: Timestamp::from_nanos(now) }),
+                    (Ok(number), Ok(now)) => {
+                        Ok(StreamMessage::Mark { number, now: Timestamp::from_nanos(now) })
+                    }
                     _ => Err(malformed(format!("a mark `{}` at `{}`", message.id, message.data))),
                 },
-                _ => {
-                    serde_json::from_str(&message.data).map(Told::Event).map_err(|e| malformed(e.to_string()))
-                }
+                _ => serde_json::from_str(&message.data)
+                    .map(StreamMessage::Event)
+                    .map_err(|e| malformed(e.to_string())),
             });
         }
     }
@@ -109,10 +111,10 @@ impl Iterator for Events {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            return Some(match self.told()? {
-                Ok(Told::Event(event)) => Ok(*event),
+            return Some(match self.next_message()? {
+                Ok(StreamMessage::Event(event)) => Ok(*event),
                 // All events before it were asked for, and so is the next: those before were taken in.
-                Ok(Told::Mark { number, .. }) => match self.client.done(number, None) {
+                Ok(StreamMessage::Mark { number, .. }) => match self.client.done(number, None) {
                     Ok(()) => continue,
                     Err(error) if error.is_end() => return None,
                     Err(error) => Err(error),

@@ -57,7 +57,7 @@ struct Connection {
     buffers: LazyBuffers,
 }
 
-/// What is left until a timeout; an error if it is over.
+/// Returns the rest of a timeout, or an error if it has passed.
 fn left(timeout: NextTimeout) -> Result<Option<Duration>, Error> {
     if timeout.after.is_zero() {
         Err(Error::Timeout(timeout.reason))

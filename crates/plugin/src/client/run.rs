@@ -9,14 +9,14 @@ use std::{
 
 use cotorra_graph::{Stamped, Testbed, Timestamp};
 
-use super::{Client, ClientError, events::Told};
+use super::{Client, ClientError, events::StreamMessage};
 use crate::{Actions, Plugin};
 
 /// Events that wait for the plug-in; beyond these the testbed drops the oldest.
 const WAITING: usize = 1024;
 
-/// What the stream tells, as it comes.
-type Inbox = Receiver<Result<Told, ClientError>>;
+/// Messages of the stream, as they arrive.
+type Inbox = Receiver<Result<StreamMessage, ClientError>>;
 
 impl Client {
     /// Runs a plug-in until the testbed's run ends. Its time is the testbed's: in real time it starts with the first
@@ -30,10 +30,10 @@ impl Client {
         let testbed = self.testbed()?;
         let (sender, inbox) = sync_channel(WAITING);
         // Ends with the stream, or with the first event that nobody takes any more.
-        thread::spawn(move || while events.told().is_some_and(|told| sender.send(told).is_ok()) {});
+        thread::spawn(move || while events.next_message().is_some_and(|told| sender.send(told).is_ok()) {});
         let ran = match inbox.recv() {
-            Ok(Ok(Told::Event(first))) => self.run_in_real_time(plugin, &testbed, first, &inbox),
-            Ok(Ok(Told::Mark { number, now })) => {
+            Ok(Ok(StreamMessage::Event(first))) => self.run_in_real_time(plugin, &testbed, first, &inbox),
+            Ok(Ok(StreamMessage::Mark { number, now })) => {
                 self.run_in_virtual_time(plugin, &testbed, (number, now), &inbox)
             }
             Ok(Err(error)) => Err(error),
@@ -80,11 +80,11 @@ impl Client {
         let mut happened = Vec::new();
         for told in inbox {
             let (mark, now) = match told? {
-                Told::Event(event) => {
+                StreamMessage::Event(event) => {
                     happened.push(event);
                     continue;
                 }
-                Told::Mark { number, now } => (number, now),
+                StreamMessage::Mark { number, now } => (number, now),
             };
             if plugin.next_deadline().is_some_and(|deadline| deadline <= now) {
                 plugin.expire(now, &mut actions);
@@ -111,7 +111,7 @@ impl Client {
     }
 }
 
-/// What the plug-in is called for next.
+/// Next call of the plug-in.
 enum Next {
     Event(Box<Stamped>),
     Deadline,
@@ -127,9 +127,9 @@ fn wait(inbox: &Inbox, deadline: Option<Timestamp>, clock: &Clock) -> Result<Nex
             Some(left) => inbox.recv_timeout(left),
         };
         return match received {
-            Ok(Ok(Told::Event(event))) => Ok(Next::Event(event)),
+            Ok(Ok(StreamMessage::Event(event))) => Ok(Next::Event(event)),
             // Real time waits for nobody, and has none.
-            Ok(Ok(Told::Mark { .. })) => continue,
+            Ok(Ok(StreamMessage::Mark { .. })) => continue,
             Ok(Err(error)) => Err(error),
             Err(RecvTimeoutError::Timeout) => Ok(Next::Deadline),
             Err(RecvTimeoutError::Disconnected) => Ok(Next::End),

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::*;
 use crate::Actions;
 
-/// What a server was asked.
+/// Request that a server received.
 #[derive(Debug)]
 struct Request {
     /// Method and path with query.

@@ -32,7 +32,7 @@ impl Rig {
         self.runs.announce(api(port), &format!("/runs/{port}")).unwrap()
     }
 
-    /// What is left of a process that was killed.
+    /// Leaves the entry of a killed process.
     fn dead(&self, port: u16) {
         let mut killed = self.announce(port);
         (killed._entry, killed.listener) = (None, None);

@@ -29,23 +29,23 @@ pub const LARGEST_IMAGE: usize = 64 << 20;
 /// A part of an image.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImagePacket<'a> {
-    /// Whose image it is.
+    /// The robot.
     pub robot: NodeId,
-    /// Which of its cameras took it.
+    /// Its camera.
     pub sensor: SensorId,
     /// Number of the sensor's reading; the lowest 32 bits of it.
     pub sequence: u32,
-    /// When the image was taken.
+    /// Time of the image.
     pub measured: Timestamp,
-    /// How the image is written.
+    /// Encoding of the image.
     pub format: DataFormat,
-    /// Its columns.
+    /// Columns of the image.
     pub width: u16,
-    /// Its rows.
+    /// Rows of the image.
     pub height: u16,
     /// Bytes of the whole image.
     pub length: u32,
-    /// Where these begin in the image.
+    /// Offset of this fragment's bytes in the image.
     pub offset: u32,
     /// The fragment's bytes.
     pub bytes: &'a [u8],

@@ -13,7 +13,7 @@ use cotorra_graph::{NodeId, Pose, PoseSource, Timestamp};
 
 use super::{Header, Kind, WireError, write_header};
 
-/// With so many beams and a name of 63 letters, a scan fits into one Ethernet frame.
+/// Most beams of a scan. With these and a name of 63 letters, a scan fits into one Ethernet frame.
 pub const MAX_BEAMS: usize = 480;
 
 /// No answer of a localization VNF yet.
@@ -25,23 +25,23 @@ const MILLIMETRES: f32 = 1e3;
 pub struct ScanPacket {
     /// Number of the packet, from 0.
     pub sequence: u32,
-    /// When it was emitted, on the robot's clock.
+    /// Time of emission, on the robot's clock.
     pub emitted: Timestamp,
     /// A number that nobody can guess who did not receive the packet.
     pub nonce: u64,
-    /// Who emits it.
+    /// The robot.
     pub robot: NodeId,
-    /// Where odometry says that it is, in whatever frame it began: x, y (metres), heading (radians).
+    /// Pose by odometry, in the frame of its start: x, y (metres), heading (radians).
     pub odometry: [f64; 3],
-    /// How far it went from the first beam to the last, in its own frame.
+    /// Motion from the first beam to the last, in the robot's own frame.
     pub sweep: [f32; 3],
-    /// Where it believes to be on the map.
+    /// The robot's present estimate on the map.
     pub believed: Pose,
     /// The number of the scan whose answer that is from; `None` if it is from none.
     pub since: Option<u32>,
     /// Direction of the first beam, radians from the robot's heading, counter-clockwise.
     pub first_angle: f32,
-    /// From each beam to the next.
+    /// Angle between beams.
     pub angle_step: f32,
     /// Millimetres; 0 where a beam hit nothing that can be used. [`MAX_BEAMS`] at most.
     pub ranges: Vec<u16>,
@@ -125,11 +125,11 @@ impl ScanPacket {
 pub struct PosePacket {
     /// Number of the scan that it answers.
     pub sequence: u32,
-    /// When that one was emitted, as it said.
+    /// Time of emission of the scan, copied from it.
     pub emitted: Timestamp,
     /// The nonce of that one.
     pub nonce: u64,
-    /// Where the robot was.
+    /// Estimated pose of the robot.
     pub pose: Pose,
 }
 
@@ -170,7 +170,7 @@ fn put_pose(buffer: &mut Vec<u8>, pose: &Pose) {
     put(buffer, &UPPER.map(|entry| pose.covariance[entry]));
 }
 
-/// What is left to read.
+/// Bytes that are left to read.
 struct Fields<'a> {
     rest: &'a [u8],
     whole: usize,

@@ -10,7 +10,7 @@ use crate::{
     yaml::decode::Spanned,
 };
 
-/// How long the answer to a request can take at least before it is lost, where it is plain to which request it belongs.
+/// Shortest timeout of an answer, where answers can be told from one another.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 impl Builder<'_> {

@@ -202,7 +202,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Where a robot starts.
+    /// Returns a robot's start.
     fn start(&mut self, robot: &Spanned<NodeId>, at: Option<&Spanned<Position>>) -> Option<Position> {
         let walk = self.record.walks.0.iter().find(|(id, _)| id.value == robot.value);
         let first = walk.and_then(|(_, w)| w.waypoints.value.first()).map(|w| w.value);

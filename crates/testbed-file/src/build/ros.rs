@@ -1,4 +1,4 @@
-//! What stands in a testbed file about robots in ROS: where their master or domain is, and what their topics are called.
+//! Robots in ROS: their master or domain, and the names of their topics.
 
 use std::{collections::BTreeMap, net::IpAddr};
 
@@ -16,23 +16,23 @@ use crate::{
     },
 };
 
-/// What a robot says that is in ROS, or the usual.
-enum Said<'a> {
+/// Settings of a robot in ROS, or their defaults.
+enum RosSettings<'a> {
     Ros1(&'a Ros1Record),
     Ros2(&'a Ros2Record),
 }
 
-impl Said<'_> {
+impl RosSettings<'_> {
     fn clock(&self) -> Option<&Spanned<bool>> {
         match self {
-            Said::Ros1(ros1) => ros1.clock.as_ref(),
-            Said::Ros2(ros2) => ros2.clock.as_ref(),
+            RosSettings::Ros1(ros1) => ros1.clock.as_ref(),
+            RosSettings::Ros2(ros2) => ros2.clock.as_ref(),
         }
     }
 }
 
-/// What moves a robot, and how it is offered. `host` finds a node that has a network namespace, or reports that there
-/// is none of that name.
+/// Builds the driver of a robot, and the ROS interface of a simulated one. `host` looks up a node with a network
+/// namespace, and reports an unknown name.
 pub(super) fn driver(
     record: &RobotRecord,
     robot: &NodeId,
@@ -42,20 +42,20 @@ pub(super) fn driver(
     let (ros1, ros2) = (Ros1Record::default(), Ros2Record::default());
     let driven = match &record.driver.value {
         Either::Short(DriverWord::Simulated) | Either::Long(DriverRecord::Simulated(_)) => None,
-        Either::Short(DriverWord::Ros1) => Some(Said::Ros1(&ros1)),
-        Either::Short(DriverWord::Ros2) => Some(Said::Ros2(&ros2)),
-        Either::Long(DriverRecord::Ros1(ros1)) => Some(Said::Ros1(ros1)),
-        Either::Long(DriverRecord::Ros2(ros2)) => Some(Said::Ros2(ros2)),
+        Either::Short(DriverWord::Ros1) => Some(RosSettings::Ros1(&ros1)),
+        Either::Short(DriverWord::Ros2) => Some(RosSettings::Ros2(&ros2)),
+        Either::Long(DriverRecord::Ros1(ros1)) => Some(RosSettings::Ros1(ros1)),
+        Either::Long(DriverRecord::Ros2(ros2)) => Some(RosSettings::Ros2(ros2)),
     };
     let offered = record.offer.as_ref().map(|offer| match &offer.value {
-        Either::Short(OfferWord::Ros1) => (Said::Ros1(&ros1), &offer.span),
-        Either::Short(OfferWord::Ros2) => (Said::Ros2(&ros2), &offer.span),
-        Either::Long(OfferRecord::Ros1(ros1)) => (Said::Ros1(ros1), &offer.span),
-        Either::Long(OfferRecord::Ros2(ros2)) => (Said::Ros2(ros2), &offer.span),
+        Either::Short(OfferWord::Ros1) => (RosSettings::Ros1(&ros1), &offer.span),
+        Either::Short(OfferWord::Ros2) => (RosSettings::Ros2(&ros2), &offer.span),
+        Either::Long(OfferRecord::Ros1(ros1)) => (RosSettings::Ros1(ros1), &offer.span),
+        Either::Long(OfferRecord::Ros2(ros2)) => (RosSettings::Ros2(ros2), &offer.span),
     });
-    let mut place = |said: Said<'_>, usual: RosNetwork| match said {
-        Said::Ros1(ros1) => build(ros1, usual, robot, host, sink).map(Ros::Ros1),
-        Said::Ros2(ros2) => build_ros2(ros2, usual, sink).map(Ros::Ros2),
+    let mut place = |given: RosSettings<'_>, usual: RosNetwork| match given {
+        RosSettings::Ros1(ros1) => build(ros1, usual, robot, host, sink).map(Ros::Ros1),
+        RosSettings::Ros2(ros2) => build_ros2(ros2, usual, sink).map(Ros::Ros2),
     };
     match (driven, offered) {
         (Some(driven), None) => {
@@ -66,12 +66,12 @@ pub(super) fn driver(
             }
             Some(match place(driven, RosNetwork::Machine)? {
                 Ros::Ros1(mut ros1) => {
-                    ros1.topics.sensors = sensors::topics(record, |said| name(said, "topic", sink));
+                    ros1.topics.sensors = sensors::topics(record, |given| name(given, "topic", sink));
                     Driver::Ros1(ros1)
                 }
                 Ros::Ros2(mut ros2) => {
                     let ros2_name =
-                        |said: &_| (!is_doubled(said, sink)).then(|| name(said, "topic", sink))?;
+                        |given: &_| (!is_doubled(given, sink)).then(|| name(given, "topic", sink))?;
                     ros2.topics.sensors = sensors::topics(record, ros2_name);
                     Driver::Ros2(ros2)
                 }
@@ -84,7 +84,7 @@ pub(super) fn driver(
         }
         (None, None) => Some(Driver::default()),
         (None, Some((offered, _))) => {
-            let clock = offered.clock().is_some_and(|said| said.value);
+            let clock = offered.clock().is_some_and(|given| given.value);
             let ros = place(offered, RosNetwork::Testbed)?;
             Some(Driver::Simulated { offer: Some(Offer { ros, clock }) })
         }
@@ -110,10 +110,10 @@ const LAST_DOMAIN: u16 = 232;
 fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Box<Ros2>> {
     let domain = match &record.domain {
         None => Some(None),
-        Some(said) => {
-            let domain = u16::try_from(said.value).ok().filter(|domain| *domain <= LAST_DOMAIN);
+        Some(given) => {
+            let domain = u16::try_from(given.value).ok().filter(|domain| *domain <= LAST_DOMAIN);
             if domain.is_none() {
-                sink.error(&said.span, format!("{} is no domain of ROS 2's", said.value))
+                sink.error(&given.span, format!("{} is no domain of ROS 2's", given.value))
                     .help(format!("write a number from 0 to {LAST_DOMAIN}"));
             }
             domain.map(Some)
@@ -122,7 +122,7 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
     let rmw = rmw(record, usual, sink);
     let RosTopicsRecord { scan, odom, cmd_vel, tf, amcl_pose, map } = &record.topics;
     let names = [&record.namespace, scan, odom, cmd_vel, tf, amcl_pose, map];
-    let doubled = names.into_iter().flatten().filter(|said| is_doubled(said, sink)).count();
+    let doubled = names.into_iter().flatten().filter(|given| is_doubled(given, sink)).count();
     let namespace = namespace(record.namespace.as_ref(), sink);
     let topics = topics(&record.topics, sink);
     let ros2 = Ros2 { rmw: rmw?, domain: domain?, namespace: namespace?, topics: topics? };
@@ -130,10 +130,10 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
 }
 
 /// Whether a name has what ROS 2's have not, two `_` behind each other; reports that.
-fn is_doubled(said: &Spanned<String>, sink: &mut Sink) -> bool {
-    let doubled = said.value.contains("__");
+fn is_doubled(given: &Spanned<String>, sink: &mut Sink) -> bool {
+    let doubled = given.value.contains("__");
     if doubled {
-        sink.error(&said.span, format!("`{}` is no name in ROS 2", said.value))
+        sink.error(&given.span, format!("`{}` is no name in ROS 2", given.value))
             .help("write no two `_` behind each other");
     }
     doubled
@@ -144,7 +144,7 @@ const ROUTER: &str = "tcp/localhost:7447";
 
 fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
     let network = record.network.as_ref().map_or(usual, |network| network.value);
-    let zenoh = record.rmw.as_ref().filter(|said| said.value == RmwWord::Zenoh);
+    let zenoh = record.rmw.as_ref().filter(|given| given.value == RmwWord::Zenoh);
     match (zenoh, &record.router, &record.interface) {
         (None, Some(router), _) => {
             sink.error(&router.span, "DDS has no router").help("leave it out, or write `rmw: zenoh`");
@@ -172,10 +172,10 @@ fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
             named.map(|_| Rmw::Zenoh { router: router.value.clone() })
         }
         (None, None, None) => Some(Rmw::Dds { network, interface: None }),
-        (None, None, Some(said)) => {
-            let address = said.value.parse().ok();
+        (None, None, Some(given)) => {
+            let address = given.value.parse().ok();
             if address.is_none() {
-                sink.error(&said.span, format!("`{}` is no address", said.value))
+                sink.error(&given.span, format!("`{}` is no address", given.value))
                     .help("write the address of one of this machine's interfaces, such as `192.168.0.10`");
             }
             address.map(|address| Rmw::Dds { network, interface: Some(address) })
@@ -183,9 +183,9 @@ fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
     }
 }
 
-fn namespace(said: Option<&Spanned<String>>, sink: &mut Sink) -> Option<String> {
-    said.map_or(Some("/".to_owned()), |said| {
-        name(said, "namespace", sink).map(|name| format!("/{}", name.trim_matches('/')))
+fn namespace(given: Option<&Spanned<String>>, sink: &mut Sink) -> Option<String> {
+    given.map_or(Some("/".to_owned()), |given| {
+        name(given, "namespace", sink).map(|name| format!("/{}", name.trim_matches('/')))
     })
 }
 
@@ -197,16 +197,16 @@ fn master(
     sink: &mut Sink,
 ) -> Option<RosMaster> {
     let network = record.network.as_ref().map(|network| network.value);
-    let Some(said) = &record.master else {
+    let Some(given) = &record.master else {
         return Some(match network.unwrap_or(usual) {
             RosNetwork::Machine => RosMaster::Machine { uri: None },
             RosNetwork::Testbed => RosMaster::Node { node: robot.clone() },
         });
     };
-    if said.value.contains("://") {
-        let uri = said.value.clone();
+    if given.value.contains("://") {
+        let uri = given.value.clone();
         if !is_address(&uri) {
-            sink.error(&said.span, format!("`{uri}` is no address of a ROS 1 master"))
+            sink.error(&given.span, format!("`{uri}` is no address of a ROS 1 master"))
                 .help("write one such as `http://192.168.0.10:11311`");
             return None;
         }
@@ -215,12 +215,12 @@ fn master(
             RosNetwork::Testbed => RosMaster::Testbed { uri },
         });
     }
-    let Ok(node) = NodeId::new(&said.value) else {
-        sink.error(&said.span, format!("`{}` is neither an address nor a node", said.value))
+    let Ok(node) = NodeId::new(&given.value) else {
+        sink.error(&given.span, format!("`{}` is neither an address nor a node", given.value))
             .help("write an address such as `http://192.168.0.10:11311`, or the name of a node");
         return None;
     };
-    let node = host(&Spanned { value: node, span: said.span.clone() }, sink)?;
+    let node = host(&Spanned { value: node, span: given.span.clone() }, sink)?;
     if let (Some(RosNetwork::Machine), Some(network)) = (network, &record.network) {
         sink.error(&network.span, "a master in a node is not reached from the machine's network")
             .help("leave out `network`, or write the master's address in this machine's network");
@@ -243,9 +243,9 @@ fn is_address(uri: &str) -> bool {
 }
 
 fn topics(record: &RosTopicsRecord, sink: &mut Sink) -> Option<RosTopics> {
-    let mut topic = |said: &Option<Spanned<String>>, usual: String| match said {
+    let mut topic = |given: &Option<Spanned<String>>, usual: String| match given {
         None => Some(usual),
-        Some(said) => name(said, "topic", sink),
+        Some(given) => name(given, "topic", sink),
     };
     let RosTopics { scan, odom, cmd_vel, tf, amcl_pose, map, .. } = RosTopics::default();
     // All are read before any that failed ends it, so that each one's mistakes show.
@@ -259,18 +259,18 @@ fn topics(record: &RosTopicsRecord, sink: &mut Sink) -> Option<RosTopics> {
 }
 
 /// A name of ROS's, for which ROS 1 and 2 have the same characters. Private names, `~…`, would be of cotorra's node.
-fn name(said: &Spanned<String>, what: &str, sink: &mut Sink) -> Option<String> {
-    let parts = said.value.strip_prefix('/').unwrap_or(&said.value).split('/');
+fn name(given: &Spanned<String>, what: &str, sink: &mut Sink) -> Option<String> {
+    let parts = given.value.strip_prefix('/').unwrap_or(&given.value).split('/');
     let is_part = |part: &str| {
         part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
             && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
     };
-    let root = what == "namespace" && said.value == "/";
+    let root = what == "namespace" && given.value == "/";
     if !root && !parts.clone().all(is_part) {
-        sink.error(&said.span, format!("`{}` is no {what} of ROS's", said.value)).help(
+        sink.error(&given.span, format!("`{}` is no {what} of ROS's", given.value)).help(
             "use letters, digits and `_` between slashes, each part beginning with a letter, such as `/tb2/scan`",
         );
         return None;
     }
-    Some(said.value.clone())
+    Some(given.value.clone())
 }

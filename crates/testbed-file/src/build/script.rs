@@ -1,4 +1,4 @@
-//! What is to happen to links by itself: each entry of a schedule, and the run whose conditions are played.
+//! Scripted conditions of links: each entry of a schedule, and the run whose conditions are replayed.
 
 use cotorra_graph::{
     BitRate, ConditionChange, Jitter, JitterDistribution, Link, LinkId, Rate, Scheduled, Script, When,
@@ -74,7 +74,7 @@ fn scheduled(
     })
 }
 
-/// Of a wireless link the network's own rate decides, and the testbed says so when it looks at the script.
+/// Stands in for the medium of a wireless link. The run checks such entries against the network's own rate.
 const UNBOUNDED: BitRate = BitRate::from_bits_per_second(u64::MAX).expect("it is above zero");
 
 fn enters(builder: &mut Builder<'_>, record: &WhenRecord) -> Option<When> {

@@ -158,7 +158,7 @@ fn camera(record: &CameraRecord, sink: &mut Sink) -> Camera {
     }
 }
 
-/// From one reading to the next; `None` if there can be no such rate, which the sink then knows.
+/// Returns the time between readings. Reports a rate that cannot be.
 fn interval(Frequency(rate): Frequency, most: f64, span: &Span, sink: &mut Sink) -> Option<Duration> {
     if (RATES.0..=most).contains(&rate) {
         return Some(Duration::from_nanos((1e9 / rate).round() as u64));

@@ -57,7 +57,7 @@ impl Builder<'_> {
         })
     }
 
-    /// What a VNF runs, the node that it is pinned to, and the nodes where it starts.
+    /// Builds the program of a VNF, the node that it is pinned to, and the nodes where it starts.
     fn vnf(&mut self, span: &Span, record: &VnfRecord) -> Option<(Program, Option<NodeId>, Nodes)> {
         let program = match (&record.program, &record.command) {
             (Some(word), None) => match word.value {
@@ -132,7 +132,7 @@ impl Builder<'_> {
             .ok()
     }
 
-    /// What a command may do on this machine.
+    /// Builds the rights of a command on this machine.
     fn rights(&mut self, record: &VnfRecord, is_command: bool) -> Option<Rights> {
         let VnfRecord { capabilities, readable, trusted, .. } = record;
         let given = [

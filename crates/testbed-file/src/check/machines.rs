@@ -1,5 +1,5 @@
-//! What is wrong with the real machines of a testbed, and with the links between them: what is emulated and what is real
-//! are two networks, and no packet passes from one to the other.
+//! Checks of real machines and the links between them. The emulated and the real network are separate: no packet passes
+//! from one to the other.
 
 use std::collections::{HashMap, HashSet};
 

@@ -60,7 +60,7 @@ pub(super) fn vnfs(record: &TestbedRecord, testbed: &Testbed, sink: &mut Sink) {
     }
 }
 
-/// Where each node of a VNF stands in the file.
+/// Returns the places of a VNF's nodes in the file.
 fn starts<'a>(id: &'a Spanned<VnfId>, record: &'a VnfRecord) -> Vec<&'a Span> {
     match (&record.pinned_to, record.node.as_ref().map(|node| &node.value)) {
         (Some(pinned), _) => vec![&pinned.span],
@@ -121,7 +121,7 @@ fn driver(record: &ServiceRecord, service: &Service, testbed: &Testbed, sink: &m
     }
 }
 
-/// What answers a robot is in a service with the robot's driver.
+/// Checks that a VNF which answers a robot is in a service with the robot's driver.
 fn driven(what: &str, place: &Span, service: &Service, sink: &mut Sink) {
     if !service.vnfs.iter().any(|vnf| vnf.program == Program::RobotDriver) {
         sink.error(place, format!("{what} without a robot driver")).help(format!(

@@ -1,4 +1,4 @@
-//! From a tree to values: every type that stands in a file says here how it is read and what its JSON Schema is.
+//! Decodes trees to values. Each type of a file declares here how it is read, and its JSON Schema.
 
 use serde_json::{Value as Json, json};
 
@@ -8,13 +8,13 @@ use cotorra_graph::{DomainId, IpNetwork, LinkId, NodeId, PluginId, Position, Sen
 
 /// A type that stands in a file.
 pub(crate) trait Decode: Sized {
-    /// Its JSON Schema.
+    /// Returns the JSON Schema.
     fn schema() -> Json;
 
     /// Reads it; `None` when it is wrong, which the sink then knows.
     fn decode(node: &Node, sink: &mut Sink) -> Option<Self>;
 
-    /// What it is when its key is not there; `None` if the key must be.
+    /// Returns the value of an absent key; `None` if the key is required.
     fn absent() -> Option<Self> {
         None
     }
@@ -31,10 +31,10 @@ pub(crate) struct Field {
 
 /// A mapping with known keys; [`record!`] makes them.
 pub(crate) trait Record: Sized {
-    /// What it is.
+    /// Documentation of the record.
     const DOC: &'static str;
 
-    /// Its keys.
+    /// Returns the record's keys.
     fn fields() -> Vec<Field>;
 
     /// Takes its keys out of a mapping.
@@ -167,7 +167,7 @@ pub(crate) fn nearest<'a>(word: &str, candidates: impl Iterator<Item = &'a str>)
         .map(|(_, c)| c)
 }
 
-/// Which there are: a help where the choice is closed.
+/// Returns a help text that lists all choices.
 pub(crate) fn there_are<S: AsRef<str>>(all: &[S]) -> String {
     format!("there {} {}", if all.len() == 1 { "is only" } else { "are" }, words(all))
 }
@@ -309,7 +309,7 @@ macro_rules! choice {
 
 pub(crate) use {choice, record, tagged};
 
-/// Which of the words a value is.
+/// Decodes one of several words. Reports any other value.
 pub(crate) fn choose(
     node: &Node,
     what: &str,
@@ -405,9 +405,9 @@ impl<Short: Decode, Long: Decode> Decode for Either<Short, Long> {
 
 /// A name that a key gives to a value.
 pub(crate) trait Name: Sized {
-    /// Its JSON Schema.
+    /// Returns the JSON Schema.
     fn schema() -> Json;
-    /// What makes a name one.
+    /// Returns the rule of such names, for people.
     fn rule() -> String;
     /// Reads it.
     fn read(text: &str) -> Option<Self>;

@@ -1,4 +1,4 @@
-//! What is wrong with a file: plain data that a terminal, an editor or a test renders as it likes.
+//! Mistakes in a file, as plain data that a terminal, an editor or a test renders.
 
 use std::{collections::BTreeSet, fmt, ops::Range};
 
@@ -7,17 +7,17 @@ use super::Span;
 /// One mistake.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnostic {
-    /// What is wrong.
+    /// Description of the mistake.
     pub message: String,
-    /// What to say at the place itself; may be empty.
+    /// Note at the place itself; may be empty.
     pub label: String,
-    /// What would be right.
+    /// A correct alternative.
     pub help: Option<String>,
-    /// Where, in bytes of the source; on character boundaries.
+    /// Place in bytes of the source, on character boundaries.
     pub span: Range<usize>,
-    /// Its line, from 1.
+    /// Line, from 1.
     pub line: usize,
-    /// Its column in characters, from 1.
+    /// Column in characters, from 1.
     pub column: usize,
 }
 
@@ -29,7 +29,7 @@ const MAX_LINE: usize = 1000;
 pub struct Diagnostics {
     /// The file's name, as it was asked for.
     pub source_name: String,
-    /// What the file says; empty if it could not be read.
+    /// Text of the file; empty if it could not be read.
     pub source_text: String,
     /// The mistakes.
     pub list: Vec<Diagnostic>,
@@ -72,7 +72,7 @@ impl fmt::Display for Diagnostics {
     }
 }
 
-/// Where decoders and checks leave what is wrong.
+/// Collects mistakes from decoders and checks.
 #[derive(Debug, Default)]
 pub(crate) struct Sink {
     found: Vec<Diagnostic>,
@@ -100,10 +100,11 @@ impl Sink {
         self.found.is_empty()
     }
 
-    /// What was found, in the file's order and each mistake once: an alias shows the same place several times.
+    /// Returns all mistakes in the file's order, each once: an alias shows the same place several times.
     ///
     /// # Panics
-    /// When nothing was found.
+    ///
+    /// Panics if there are none.
     pub fn finish(self, source_name: &str, source_text: &str) -> Diagnostics {
         assert!(!self.found.is_empty(), "diagnostics are of something");
         let lines: Vec<usize> =

@@ -26,7 +26,7 @@ pub(crate) struct Metres(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Speed(pub f64);
 
-/// How often something happens, in Hz, 0 or more.
+/// A frequency in Hz, 0 or more.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Frequency(pub f64);
 
@@ -34,7 +34,7 @@ pub(crate) struct Frequency(pub f64);
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Angle(pub f64);
 
-/// What figures of one kind have in common.
+/// Kind of figure: its units and bounds.
 struct Kind {
     what: &'static str,
     example: &'static str,

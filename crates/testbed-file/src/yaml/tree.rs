@@ -17,13 +17,13 @@ pub(crate) type Span = Range<usize>;
 /// A value and where it stands.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Node {
-    /// Where to point when it is wrong: the value itself, or of a collection its key or its first line.
+    /// Place for error messages: the value itself; of a collection, its key or first line.
     pub span: Span,
-    /// What it is.
+    /// The value.
     pub value: Value,
 }
 
-/// What a value is.
+/// Value of a node.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
     /// Text; `plain` if without quotes, so that it may be a number, a truth value or nothing at all.
@@ -64,7 +64,7 @@ impl Node {
         matches!(&self.value, Value::Scalar { text, plain: true } if matches!(text.as_str(), "" | "~" | "null"))
     }
 
-    /// What it is, for a message.
+    /// Describes the value for a message.
     pub fn describe(&self) -> String {
         match &self.value {
             _ if self.is_null() => "nothing".to_owned(),
@@ -173,7 +173,7 @@ pub(crate) fn parse(text: &str, sink: &mut Sink) -> Option<Node> {
     root
 }
 
-/// From the scanner's places, counted in characters, to bytes.
+/// Converts the scanner's places, counted in characters, to bytes.
 struct Places {
     /// The byte at which each character begins; `None` where that is the same.
     bytes: Option<Vec<u32>>,
@@ -208,7 +208,7 @@ struct Open {
     anchor: usize,
     start: usize,
     value: Value,
-    /// In a mapping: the key whose value comes next, and where that key stands.
+    /// The key of a mapping whose value comes next, and its place.
     key: Option<(String, Span)>,
     /// The keys so far.
     keys: HashSet<String>,

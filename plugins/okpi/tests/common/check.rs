@@ -1,11 +1,11 @@
-//! What a placement must keep, checked by other code than that which made it.
+//! Constraints of a placement, checked by other code than that which makes it.
 
 use std::time::Duration;
 
 use cotorra_graph::{LinkId, NodeId};
 use cotorra_okpi::{Chain, Infrastructure, Placed};
 
-/// What a placement takes, worked out from its names alone.
+/// Resources of a placement, computed from its names alone.
 #[derive(Debug, Clone)]
 pub struct Used {
     pub hosts: Vec<usize>,
@@ -43,7 +43,7 @@ impl Used {
             .sum()
     }
 
-    /// What it violates, of all that a placement must keep.
+    /// Returns the first constraint that it violates.
     pub fn violation(&self, service: &Chain, infrastructure: &Infrastructure) -> Option<&'static str> {
         for (i, node) in infrastructure.nodes.iter().enumerate() {
             let here =
