@@ -98,7 +98,7 @@ mod tests {
 
         /// ψ from 1 on is never refused, and 1 adds what was asked for to the nanosecond.
         #[test]
-        fn from_1_on_the_medium_is_slower(own in NS, asked in NS, psi in 1.0..100.0) {
+        fn scales_from_1_on_are_accepted(own in NS, asked in NS, psi in 1.0..100.0) {
             let medium = medium(own);
             let asked = Duration::from_nanos(asked);
             prop_assert!(medium.offered_delay(asked, psi).unwrap() >= medium.delay);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_medium_of_2_ms_is_offered_at_three_times_that() {
+    fn medium_of_2_ms_is_scaled_by_three() {
         let medium = medium(2_000_000);
         let ms = Duration::from_millis;
         assert_eq!(medium.offered_delay(ms(0), 3.0), Ok(ms(6)));

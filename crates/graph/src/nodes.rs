@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn no_node_too_many_and_one_twice_are_refused() {
+    fn too_many_and_duplicate_nodes_are_rejected() {
         let refused = |json: &str| read(json).unwrap_err();
         assert_eq!(refused("[]"), "a VNF has 1 to 16 instances, and these are 0 nodes");
         let many: Vec<_> = (0..17).map(|n| format!("n{n}")).collect();

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_stays_a_choice_of_whole_objects() {
+    fn choices_stay_choices_of_whole_objects() {
         let id =
             json!({ "type": "object", "required": ["id"], "properties": { "id": { "type": "string" } } });
         let (node, schemas) = merged(json!({ "allOf": [{ "$ref": "#/components/schemas/Kind" }, id] }));
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_that_may_be_left_out_adds_its_properties_or_none() {
+    fn optional_fields_add_their_properties_or_none() {
         let (point, _) = merged(json!({ "allOf": [
             { "oneOf": [{ "$ref": "#/components/schemas/Place" }, { "type": "null" }] },
             { "type": "object", "required": ["gap"], "properties": { "gap": { "type": "boolean" } } },

@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn losses_stay_as_they_were() {
+    fn path_losses_match_the_golden_table() {
         let corridor = PathLoss::LogDistance { exponent: 1.8 };
         let offices = PathLoss::ItuIndoor { coefficient: 30.0, floor_loss_db: 0.0 };
         let upstairs = PathLoss::ItuIndoor { coefficient: 30.0, floor_loss_db: 15.0 };
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn farther_is_never_louder() {
+    fn signal_never_rises_with_distance() {
         for model in [
             PathLoss::FreeSpace,
             PathLoss::LogDistance { exponent: 3.0 },

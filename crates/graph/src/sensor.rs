@@ -214,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reading_is_read_as_it_is_written() {
+    fn readings_survive_json() {
         let reading = SensorReading {
             robot: NodeId::new("r").unwrap(),
             sensor: SensorId::new("gripper").unwrap(),
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_is_read_as_it_is_written() {
+    fn sensors_survive_json() {
         let kind = SensorKind::Battery { charge: Some(0.5) };
         let sensor =
             Sensor { id: SensorId::new("pack").unwrap(), interval: Duration::from_millis(1500), kind };

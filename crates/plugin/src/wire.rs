@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_follows_the_name_and_its_answer_says_how_far_it_is() {
+    fn goals_follow_the_name_and_answers_have_their_progress() {
         let goal = Some(Position::new(-1.5, 2.25).at_height(0.5));
         let packet = PositionPacket { goal, ..position() };
         let (mut with, mut without) = (Vec::new(), Vec::new());
@@ -432,7 +432,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_said_of_a_goal_is_refused() {
+    fn contradictory_goals_are_rejected() {
         let mut bytes = Vec::new();
         PositionPacket { goal: Some(Position::default()), ..position() }.encode(&mut bytes);
         let with = |at: usize, values: &[u8]| {
@@ -459,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_packet_is_refused_with_its_reason() {
+    fn invalid_packets_are_rejected_with_a_reason() {
         let mut bytes = Vec::new();
         position().encode(&mut bytes);
         assert!(matches!(PositionPacket::decode(&bytes[..31]), Err(WireError::Short(31))));
@@ -496,7 +496,7 @@ mod tests {
         }
 
         #[test]
-        fn packets_come_back_as_they_were(
+        fn packets_survive_encoding(
             sequence: u32, waypoint: u32, emitted: u64, nonce: u64, name in "[a-z0-9][a-zA-Z0-9_.~-]{0,62}",
             x in any::<f64>().prop_filter("NaN is unequal to itself", |x| !x.is_nan()),
             goal in proptest::option::of((-1e9..1e9, -1e9..1e9, 0.0..1e3)), reason in ".{0,60}",

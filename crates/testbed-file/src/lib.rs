@@ -408,7 +408,7 @@ mod tests {
 
         /// A truncated or overwritten file is accepted, or rejected with a place.
         #[test]
-        fn no_spoilt_file_panics(at in 0_usize..5000, cut in 0_usize..40, put in "\\PC{0,8}") {
+        fn damaged_files_never_panic(at in 0_usize..5000, cut in 0_usize..40, put in "\\PC{0,8}") {
             let text = std::fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
             let text = text.replace("map: maps/corridor.yaml", "");
             let start = text.floor_char_boundary(at % text.len());

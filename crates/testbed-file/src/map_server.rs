@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_none() {
+    fn invalid_pictures_are_rejected() {
         let wrong = |image: &[u8]| read(YAML, image).unwrap_err().list[0].message.clone();
         assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is no PGM picture: it begins with neither P2 nor P5");
         assert_eq!(wrong(b"P5 2"), "`x.pgm`: its height is missing or no whole number");

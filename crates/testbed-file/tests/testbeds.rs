@@ -125,7 +125,7 @@ fn routes_cross_only_what_forwards() {
 }
 
 #[test]
-fn graphs_come_back_from_json() {
+fn graphs_survive_json() {
     let graph = shipped("corridor.yaml").graph;
     let json = serde_json::to_string(&graph).unwrap();
     assert_eq!(serde_json::from_str::<cotorra_graph::HardwareGraph>(&json).unwrap(), graph);

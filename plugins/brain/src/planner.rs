@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn says_why_there_is_no_way() {
+    fn missing_paths_have_a_reason() {
         let map = map(&["..#..?", "..#..?", "..#..?"]);
         let plan = |from, to| Planner::default().plan(&map, from, to).unwrap_err();
         let (left, right) = (Position::new(0.3, 0.8), Position::new(2.2, 0.8));
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_touches_a_wall_finds_away_from_it() {
+    fn robot_at_a_wall_plans_away_from_it() {
         let map = Costmap::new(&grid(&["#..................."], 0.1), 0.177);
         let path =
             Planner::default().plan(&map, Position::new(0.15, 0.05), Position::new(1.5, 0.05)).unwrap();

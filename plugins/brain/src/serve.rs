@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn each_position_gets_its_own_answer() {
+    fn each_position_packet_gets_its_own_answer() {
         let mut vnf = vnf(Position::new(9.0, 2.0));
         let mut answer = Vec::new();
         for sequence in [3, 4, 9] {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_position_of_its_robot_gets_none() {
+    fn other_datagrams_get_no_answer() {
         let mut vnf = vnf(Position::new(9.0, 2.0));
         let mut answer = Vec::new();
         assert!(matches!(vnf.answer(b"hello", &mut answer), Err(PacketError::Malformed(_))));
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unreachable_goal_is_a_stop_with_a_reason() {
+    fn unreachable_goals_stop_the_robot_with_a_reason() {
         let mut vnf = vnf(Position::new(9.0, 0.5));
         let mut answer = Vec::new();
         vnf.answer(&position("robot", 0, 1.0), &mut answer).unwrap();
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_takes_the_place_of_the_walk_in_each_answer_and_leaves_nothing() {
+    fn goals_replace_the_walk_per_answer() {
         let mut vnf = vnf(Position::new(9.0, 2.0));
         let mut answer = Vec::new();
         let mut asked = |goal: Option<Position>| {

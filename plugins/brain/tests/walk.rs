@@ -154,7 +154,7 @@ fn walks_the_corridor_out_and_back_in_the_published_time() {
 }
 
 #[test]
-fn late_answers_do_not_throw_it_off() {
+fn late_answers_do_not_mislead_the_robot() {
     let course = corridor_course(10);
     assert!(course.finished && course.clearance > 0.2, "{} m from a wall", course.clearance);
     assert!((390.0..460.0).contains(&course.seconds), "{} s", course.seconds);
@@ -205,7 +205,7 @@ fn at_the_end_it_stands_still() {
 }
 
 #[test]
-fn where_no_way_leads_it_stops_and_says_so() {
+fn robot_stops_with_a_reason_where_no_path_leads() {
     let cases = [
         (Position::new(10.0, 10.0), "(10.0, 10.0) is not on the map's floor"),
         (Position::new(100.0, 0.0), "(100.0, 0.0) is not on the map's floor"),

@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_queue_delays_by_what_it_has_to_spare() {
+    fn queues_delay_by_their_spare_capacity() {
         let queue = |service_rate, arrival_rate| Queue { service_rate, arrival_rate }.delay();
         assert_eq!(queue(1000.0, 500.0), Some(Duration::from_millis(2)));
         assert_eq!(queue(1000.0, 0.0), Some(Duration::from_millis(1)));

@@ -452,7 +452,7 @@ walks:
     }
 
     #[test]
-    fn only_what_others_do_puts_a_decision_in_question() {
+    fn only_changes_by_others_reopen_a_decision() {
         let mut now = NetworkView::new(&testbed());
         assert!(concerned(&mut now, &placed("r-brain", "far")).is_empty(), "it was there before");
         assert_eq!(concerned(&mut now, &placed("r-brain", "near")), ["first", "second"], "another moved it");
@@ -479,7 +479,7 @@ walks:
     }
 
     #[test]
-    fn a_link_that_changes_concerns_everybody() {
+    fn link_changes_reopen_all_decisions() {
         let testbed = testbed();
         let mut now = NetworkView::new(&testbed);
         let link = testbed.graph.links.last().unwrap();
@@ -505,7 +505,7 @@ walks:
     }
 
     #[test]
-    fn a_link_that_is_scaled_from_the_beginning_is_seen_so() {
+    fn links_scaled_from_the_start_are_seen_scaled() {
         let text = TEXT.replace("delay: 5 ms,", "delay: 5 ms, delay_scale: 2, drop_scale: 4,");
         let testbed = cotorra_testbed_file::parse("x.yaml", &text, Path::new(""))
             .unwrap_or_else(|wrong| panic!("{wrong}"));
@@ -515,7 +515,7 @@ walks:
     }
 
     #[test]
-    fn an_attachment_is_asked_for_once_until_its_end_is_told() {
+    fn attachments_are_instructed_once_until_they_end() {
         let (robot, unit, other) = (node_id("r"), node_id("R"), node_id("P"));
         let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let sensors = SensorData {
@@ -551,7 +551,7 @@ walks:
     }
 
     #[test]
-    fn a_place_is_asked_for_once_until_it_is_taken_refused_or_given_up() {
+    fn placements_are_instructed_once_until_settled() {
         let (vnf, near, far) = (vnf_id("r-brain"), node_id("near"), node_id("far"));
         let mut now = NetworkView::new(&testbed());
         assert!(!now.wants_place(&vnf, &far), "it is there");
@@ -571,7 +571,7 @@ walks:
     }
 
     #[test]
-    fn paths_are_asked_for_once_and_taken_back_when_the_vnf_has_moved() {
+    fn paths_are_mapped_once_and_removed_after_a_move() {
         let testbed = testbed();
         let (service, other) = (&testbed.services[0], &testbed.services[1]);
         let ends = |server: &str| (node_id("r"), node_id(server));
@@ -592,7 +592,7 @@ walks:
     }
 
     #[test]
-    fn what_others_take_is_not_offered() {
+    fn resources_of_other_services_are_not_offered() {
         let testbed = testbed();
         let mut now = NetworkView::new(&testbed);
         let free = |now: &NetworkView, node: &str| {

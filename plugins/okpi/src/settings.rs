@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_set_is_the_published_resolution() {
+    fn defaults_are_the_published_resolution() {
         let settings = decode(json!({})).unwrap();
         assert_eq!(settings.search, Search::at(4));
         assert_eq!(settings.coverage, Coverage::Signal { floor_dbm: -80.0, margin_db: 7.5 });
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_all_that_can_be_set() {
+    fn all_settings_are_read() {
         let settings = decode(json!({
             "gamma": 10, "k_paths": 2, "relax": true, "hysteresis": "0.8 m",
             "coverage": { "R1": [[0, 0], [1.5, 0], [0, 2]] },
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn says_what_is_wrong_and_what_would_be_right() {
+    fn errors_show_a_correct_value() {
         for (wrong, said) in [
             (json!({ "gama": 4 }), "gama: unknown field `gama`, expected one of `gamma`, `k_paths`"),
             (json!({ "gamma": 0 }), "gamma: 0 is not a whole number from 1 to 1000"),

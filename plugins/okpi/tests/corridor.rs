@@ -117,7 +117,7 @@ fn decides_as_published_where_it_was_published() {
 }
 
 #[test]
-fn says_what_it_costs_and_what_is_to_spare() {
+fn placements_report_cost_and_slack() {
     let changes = walk(&survey());
     assert!(changes[1].reason.starts_with("R2 + edge at ("), "{}", changes[1].reason);
     assert!(
@@ -196,7 +196,7 @@ fn seen(testbed: &Testbed, units: &[&str]) -> (Chain, Infrastructure) {
 }
 
 #[test]
-fn from_ten_levels_on_the_corridor_costs_what_it_must() {
+fn from_ten_levels_on_the_corridor_costs_the_optimum() {
     let testbed = corridor();
     let mut offered: Vec<Vec<&str>> =
         vec![vec!["R1"], vec!["R3"], vec!["R2"], vec!["R4"], vec!["R5"], vec!["R6"]];
@@ -261,7 +261,7 @@ fn the_same_walk_gives_the_same_decisions() {
 }
 
 #[test]
-fn what_cannot_be_kept_changes_nothing_unless_relaxed() {
+fn infeasible_kpis_change_nothing_unless_relaxed() {
     let mut testbed = corridor();
     testbed.services[0].kpis.service_time = std::time::Duration::from_millis(9);
     let asked = |settings: &Map<String, Value>| {
@@ -302,7 +302,7 @@ fn handover(from: &str, to: &str) -> Event {
 }
 
 #[test]
-fn a_handover_under_way_is_not_asked_for_again() {
+fn handovers_under_way_are_not_instructed_again() {
     let (mut okpi, [place, attach]) = instructed();
     let Instruction::Place { vnf, node } = place else { panic!("{place:?}") };
     assert!(matches!(&attach, Instruction::Attach { radio_unit, .. } if radio_unit == "R2"), "{attach:?}");
@@ -346,7 +346,7 @@ fn the_path_of_a_decision_is_mapped_there_and_back() {
 }
 
 #[test]
-fn what_was_refused_is_asked_for_again_at_the_next_location() {
+fn rejected_instructions_are_repeated_at_the_next_location() {
     let (mut okpi, asked) = instructed();
     for instruction in &asked {
         let plugin = PluginId::new("okpi").unwrap();
@@ -359,7 +359,7 @@ fn what_was_refused_is_asked_for_again_at_the_next_location() {
 }
 
 #[test]
-fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
+fn robots_that_roam_by_themselves_are_brought_back() {
     let (mut okpi, [_, attach]) = instructed();
     told(&mut okpi, &handover("R3", "R2"));
     assert_eq!(told(&mut okpi, &context((27.2, -9.6), "R2")), []);
@@ -368,7 +368,7 @@ fn a_robot_that_roams_by_itself_is_brought_back_at_once() {
 }
 
 #[test]
-fn what_the_testbed_does_not_have_cannot_be_set() {
+fn settings_name_only_parts_of_the_testbed() {
     let testbed = corridor();
     let said = |settings: &Map<String, Value>| {
         let okpi = Okpi::from_settings(settings).unwrap();
@@ -397,7 +397,7 @@ fn generated_graphs_are_placed_the_same_each_time() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn wherever_the_robot_is_nothing_is_asked_for_twice(x in -30.0f64..60.0, y in -60.0f64..30.0) {
+    fn nothing_is_instructed_twice_at_any_location(x in -30.0f64..60.0, y in -60.0f64..30.0) {
         static TESTBED: LazyLock<Testbed> = LazyLock::new(corridor);
         let mut okpi = Okpi::from_settings(&survey()).unwrap();
         let mut actions = Actions::default();

@@ -81,7 +81,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_said_to_be_reachable_is_so_and_no_more((service, infrastructure) in problem()) {
+    fn reported_optima_are_reachable_and_tight((service, infrastructure) in problem()) {
         let Err(error) = place(&service, &infrastructure, Search::at(10)) else { return Ok(()) };
         let with = |service_time, reliability| {
             optimum(&Chain { service_time, reliability, ..service.clone() }, &infrastructure)
@@ -111,7 +111,7 @@ proptest! {
     }
 
     #[test]
-    fn one_vnf_finely_counted_is_placed_at_the_optimum((mut service, infrastructure) in problem()) {
+    fn single_vnf_is_placed_at_the_optimum((mut service, infrastructure) in problem()) {
         service.vnfs.truncate(2);
         let placed = place(&service, &infrastructure, Search::at(1000)).ok().map(|placed| placed.cost);
         // Half a budget's level a hop is all that rounding can cost.
@@ -212,7 +212,7 @@ fn takes_the_cheapest_that_keeps_each_kpi() {
 }
 
 #[test]
-fn says_which_kpi_cannot_be_kept_and_by_how_much() {
+fn errors_name_the_kpi_and_the_gap() {
     let said = |change: fn(&mut Chain, &mut Infrastructure), gamma| {
         let (mut service, mut infrastructure) = two_servers();
         change(&mut service, &mut infrastructure);

@@ -85,7 +85,7 @@ fn a_weak_signal_slows_and_only_a_strong_one_takes_that_back() {
 }
 
 #[test]
-fn a_robot_is_told_once_and_again_if_it_does_not_follow() {
+fn robots_are_instructed_once_and_again_if_they_do_not_follow() {
     let mut pace = started();
     assert_eq!(asked(&mut pace, [(0.0, received(-60.0)), (1.0, received(-80.0))]), [(1.0, SLOW)]);
     assert_eq!(asked(&mut pace, [(1.1, limited(SLOW)), (2.0, received(-80.0)), (3.0, received(-72.0))]), []);

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_set_is_the_published_behaviour() {
+    fn defaults_are_the_published_behaviour() {
         let settings = decode(json!({})).unwrap();
         assert_eq!(settings.interval, Duration::from_secs(20)..=Duration::from_secs(25));
         assert_eq!(settings.margin_db, 0.0);

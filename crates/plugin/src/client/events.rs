@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_what_it_missed() {
+    fn missed_events_are_counted() {
         let stream = "event: missed\ndata: 3\n\ndata: {\"at_ns\": 1, \"event\": \"notice\", \"message\": \"a\"}\n\n\
                       event: missed\ndata: 4\n\n";
         let mut events = read(stream);
@@ -181,12 +181,12 @@ mod tests {
     }
 
     #[test]
-    fn an_event_that_breaks_off_is_none() {
+    fn truncated_events_are_dropped() {
         assert_eq!(notices("data: {\"at_ns\": 5, \"event\": \"notice\", \"message\": \"a\"}\n"), []);
     }
 
     #[test]
-    fn an_unknown_event_is_an_error_and_the_next_is_read() {
+    fn unknown_events_are_errors_and_the_next_is_read() {
         let mut events = read(
             "data: {\"at_ns\": 5, \"event\": \"miracle\"}\n\ndata: {\"at_ns\": 6, \"event\": \"notice\", \"message\": \"\"}\n\n",
         );

@@ -80,7 +80,7 @@ fn testbed() -> Value {
 }
 
 #[test]
-fn an_instruction_goes_out_with_its_reason_and_who_gives_it() {
+fn instructions_carry_their_reason_and_author() {
     let (client, asked) = server(vec![ok(&json!({ "done": true }))]);
     let client = client.with_token("secret").named(PluginId::new("mine").unwrap());
     let instruction =
@@ -100,7 +100,7 @@ fn an_instruction_goes_out_with_its_reason_and_who_gives_it() {
 }
 
 #[test]
-fn a_refusal_and_a_failure_say_why() {
+fn rejections_and_failures_have_a_reason() {
     let (client, _asked) = server(vec![
         response("409 Conflict", r#"{"refused": "robot `robot` is out of reach"}"#),
         response("401 Unauthorized", r#"{"error": "this API needs its token"}"#),
@@ -120,7 +120,7 @@ fn a_refusal_and_a_failure_say_why() {
 }
 
 #[test]
-fn an_api_that_is_not_there_is_named() {
+fn unreachable_apis_are_named() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let error = Client::new(&format!("http://{free}")).unwrap().robots().unwrap_err().to_string();
     assert!(
@@ -130,7 +130,7 @@ fn an_api_that_is_not_there_is_named() {
 }
 
 #[test]
-fn what_is_no_address_is_refused_at_once() {
+fn invalid_addresses_are_rejected_at_once() {
     for wrong in ["", "127.0.0.1:7700", "https://127.0.0.1:7700", "http://", "http://host/path", "http://a b"]
     {
         assert!(matches!(Client::new(wrong), Err(ClientError::Address(_))), "{wrong}");
@@ -138,7 +138,7 @@ fn what_is_no_address_is_refused_at_once() {
 }
 
 #[test]
-fn histories_are_asked_for_by_time_and_page() {
+fn histories_are_requested_by_time_and_page() {
     let sample = json!({ "at_ns": 7, "service": "s", "robot": "robot", "sequence": 1, "emitted_ns": 5, "service_time_ms": 11.5,
         "attachment": "R1", "server": "cloud" });
     let (client, asked) = server(vec![
@@ -210,7 +210,7 @@ impl Plugin for Scanner {
 }
 
 #[test]
-fn a_plug_in_runs_apart_until_the_run_ends() {
+fn external_plugin_runs_until_the_run_ends() {
     let events = "data: {\"at_ns\": 5000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
                   data: {\"at_ns\": 900000000000, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";
     let (client, asked) = server(vec![
@@ -233,7 +233,7 @@ fn a_plug_in_runs_apart_until_the_run_ends() {
 }
 
 #[test]
-fn in_virtual_time_a_plug_in_is_called_mark_by_mark_and_says_when_it_wants_to_be_woken() {
+fn in_virtual_time_a_plugin_is_called_mark_by_mark() {
     let scanned =
         |at: u64| format!("data: {{\"at_ns\": {at}, \"event\": \"scanned\", \"robot\": \"robot\"}}\n\n");
     let mark = |number: u64, now: u64| format!("event: mark\nid: {number}\ndata: {now}\n\n");
@@ -261,7 +261,7 @@ fn in_virtual_time_a_plug_in_is_called_mark_by_mark_and_says_when_it_wants_to_be
 }
 
 #[test]
-fn a_mark_is_done_when_the_event_after_it_is_asked_for() {
+fn marks_are_done_when_the_next_event_is_requested() {
     let events = "event: mark\nid: 1\ndata: 0\n\n\
                   data: {\"at_ns\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n\
                   event: mark\nid: 2\ndata: 5\n\n";
@@ -277,7 +277,7 @@ fn a_mark_is_done_when_the_event_after_it_is_asked_for() {
 }
 
 #[test]
-fn a_plug_in_ends_with_a_run_that_ends_before_it() {
+fn plugin_ends_with_its_run() {
     let (client, _asked) = server(vec![stream(":\n\n"), ok(&testbed())]);
     client.run(&mut Scanner::default()).unwrap();
     let one = "data: {\"at_ns\": 5, \"event\": \"scanned\", \"robot\": \"robot\"}\n\n";

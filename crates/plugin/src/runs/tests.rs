@@ -62,7 +62,7 @@ fn mode(path: &Path) -> u32 {
 }
 
 #[test]
-fn a_run_is_found_on_its_socket_as_long_as_it_is_announced() {
+fn announced_runs_are_found_on_their_socket() {
     let rig = Rig::new();
     assert!(matches!(rig.runs.find(None), Err(RunsError::None { .. })));
     let mut announced = rig.announce(7700);
@@ -78,7 +78,7 @@ fn a_run_is_found_on_its_socket_as_long_as_it_is_announced() {
 }
 
 #[test]
-fn nobody_but_its_user_may_read_an_entry_or_connect() {
+fn only_the_user_can_read_an_entry_or_connect() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
     let [entry, socket] = rig.paths();
@@ -87,7 +87,7 @@ fn nobody_but_its_user_may_read_an_entry_or_connect() {
 }
 
 #[test]
-fn two_runs_are_told_apart_by_address() {
+fn runs_are_distinguished_by_address() {
     let rig = Rig::new();
     let both = [rig.announce(7701), rig.announce(7700)];
     let several = rig.runs.find(None).unwrap_err();
@@ -102,7 +102,7 @@ fn two_runs_are_told_apart_by_address() {
 }
 
 #[test]
-fn a_run_on_all_addresses_is_found_by_that_of_loopback() {
+fn runs_on_all_addresses_are_found_by_loopback() {
     let rig = Rig::new();
     let all = SocketAddr::from(([0, 0, 0, 0], 7700));
     let _announced = rig.runs.announce(all, "/runs/all").unwrap();
@@ -113,7 +113,7 @@ fn a_run_on_all_addresses_is_found_by_that_of_loopback() {
 }
 
 #[test]
-fn the_entry_of_a_dead_process_is_no_run_and_the_next_run_removes_it() {
+fn entries_of_dead_processes_are_ignored_and_removed() {
     let rig = Rig::new();
     rig.dead(7700);
     assert_eq!(rig.files(), 2);
@@ -125,7 +125,7 @@ fn the_entry_of_a_dead_process_is_no_run_and_the_next_run_removes_it() {
 }
 
 #[test]
-fn cleaning_removes_what_dead_processes_left_and_nothing_else() {
+fn cleaning_removes_entries_of_dead_processes_only() {
     let rig = Rig::new();
     let _living = rig.announce(7701);
     rig.dead(7700);
@@ -140,7 +140,7 @@ fn cleaning_removes_what_dead_processes_left_and_nothing_else() {
 }
 
 #[test]
-fn an_entry_that_others_could_have_written_is_refused() {
+fn entries_writable_by_others_are_rejected() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
     let [entry, socket] = rig.paths();
@@ -158,7 +158,7 @@ fn an_entry_that_others_could_have_written_is_refused() {
 }
 
 #[test]
-fn a_folder_that_is_a_link_is_refused() {
+fn symbolic_links_are_rejected_as_folders() {
     let rig = Rig::new();
     let announced = rig.announce(7700);
     let elsewhere = rig.base.path().join("elsewhere");
@@ -171,7 +171,7 @@ fn a_folder_that_is_a_link_is_refused() {
 }
 
 #[test]
-fn a_folder_that_takes_the_place_of_the_checked_one_is_not_used() {
+fn replaced_folders_are_not_used() {
     let rig = Rig::new();
     let mut announced = rig.announce(7700);
     let listener = announced.listener().unwrap();
@@ -189,7 +189,7 @@ fn a_folder_that_takes_the_place_of_the_checked_one_is_not_used() {
 }
 
 #[test]
-fn a_folder_with_a_long_name_serves_too() {
+fn folders_with_long_names_work() {
     let base = TempDir::new().unwrap();
     // A socket's own path may have 107 bytes.
     let runs = Runs::in_folder(base.path().join("x".repeat(200)));
@@ -200,7 +200,7 @@ fn a_folder_with_a_long_name_serves_too() {
 }
 
 #[test]
-fn what_belongs_to_another_user_is_refused() {
+fn files_of_other_users_are_rejected() {
     assert_eq!(private(1000, 0o600, Some(1000)), Ok(()));
     for uid in [0, 1001] {
         assert_eq!(private(uid, 0o600, Some(1000)), Err(NotPrivate::Owner { uid }));
@@ -209,7 +209,7 @@ fn what_belongs_to_another_user_is_refused() {
 }
 
 #[test]
-fn a_folder_of_somebody_else_does_not_hide_a_run() {
+fn folders_of_other_users_do_not_hide_a_run() {
     let (rig, other) = (Rig::new(), Rig::new());
     fs::create_dir(other.folder()).unwrap();
     fs::set_permissions(other.folder(), Permissions::from_mode(0o777)).unwrap();
@@ -220,7 +220,7 @@ fn a_folder_of_somebody_else_does_not_hide_a_run() {
 }
 
 #[test]
-fn only_open_files_of_the_runs_own_process_are_its_own() {
+fn only_open_files_of_the_process_prove_a_run() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
     let run = RunEntry { process: 4242, ..rig.runs.find(None).unwrap() };
@@ -240,7 +240,7 @@ fn only_open_files_of_the_runs_own_process_are_its_own() {
 }
 
 #[test]
-fn a_process_that_got_the_number_of_a_runs_is_not_the_runs() {
+fn reused_process_ids_are_not_the_run() {
     let rig = Rig::new();
     let _announced = rig.announce(7700);
     let run = rig.runs.find(None).unwrap();
@@ -251,14 +251,14 @@ fn a_process_that_got_the_number_of_a_runs_is_not_the_runs() {
 }
 
 #[test]
-fn an_entry_that_is_too_long_is_refused() {
+fn long_entries_are_rejected() {
     let rig = Rig::new();
     let _announced = rig.runs.announce(api(7700), &"x".repeat(LONGEST_ENTRY as usize)).unwrap();
     assert!(matches!(rig.runs.find(None), Err(RunsError::Malformed { .. })));
 }
 
 #[test]
-fn an_entry_of_another_version_says_what_to_do() {
+fn entries_of_other_versions_say_what_to_do() {
     let rig = Rig::new();
     let announced = rig.announce(7700);
     let [entry, _] = rig.paths();

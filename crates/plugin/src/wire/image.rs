@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_fragment_is_refused() {
+    fn invalid_fragments_are_rejected() {
         let image = [1; 1600];
         let bytes = encoded(&ImagePacket::fragments(&whole("r", 40, 40), &image).nth(1).unwrap());
         let with = |at: usize, values: &[u8]| {

@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_has_the_documented_layout_and_says_what_hit_nothing() {
+    fn scans_have_the_documented_layout_with_misses() {
         let mut bytes = b"old".to_vec();
         scan().encode(&mut bytes);
         assert_eq!(bytes[..16], *b"ctra\x03\x03\x06\x00\x07\0\0\0\x06\0\0\0");
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_scan_and_no_pose_is_refused() {
+    fn invalid_scans_and_poses_are_rejected() {
         let (mut bytes, mut answer) = (Vec::new(), Vec::new());
         scan().encode(&mut bytes);
         let packet = PosePacket { sequence: 7, emitted: Timestamp::from_nanos(5), nonce: 9, pose: pose() };

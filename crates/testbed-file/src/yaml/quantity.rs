@@ -302,17 +302,17 @@ mod tests {
 
     proptest! {
         #[test]
-        fn durations_come_back(nanos in 0_u64..86_400_000_000_000) {
+        fn durations_survive_formatting(nanos in 0_u64..86_400_000_000_000) {
             prop_assert_eq!(read(&format!("{nanos} ns")), Some(Duration::from_nanos(nanos)));
         }
 
         #[test]
-        fn rates_come_back(rate in 1_u64..1_000_000_000_000) {
+        fn rates_survive_formatting(rate in 1_u64..1_000_000_000_000) {
             prop_assert_eq!(read(&format!("{rate} bit/s")), BitRate::from_bits_per_second(rate));
         }
 
         #[test]
-        fn nothing_else_is_a_figure(text in "\\PC{0,12}") {
+        fn other_texts_are_not_figures(text in "\\PC{0,12}") {
             if let Some(duration) = read::<Duration>(&text) {
                 prop_assert!(duration <= Duration::from_secs(86_400));
             }
