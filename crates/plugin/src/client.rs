@@ -99,7 +99,7 @@ pub enum ClientError {
         reason: String,
     },
     /// The answer is not what this version of cotorra expects.
-    #[error("{url} answers what this client does not understand: {reason}")]
+    #[error("{url} gives an answer that this client does not understand: {reason}")]
     Malformed {
         /// URL of the request.
         url: String,

@@ -75,7 +75,7 @@ pub enum WireError {
         expected: u8,
     },
     /// The robot's name can be no name.
-    #[error("the robot's name is none")]
+    #[error("the robot's name is invalid")]
     Robot,
     /// More bytes than the packet has.
     #[error("{0} bytes are too many for a packet of the service")]
@@ -89,16 +89,16 @@ pub enum WireError {
         found: usize,
     },
     /// The goal's fields contradict one another.
-    #[error("the packet says of a goal what makes no sense")]
+    #[error("the goal's fields contradict one another")]
     Goal,
     /// A part of an image that cannot be one.
-    #[error("the packet is no part of an image")]
+    #[error("the packet is not a fragment of an image")]
     Image,
     /// The sensor's name can be no name.
-    #[error("the sensor's name is none")]
+    #[error("the sensor's name is invalid")]
     Sensor,
     /// NaN or infinity where only a number makes sense.
-    #[error("the packet says what is no finite number")]
+    #[error("a number in the packet is not finite")]
     NotFinite,
     /// The message behind the header is broken.
     #[error(transparent)]

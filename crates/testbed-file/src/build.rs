@@ -98,7 +98,7 @@ pub(super) fn retentions(record: &RetentionsRecord, sink: &mut Sink) -> Retentio
     let mut of = |record: &Option<RetentionRecord>| {
         let RetentionRecord { raw, step, keep } = record.as_ref()?;
         if !Retention::is_step(step.value) {
-            sink.error(&step.span, "a minute is no multiple of this step, or it is shorter than 10 ms")
+            sink.error(&step.span, "a minute is not a multiple of this step, or it is shorter than 10 ms")
                 .help("write it like `1 s`, `5 s` or `1 min`");
         }
         Some(Retention { raw: *raw, step: step.value, keep: *keep })

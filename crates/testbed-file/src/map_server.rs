@@ -40,7 +40,7 @@ pub(crate) enum Mode {
     Trinary,
 }
 
-choice!(Mode, "mode that is supported", { "trinary" => Self::Trinary, "free, occupied or unknown"; });
+choice!(Mode, "supported mode", { "trinary" => Self::Trinary, "free, occupied or unknown"; });
 
 /// A truth value, as map_server writes it.
 #[derive(Debug)]
@@ -102,7 +102,7 @@ fn build(
 ) -> Option<OccupancyGrid> {
     let resolution = record.resolution.value.0;
     if !(0.001..=100.0).contains(&resolution) {
-        sink.error(&record.resolution.span, format!("a cell of {resolution} m is no use"))
+        sink.error(&record.resolution.span, format!("a cell of {resolution} m is not possible"))
             .help("the side of a cell is 0.001 to 100 metres, usually 0.05");
     }
     let origin = match record.origin.value[..] {
@@ -113,7 +113,7 @@ fn build(
             None
         }
         _ => {
-            sink.error(&record.origin.span, "this is no origin")
+            sink.error(&record.origin.span, "this is not an origin")
                 .help("write `[x, y, 0]`: the lower left corner in metres, within 1000 km of 0, and no yaw");
             None
         }
@@ -170,7 +170,7 @@ struct Picture {
 /// Error of a PGM picture.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 enum InvalidPicture {
-    #[error("it is no PGM picture: it begins with neither P2 nor P5")]
+    #[error("it is not a PGM picture: it begins with neither P2 nor P5")]
     Magic,
     #[error("its {0} is missing or no whole number")]
     Header(&'static str),
@@ -284,7 +284,7 @@ mod tests {
     #[test]
     fn invalid_pictures_are_rejected() {
         let wrong = |image: &[u8]| read(YAML, image).unwrap_err().list[0].message.clone();
-        assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is no PGM picture: it begins with neither P2 nor P5");
+        assert_eq!(wrong(b"GIF89a"), "`x.pgm`: it is not a PGM picture: it begins with neither P2 nor P5");
         assert_eq!(wrong(b"P5 2"), "`x.pgm`: its height is missing or no whole number");
         assert_eq!(wrong(b"P5 2 2 0\n"), "`x.pgm`: its maximum value is 0, but PGM has 1 to 65535");
         assert_eq!(wrong(b"P5 2 2 255\nabc"), "`x.pgm`: it ends after 3 of 4 pixels");

@@ -908,7 +908,7 @@ choice!(WifiStandard, "Wi-Fi standard", {
     "n" => Self::N, "IEEE 802.11n, one stream, 20 MHz at 2.4 GHz";
     "ac" => Self::Ac, "IEEE 802.11ac, one stream, 20 MHz at 5 GHz";
 });
-choice!(Emulation, "emulation", {
+choice!(Emulation, "kind of emulation", {
     "fabric" => Self::Fabric, "cotorra itself, on every kernel";
     "netem" => Self::NetEm, "the kernel, with bridges and NetEm, where it has them and there is no radio; else the fabric";
 });
@@ -917,7 +917,7 @@ choice!(Direction, "direction", {
     "forward" => Self::Forward, "from the link's first end to its second";
     "backward" => Self::Backward, "from its second end to its first";
 });
-choice!(ProbesWord, "word for probes", {
+choice!(ProbesWord, "setting of probes", {
     "none" => Self::None, "no probes";
 });
 choice!(GapPolicy, "gap policy", {
@@ -928,7 +928,7 @@ choice!(RobotModel, "robot model", {
     "turtlebot2" => Self::Turtlebot2, "TurtleBot 2: Kobuki base with an RPLIDAR A2";
     "quadrotor" => Self::Quadrotor, "A quadrotor with the same lidar: its walk may rise and descend";
 });
-choice!(Roaming, "way of roaming", {
+choice!(Roaming, "roaming policy", {
     "instructed" => Self::Instructed, "plug-ins decide; alone it only joins the strongest";
     "signal" => Self::Signal, "its station decides, by signal with hysteresis and time-to-trigger";
 });
@@ -937,7 +937,7 @@ choice!(DriverWord, "driver", {
     "ros1" => Self::Ros1, "a robot that speaks ROS 1";
     "ros2" => Self::Ros2, "a robot that speaks ROS 2";
 });
-choice!(OfferWord, "way of offering a robot", {
+choice!(OfferWord, "kind of offer", {
     "ros1" => Self::Ros1, "as a robot that speaks ROS 1";
     "ros2" => Self::Ros2, "as a robot that speaks ROS 2";
 });
@@ -945,7 +945,7 @@ choice!(RosNetwork, "network for ROS", {
     "machine" => Self::Machine, "the network of this machine";
     "testbed" => Self::Testbed, "the emulated network: the robot's ROS node is in its node";
 });
-choice!(RmwWord, "middleware of ROS 2", {
+choice!(RmwWord, "ROS 2 middleware", {
     "dds" => Self::Dds, "DDS: Fast DDS, Cyclone DDS, Connext";
     "zenoh" => Self::Zenoh, "Zenoh, for `rmw_zenoh`; in a cotorra that was built with `--features zenoh`";
 });
@@ -967,11 +967,11 @@ choice!(LinuxCapability, "capability", {
     "ipc_lock" => Self::IpcLock, "memory that is never swapped out";
     "sys_nice" => Self::SysNice, "real-time priority";
 });
-choice!(DataFormat, "format of an image", {
+choice!(DataFormat, "format of images", {
     "mono8" => Self::Mono8, "brightness, a byte a pixel";
     "rgb8" => Self::Rgb8, "red, green and blue, three bytes a pixel";
 });
-choice!(Requests, "way of requests", {
+choice!(Requests, "destination of requests", {
     "one" => Self::One, "to the first instance that serves";
     "nearest" => Self::Nearest, "to the instance that serves with the least delay from the robot";
     "all" => Self::All, "to all instances that serve; the first answer wins";

@@ -26,7 +26,7 @@ pub struct Setting {
 
 /// Error of a text that is not a setting.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no setting: write a key's path and its value, as in links.*.delay_scale=2")]
+#[error("`{0}` is not a setting: write a key's path and its value, as in links.*.delay_scale=2")]
 pub struct InvalidSetting(String);
 
 impl Setting {

@@ -166,5 +166,5 @@ fn old_samples_are_rolled_up_once_that_is_wanted() {
     assert!(!well && told.contains("a minute must be a multiple of it"), "{told}");
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("step: 1 s", "step: 7 s")).unwrap();
     let (well, told) = run(&["check", "testbed.yaml"]);
-    assert!(!well && told.contains("a minute is no multiple of this step"), "{told}");
+    assert!(!well && told.contains("a minute is not a multiple of this step"), "{told}");
 }

@@ -79,7 +79,7 @@ impl Builder<'_> {
     fn ros_name(&mut self, name: &Spanned<String>) -> String {
         if !name.value.starts_with('/') {
             self.sink
-                .error(&name.span, format!("`{}` is no global name of ROS", name.value))
+                .error(&name.span, format!("`{}` is not a global ROS name", name.value))
                 .help("write it as ROS lists it, such as `/scan`");
         }
         name.value.clone()

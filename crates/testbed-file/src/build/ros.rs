@@ -113,7 +113,7 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
         Some(given) => {
             let domain = u16::try_from(given.value).ok().filter(|domain| *domain <= LAST_DOMAIN);
             if domain.is_none() {
-                sink.error(&given.span, format!("{} is no domain of ROS 2's", given.value))
+                sink.error(&given.span, format!("{} is not a ROS 2 domain", given.value))
                     .help(format!("write a number from 0 to {LAST_DOMAIN}"));
             }
             domain.map(Some)
@@ -133,7 +133,7 @@ fn build_ros2(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option
 fn is_doubled(given: &Spanned<String>, sink: &mut Sink) -> bool {
     let doubled = given.value.contains("__");
     if doubled {
-        sink.error(&given.span, format!("`{}` is no name in ROS 2", given.value))
+        sink.error(&given.span, format!("`{}` is not a ROS 2 name", given.value))
             .help("write no two `_` behind each other");
     }
     doubled
@@ -166,7 +166,7 @@ fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
             let place = router.value.strip_prefix("tcp/").and_then(|place| place.rsplit_once(':'));
             let named = place.filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
             if named.is_none() {
-                sink.error(&router.span, format!("`{}` is no router of Zenoh's", router.value))
+                sink.error(&router.span, format!("`{}` is not a Zenoh router", router.value))
                     .help(format!("write its address such as `{ROUTER}`; others than TCP are not there"));
             }
             named.map(|_| Rmw::Zenoh { router: router.value.clone() })
@@ -175,7 +175,7 @@ fn rmw(record: &Ros2Record, usual: RosNetwork, sink: &mut Sink) -> Option<Rmw> {
         (None, None, Some(given)) => {
             let address = given.value.parse().ok();
             if address.is_none() {
-                sink.error(&given.span, format!("`{}` is no address", given.value))
+                sink.error(&given.span, format!("`{}` is not an address", given.value))
                     .help("write the address of one of this machine's interfaces, such as `192.168.0.10`");
             }
             address.map(|address| Rmw::Dds { network, interface: Some(address) })
@@ -206,7 +206,7 @@ fn master(
     if given.value.contains("://") {
         let uri = given.value.clone();
         if !is_address(&uri) {
-            sink.error(&given.span, format!("`{uri}` is no address of a ROS 1 master"))
+            sink.error(&given.span, format!("`{uri}` is not the address of a ROS 1 master"))
                 .help("write one such as `http://192.168.0.10:11311`");
             return None;
         }
@@ -267,7 +267,7 @@ fn name(given: &Spanned<String>, what: &str, sink: &mut Sink) -> Option<String> 
     };
     let root = what == "namespace" && given.value == "/";
     if !root && !parts.clone().all(is_part) {
-        sink.error(&given.span, format!("`{}` is no {what} of ROS's", given.value)).help(
+        sink.error(&given.span, format!("`{}` is not a {what} of ROS", given.value)).help(
             "use letters, digits and `_` between slashes, each part beginning with a letter, such as `/tb2/scan`",
         );
         return None;

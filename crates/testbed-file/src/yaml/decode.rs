@@ -320,7 +320,7 @@ pub(crate) fn choose(
     if let Some(word) = among.iter().find(|w| **w == text) {
         return Some(word);
     }
-    sink.error(&node.span, format!("{} is no {what}", node.describe())).help(
+    sink.error(&node.span, format!("{} is not a {what}", node.describe())).help(
         match nearest(text, among.iter().copied()) {
             Some(near) => format!("did you mean `{near}`? ({})", there_are(among)),
             None => there_are(among),
@@ -416,7 +416,7 @@ pub(crate) trait Name: Sized {
     fn read_or_report(text: &str, span: &Span, sink: &mut Sink) -> Option<Self> {
         let name = Self::read(text);
         if name.is_none() {
-            sink.error(span, format!("`{}` is no name", shorten(text))).help(Self::rule());
+            sink.error(span, format!("`{}` is not a name", shorten(text))).help(Self::rule());
         }
         name
     }

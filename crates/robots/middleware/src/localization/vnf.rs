@@ -39,7 +39,7 @@ pub enum PacketError {
     #[error(transparent)]
     Malformed(#[from] WireError),
     /// It is from another robot than the one that is served.
-    #[error("it is from `{0}`, another robot than the one that is served here")]
+    #[error("the packet is from `{0}`, but this VNF serves another robot")]
     Stranger(NodeId),
     /// A later scan was answered before.
     #[error("scan {0} was overtaken")]
