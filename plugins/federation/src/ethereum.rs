@@ -1,17 +1,13 @@
 //! Real ledgers: an anvil node that is started with the run, and any Ethereum network.
 
-use std::{collections::BTreeSet, path::PathBuf, time::Duration};
+use std::{path::PathBuf, time::Duration};
 
 use cotorra_ledger::{
-    Account, Deployment, Ledger, Secret,
+    Deployment, Ledger, Secret,
     ethereum::{self, EthereumLedger, Key, Password, anvil},
 };
 
-use crate::{
-    ledgers::LedgerError,
-    network::{Access, Network, PASSWORD},
-    settings::Joining,
-};
+use crate::{error::LedgerError, settings::Joining};
 
 /// The keys of anvil's accounts, which are the same on each such node, have its money, and are known to everybody.
 const KEYS: [&str; 10] = [
@@ -26,10 +22,6 @@ const KEYS: [&str; 10] = [
     "dbda1821b80551c9d65939329250298aa3472ba22feea921c0cf5d620ea67b97",
     "2a871d0798f97d79848a013d4936a73bf4cc922c825d33c1cf7073dff6d409c6",
 ];
-
-fn real(reason: impl ToString) -> LedgerError {
-    LedgerError::Real(reason.to_string())
-}
 
 /// An anvil node with the contract on it. It ends when this is dropped.
 #[derive(Debug)]
@@ -48,9 +40,9 @@ impl Node {
     pub(crate) fn start(block_period: Duration, program: Option<PathBuf>) -> Result<Self, LedgerError> {
         let settings =
             anvil::Settings { program, block_period: Some(block_period), ..anvil::Settings::default() };
-        let anvil = anvil::Anvil::start(&settings).map_err(real)?;
+        let anvil = anvil::Anvil::start(&settings).map_err(LedgerError::real)?;
         let url = format!("ws://{}", anvil.address());
-        let (deployment, from_block) = ethereum::deploy(&url, &key(KEYS[0])).map_err(real)?;
+        let (deployment, from_block) = ethereum::deploy(&url, &key(KEYS[0])).map_err(LedgerError::real)?;
         Ok(Self { block_period, url, deployment, from_block, taken: 0, _anvil: anvil })
     }
 
@@ -61,7 +53,7 @@ impl Node {
     /// The access of another domain.
     pub(crate) fn open(&mut self) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
         let key = KEYS.get(self.taken).map(|text| key(text)).ok_or_else(|| {
-            real(format!(
+            LedgerError::real(format!(
                 "an anvil node has accounts for {} domains: use a network of your own for more",
                 KEYS.len()
             ))
@@ -77,71 +69,10 @@ pub(crate) fn open(network: &Joining) -> Result<(Box<dyn Ledger>, Secret), Ledge
         Some(path) => Password::File(path.clone()),
         None => Password::Environment(network.password_variable.clone()),
     };
-    let key = Key::open(&network.key_store, &password).map_err(real)?;
-    let contract = network.contract.parse().map_err(real)?;
+    let key = Key::open(&network.key_store, &password).map_err(LedgerError::real)?;
+    let contract = network.contract.parse().map_err(LedgerError::real)?;
     let deployment = Deployment { chain_id: network.chain_id, contract };
     connect(&network.url, deployment, network.from_block, network.depth, key)
-}
-
-/// See [`Network::join`].
-pub(crate) fn join(
-    accesses: Vec<Access>,
-    contract: Option<(Account, u64)>,
-    depth: u64,
-    block_period: Option<Duration>,
-) -> Result<Network, LedgerError> {
-    let (mut keys, mut accounts, mut surveys) = (Vec::new(), BTreeSet::new(), Vec::new());
-    for access in &accesses {
-        let Access { domain, url, key_store } = access;
-        let of_domain = |reason: &dyn ToString| real(format!("{domain}: {}", reason.to_string()));
-        let key = Key::open(key_store, &Password::Environment(PASSWORD.to_owned()));
-        let key = key.map_err(|e| of_domain(&e))?;
-        let account = key.account();
-        if !accounts.insert(account) {
-            return Err(of_domain(&format!(
-                "another domain has the account {account}, too; each needs its own"
-            )));
-        }
-        let of_contract = contract.map(|(address, _)| address);
-        let survey = ethereum::survey(url, account, of_contract).map_err(|e| of_domain(&e))?;
-        if survey.balance.0 == 0 {
-            let poor =
-                format!("its account {account} has no money on the chain {} for fees", survey.chain_id);
-            return Err(of_domain(&poor));
-        }
-        if let Some(address) = of_contract.filter(|_| !survey.has_contract) {
-            let chain = survey.chain_id;
-            return Err(of_domain(&format!("there is no contract at {address} on the chain {chain}")));
-        }
-        keys.push(key);
-        surveys.push(survey);
-    }
-    let (Some(first), Some(key), Some(access)) = (surveys.first(), keys.first(), accesses.first()) else {
-        return Err(real("no domain has a ledger"));
-    };
-    let chain_id = first.chain_id;
-    if let Some(other) = surveys.iter().find(|survey| survey.chain_id != chain_id) {
-        let other = other.chain_id;
-        return Err(real(format!("the domains' nodes are of two chains, {chain_id} and {other}")));
-    }
-    let clients: BTreeSet<_> = surveys.iter().map(|survey| survey.client.clone()).collect();
-    let (contract, from_block) = match contract {
-        Some(there) => there,
-        None => {
-            let (deployment, block) = ethereum::deploy(&access.url, key).map_err(real)?;
-            (deployment.contract, block)
-        }
-    };
-    let block_period = match block_period {
-        Some(period) => period,
-        // To the hundredth: nobody sets it finer, and three blocks say no more.
-        None => {
-            let timed = ethereum::block_period(&access.url).map_err(real)?.as_secs_f64();
-            Duration::from_secs_f64((timed * 100.0).round().max(1.0) / 100.0)
-        }
-    };
-    let clients = clients.into_iter().collect();
-    Ok(Network { accesses, chain_id, clients, contract, from_block, depth, block_period })
 }
 
 fn connect(
@@ -153,7 +84,7 @@ fn connect(
 ) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
     let secret = key.secret(deployment);
     let settings = ethereum::Settings { url: url.to_owned(), deployment, from_block, depth };
-    let ledger = EthereumLedger::connect(settings, key).map_err(real)?;
+    let ledger = EthereumLedger::connect(settings, key).map_err(LedgerError::real)?;
     Ok((Box::new(ledger), secret))
 }
 

@@ -12,8 +12,8 @@ use cotorra_ledger::{
 };
 
 use crate::{
+    context::{DomainContext, Unit},
     coverage::Coverage,
-    orchestrator::{DomainContext, Unit},
     settings::{Behaviour, Settings},
     steps::Step,
 };

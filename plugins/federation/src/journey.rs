@@ -9,11 +9,7 @@ use cotorra_ledger::{
     negotiation::{Creator, CreatorStep},
 };
 
-use crate::{
-    coverage::Edge,
-    orchestrator::{DomainContext, steps},
-    steps::Step,
-};
+use crate::{context::DomainContext, coverage::Edge, steps::Step};
 
 /// Between two attempts to attach.
 const RETRY: Duration = Duration::from_millis(500);
@@ -418,4 +414,13 @@ fn switch_on(radio_unit: &NodeId, domain_context: &mut DomainContext<'_>) {
     let access_point =
         AccessPoint { ssid: unit.ssid.clone(), mobility_domain: unit.mobility_domain, key: None };
     domain_context.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
+}
+
+/// Lets a creator do what is due, and gives the steps that it reached.
+pub(crate) fn steps(creator: &mut Creator, ledger: &mut dyn Ledger, now: Timestamp) -> Vec<CreatorStep> {
+    if creator.next_deadline().is_some_and(|deadline| deadline <= now) {
+        creator.expire(now);
+    }
+    creator.submit(now, ledger);
+    std::iter::from_fn(|| creator.poll_step()).collect()
 }

@@ -6,34 +6,7 @@ use cotorra_graph::{DomainId, Timestamp};
 use cotorra_ledger::{Account, Deployment, Ledger, ModelledChain, Secret};
 use sha3::{Digest, Keccak256};
 
-use crate::settings::LedgerChoice;
-
-/// Why there is no ledger.
-#[derive(Debug, thiserror::Error)]
-pub enum LedgerError {
-    /// Real ledgers are left out of this build.
-    #[error(
-        "this cotorra knows only the modelled ledger: build it with `--features ethereum` for anvil and for Ethereum \
-         networks"
-    )]
-    LeftOut,
-    /// Real ledgers have real time.
-    #[error("virtual time has only a modelled ledger: set `ledger: modelled`, or run it in real time")]
-    VirtualTime,
-    /// A ledger with two periods.
-    #[error(
-        "a ledger has one block period: another domain's is {other:?}, this one's {this:?}; give all domains the same"
-    )]
-    Periods {
-        /// Of the domain that came first.
-        other: Duration,
-        /// Of this one.
-        this: Duration,
-    },
-    /// A real ledger cannot be used.
-    #[error("{0}")]
-    Real(String),
-}
+use crate::{error::LedgerError, settings::LedgerChoice};
 
 /// The ledgers of a run. It is to outlive the run's orchestrators.
 #[derive(Debug, Default)]

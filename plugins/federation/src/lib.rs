@@ -6,7 +6,9 @@
 //! (arXiv 2101.07676).
 #![forbid(unsafe_code)]
 
+mod context;
 mod coverage;
+mod error;
 #[cfg(feature = "ethereum")]
 mod ethereum;
 mod hosting;
@@ -19,7 +21,8 @@ mod steps;
 
 pub use cotorra_ledger::Account;
 pub use coverage::{Coverage, Edge};
-pub use ledgers::{LedgerError, Ledgers};
+pub use error::LedgerError;
+pub use ledgers::Ledgers;
 pub use network::{Access, Network, PASSWORD};
 pub use orchestrator::{Federation, FederationError};
 pub use settings::{Behaviour, InvalidSettings, Joining, LedgerChoice, Settings};

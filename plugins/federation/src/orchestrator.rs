@@ -6,7 +6,7 @@ use std::{
     mem,
 };
 
-use cotorra_graph::{AccessPoint, DomainId, Event, Instruction, NodeId, Testbed, Timestamp, VnfState};
+use cotorra_graph::{AccessPoint, DomainId, Event, NodeId, Testbed, Timestamp, VnfState};
 use cotorra_ledger::{
     Call, Event as Said, Ledger, Notice, Secret, ServiceId,
     negotiation::{Creator, CreatorStep, Policy, Record, Request},
@@ -14,12 +14,14 @@ use cotorra_ledger::{
 use cotorra_plugin::{Actions, Noted, Plugin};
 
 use crate::{
+    context::{DomainContext, Unit},
     coverage::Coverage,
+    error::LedgerError,
     hosting::Hosting,
-    journey::Journey,
-    ledgers::{LedgerError, Ledgers},
+    journey::{Journey, steps},
+    ledgers::Ledgers,
     settings::{InvalidSettings, Settings},
-    steps::{Step, process},
+    steps::Step,
 };
 
 /// Announcements of an operator are looked for among so many numbers after the last that is known.
@@ -37,48 +39,6 @@ pub enum FederationError {
     /// It is bound to no domain.
     #[error("it orchestrates one domain: add `domain:` with its name")]
     NoDomain,
-}
-
-/// A radio unit of the domain.
-#[derive(Debug)]
-pub(crate) struct Unit {
-    pub(crate) ssid: String,
-    pub(crate) mobility_domain: u16,
-    pub(crate) frequency_mhz: u16,
-    /// Whether it serves.
-    pub(crate) on: bool,
-}
-
-/// What both roles have at hand while they decide.
-pub(crate) struct DomainContext<'a> {
-    pub(crate) now: Timestamp,
-    pub(crate) settings: &'a Settings,
-    pub(crate) secret: &'a Secret,
-    pub(crate) coverage: &'a Coverage,
-    pub(crate) units: &'a mut BTreeMap<NodeId, Unit>,
-    /// Services that are to end.
-    pub(crate) closing: &'a mut Vec<Creator>,
-    /// What was noted before this orchestrator was started again.
-    pub(crate) noted: &'a BTreeSet<Noted>,
-    pub(crate) actions: &'a mut Actions,
-}
-
-impl DomainContext<'_> {
-    /// Keeps in the history that a step was reached, unless a run before this one did: what is heard anew from the chain, or
-    /// done again to a network that began anew, is no new step.
-    pub(crate) fn note(&mut self, id: ServiceId, step: Step, detail: impl Into<String>) {
-        let detail = detail.into();
-        let reason = (!detail.is_empty()).then_some(detail);
-        let noted = Noted { process: process(id), step: step.to_string(), reason };
-        if step.is_reached_once() && self.noted.contains(&noted) {
-            return;
-        }
-        let note = Instruction::Note { process: noted.process, step: noted.step, ago: None };
-        match noted.reason {
-            None => self.actions.instruct(note),
-            Some(reason) => self.actions.instruct_because(note, reason),
-        }
-    }
 }
 
 /// The orchestrator of one domain.
@@ -294,15 +254,6 @@ impl Federation {
         self.closing = closing;
         worked
     }
-}
-
-/// Lets a creator do what is due, and gives the steps that it reached.
-pub(crate) fn steps(creator: &mut Creator, ledger: &mut dyn Ledger, now: Timestamp) -> Vec<CreatorStep> {
-    if creator.next_deadline().is_some_and(|deadline| deadline <= now) {
-        creator.expire(now);
-    }
-    creator.submit(now, ledger);
-    std::iter::from_fn(|| creator.poll_step()).collect()
 }
 
 fn empty() -> cotorra_graph::HardwareGraph {
