@@ -48,7 +48,7 @@ fn explained(error: Error) -> miette::Report {
 fn is_free(record: &Record, name: &str) -> miette::Result<()> {
     match record.owner {
         None => Ok(()),
-        Some(owner) if owner.lives() => Err(miette!(
+        Some(owner) if owner.is_alive() => Err(miette!(
             help = "`cotorra link set` changes the link that leads over it; the end of the run puts the interface back",
             "`{name}` is held by a run, process {}",
             owner.pid

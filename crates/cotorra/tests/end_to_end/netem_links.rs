@@ -109,7 +109,7 @@ fn interfaces_that_are_somebody_elses_are_refused() {
     for (prepare, interface, confirm, told) in [
         ("", "lo", "--allow-interface lo", "`lo` is the loopback interface"),
         ("ip route add default via 10.9.0.2", "va", "--allow-interface va", "`va` carries the default route"),
-        ("tc qdisc add dev va root handle 9: pfifo", "va", "--replace", "somebody put there (pfifo)"),
+        ("tc qdisc add dev va root handle 9: pfifo", "va", "--replace", "discipline of kind pfifo"),
         ("", "eth9", "", "there is no interface `eth9` here: there are"),
     ] {
         let testbed = TESTBED.replace("interface: va", &format!("interface: {interface}"));

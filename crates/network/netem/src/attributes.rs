@@ -1,21 +1,21 @@
-//! Netlink's attributes: length, kind and value, padded to four bytes (linux/netlink.h). Written and read here and
-//! nowhere else, so that no other module counts bytes.
+//! Netlink attributes: length, kind and value, padded to four bytes (linux/netlink.h). All reading and writing of raw
+//! attributes happens in this module.
 
-/// What was read makes no sense as netlink.
+/// A netlink answer that cannot be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the kernel's answer is not what this program takes for netlink: {0}")]
+#[error("cannot decode the kernel's netlink answer: {0}")]
 pub struct Malformed(pub(crate) &'static str);
 
 const HEADER: usize = 4;
-/// The kernel marks nests so, and some kinds by another bit that nobody here needs.
+/// Clears the flag bits (nested, network byte order) that share the field with the kind.
 const KIND_MASK: u16 = 0x3fff;
 
-/// Writes attributes one behind the other.
+/// Writer of consecutive attributes.
 #[derive(Debug, Default)]
 pub(crate) struct Writer(Vec<u8>);
 
 impl Writer {
-    /// Bytes that are no attribute, as some messages begin with.
+    /// Appends bytes that are no attribute, such as the fixed structure that some messages begin with.
     pub(crate) fn raw(&mut self, bytes: &[u8]) -> &mut Self {
         self.0.extend_from_slice(bytes);
         self.0.resize(self.0.len().next_multiple_of(4), 0);
@@ -36,7 +36,7 @@ impl Writer {
         self.bytes(kind, &value.to_ne_bytes())
     }
 
-    /// Text with the zero that ends it.
+    /// Appends text with its terminating zero.
     pub(crate) fn text(&mut self, kind: u16, value: &str) -> &mut Self {
         self.with(kind, |w| {
             w.0.extend_from_slice(value.as_bytes());
@@ -44,7 +44,7 @@ impl Writer {
         })
     }
 
-    /// An attribute whose value is what `inside` writes.
+    /// Appends an attribute whose value is written by `inside`.
     pub(crate) fn with(&mut self, kind: u16, inside: impl FnOnce(&mut Self)) -> &mut Self {
         let start = self.0.len();
         self.0.extend_from_slice(&[0; HEADER]);
@@ -65,30 +65,30 @@ impl Writer {
 pub(crate) fn attributes(bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, Malformed> {
     let mut found = Vec::new();
     let mut rest = bytes;
-    // What is too short for a header is padding.
+    // A rest too short for a header is padding.
     while let Some(header) = rest.get(..HEADER) {
         let length = usize::from(u16::from_ne_bytes([header[0], header[1]]));
         let kind = u16::from_ne_bytes([header[2], header[3]]) & KIND_MASK;
-        let value = rest.get(HEADER..length).ok_or(Malformed("an attribute ends behind its message"))?;
+        let value = rest.get(HEADER..length).ok_or(Malformed("an attribute extends beyond its message"))?;
         found.push((kind, value));
         rest = rest.get(length.next_multiple_of(4)..).unwrap_or_default();
     }
     Ok(found)
 }
 
-/// The word at that place of a structure of words.
+/// Reads the 32-bit word at index `place` of a structure of words.
 pub(crate) fn word(value: &[u8], place: usize) -> Result<u32, Malformed> {
     let bytes = value.get(place * 4..place * 4 + 4).ok_or(Malformed("a structure is too short"))?;
     Ok(u32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }
 
-/// A number of eight bytes.
+/// Reads a number of eight bytes.
 pub(crate) fn number(value: &[u8]) -> Result<u64, Malformed> {
     let bytes = value.first_chunk().ok_or(Malformed("a number is too short"))?;
     Ok(u64::from_ne_bytes(*bytes))
 }
 
-/// Text up to the zero that ends it.
+/// Reads text up to its terminating zero.
 pub(crate) fn text(value: &[u8]) -> String {
     let end = value.iter().position(|b| *b == 0).unwrap_or(value.len());
     String::from_utf8_lossy(&value[..end]).into_owned()
@@ -102,7 +102,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(list in prop::collection::vec((0_u16..KIND_MASK, prop::collection::vec(any::<u8>(), 0..40)), 0..8)) {
+        fn written_attributes_are_read_back(list in prop::collection::vec((0_u16..KIND_MASK, prop::collection::vec(any::<u8>(), 0..40)), 0..8)) {
             let mut writer = Writer::default();
             for (kind, value) in &list {
                 writer.bytes(*kind, value);
@@ -113,13 +113,13 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_panic(bytes in prop::collection::vec(any::<u8>(), 0..80)) {
+        fn arbitrary_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..80)) {
             _ = attributes(&bytes);
         }
     }
 
     #[test]
-    fn a_length_that_lies_is_malformed() {
+    fn wrong_lengths_are_malformed() {
         let mut bytes = Writer::default();
         bytes.text(1, "netem");
         let mut bytes = bytes.finish();

@@ -1,4 +1,4 @@
-//! What a testbed's link is asked to do, as NetEm does it.
+//! Conversion of a testbed link's conditions to NetEm's.
 
 use cotorra_graph::{Conditions, QueueLimit, Rate};
 
@@ -7,29 +7,31 @@ use crate::{
     netem::{Jitter, Netem},
 };
 
-/// Why NetEm cannot do what a link is asked to.
+/// Conditions that NetEm cannot emulate.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NotByNetem {
-    /// It knows fixed rates only.
-    #[error("NetEm plays no packet-delivery traces: give a fixed rate, or let the fabric emulate")]
+    /// A rate from a packet-delivery trace: NetEm has fixed rates only.
+    #[error("NetEm cannot play packet-delivery traces: give a fixed rate, or let the fabric emulate")]
     Trace,
-    /// There is no such model.
-    #[error("a share of {rate} cannot be lost in bursts of {mean_burst} packets")]
+    /// Bursty loss for which no Gilbert-Elliott model exists.
+    #[error(
+        "a loss rate of {rate} is impossible in bursts of {mean_burst} packets: lower the rate or lengthen the bursts"
+    )]
     Burst {
-        /// Long-run share that is lost.
+        /// Long-run share of lost packets.
         rate: f64,
-        /// Mean length of a burst.
+        /// Mean length of a burst, packets.
         mean_burst: f64,
     },
 }
 
-/// A full Ethernet frame.
+/// Bytes of a full Ethernet frame.
 const FRAME: u64 = 1514;
 
 impl TryFrom<&Conditions> for Netem {
     type Error = NotByNetem;
 
-    /// Packets stay in order. A queue of bytes is counted in full frames, because NetEm counts packets.
+    /// Keeps packets in order. A queue limit in bytes is converted to full frames, because NetEm counts packets.
     fn try_from(conditions: &Conditions) -> Result<Self, NotByNetem> {
         let loss = match conditions.loss {
             cotorra_graph::Loss::None => Loss::None,
@@ -73,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_links_conditions_are_netems() {
+    fn link_conditions_convert_to_netem() {
         let bits_per_second = BitRate::from_mbps(10.0).unwrap();
         let conditions = Conditions {
             delay: Duration::from_millis(100),
@@ -83,7 +85,7 @@ mod tests {
             ..Conditions::default()
         };
         let netem = Netem::try_from(&conditions).unwrap();
-        // 1 Mbit in flight are 83 full frames, and 10 may queue.
+        // 1 Mbit in flight is 83 full frames, and 10 may queue.
         assert_eq!(netem.limit(), 93);
         assert!((netem.loss.share() - 0.1).abs() < 1e-9);
         assert_eq!((netem.delay, netem.rate), (conditions.delay, Some(bits_per_second)));

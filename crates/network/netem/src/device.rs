@@ -1,5 +1,5 @@
-//! One interface as the kernel told it: its rules, and plans that change them. Pure: the kernel's answers go in, requests
-//! come out.
+//! The traffic control of one interface: its rules, and plans that change them. Pure: the kernel's answers go in,
+//! requests come out.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -16,17 +16,17 @@ use crate::{
 /// A network interface.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Interface {
-    /// Its number in its network namespace.
+    /// Index within its network namespace.
     pub index: u32,
-    /// Its name.
+    /// Name, such as `eth0`.
     pub name: String,
-    /// Whether this machine talks to itself over it.
+    /// Whether it is a loopback interface.
     pub loopback: bool,
 }
 
-/// A discipline as the kernel told it.
+/// A queueing discipline as the kernel reports it.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct SeenDiscipline {
+pub(crate) struct DisciplineInfo {
     interface: u32,
     handle: Handle,
     parent: Handle,
@@ -35,60 +35,60 @@ pub(crate) struct SeenDiscipline {
     counters: Counters,
 }
 
-/// What the kernel told about a network namespace.
+/// The interfaces, disciplines and filters of a network namespace, as the kernel reports them.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct Seen {
+pub(crate) struct Snapshot {
     pub(crate) interfaces: Vec<Interface>,
-    pub(crate) disciplines: Vec<SeenDiscipline>,
-    /// With the interface and the place at which they are.
+    pub(crate) disciplines: Vec<DisciplineInfo>,
+    /// Filters, each with its interface and parent.
     pub(crate) filters: Vec<(u32, Handle, Filter)>,
 }
 
-/// An interface and what is at it.
+/// An interface and the rules on it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Device {
     interface: Interface,
     egress: Tree,
-    /// The detour of what arrives: its tree, if there is one.
+    /// Tree of the ifb interface that ingress traffic takes a detour through, if it exists.
     detour: Option<Tree>,
-    /// Index for a detour that is to be made.
+    /// Free index for a new detour interface.
     free_index: u32,
     hook: Hook,
 }
 
-/// What is where packets arrive.
+/// State of the interface's ingress hook.
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Hook {
-    /// Kind of the discipline there.
+    /// Kind of the ingress discipline, if any.
     discipline: Option<String>,
-    /// Whether our filter leads to the detour.
+    /// Whether our filter redirects to the detour.
     redirects: bool,
-    /// Filters of others.
+    /// Number of filters that are not ours.
     others: usize,
 }
 
-/// Things to do, in order.
+/// Requests to the kernel, in order.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Plan(pub(crate) Vec<Request>);
 
-/// Priority of the filter that sends what arrives to the detour.
+/// Priority of the filter that redirects ingress packets to the detour.
 const DETOUR: u16 = 0xc070;
 
-/// What names of detours begin with.
+/// Name prefix of detour interfaces.
 const DETOUR_NAME: &str = "cotorra-i";
 
-/// The name of the detour of an interface.
+/// Returns the name of an interface's detour.
 pub(crate) fn detour_name(index: u32) -> String {
     format!("{DETOUR_NAME}{index}")
 }
 
 impl Plan {
-    /// Whether there is nothing to do.
+    /// Whether the plan has no requests.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether packets that wait in a discipline are lost by it.
+    /// Whether the plan deletes a discipline and so loses the packets queued in it.
     pub fn loses_packets(&self) -> bool {
         self.0.iter().any(|request| {
             request.verb == Verb::Delete && matches!(request.object, Object::Discipline { .. } | Object::Ifb)
@@ -97,24 +97,24 @@ impl Plan {
 }
 
 impl fmt::Display for Plan {
-    /// In the words of `tc` and `ip`, one a line.
+    /// Writes one `tc` or `ip` command per line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|request| writeln!(f, "{request}"))
     }
 }
 
 impl Device {
-    pub(crate) fn new(seen: &Seen, interface: &Interface) -> Result<Self, Malformed> {
+    pub(crate) fn new(snapshot: &Snapshot, interface: &Interface) -> Result<Self, Malformed> {
         let detour = detour_name(interface.index);
-        let detour = seen.interfaces.iter().find(|other| other.name == detour);
-        let taken = |index: &u32| seen.interfaces.iter().any(|other| other.index == *index);
+        let detour = snapshot.interfaces.iter().find(|other| other.name == detour);
+        let taken = |index: &u32| snapshot.interfaces.iter().any(|other| other.index == *index);
         let arriving = |f: &&(u32, Handle, Filter)| f.0 == interface.index && f.1 == Handle::ARRIVING;
         let ours = |f: &&(u32, Handle, Filter)| {
             f.2.priority == DETOUR && detour.is_some_and(|d| f.2.verdict == Verdict::Redirect(d.index))
         };
-        let filters: Vec<_> = seen.filters.iter().filter(arriving).collect();
+        let filters: Vec<_> = snapshot.filters.iter().filter(arriving).collect();
         let hook = Hook {
-            discipline: seen
+            discipline: snapshot
                 .disciplines
                 .iter()
                 .find(|d| d.interface == interface.index && d.parent == Handle::INGRESS)
@@ -123,20 +123,21 @@ impl Device {
             others: filters.iter().copied().filter(|f| !ours(f)).count(),
         };
         Ok(Self {
-            egress: seen.tree(interface, Field::Destination)?,
-            detour: detour.map(|detour| seen.tree(detour, Field::Source)).transpose()?,
+            egress: snapshot.tree(interface, Field::Destination)?,
+            detour: detour.map(|detour| snapshot.tree(detour, Field::Source)).transpose()?,
             free_index: (1000..).find(|index| !taken(index)).expect("no machine has so many interfaces"),
             interface: interface.clone(),
             hook,
         })
     }
 
-    /// Which interface.
+    /// Returns the interface.
     pub fn interface(&self) -> &Interface {
         &self.interface
     }
 
-    /// All rules: those for what leaves first, the one for all packets before those for networks.
+    /// Returns all rules with their counters: egress before ingress, and per side the rule for all packets before
+    /// those for networks.
     pub fn rules(&self) -> impl Iterator<Item = (Rule, Counters)> {
         let of = |side, tree: &Tree| {
             let rule = move |(network, installed): (&Option<Network>, &Installed)| {
@@ -149,7 +150,8 @@ impl Device {
         of(Side::Egress, &self.egress).into_iter().chain(ingress)
     }
 
-    /// Tells what the kernel does not: the shape of a rule's jitter, which matters where the rule is made anew.
+    /// Sets the distribution of a rule's jitter. The kernel does not report it, and it is needed when the rule is
+    /// created anew.
     pub fn recall(&mut self, side: Side, network: Option<Network>, distribution: crate::Distribution) {
         let tree = match side {
             Side::Egress => Some(&mut self.egress),
@@ -161,7 +163,7 @@ impl Device {
         }
     }
 
-    /// Somebody's discipline that a rule would take the place of.
+    /// Returns the foreign root discipline that an egress rule would replace.
     pub fn foreign(&self) -> Option<&Replaced> {
         match &self.egress.root {
             Root::Foreign { replaced, .. } => Some(replaced),
@@ -169,7 +171,8 @@ impl Device {
         }
     }
 
-    /// What makes a rule, or changes it in place. `replace` allows it to take the place of somebody's discipline.
+    /// Plans the creation of a rule, or its change in place. `replace` allows NetEm to take the place of a foreign
+    /// discipline.
     ///
     /// # Errors
     /// [`DisciplineError`].
@@ -190,7 +193,7 @@ impl Device {
             });
             detour
         });
-        // Packets are led to the detour only once it does what it should.
+        // Redirect packets only once the detour is set up.
         requests.extend(detour.set(rule.network, &rule.netem, true)?);
         if self.hook.discipline.is_none() {
             requests.push(self.arriving(Verb::Add));
@@ -201,7 +204,7 @@ impl Device {
         Ok(Plan(requests))
     }
 
-    /// What makes all of these rules, or changes them in place; see [`Self::set`].
+    /// Plans all of these rules at once; see [`Self::set`].
     ///
     /// # Errors
     /// [`DisciplineError`].
@@ -210,13 +213,13 @@ impl Device {
         let mut requests = Vec::new();
         for rule in rules {
             requests.extend(device.set(rule, replace)?.0);
-            device.assume(rule)?;
+            device.simulate(rule)?;
         }
         Ok(Plan(requests))
     }
 
-    /// Takes for granted that a rule was set.
-    fn assume(&mut self, rule: &Rule) -> Result<(), DisciplineError> {
+    /// Updates this copy as if `rule` had been applied.
+    fn simulate(&mut self, rule: &Rule) -> Result<(), DisciplineError> {
         match rule.side {
             Side::Egress => self.egress = self.egress.with(rule.network, &rule.netem)?,
             Side::Ingress => {
@@ -229,12 +232,12 @@ impl Device {
         Ok(())
     }
 
-    /// Whether it is the detour of another interface's arriving packets.
+    /// Whether this interface is the ingress detour of another one.
     pub fn is_detour(&self) -> bool {
         self.interface.name.starts_with(DETOUR_NAME)
     }
 
-    /// What takes a rule away, and with the last one all; see [`Self::clear`].
+    /// Plans the removal of a rule. Removing a side's last rule is [`Self::clear`].
     pub fn remove(&self, side: Side, network: Option<Network>, replaced: Option<&Replaced>) -> Plan {
         let tree = match side {
             Side::Egress => Some(&self.egress),
@@ -247,7 +250,7 @@ impl Device {
         }
     }
 
-    /// What takes all rules of a side away, and puts back what they replaced.
+    /// Plans the removal of all rules of a side, and the return of the discipline that they replaced.
     pub fn clear(&self, side: Side, replaced: Option<&Replaced>) -> Plan {
         let mut requests = Vec::new();
         match (side, &self.detour) {
@@ -261,7 +264,7 @@ impl Device {
                 if self.hook.redirects {
                     requests.push(self.redirect(Verb::Delete, detour));
                 }
-                // `clsact` is never ours; an empty `ingress` is of no use to anyone.
+                // `clsact` is never ours. An empty `ingress` discipline serves nobody.
                 if self.hook.discipline.as_deref() == Some("ingress") && self.hook.others == 0 {
                     requests.push(self.arriving(Verb::Delete));
                 }
@@ -276,7 +279,8 @@ impl Device {
         Plan(requests)
     }
 
-    /// What takes all rules away, and puts back what they replaced, wherever whoever was about to do so broke off.
+    /// Plans the removal of all rules and the return of the replaced discipline. Works from any partial state, such
+    /// as after an interrupted removal.
     pub fn restore(&self, replaced: Option<&Replaced>) -> Plan {
         let mut requests = self.clear(Side::Ingress, None).0;
         requests.extend(self.egress.clear());
@@ -311,17 +315,17 @@ impl Device {
     }
 }
 
-impl Seen {
-    /// Where filters are that matter for an interface.
+impl Snapshot {
+    /// Returns the parents, by interface index, whose filters matter for an interface.
     pub(crate) fn filter_places(&self, interface: &Interface) -> Vec<(u32, Handle)> {
         let detour = detour_name(interface.index);
         let detour = self.interfaces.iter().find(|other| other.name == detour).map(|other| other.index);
-        let of = |d: &SeenDiscipline| match d {
+        let of = |d: &DisciplineInfo| match d {
             d if d.handle == Handle::OURS && d.kind == "htb" => Some((d.interface, Handle::OURS)),
             d if d.parent == Handle::INGRESS => Some((d.interface, Handle::ARRIVING)),
             _ => None,
         };
-        let ours = |d: &&SeenDiscipline| d.interface == interface.index || Some(d.interface) == detour;
+        let ours = |d: &&DisciplineInfo| d.interface == interface.index || Some(d.interface) == detour;
         self.disciplines.iter().filter(ours).filter_map(of).collect()
     }
 
@@ -329,7 +333,7 @@ impl Seen {
         let at: Vec<_> = self.disciplines.iter().filter(|d| d.interface == interface.index).collect();
         let top = at.iter().find(|d| d.parent == Handle::ROOT && d.handle != Handle(0));
         let mut rules = BTreeMap::new();
-        let installed = |d: &SeenDiscipline, number, priority| {
+        let installed = |d: &DisciplineInfo, number, priority| {
             let netem = Netem::decode(&d.options)?;
             Ok(Installed { number, priority, netem, counters: d.counters })
         };
@@ -366,7 +370,7 @@ impl Seen {
 }
 
 impl Interface {
-    /// Reads what follows the header of an `RTM_NEWLINK`.
+    /// Reads the body of an `RTM_NEWLINK` message.
     pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
         let index = word(body, 1)?;
         let rest = body.get(16..).unwrap_or_default();
@@ -377,10 +381,10 @@ impl Interface {
     }
 }
 
-impl SeenDiscipline {
-    /// Reads what follows the header of an `RTM_NEWQDISC`.
+impl DisciplineInfo {
+    /// Reads the body of an `RTM_NEWQDISC` message.
     pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
-        let mut seen = Self {
+        let mut info = Self {
             interface: word(body, 1)?,
             handle: Handle(word(body, 2)?),
             parent: Handle(word(body, 3)?),
@@ -390,13 +394,13 @@ impl SeenDiscipline {
         };
         for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {
             match kind {
-                1 => seen.kind = text(value),
-                2 => seen.options = value.to_vec(),
-                7 => seen.counters = Counters::decode(value)?,
+                1 => info.kind = text(value),
+                2 => info.options = value.to_vec(),
+                7 => info.counters = Counters::decode(value)?,
                 _ => {}
             }
         }
-        Ok(seen)
+        Ok(info)
     }
 }
 
@@ -421,7 +425,7 @@ impl Counters {
     }
 }
 
-/// Reads what follows the header of an `RTM_NEWTFILTER`; `None` for one that we would not write.
+/// Reads the body of an `RTM_NEWTFILTER` message. Returns `None` for a filter of a form that this crate never writes.
 pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>, Malformed> {
     let (interface, parent, info) = (word(body, 1)?, Handle(word(body, 3)?), word(body, 4)?);
     let (priority, protocol) = ((info >> 16) as u16, u16::from_be(info as u16));
@@ -429,7 +433,7 @@ pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>
         if kind == 2
             && let Some(filter) = Filter::decode(value, protocol, priority)?
         {
-            // The kernel names the place of an ingress filter by its discipline, or by its hook.
+            // The kernel reports an ingress filter's parent as either the discipline or the hook.
             let parent = if parent.major() == 0xffff { Handle::ARRIVING } else { parent };
             return Ok(Some((interface, parent, filter)));
         }
@@ -437,14 +441,17 @@ pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>
     Ok(None)
 }
 
-/// Reads bytes as everything that the kernel answers; for the fuzzer, which has no kernel.
+/// Decodes arbitrary bytes as every kind of kernel answer. Entry point for the fuzzer.
 #[doc(hidden)]
 pub fn read_anything(bytes: &[u8]) {
-    let _ = (Interface::decode(bytes), decode_filter(bytes), crate::route::ways(bytes));
-    if let Ok(discipline) = SeenDiscipline::decode(bytes) {
+    let _ = (Interface::decode(bytes), decode_filter(bytes), crate::route::default_route_interfaces(bytes));
+    if let Ok(discipline) = DisciplineInfo::decode(bytes) {
         let interface = Interface { index: discipline.interface, name: "fuzz".to_owned(), loopback: false };
-        let seen =
-            Seen { interfaces: vec![interface.clone()], disciplines: vec![discipline], ..Seen::default() };
-        let _ = Device::new(&seen, &interface);
+        let snapshot = Snapshot {
+            interfaces: vec![interface.clone()],
+            disciplines: vec![discipline],
+            ..Snapshot::default()
+        };
+        let _ = Device::new(&snapshot, &interface);
     }
 }

@@ -1,39 +1,39 @@
-//! Shapes of jitter, as the tables that NetEm draws from: the inverse of the distribution function at equally spaced
-//! points, in units of 1/8192 of the deviation (linux/pkt_sched.h, `NETEM_DIST_SCALE`). Computed from the distributions'
-//! definitions; no file of iproute2's is needed.
+//! Distributions of jitter, as the tables that NetEm draws from. A table is the inverse of the distribution function
+//! at equally spaced points, in units of 1/8192 of the deviation (linux/pkt_sched.h, `NETEM_DIST_SCALE`). Tables are
+//! computed from the distributions' definitions, so iproute2's files are not needed.
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// The shape of a jitter.
+/// Distribution of a jitter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distribution {
-    /// Every value within ± deviation is as likely.
+    /// Uniform within ± deviation.
     Uniform,
-    /// Gaussian; the deviation is its standard deviation.
+    /// Gaussian, with the deviation as standard deviation.
     #[default]
     Normal,
-    /// Pareto with shape 3, moved and scaled to mean 0 and the deviation as standard deviation: a long upper tail.
+    /// Pareto with shape 3, shifted and scaled to mean 0 and the deviation as standard deviation: a long upper tail.
     Pareto,
-    /// A quarter normal and three quarters Pareto, quantile by quantile, scaled like the latter.
+    /// A quarter normal and three quarters Pareto, mixed by quantile, and scaled like Pareto.
     ParetoNormal,
 }
 
-/// Entries of a table: what the kernel's own documentation uses, a quarter of the most that it takes.
+/// Entries of a table. The kernel's documentation uses this size, a quarter of the maximum.
 const SIZE: usize = 4096;
-/// One deviation.
+/// Table units per deviation.
 const SCALE: f64 = 8192.0;
-/// A table's entries are 16 bits wide, so that no jitter goes beyond four deviations.
+/// Largest deviation: a table's entries are 16 bits wide, which limits jitter to four deviations.
 const MOST: f64 = i16::MAX as f64 / SCALE;
 /// Shape of the Pareto distribution.
 const SHAPE: f64 = 3.0;
 
 impl Distribution {
-    /// All of them.
+    /// All distributions.
     pub const ALL: [Self; 4] = [Self::Uniform, Self::Normal, Self::Pareto, Self::ParetoNormal];
 
-    /// Its name, as in `tc`.
+    /// Returns the name that `tc` uses.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uniform => "uniform",
@@ -43,7 +43,7 @@ impl Distribution {
         }
     }
 
-    /// The value below which a share `u` of all jitter is, in deviations, before it is cut at four of them.
+    /// Returns the `u`-quantile of the jitter in deviations, before it is clamped to four of them.
     fn quantile(self, u: f64) -> f64 {
         // x_m = 1: F(x) = 1 - x^-a; mean a/(a-1), variance a/((a-1)²(a-2)).
         let pareto = |u: f64| {
@@ -60,13 +60,13 @@ impl Distribution {
         }
     }
 
-    /// The table.
+    /// Returns the table for `TCA_NETEM_DELAY_DIST`.
     pub(crate) fn table(self) -> Vec<i16> {
         let mut values: Vec<_> =
             (0..SIZE).map(|i| self.quantile((i as f64 + 0.5) / SIZE as f64).clamp(-MOST, MOST)).collect();
         if self != Self::Uniform {
-            // A cut tail takes from mean and deviation, and giving them back pushes more into the cut: a few rounds
-            // settle it.
+            // Clamping the tail changes mean and deviation. Rescaling pushes more values into the clamp, so iterate
+            // until it settles.
             for _ in 0..50 {
                 let mean = values.iter().sum::<f64>() / SIZE as f64;
                 let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / SIZE as f64;
@@ -102,11 +102,11 @@ mod tests {
     }
 
     #[test]
-    fn tables_have_mean_zero_and_the_deviation_asked_for() {
+    fn tables_have_mean_zero_and_the_requested_deviation() {
         for distribution in Distribution::ALL {
             let table = distribution.table();
             let (mean, deviation) = moments(&table);
-            // A uniform's deviation is its half-width.
+            // A uniform distribution's deviation is its half-width.
             let expected = if distribution == Distribution::Uniform { 1.0 / 3f64.sqrt() } else { 1.0 };
             assert!(mean.abs() < 2e-3, "{distribution:?}: mean {mean}");
             assert!((deviation - expected).abs() < 2e-3, "{distribution:?}: deviation {deviation}");
@@ -114,7 +114,7 @@ mod tests {
         }
     }
 
-    /// A snapshot of each curve at 1, 25, 50, 75 and 99 %.
+    /// Compares each curve with a snapshot at 1, 25, 50, 75 and 99 %.
     #[test]
     fn tables_have_the_shape_of_their_distribution() {
         let at = |d: Distribution| {

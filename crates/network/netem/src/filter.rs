@@ -1,5 +1,5 @@
-//! Filters of the kind u32, which sort packets by address into classes, or send all that arrive elsewhere: the oldest
-//! kind there is, and the one that kernels have most often.
+//! u32 filters, which sort packets by address into classes or redirect all ingress packets. u32 is the oldest kind of
+//! filter and the one that kernels most often have.
 
 use std::net::IpAddr;
 
@@ -8,30 +8,29 @@ use crate::{
     handle::{Handle, Network},
 };
 
-/// Which address of a packet a filter looks at.
+/// Address field that a filter compares.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Field {
     Source,
     Destination,
 }
 
-/// What becomes of a packet that a filter finds.
+/// Action of a filter on matching packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Verdict {
-    /// It goes into this class.
+    /// Puts the packet into this class.
     Class(Handle),
-    /// It is sent out of the interface with this index.
+    /// Redirects the packet to the interface with this index.
     Redirect(u32),
 }
 
-/// A filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Filter {
-    /// `None` finds all.
+    /// Network to match; `None` matches every packet.
     pub(crate) network: Option<Network>,
     pub(crate) field: Field,
     pub(crate) verdict: Verdict,
-    /// Filters with smaller ones go first; ours have one each.
+    /// Filters run in ascending priority. Each of ours has its own.
     pub(crate) priority: u16,
 }
 
@@ -40,11 +39,11 @@ const SELECTOR: u16 = 5;
 const ACTIONS: u16 = 7;
 /// `TC_U32_TERMINAL`: the verdict is final.
 const TERMINAL: u8 = 1;
-/// `struct tc_u32_sel` without its keys; the third byte is their number.
+/// Length of `struct tc_u32_sel` without its keys. Its third byte is the number of keys.
 const SELECTOR_HEADER: usize = 16;
 const KEY: usize = 16;
 
-/// Where addresses begin in the headers of IPv4 (RFC 791) and IPv6 (RFC 8200).
+/// Offsets of the addresses in the headers of IPv4 (RFC 791) and IPv6 (RFC 8200).
 const V4: [(Field, u32); 2] = [(Field::Source, 12), (Field::Destination, 16)];
 const V6: [(Field, u32); 2] = [(Field::Source, 8), (Field::Destination, 24)];
 
@@ -53,7 +52,7 @@ fn offset(of: [(Field, u32); 2], field: Field) -> u32 {
 }
 
 impl Filter {
-    /// EtherType of the packets that it looks at.
+    /// Returns the EtherType of the packets that the filter examines.
     pub(crate) fn protocol(&self) -> u16 {
         match self.network.map(Network::address) {
             Some(IpAddr::V4(_)) => 0x0800,
@@ -62,7 +61,7 @@ impl Filter {
         }
     }
 
-    /// Mask, value and offset of each word that it compares, as in the packet.
+    /// Returns mask, value and offset of each compared word, in network byte order.
     fn keys(&self) -> Vec<([u8; 4], [u8; 4], u32)> {
         let Some(network) = self.network else { return vec![([0; 4], [0; 4], 0)] };
         let (address, start) = match network.address() {
@@ -73,7 +72,7 @@ impl Filter {
             let bits = u32::from(network.prefix()).saturating_sub(i as u32 * 32).min(32);
             let mask = u32::MAX.checked_shl(32 - bits).unwrap_or(0);
             let value = [value[0], value[1], value[2], value[3]];
-            // The first word is compared even where nothing in it counts: a filter has a key.
+            // A filter needs at least one key, so the first word is compared even under an empty mask.
             (bits > 0 || i == 0).then(|| (mask.to_be_bytes(), value, start + i as u32 * 4))
         };
         address.chunks_exact(4).enumerate().filter_map(word).collect()
@@ -106,7 +105,7 @@ impl Filter {
         w.finish()
     }
 
-    /// Reads the options of the kernel's answer; `None` if it is nothing that we would write.
+    /// Reads a filter's options from the kernel's answer. Returns `None` for a form that this crate never writes.
     pub(crate) fn decode(options: &[u8], protocol: u16, priority: u16) -> Result<Option<Self>, Malformed> {
         let (mut verdict, mut selected) = (None, None);
         for (kind, value) in attributes(options)? {
@@ -177,7 +176,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(bits: u128, v4: bool, prefix in 0_u8..=128, source: bool, class in 1_u16.., priority: u16) {
+        fn written_filters_are_read_back(bits: u128, v4: bool, prefix in 0_u8..=128, source: bool, class in 1_u16.., priority: u16) {
             let network = if v4 {
                 Network::new((bits as u32).to_be_bytes().into(), prefix / 4)
             } else {
@@ -189,7 +188,7 @@ mod tests {
         }
 
         #[test]
-        fn no_options_panic(bytes in prop::collection::vec(any::<u8>(), 0..120), protocol: u16) {
+        fn arbitrary_options_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..120), protocol: u16) {
             _ = Filter::decode(&bytes, protocol, 0);
             _ = Filter::decode(&bytes, 0x0800, 0);
             _ = Filter::decode(&bytes, 0x86dd, 0);
@@ -197,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_arrives_is_redirected() {
+    fn redirect_filters_are_read_back() {
         let all =
             Filter { network: None, field: Field::Destination, verdict: Verdict::Redirect(7), priority: 9 };
         assert_eq!(Filter::decode(&all.encode(), 3, 9), Ok(Some(all)));

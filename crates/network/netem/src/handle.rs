@@ -1,24 +1,23 @@
-//! Names of things in the kernel's traffic control: handles of disciplines and classes, and the networks that filters
-//! look for.
+//! Handles of disciplines and classes in the kernel's traffic control, and the IP networks that filters match.
 
 use std::{fmt, net::IpAddr, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
-/// The name of a discipline (minor 0) or class: `c070:1`.
+/// Handle of a discipline (minor 0) or a class, such as `c070:1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Handle(pub(crate) u32);
 
 impl Handle {
-    /// Where an interface's outermost discipline is.
+    /// Parent of an interface's root discipline.
     pub(crate) const ROOT: Self = Self(0xffff_ffff);
-    /// Where disciplines for arriving packets are.
+    /// Parent of the ingress discipline.
     pub(crate) const INGRESS: Self = Self(0xffff_fff1);
-    /// Where the filters for arriving packets are.
+    /// Parent of the ingress filters.
     pub(crate) const ARRIVING: Self = Self(0xffff_fff2);
-    /// The discipline for arriving packets itself.
+    /// The ingress discipline.
     pub(crate) const INGRESS_DISCIPLINE: Self = Self::new(0xffff, 0);
-    /// By which what is ours is known.
+    /// Root discipline of this crate. Its major number marks what this crate created.
     pub(crate) const OURS: Self = Self::new(0xc070, 0);
 
     pub(crate) const fn new(major: u16, minor: u16) -> Self {
@@ -33,12 +32,12 @@ impl Handle {
         self.0 as u16
     }
 
-    /// Our class with that number.
+    /// Returns the handle of our class with this number.
     pub(crate) const fn class(number: u16) -> Self {
         Self::new(Self::OURS.major(), number)
     }
 
-    /// The discipline in the class with that number.
+    /// Returns the handle of the discipline in our class with this number.
     pub(crate) const fn leaf(number: u16) -> Self {
         Self::new(Self::OURS.major() + number, 0)
     }
@@ -55,7 +54,7 @@ impl fmt::Display for Handle {
     }
 }
 
-/// An address, or all that begin as it does.
+/// An IP network, or a single address.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Network {
@@ -63,14 +62,14 @@ pub struct Network {
     prefix: u8,
 }
 
-/// Text that names no network.
+/// Text that is not an IP network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is neither an address nor a network: write it like 10.0.0.7, 10.0.0.0/16 or fd00::/64")]
 pub struct NoNetwork(String);
 
 impl Network {
-    /// The network of an address with a prefix of so many bits; what is behind them is taken for 0. `None` for more
-    /// bits than an address has.
+    /// Creates the network of `address` with a prefix of `prefix` bits and clears the remaining bits. Returns `None`
+    /// if the prefix is longer than the address.
     pub fn new(address: IpAddr, prefix: u8) -> Option<Self> {
         let address: IpAddr = match address {
             IpAddr::V4(v4) if prefix <= 32 => {
@@ -86,12 +85,12 @@ impl Network {
         Some(Self { address, prefix })
     }
 
-    /// The first address.
+    /// Returns the first address.
     pub fn address(self) -> IpAddr {
         self.address
     }
 
-    /// Bits that all its addresses have in common.
+    /// Returns the length of the prefix, bits.
     pub fn prefix(self) -> u8 {
         self.prefix
     }
@@ -142,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn networks_are_read_as_people_write_them() {
+    fn networks_parse_with_and_without_prefix() {
         let read = |text: &str| text.parse::<Network>().map(|n| n.to_string());
         assert_eq!(read("10.1.2.3"), Ok("10.1.2.3".into()));
         assert_eq!(read("10.1.2.3/8"), Ok("10.0.0.0/8".into()));
@@ -155,7 +154,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_shown_is_read(bits: u128, prefix in 0_u8..=128) {
+        fn displayed_networks_parse_back(bits: u128, prefix in 0_u8..=128) {
             let v6 = Network::new(bits.to_be_bytes().into(), prefix).unwrap();
             prop_assert_eq!(v6.to_string().parse(), Ok(v6));
             let v4 = Network::new((bits as u32).to_be_bytes().into(), prefix / 4).unwrap();

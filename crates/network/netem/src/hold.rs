@@ -1,5 +1,5 @@
-//! Conditions that go with who set them: a run holds interfaces of this machine, and gives them back at its end as it found
-//! them. What a killed one left is found by its records, and put back by the next.
+//! Conditions that last as long as a run. A run holds interfaces of this machine and restores them when it ends.
+//! Interfaces left by a killed run are found by their records and restored by the next run.
 
 use std::{io, mem};
 
@@ -10,54 +10,54 @@ use crate::{
     rule::{Counters, DisciplineError, Rule},
 };
 
-/// What somebody said is meant, though it may do harm.
+/// Explicit permissions for changes that may do harm.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Confirmed {
-    /// NetEm may take the place of a queueing discipline that somebody put there.
+    /// Whether NetEm may replace a queueing discipline that somebody configured.
     pub replace: bool,
-    /// Interfaces that are meant, be they the loopback or the way to everywhere else.
+    /// Interfaces to change even if they are the loopback or carry the default route.
     pub interfaces: Vec<String>,
 }
 
-/// Why an interface is not held. Nothing has changed then.
+/// An interface that cannot be held. Nothing has changed.
 #[derive(Debug, thiserror::Error)]
 pub enum HoldError {
-    /// This machine talks to itself over it.
+    /// It is the loopback interface.
     #[error(
-        "`{0}` is the loopback interface, over which this machine talks to itself: `--allow-interface {0}` if that is meant"
+        "`{0}` is the loopback interface, which this machine's own programs use: pass `--allow-interface {0}` to change it anyway"
     )]
     Loopback(String),
-    /// Whoever is logged in from elsewhere suffers.
+    /// It carries the default route, so remote sessions to this machine would suffer.
     #[error(
-        "`{0}` carries the default route, and whoever reaches this machine over it: `--allow-interface {0}` if that is \
-         meant"
+        "`{0}` carries the default route and may carry remote sessions to this machine: pass `--allow-interface {0}` to \
+         change it anyway"
     )]
     DefaultRoute(String),
-    /// Somebody set conditions.
+    /// It has conditions already.
     #[error(
-        "`{0}` has conditions already: `cotorra netem show {0}` shows them, `cotorra netem clear {0}` takes them away"
+        "`{0}` has conditions already: `cotorra netem show {0}` shows them, `cotorra netem clear {0}` removes them"
     )]
     Conditioned(String),
     /// Another run holds it.
     #[error("`{interface}` is held by another run, process {pid}")]
     Held {
-        /// The interface.
+        /// Name of the interface.
         interface: String,
-        /// The run's process.
+        /// Process ID of that run.
         pid: u32,
     },
-    /// A rule cannot be.
+    /// A rule cannot be installed.
     #[error(transparent)]
     Discipline(#[from] DisciplineError),
-    /// What could not be undone after a kill is not done.
-    #[error("cannot write down what is to be put back: {0}")]
+    /// The record cannot be written, so a killed run could not be undone.
+    #[error("cannot record how to restore the interface: {0}")]
     Record(io::Error),
-    /// The kernel.
+    /// A kernel request failed.
     #[error(transparent)]
     Netem(#[from] Error),
 }
 
-/// Interfaces that this process holds. Dropping it gives them back.
+/// Interfaces held by this process. Dropping it restores them.
 #[derive(Debug)]
 pub struct Hold {
     kernel: Kernel,
@@ -65,7 +65,7 @@ pub struct Hold {
 }
 
 impl Hold {
-    /// Holds nothing yet, in the calling thread's network namespace.
+    /// Opens the calling thread's network namespace, without holding any interface.
     ///
     /// # Errors
     /// [`Error::Socket`].
@@ -73,7 +73,7 @@ impl Hold {
         Ok(Self { kernel: Kernel::open()?, interfaces: Vec::new() })
     }
 
-    /// What [`Self::take`] would do.
+    /// Returns the plan of [`Self::take`] without applying it.
     ///
     /// # Errors
     /// [`HoldError`].
@@ -115,7 +115,7 @@ impl Hold {
                 return Err(HoldError::DefaultRoute(name.to_owned()));
             }
         }
-        if let Some(owner) = Record::left(interface).owner.filter(Owner::lives) {
+        if let Some(owner) = Record::read(interface).owner.filter(Owner::is_alive) {
             return Err(HoldError::Held { interface: name.to_owned(), pid: owner.pid });
         }
         if device.rules().next().is_some() {
@@ -125,7 +125,7 @@ impl Hold {
         Ok((device, plan))
     }
 
-    /// Gives a rule of an interface that is held other conditions, in place; it does so when this returns.
+    /// Changes the conditions of a rule on a held interface in place. They apply when this returns.
     ///
     /// # Errors
     /// [`Error`]; then nothing has changed.
@@ -136,12 +136,12 @@ impl Hold {
         record.recall(&mut device);
         record.note(&device, rule);
         self.kernel.apply(&device.set(rule, false)?)?;
-        // What is to be put back has not changed, and is written down.
+        // The state to restore is unchanged and already on disk, so a failure here is harmless.
         let _ = record.save(interface);
         Ok(())
     }
 
-    /// All rules of an interface that is held, and what the kernel counted for each.
+    /// Returns all rules of a held interface with their counters.
     ///
     /// # Errors
     /// [`Error`].
@@ -149,7 +149,7 @@ impl Hold {
         Ok(self.kernel.device(name)?.rules().collect())
     }
 
-    /// Gives all back as they were found; what it tells could not be, and is left to [`put_back`].
+    /// Restores all held interfaces. Returns those that failed; [`put_back`] can retry them.
     pub fn release(&mut self) -> Vec<(Interface, Error)> {
         let give = |(interface, record): (Interface, Record)| {
             restore(&self.kernel, &interface, &record).err().map(|error| (interface, error))
@@ -164,37 +164,38 @@ impl Drop for Hold {
     }
 }
 
-/// Interfaces of this network namespace that a process held which was killed.
+/// Returns the interfaces of this network namespace that a killed process held.
 pub fn leftovers() -> Vec<Interface> {
-    let is_left = |interface: &Interface| Record::left(interface).owner.is_some_and(|owner| !owner.lives());
+    let is_left =
+        |interface: &Interface| Record::read(interface).owner.is_some_and(|owner| !owner.is_alive());
     Record::interfaces().into_iter().filter(is_left).collect()
 }
 
-/// Puts such interfaces back as they were found; gives each with what kept it from that.
+/// Restores the interfaces of killed processes. Returns each with its result.
 pub fn put_back() -> Vec<(Interface, Result<(), Error>)> {
-    let left = leftovers();
-    if left.is_empty() {
+    let stale = leftovers();
+    if stale.is_empty() {
         return Vec::new();
     }
     match Kernel::open() {
         Ok(kernel) => {
             let restore = |interface: Interface| {
-                let done = restore(&kernel, &interface, &Record::left(&interface));
+                let done = restore(&kernel, &interface, &Record::read(&interface));
                 (interface, done)
             };
-            left.into_iter().map(restore).collect()
+            stale.into_iter().map(restore).collect()
         }
         Err(error) => {
-            let said = error.to_string();
-            let failed = |interface| (interface, Err(Error::Socket(io::Error::other(said.clone()))));
-            left.into_iter().map(failed).collect()
+            let message = error.to_string();
+            let failed = |interface| (interface, Err(Error::Socket(io::Error::other(message.clone()))));
+            stale.into_iter().map(failed).collect()
         }
     }
 }
 
 fn restore(kernel: &Kernel, interface: &Interface, record: &Record) -> Result<(), Error> {
     let found = kernel.devices()?.into_iter().find(|device| {
-        // Another one may have its number, or its name, by now.
+        // Its index or name may belong to another interface by now.
         (device.interface().index, &device.interface().name) == (interface.index, &interface.name)
     });
     if let Some(device) = found {

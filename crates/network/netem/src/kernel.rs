@@ -1,4 +1,4 @@
-//! The thin shell around all this: a socket to the kernel, on which requests go out and answers come in.
+//! The netlink socket: sends requests to the kernel and receives its answers.
 
 use std::io;
 
@@ -6,62 +6,62 @@ use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 use crate::{
     attributes::{Malformed, attributes, text, word},
-    device::{Device, Interface, Plan, Seen, SeenDiscipline, decode_filter},
+    device::{Device, DisciplineInfo, Interface, Plan, Snapshot, decode_filter},
     handle::Network,
     netem::Netem,
-    request::{Object, Question, Request, Verb},
+    request::{Dump, Object, Request, Verb},
     route,
     rule::{Rule, Side},
 };
 
-/// What can go wrong between this program and the kernel.
+/// A failure in the exchange with the kernel.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The kernel lacks a module.
     #[error(
-        "this kernel has no {module}, nor finds the module: `modprobe {module}`, from linux-modules-extra or similar"
+        "this kernel has no {module} and cannot load it: run `modprobe {module}`, or install it from linux-modules-extra or similar"
     )]
     Missing {
-        /// The module.
+        /// Name of the module.
         module: &'static str,
     },
-    /// The kernel refused something else.
-    #[error("the kernel refuses `{request}`: {source}{}", if said.is_empty() { String::new() } else { format!(" ({said})") })]
+    /// The kernel rejected a request.
+    #[error("the kernel refuses `{request}`: {source}{}", if message.is_empty() { String::new() } else { format!(" ({message})") })]
     Refused {
-        /// In the words of `tc`.
+        /// The request as a `tc` or `ip` command.
         request: String,
-        /// What the kernel said in words; may be empty.
-        said: String,
-        /// Its error.
+        /// The kernel's explanation; may be empty.
+        message: String,
+        /// The kernel's error code.
         source: io::Error,
     },
-    /// No rights.
-    #[error("conditions of interfaces are changed by root only, or with CAP_NET_ADMIN: run it as root")]
+    /// The process lacks CAP_NET_ADMIN.
+    #[error("changing an interface's conditions needs root or CAP_NET_ADMIN: run it as root")]
     NoRights,
-    /// No interface of that name.
+    /// No interface has this name.
     #[error("there is no interface `{name}` here{}", if others.is_empty() { String::new() } else { format!(": there are {others}") })]
     NoInterface {
-        /// The name.
+        /// Requested name.
         name: String,
-        /// Those that there are.
+        /// Names of the existing interfaces, separated by commas.
         others: String,
     },
-    /// The socket.
-    #[error("cannot talk to the kernel by netlink: {0}")]
+    /// The netlink socket failed.
+    #[error("netlink socket failed: {0}")]
     Socket(#[from] io::Error),
-    /// The answer.
+    /// The answer could not be decoded.
     #[error(transparent)]
     Malformed(#[from] Malformed),
 }
 
-/// The kernel's traffic control in one network namespace.
+/// Traffic control of one network namespace.
 #[derive(Debug)]
 pub struct Kernel {
     socket: Socket,
 }
 
 impl Error {
-    /// An interface was there, and is no more.
+    /// Returns the error for an interface that has disappeared.
     pub(crate) fn gone(name: &str) -> Self {
         Self::NoInterface { name: name.to_owned(), others: String::new() }
     }
@@ -70,7 +70,7 @@ impl Error {
 const ERROR: u16 = 2;
 const DONE: u16 = 3;
 const HEADER: usize = 16;
-/// In a header's flags: there is more than a number in an error.
+/// `NLM_F_ACK_TLVS`: attributes follow the error code.
 const HAS_TEXT: u16 = 0x200;
 
 const ENOENT: i32 = 2;
@@ -78,7 +78,8 @@ const EPERM: i32 = 1;
 const EOPNOTSUPP: i32 = 95;
 
 impl Kernel {
-    /// Opens it for the calling thread's network namespace, whichever that thread enters afterwards.
+    /// Opens a netlink socket in the calling thread's network namespace. It stays in that namespace when the thread
+    /// changes to another.
     ///
     /// # Errors
     /// [`Error::Socket`].
@@ -86,50 +87,56 @@ impl Kernel {
         let mut socket = Socket::new(NETLINK_ROUTE)?;
         socket.bind_auto()?;
         socket.set_cap_ack(true)?;
-        // Older kernels say less.
+        // Older kernels lack extended error messages.
         let _ = socket.set_ext_ack(true);
         Ok(Self { socket })
     }
 
-    /// The interface of that name and what is at it.
+    /// Returns the interface of that name and its rules.
     ///
     /// # Errors
     /// [`Error`].
     pub fn device(&self, name: &str) -> Result<Device, Error> {
-        let seen = self.seen()?;
-        let Some(interface) = seen.interfaces.iter().find(|interface| interface.name == name).cloned() else {
-            let others = seen.interfaces.into_iter().map(|i| i.name).collect::<Vec<_>>().join(", ");
+        let snapshot = self.snapshot()?;
+        let Some(interface) = snapshot.interfaces.iter().find(|interface| interface.name == name).cloned()
+        else {
+            let others = snapshot.interfaces.into_iter().map(|i| i.name).collect::<Vec<_>>().join(", ");
             return Err(Error::NoInterface { name: name.to_owned(), others });
         };
-        self.device_of(seen, &interface)
+        self.device_of(snapshot, &interface)
     }
 
-    /// All interfaces and what is at them.
+    /// Returns all interfaces and their rules.
     ///
     /// # Errors
     /// [`Error`].
     pub fn devices(&self) -> Result<Vec<Device>, Error> {
-        let seen = self.seen()?;
-        seen.interfaces.clone().iter().map(|interface| self.device_of(seen.clone(), interface)).collect()
+        let snapshot = self.snapshot()?;
+        snapshot
+            .interfaces
+            .clone()
+            .iter()
+            .map(|interface| self.device_of(snapshot.clone(), interface))
+            .collect()
     }
 
-    /// The interfaces, by index, that packets take to wherever no other route leads.
+    /// Returns the indices of the interfaces that default routes lead over.
     ///
     /// # Errors
     /// [`Error`].
     pub fn default_routes(&self) -> Result<Vec<u32>, Error> {
         let mut interfaces = Vec::new();
-        for body in self.ask(Question::Routes)? {
-            interfaces.extend(route::ways(&body)?);
+        for body in self.dump(Dump::Routes)? {
+            interfaces.extend(route::default_route_interfaces(&body)?);
         }
         Ok(interfaces)
     }
 
-    /// The modules that this kernel neither has nor finds, found by trying on the loopback interface: do it in a network
-    /// namespace in which nobody needs that.
+    /// Returns the modules that this kernel neither has nor can load. Tries rules on the loopback interface: call it
+    /// in a network namespace of its own.
     ///
     /// # Errors
-    /// [`Error`], but for [`Error::Missing`].
+    /// [`Error`], except [`Error::Missing`].
     pub fn lacks(&self) -> Result<Vec<&'static str>, Error> {
         let mut lacks = Vec::new();
         let sides = [
@@ -149,8 +156,8 @@ impl Kernel {
         Ok(lacks)
     }
 
-    /// Whether this kernel's NetEm takes a seed, as Linux 6.7 and later do; tried as by [`Self::lacks`]. An older one
-    /// says nothing, and is random in another way each time.
+    /// Whether this kernel's NetEm accepts a seed, as Linux 6.7 and later do. Older kernels ignore it silently. Tries
+    /// it on the loopback interface, as [`Self::lacks`] does.
     ///
     /// # Errors
     /// [`Error::Missing`] without NetEm.
@@ -165,39 +172,36 @@ impl Kernel {
         Ok(kept)
     }
 
-    fn seen(&self) -> Result<Seen, Error> {
-        let interfaces = self
-            .ask(Question::Links)?
-            .iter()
-            .map(|body| Interface::decode(body))
-            .collect::<Result<_, _>>()?;
+    fn snapshot(&self) -> Result<Snapshot, Error> {
+        let interfaces =
+            self.dump(Dump::Links)?.iter().map(|body| Interface::decode(body)).collect::<Result<_, _>>()?;
         let disciplines = self
-            .ask(Question::Disciplines)?
+            .dump(Dump::Disciplines)?
             .iter()
-            .map(|body| SeenDiscipline::decode(body))
+            .map(|body| DisciplineInfo::decode(body))
             .collect::<Result<_, _>>()?;
-        Ok(Seen { interfaces, disciplines, filters: Vec::new() })
+        Ok(Snapshot { interfaces, disciplines, filters: Vec::new() })
     }
 
-    fn device_of(&self, mut seen: Seen, interface: &Interface) -> Result<Device, Error> {
-        for (index, parent) in seen.filter_places(interface) {
-            for body in self.ask(Question::Filters(index, parent))? {
-                seen.filters.extend(decode_filter(&body)?);
+    fn device_of(&self, mut snapshot: Snapshot, interface: &Interface) -> Result<Device, Error> {
+        for (index, parent) in snapshot.filter_places(interface) {
+            for body in self.dump(Dump::Filters(index, parent))? {
+                snapshot.filters.extend(decode_filter(&body)?);
             }
         }
-        Ok(Device::new(&seen, interface)?)
+        Ok(Device::new(&snapshot, interface)?)
     }
 
-    /// Does what a plan says. If the kernel refuses one thing, what was done before is undone.
+    /// Applies a plan. If the kernel rejects one request, the requests before it are undone.
     ///
     /// # Errors
     /// [`Error`]; then nothing has changed.
     pub fn apply(&self, plan: &Plan) -> Result<(), Error> {
         for (place, request) in plan.0.iter().enumerate() {
-            if let Err(error) = self.tell(request) {
+            if let Err(error) = self.send(request) {
                 for done in plan.0[..place].iter().rev() {
-                    // What cannot be undone, such as a filter of a discipline that is gone, is gone already.
-                    let _ = self.tell(&done.undo());
+                    // A request that cannot be undone, such as a filter whose discipline is gone, needs no undoing.
+                    let _ = self.send(&done.undo());
                 }
                 return Err(error);
             }
@@ -205,13 +209,13 @@ impl Kernel {
         Ok(())
     }
 
-    fn tell(&self, request: &Request) -> Result<(), Error> {
+    fn send(&self, request: &Request) -> Result<(), Error> {
         self.socket.send(&request.encode(1), 0)?;
         let mut answer = Vec::with_capacity(16 << 10);
         self.socket.recv(&mut answer, 0)?;
         let (Message { kind, flags, body }, _) = split(&answer)?;
         if kind != ERROR {
-            return Err(Malformed("a request was not acknowledged").into());
+            return Err(Malformed("the kernel did not acknowledge a request").into());
         }
         let code = -(word(body, 0)? as i32);
         if code == 0 {
@@ -225,12 +229,12 @@ impl Kernel {
             EOPNOTSUPP if adds && request.object == Object::Ifb => {
                 Error::Missing { module: request.module() }
             }
-            _ => Error::Refused { request: request.to_string(), said: said(flags, body)?, source },
+            _ => Error::Refused { request: request.to_string(), message: message(flags, body)?, source },
         })
     }
 
-    /// The bodies of all answers.
-    fn ask(&self, question: Question) -> Result<Vec<Vec<u8>>, Error> {
+    /// Sends a dump request and returns the bodies of all answers.
+    fn dump(&self, question: Dump) -> Result<Vec<Vec<u8>>, Error> {
         self.socket.send(&question.encode(1), 0)?;
         let mut bodies = Vec::new();
         let mut answers = Vec::with_capacity(64 << 10);
@@ -251,30 +255,34 @@ impl Kernel {
     }
 }
 
-/// One message of the kernel's.
+/// One netlink message.
 struct Message<'a> {
     kind: u16,
     flags: u16,
     body: &'a [u8],
 }
 
-/// The first message, and what is behind it.
+/// Splits off the first message and returns it with the rest.
 fn split(bytes: &[u8]) -> Result<(Message<'_>, &[u8]), Malformed> {
     let header = bytes.get(..HEADER).ok_or(Malformed("a message has no header"))?;
     let length = word(header, 0)? as usize;
     let kind = u16::from_ne_bytes([header[4], header[5]]);
     let flags = u16::from_ne_bytes([header[6], header[7]]);
-    let body = bytes.get(HEADER..length).ok_or(Malformed("a message is cut"))?;
-    let behind = bytes.get(length.next_multiple_of(4)..).unwrap_or_default();
-    Ok((Message { kind, flags, body }, behind))
+    let body = bytes.get(HEADER..length).ok_or(Malformed("a message is truncated"))?;
+    let rest = bytes.get(length.next_multiple_of(4)..).unwrap_or_default();
+    Ok((Message { kind, flags, body }, rest))
 }
 
-/// What the kernel says beside an error's number.
-fn said(flags: u16, body: &[u8]) -> Result<String, Malformed> {
+/// Returns the kernel's text beside an error code.
+fn message(flags: u16, body: &[u8]) -> Result<String, Malformed> {
     if flags & HAS_TEXT == 0 {
         return Ok(String::new());
     }
-    // The number and the request's header, which alone comes back.
-    let told = attributes(body.get(4 + HEADER..).unwrap_or_default())?;
-    Ok(told.into_iter().find(|(kind, _)| *kind == 1).map(|(_, said)| text(said)).unwrap_or_default())
+    // The error code is followed by the request's header, without its body.
+    let attributes = attributes(body.get(4 + HEADER..).unwrap_or_default())?;
+    Ok(attributes
+        .into_iter()
+        .find(|(kind, _)| *kind == 1)
+        .map(|(_, message)| text(message))
+        .unwrap_or_default())
 }

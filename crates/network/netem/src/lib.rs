@@ -1,19 +1,4 @@
-//! Link conditions by the kernel's own NetEm, on any interface of this machine, through netlink and without the `tc`
-//! program. What is written and read is pure and tested as such; [`Kernel`] is the thin shell with the socket.
-//!
-//! ```no_run
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! use std::time::Duration;
-//! use cotorra_netem::{Kernel, Netem, Rule};
-//!
-//! let kernel = Kernel::open()?;
-//! let netem = Netem { delay: Duration::from_millis(10), ..Netem::default() };
-//! let plan = kernel.device("eth0")?.set(&Rule { netem, ..Rule::default() }, false)?;
-//! print!("{plan}");
-//! kernel.apply(&plan)?;
-//! # Ok(())
-//! # }
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -27,6 +12,7 @@ mod hold;
 mod kernel;
 mod loss;
 mod netem;
+mod probability;
 mod record;
 mod request;
 mod route;
@@ -35,6 +21,7 @@ mod tree;
 
 pub use attributes::Malformed;
 pub use conditions::NotByNetem;
+pub use cotorra_graph::{BitRate, Probability};
 #[doc(hidden)]
 pub use device::read_anything;
 pub use device::{Device, Interface, Plan};

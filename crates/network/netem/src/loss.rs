@@ -1,45 +1,47 @@
-//! Packets that vanish. Bursts are Gilbert-Elliott's; NetEm's correlated loss is left out, because it is broken in the
-//! kernel: 1 % with a correlation of 25 % loses nothing at all.
+//! Models of packet loss. Bursty loss is Gilbert-Elliott's. NetEm's correlated loss is left out because it is broken
+//! in the kernel: 1 % with a correlation of 25 % loses nothing at all.
 
 use cotorra_graph::Probability;
 
-use crate::netem::{from_wire, to_wire};
+use crate::probability::{from_wire, to_wire};
 
-/// Which packets vanish.
+/// Model of packet loss.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Loss {
-    /// None do.
+    /// No loss.
     #[default]
     None,
-    /// Each with the same probability, whatever happened to the one before.
+    /// Each packet is lost with the same probability, independent of the others.
     Independent {
-        /// Long-run share that is lost.
+        /// Long-run share of lost packets.
         rate: Probability,
     },
-    /// The model of Gilbert (1960) and Elliott (1963): a good and a bad state, which change from packet to packet.
+    /// The model of Gilbert (1960) and Elliott (1963): a good and a bad state that change from packet to packet.
     GilbertElliott {
-        /// p: from good to bad.
+        /// p: transition probability from good to bad.
         to_bad: Probability,
-        /// r: from bad to good. The mean burst is 1/r packets long.
+        /// r: transition probability from bad to good. The mean burst is 1/r packets long.
         to_good: Probability,
-        /// 1 - h: what the bad state loses.
+        /// 1 - h: loss probability in the bad state.
         lost_in_bad: Probability,
-        /// 1 - k: what the good state loses.
+        /// 1 - k: loss probability in the good state.
         lost_in_good: Probability,
     },
 }
 
 impl Loss {
-    /// Gilbert's simple form, in which the bad state loses all and the good one nothing: a long-run share that is lost,
-    /// and the mean length of a burst. r = 1/burst, p = r·rate/(1-rate). `None` where there is no such model: the
-    /// share is 1, the burst is shorter than a packet, or so short that the good state would end before it began.
+    /// Returns Gilbert's simple model, which loses all packets in the bad state and none in the good state. With a
+    /// long-run loss `rate` and a mean burst length in packets, r = 1/mean_burst and p = r·rate/(1-rate).
+    ///
+    /// Returns `None` if no such model exists: the rate is 1, the burst is shorter than a packet, or p would exceed
+    /// 1.
     pub fn bursty(rate: Probability, mean_burst: f64) -> Option<Self> {
         if !(mean_burst.is_finite() && mean_burst >= 1.0 && rate.get() < 1.0) {
             return None;
         }
         let to_good = 1.0 / mean_burst;
         let to_bad = to_good * rate.get() / (1.0 - rate.get());
-        // A share like 0.9 has no exact quotient.
+        // A rate like 0.9 has no exact quotient.
         if to_bad > 1.0 + 1e-9 {
             return None;
         }
@@ -51,14 +53,14 @@ impl Loss {
         })
     }
 
-    /// The long-run share that is lost.
+    /// Returns the long-run share of lost packets.
     pub fn share(self) -> f64 {
         match self {
             Self::None => 0.0,
             Self::Independent { rate } => rate.get(),
             Self::GilbertElliott { to_bad, to_good, lost_in_bad, lost_in_good } => {
                 let (p, r) = (to_bad.get(), to_good.get());
-                // Without a way to the bad state it is never entered, whatever else there is.
+                // With p = 0 the bad state is never entered, whatever r is.
                 let bad = if p == 0.0 { 0.0 } else { p / (p + r) };
                 bad * lost_in_bad.get() + (1.0 - bad) * lost_in_good.get()
             }
@@ -72,7 +74,7 @@ impl Loss {
         }
     }
 
-    /// `struct tc_netem_gemodel`: p, r, h, 1-k.
+    /// Encodes `struct tc_netem_gemodel`: p, r, h, 1-k.
     pub(crate) fn model(self) -> Option<[u32; 4]> {
         let Self::GilbertElliott { to_bad, to_good, lost_in_bad, lost_in_good } = self else { return None };
         Some([to_wire(to_bad), to_wire(to_good), u32::MAX - to_wire(lost_in_bad), to_wire(lost_in_good)])
@@ -119,7 +121,7 @@ pub(crate) mod tests {
 
     proptest! {
         #[test]
-        fn bursts_lose_the_share_asked_for(rate in 0.0..0.99, mean_burst in 1.0..100.0) {
+        fn bursts_lose_the_requested_share(rate in 0.0..0.99, mean_burst in 1.0..100.0) {
             if let Some(loss) = Loss::bursty(p(rate), mean_burst) {
                 prop_assert!((loss.share() - rate).abs() < 1e-9);
             } else {
@@ -129,7 +131,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn no_model_loses_all_in_bursts() {
+    fn impossible_bursts_have_no_model() {
         assert_eq!(Loss::bursty(p(1.0), 5.0), None);
         assert_eq!(Loss::bursty(p(0.1), 0.5), None);
         assert_eq!(Loss::bursty(p(0.1), f64::NAN), None);

@@ -1,5 +1,5 @@
-//! What one NetEm queueing discipline does to packets, in units that people use, and its wire format
-//! (`TCA_NETEM_*` in linux/pkt_sched.h).
+//! The parameters of one NetEm queueing discipline, in convenient units, and their wire format (`TCA_NETEM_*` in
+//! linux/pkt_sched.h).
 
 use std::time::Duration;
 
@@ -9,45 +9,46 @@ use crate::{
     attributes::{Malformed, Writer, attributes, number, word},
     distribution::Distribution,
     loss::Loss,
+    probability::{from_wire, to_wire},
 };
 
 /// Random part of a delay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Jitter {
-    /// Half-width of a uniform, standard deviation of the other distributions.
+    /// Half-width of a uniform distribution, standard deviation of the others.
     pub deviation: Duration,
-    /// Its shape. The kernel never tells it: `None` where only the kernel was asked.
+    /// Distribution of the jitter. `None` if unknown: the kernel never reports it.
     pub distribution: Option<Distribution>,
 }
 
-/// What NetEm does to packets.
+/// Parameters of a NetEm discipline.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Netem {
-    /// What every packet waits.
+    /// Fixed delay of every packet.
     pub delay: Duration,
-    /// What it waits more, or less.
+    /// Random addition to the delay, positive or negative.
     pub jitter: Option<Jitter>,
-    /// Packets that vanish.
+    /// Packet loss.
     pub loss: Loss,
-    /// Share of packets that arrive twice.
+    /// Share of packets that are duplicated.
     pub duplication: Probability,
     /// Share of packets in which one bit is flipped.
     pub corruption: Probability,
-    /// Share of packets that skip the delay, and so overtake those before them.
+    /// Share of packets that skip the delay and so overtake those before them.
     pub reordering: Probability,
-    /// How fast packets are serialised: at any speed if `None`. NetEm counts whole bytes a second.
+    /// Serialisation rate; unlimited if `None`. NetEm rounds to whole bytes per second.
     pub rate: Option<BitRate>,
-    /// Most packets that wait, those in flight included; `None` sizes it, see [`Netem::limit`].
+    /// Queue limit in packets, including those in flight. `None` chooses one; see [`Netem::limit`].
     pub limit: Option<u32>,
-    /// Seed of everything random. Linux 6.7 and later.
+    /// Seed of all randomness. Linux 6.7 and later.
     pub seed: Option<u64>,
-    /// Whether packets stay in order when jitter would let one overtake another, or the delay falls. By itself NetEm
-    /// keeps order only under a rate: a rate that nothing reaches makes it do so always.
+    /// Whether packets stay in order when jitter or a reduced delay would reorder them. NetEm itself keeps order only
+    /// under a rate, so this sets a rate too high to delay any packet.
     pub in_order: bool,
 }
 
 impl Default for Netem {
-    /// Nothing at all, in order.
+    /// No conditions, in order.
     fn default() -> Self {
         Self {
             delay: Duration::ZERO,
@@ -77,24 +78,25 @@ const SEED: u16 = 14;
 /// Length of `struct tc_netem_qopt`: latency, limit, loss, gap, duplicate, jitter.
 const BASE: usize = 24;
 
-/// Bytes a second that no packet notices: 1500 bytes take 1 ns. At this rate or above, a rate only keeps order.
+/// A rate in bytes per second too high to matter: 1500 bytes take about 1 ns. A rate at or above it only keeps order.
 const ORDER_RATE: u64 = 1 << 40;
-/// What an unlimited rate counts as when a limit is sized, in bit/s.
+/// Rate assumed for an unlimited link when its limit is chosen, bit/s.
 const FAST: f64 = 10e9;
-/// A full Ethernet frame, in bits.
+/// Bits of a full Ethernet frame.
 const FRAME_BITS: f64 = 1514.0 * 8.0;
-/// How many packets may queue for a rate, unless it is said: Linux's default `txqueuelen`.
+/// Default number of packets that may queue for a rate: Linux's default `txqueuelen`.
 pub(crate) const QUEUE: u32 = 1000;
 
 impl Netem {
-    /// The limit in force: what was asked, or as many full frames as are in flight at the rate (10 Gbit/s where there
-    /// is none) during delay and four deviations, and 1000 that queue. NetEm's own default, 1000 in all, loses
-    /// packets from 120 Mbit/s on at a delay of 100 ms.
+    /// Returns the limit in force. Without an explicit one it is the number of full frames in flight plus 1000 that
+    /// may queue. In flight counts the rate, or 10 Gbit/s if unlimited, during the delay and four deviations.
+    ///
+    /// NetEm's own default of 1000 in all loses packets from 120 Mbit/s on at a delay of 100 ms.
     pub fn limit(&self) -> u32 {
         self.limit.unwrap_or_else(|| self.limit_for(QUEUE))
     }
 
-    /// The limit that leaves so many packets to queue beside those that are in flight.
+    /// Returns the limit that leaves room for `queue` packets beside those in flight.
     pub fn limit_for(&self, queue: u32) -> u32 {
         let jitter = self.jitter.map_or(Duration::ZERO, |jitter| jitter.deviation);
         let longest = self.delay.as_secs_f64() + 4.0 * jitter.as_secs_f64();
@@ -102,7 +104,8 @@ impl Netem {
         queue.saturating_add((rate * longest / FRAME_BITS).ceil() as u32)
     }
 
-    /// What the kernel makes of it: whole bytes a second, probabilities in 2^-32, a limit in figures.
+    /// Returns these parameters as the kernel stores them: whole bytes per second, probabilities in units of 2^-32,
+    /// an explicit limit.
     pub fn as_kept(&self) -> Self {
         let quantise = |p: Probability| from_wire(to_wire(p));
         Self {
@@ -118,14 +121,14 @@ impl Netem {
         }
     }
 
-    /// The options of a request, which become those of a discipline that is there. `before` is what the discipline does now, if it is there: a Gilbert-Elliott model
-    /// that stays the same is not sent again, because its state would begin anew, and a burst end too early.
+    /// Encodes the options of an add or change request. `before` is the current state of an existing discipline. An
+    /// unchanged Gilbert-Elliott model is not sent again, because that would reset its state and cut a burst short.
     pub(crate) fn encode(&self, before: Option<&Self>) -> Vec<u8> {
         let mut w = Writer::default();
         let jitter = self.jitter.filter(|jitter| !jitter.deviation.is_zero());
         let deviation = jitter.map_or(Duration::ZERO, |jitter| jitter.deviation);
         let reorder = to_wire(self.reordering);
-        // A gap of 1 lets every packet be a candidate; without one the kernel reorders nothing.
+        // A gap of 1 makes every packet a candidate. With a gap of 0 the kernel reorders nothing.
         let base = [
             0,
             self.limit(),
@@ -135,17 +138,17 @@ impl Netem {
             0,
         ];
         w.raw(&base.map(u32::to_ne_bytes).concat());
-        // What is not sent stays as it was: each is said, be it zero.
+        // The kernel keeps the value of every omitted attribute, so zeros are sent, too.
         w.u64(LATENCY64, nanos(self.delay)).u64(JITTER64, nanos(deviation));
         w.words(DELAY_CORRELATION, &[0, 0, 0]).words(REORDER, &[reorder, 0]);
         w.words(CORRUPT, &[to_wire(self.corruption), 0]);
         let bytes = self.rate.map_or(if self.in_order { ORDER_RATE } else { 0 }, to_bytes);
-        // Rate, overhead of a packet, size and overhead of a cell. The kernel takes the larger of the two rates.
+        // Rate, packet overhead, cell size, cell overhead. The kernel takes the larger of the two rates.
         w.words(RATE, &[u32::try_from(bytes).unwrap_or(u32::MAX), 0, 0, 0]);
         if bytes >= 1 << 32 {
             w.u64(RATE64, bytes);
         }
-        // Where nobody says which table, the one that is there stays.
+        // Without a new distribution, the discipline keeps its current table.
         if let Some(distribution) =
             jitter.and_then(|j| j.distribution.or(before.is_none().then(Distribution::default)))
         {
@@ -154,7 +157,7 @@ impl Netem {
         }
         if let Some(parameters) = self.loss.model() {
             let same = before.and_then(|before| before.loss.model()) == Some(parameters);
-            // An empty nest keeps the model and its state; no nest at all would make loss independent.
+            // An empty nest keeps the model and its state. Without a nest, loss would become independent.
             w.with(LOSS, |w| {
                 if !same {
                     w.words(GILBERT_ELLIOTT, &parameters);
@@ -167,7 +170,7 @@ impl Netem {
         w.finish()
     }
 
-    /// Reads the options of the kernel's answer.
+    /// Reads the options in the kernel's answer.
     pub(crate) fn decode(options: &[u8]) -> Result<Self, Malformed> {
         let (base, rest) =
             options.split_at_checked(BASE).ok_or(Malformed("NetEm's options are too short"))?;
@@ -210,15 +213,6 @@ impl Netem {
 /// `NETEM_LOSS_GE`: p, r, 1-h and 1-k as probabilities.
 const GILBERT_ELLIOTT: u16 = 2;
 
-/// A probability as NetEm has it: shares of 2^32 - 1.
-pub(crate) fn to_wire(p: Probability) -> u32 {
-    (p.get() * f64::from(u32::MAX)).round() as u32
-}
-
-pub(crate) fn from_wire(p: u32) -> Probability {
-    Probability::new(f64::from(p) / f64::from(u32::MAX)).expect("a part of the whole is between 0 and 1")
-}
-
 fn to_bytes(rate: BitRate) -> u64 {
     rate.bits_per_second().div_ceil(8)
 }
@@ -231,8 +225,7 @@ fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX >> 1)
 }
 
-/// The kernel's clock for packets ticks every 64 ns; what it tells in ticks matters only where it does not tell
-/// nanoseconds.
+/// Converts ticks of the kernel's packet clock, 64 ns each. Used only where the kernel reports no nanoseconds.
 fn ticks(ticks: u32) -> Duration {
     Duration::from_nanos(u64::from(ticks) * 64)
 }
@@ -267,19 +260,19 @@ pub(crate) mod tests {
     }
 
     proptest! {
-        /// What the kernel would tell of a discipline is what was asked of it, in the kernel's units.
+        /// The decoded parameters equal the requested ones, in the kernel's units.
         #[test]
-        fn what_is_shown_is_what_was_set(netem in any_netem()) {
+        fn parameters_survive_encoding(netem in any_netem()) {
             prop_assert_eq!(Netem::decode(&netem.encode(None)), Ok(netem.as_kept()));
         }
 
         #[test]
-        fn what_is_kept_stays(netem in any_netem()) {
+        fn as_kept_is_idempotent(netem in any_netem()) {
             prop_assert_eq!(netem.as_kept().as_kept(), netem.as_kept());
         }
 
         #[test]
-        fn no_options_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn arbitrary_options_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
             _ = Netem::decode(&bytes);
         }
     }
@@ -293,7 +286,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_model_of_bursts_is_sent_once() {
+    fn unchanged_burst_models_are_not_sent_again() {
         let p = |p| Probability::new(p).unwrap();
         let loss = Loss::bursty(p(0.1), 5.0).unwrap();
         let one = Netem { loss, ..Netem::default() };
@@ -306,18 +299,18 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_limit_holds_what_is_in_flight() {
+    fn limit_covers_packets_in_flight() {
         let plain = Netem::default();
         assert_eq!(plain.limit(), QUEUE);
         let long =
             Netem { delay: Duration::from_millis(100), rate: BitRate::from_mbps(1000.0), ..Netem::default() };
-        // 100 Mbit are 8257 full frames.
+        // 100 Mbit is 8257 full frames.
         assert_eq!(long.limit(), QUEUE + 8257);
         assert_eq!(Netem { limit: Some(7), ..long }.limit(), 7);
     }
 
     #[test]
-    fn order_is_kept_by_a_rate_that_nothing_reaches() {
+    fn order_is_kept_by_an_unreachable_rate() {
         let kept = |netem: Netem| Netem::decode(&netem.encode(None)).unwrap();
         assert_eq!(kept(Netem::default()), Netem { limit: Some(QUEUE), ..Netem::default() });
         let free = kept(Netem { in_order: false, ..Netem::default() });

@@ -1,5 +1,5 @@
-//! What the kernel does not tell and must not be forgotten: the shapes of jitters, the discipline that NetEm took the
-//! place of, and the process for which it did. Kept under /run, which is as short-lived as the conditions are.
+//! State that the kernel does not report: jitter distributions, the replaced discipline and the owning process.
+//! Records are kept under /run, because they must not outlive a reboot, as the conditions do not.
 
 use std::{
     fs, io,
@@ -18,69 +18,69 @@ use crate::{
 
 const FOLDER: &str = "/run/cotorra/netem";
 
-/// What is remembered of one interface.
+/// Record of one interface.
 #[derive(Debug, Default, Clone, Serialize, Deserialize)]
 pub struct Record {
-    /// Whose place NetEm took.
+    /// Discipline that NetEm replaced.
     pub replaced: Option<Replaced>,
-    /// The process that holds the conditions, and whose end is to be theirs; `None` where they are to stay.
+    /// Process whose end removes the conditions; `None` if they are permanent.
     #[serde(default)]
     pub owner: Option<Owner>,
     shapes: Vec<(Side, Option<Network>, Distribution)>,
 }
 
-/// A process, which no later one of the same number is taken for.
+/// A process, distinct from later ones with the same ID.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Owner {
-    /// Its number.
+    /// Process ID.
     pub pid: u32,
-    /// When it was started, in ticks since the machine was.
+    /// Start time in ticks since boot.
     started: u64,
 }
 
 impl Owner {
-    /// This process.
+    /// Returns the calling process.
     ///
     /// # Errors
     /// Without /proc.
     pub(crate) fn this() -> io::Result<Self> {
         let pid = std::process::id();
-        let started = started(pid).ok_or_else(|| io::Error::other("/proc does not tell of this process"))?;
+        let started = started(pid).ok_or_else(|| io::Error::other("/proc has no entry for this process"))?;
         Ok(Self { pid, started })
     }
 
-    /// Whether it goes on.
-    pub fn lives(&self) -> bool {
+    /// Whether the process is still running.
+    pub fn is_alive(&self) -> bool {
         started(self.pid) == Some(self.started)
     }
 }
 
-/// When a process was started; `None` for one that has ended (proc_pid_stat(5), fields 3 and 22).
+/// Returns the start time of a process; `None` if it has ended (proc_pid_stat(5), fields 3 and 22).
 fn started(pid: u32) -> Option<u64> {
     started_in(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)
 }
 
 fn started_in(stat: &str) -> Option<u64> {
-    // The second field, the program's name in parentheses, may have anything in it.
+    // The second field, the program's name in parentheses, may contain any character.
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
     let state = fields.next()?;
-    // Of one that only waits for its parent to ask how it ended, nothing is left.
+    // A zombie only waits for its parent to collect its status.
     (!matches!(state, "Z" | "X")).then(|| fields.nth(18)?.parse().ok())?
 }
 
-/// What the records of this network namespace begin with.
+/// Returns the file name prefix of this network namespace's records.
 fn namespace() -> io::Result<String> {
     Ok(format!("{}-", fs::metadata("/proc/thread-self/ns/net")?.ino()))
 }
 
-/// An interface is known by its network namespace, its number and its name.
+/// Returns the path of an interface's record. Network namespace, index and name identify the interface.
 fn path(interface: &Interface) -> io::Result<PathBuf> {
-    // A name has no slash in it.
+    // Interface names contain no slash.
     Ok(Path::new(FOLDER).join(format!("{}{}-{}.json", namespace()?, interface.index, interface.name)))
 }
 
 impl Record {
-    /// Nothing yet, for as long as this process goes on.
+    /// Creates an empty record owned by this process.
     ///
     /// # Errors
     /// Without /proc.
@@ -88,18 +88,18 @@ impl Record {
         Ok(Self { owner: Some(Owner::this()?), ..Self::default() })
     }
 
-    /// Remembers. What was remembered of an interface without rules is of another time.
+    /// Reads the record of an interface. Without rules on it, the record is stale and ignored.
     pub fn load(device: &Device) -> Self {
-        if device.rules().next().is_none() { Self::default() } else { Self::left(device.interface()) }
+        if device.rules().next().is_none() { Self::default() } else { Self::read(device.interface()) }
     }
 
-    /// What was remembered of an interface, whatever is there now.
-    pub(crate) fn left(interface: &Interface) -> Self {
+    /// Reads the record of an interface, whatever its current rules.
+    pub(crate) fn read(interface: &Interface) -> Self {
         let read = || serde_json::from_slice(&fs::read(path(interface).ok()?).ok()?).ok();
         read().unwrap_or_default()
     }
 
-    /// The interfaces of this network namespace of which something is remembered, be they there or not.
+    /// Returns the recorded interfaces of this network namespace, whether they still exist or not.
     pub(crate) fn interfaces() -> Vec<Interface> {
         let Ok(namespace) = namespace() else { return Vec::new() };
         let entries = fs::read_dir(FOLDER).into_iter().flatten().flatten();
@@ -112,14 +112,14 @@ impl Record {
         entries.filter_map(interface).collect()
     }
 
-    /// Tells the device what the kernel does not.
+    /// Sets the recorded jitter distributions on the device.
     pub fn recall(&self, device: &mut Device) {
         for (side, network, shape) in &self.shapes {
             device.recall(*side, *network, *shape);
         }
     }
 
-    /// Notes what is about to be set.
+    /// Records a rule that is about to be set.
     pub fn note(&mut self, device: &Device, rule: &Rule) {
         self.shapes.retain(|(side, network, _)| (*side, *network) != (rule.side, rule.network));
         if let Some(shape) = rule.netem.jitter.and_then(|jitter| jitter.distribution) {
@@ -132,16 +132,16 @@ impl Record {
         }
     }
 
-    /// Keeps it; a discipline that was replaced, and the owner, are what matters.
+    /// Writes the record.
     ///
     /// # Errors
-    /// As files have them.
+    /// Any I/O error.
     pub fn save(&self, interface: &Interface) -> io::Result<()> {
         fs::create_dir_all(FOLDER)?;
         fs::write(path(interface)?, serde_json::to_vec(self)?)
     }
 
-    /// Forgets it.
+    /// Removes the record.
     pub fn forget(interface: &Interface) {
         if let Ok(path) = path(interface) {
             // There may be none.
@@ -155,13 +155,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_process_is_known_by_when_it_was_started() {
+    fn processes_are_identified_by_start_time() {
         let this = Owner::this().unwrap();
-        assert!(this.lives());
-        assert!(!Owner { started: this.started + 1, ..this }.lives(), "another one of its number");
+        assert!(this.is_alive());
+        assert!(!Owner { started: this.started + 1, ..this }.is_alive(), "a later process with the same ID");
         let stat = "7 (a) Z b) S 1 7 7 0 -1 0 0 0 0 0 0 0 0 0 20 0 1 0 4711 0 0";
         assert_eq!(started_in(stat), Some(4711));
-        assert_eq!(started_in(&stat.replace(") S", ") Z")), None, "only its parent has not asked yet");
+        assert_eq!(started_in(&stat.replace(") S", ") Z")), None, "a zombie");
         assert_eq!(started_in("7"), None);
     }
 }

@@ -1,5 +1,5 @@
-//! What is asked of the kernel, one message each (rtnetlink(7), linux/rtnetlink.h): as bytes for it, and in the words of
-//! `tc` for people.
+//! Requests to the kernel, one netlink message each (rtnetlink(7), linux/rtnetlink.h). A request is encoded for the
+//! kernel and displayed as a `tc` or `ip` command.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use crate::{
     netem::Netem,
 };
 
-/// What is to happen to something.
+/// Action of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Verb {
     Add,
@@ -23,17 +23,17 @@ pub(crate) enum Verb {
 #[derive(Debug, Clone, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "a plan has a few of them")]
 pub(crate) enum Discipline {
-    /// NetEm; what it did before, where it is changed.
+    /// NetEm; `before` is its state before a change.
     Netem { netem: Netem, before: Option<Netem> },
-    /// Hierarchical token buckets, here only to hold classes; what no filter finds passes at once.
+    /// Hierarchical token buckets, used only to hold classes. Packets that match no filter pass at once.
     Htb,
-    /// Where arriving packets meet filters.
+    /// Attachment point of ingress filters.
     Ingress,
-    /// Another's, as it was found.
+    /// A foreign discipline as it was found.
     Foreign { kind: String, options: Vec<u8> },
 }
 
-/// What a request is about.
+/// Object of a request.
 #[derive(Debug, Clone, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "a plan has a few of them")]
 pub(crate) enum Object {
@@ -42,7 +42,7 @@ pub(crate) enum Object {
         handle: Handle,
         discipline: Discipline,
     },
-    /// A class of ours with that number.
+    /// Our class with this number.
     Class {
         number: u16,
     },
@@ -50,11 +50,11 @@ pub(crate) enum Object {
         parent: Handle,
         filter: Filter,
     },
-    /// An intermediate functional block: an interface whose only purpose is its discipline.
+    /// An intermediate functional block: an interface that exists only for its discipline.
     Ifb,
 }
 
-/// One thing to do.
+/// One request to the kernel.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Request {
     pub(crate) verb: Verb,
@@ -63,7 +63,7 @@ pub(crate) struct Request {
     pub(crate) object: Object,
 }
 
-/// `RTM_NEWLINK` and the like: what makes; one more deletes, two more get.
+/// Message kinds `RTM_NEW…`. Deletion is the next number, retrieval the one after.
 const LINK: u16 = 16;
 const ROUTE: u16 = 24;
 const QDISC: u16 = 36;
@@ -81,11 +81,11 @@ const OPTIONS: u16 = 2;
 
 const UP: u32 = 1;
 
-/// Bytes a second of a class: 1 Tbit/s, which is to say, at once.
+/// Rate of a class in bytes per second: 1 Tbit/s, i.e. unlimited.
 const CLASS_RATE: u64 = 125_000_000_000;
 
 impl Request {
-    /// What undoes it.
+    /// Returns the request that undoes this one.
     pub(crate) fn undo(&self) -> Self {
         let mut object = self.object.clone();
         let verb = match self.verb {
@@ -104,7 +104,7 @@ impl Request {
         Self { verb, interface: self.interface.clone(), object }
     }
 
-    /// The module without which a kernel does not know it.
+    /// Returns the kernel module that the request needs.
     pub(crate) fn module(&self) -> &'static str {
         match &self.object {
             Object::Discipline { discipline: Discipline::Netem { .. }, .. } => "sch_netem",
@@ -119,7 +119,7 @@ impl Request {
         }
     }
 
-    /// The message, with its number.
+    /// Encodes the message with its sequence number.
     pub(crate) fn encode(&self, number: u32) -> Vec<u8> {
         let flags = REQUEST
             | ACK
@@ -168,22 +168,22 @@ impl Request {
     }
 }
 
-/// What the kernel is asked to tell, all of it.
+/// A request to list objects.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Question {
+pub(crate) enum Dump {
     Links,
     Disciplines,
     Routes,
-    /// Of an interface, at a place.
+    /// Filters of an interface at a parent.
     Filters(u32, Handle),
 }
 
-impl Question {
+impl Dump {
     pub(crate) fn encode(self, number: u32) -> Vec<u8> {
         let (kind, body) = match self {
             Self::Links => (LINK, link(0, 0)),
             Self::Disciplines => (QDISC, tc(0, Handle(0), Handle(0), 0)),
-            // struct rtmsg, of all families.
+            // An empty `struct rtmsg` selects all address families.
             Self::Routes => (ROUTE, vec![0; 12]),
             Self::Filters(index, parent) => (FILTER, tc(index, Handle(0), parent, 0)),
         };
@@ -202,12 +202,12 @@ fn message(kind: u16, flags: u16, number: u32, body: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// `struct tcmsg`.
+/// Encodes `struct tcmsg`.
 fn tc(index: u32, handle: Handle, parent: Handle, info: u32) -> Vec<u8> {
     [0, index, handle.0, parent.0, info].map(u32::to_ne_bytes).concat()
 }
 
-/// `struct ifinfomsg`.
+/// Encodes `struct ifinfomsg`.
 fn link(index: u32, flags: u32) -> Vec<u8> {
     [0, index, flags, flags].map(u32::to_ne_bytes).concat()
 }
@@ -226,8 +226,8 @@ impl Discipline {
         w.text(KIND, self.kind());
         match self {
             Self::Netem { netem, before } => drop(w.bytes(OPTIONS, &netem.encode(before.as_ref()))),
-            // struct tc_htb_glob: version, rate to quantum, default class, debug, direct packets; then how many
-            // packets may wait that go past all classes.
+            // `struct tc_htb_glob`: version, rate to quantum, default class, debug, direct packets. Then the queue
+            // length for packets that match no class.
             Self::Htb => {
                 w.with(OPTIONS, |w| {
                     w.words(2, &[3, 10, 0, 0, 0]).words(5, &[crate::netem::QUEUE]);
@@ -240,13 +240,13 @@ impl Discipline {
     }
 }
 
-/// A class that holds nothing up.
+/// Encodes a class that delays nothing.
 fn encode_class(w: &mut Writer) {
-    // struct tc_ratespec, of Ethernet, whose rate is said elsewhere as it has no room here.
+    // `struct tc_ratespec` for Ethernet. The rate follows in a 64-bit attribute because it does not fit here.
     let ratespec = [0_u32.to_ne_bytes(), [0; 4], u32::MAX.to_ne_bytes()].concat();
     let mut ethernet = ratespec.clone();
     ethernet[1] = 1;
-    // 1 ms of tokens, in ticks of 64 ns; quantum in bytes, level, priority.
+    // 1 ms of tokens in ticks of 64 ns; quantum in bytes, level, priority.
     let rest = [15_625_u32, 15_625, 60_000, 0, 0].map(u32::to_ne_bytes).concat();
     w.text(KIND, "htb").with(OPTIONS, |w| {
         w.bytes(1, &[ethernet.clone(), ethernet, rest].concat()).u64(6, CLASS_RATE).u64(7, CLASS_RATE);
@@ -323,7 +323,7 @@ impl fmt::Display for Request {
 }
 
 impl fmt::Display for Netem {
-    /// In the words of `tc`.
+    /// Writes the options of a `tc qdisc` command.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |p: cotorra_graph::Probability| format!("{}%", p.get() * 100.0);
         let time = |d: std::time::Duration| format!("{}ms", d.as_secs_f64() * 1e3);

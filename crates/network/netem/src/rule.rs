@@ -1,5 +1,4 @@
-//! What people ask for: rules, each of which gives conditions to the packets of one interface that leave for a network
-//! or arrive from one.
+//! Rules: each gives conditions to the packets of one interface to or from a network.
 
 use cotorra_graph::LinkCounters;
 use serde::{Deserialize, Serialize};
@@ -9,93 +8,91 @@ use crate::{
     netem::Netem,
 };
 
-/// Which packets of an interface.
+/// Direction of packets at an interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
-    /// Those that leave.
+    /// Outgoing packets.
     #[default]
     Egress,
-    /// Those that arrive; they take a detour through an interface of their own (ifb).
+    /// Incoming packets, which take a detour through an ifb interface.
     Ingress,
 }
 
-/// Conditions, and the packets that have them.
+/// Conditions and the packets that they apply to.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rule {
-    /// Those that leave, or those that arrive.
+    /// Direction of the packets.
     pub side: Side,
-    /// Of those, the ones that go there, or come from there; `None` are all that no other rule is for.
+    /// Network that they go to or come from. `None` matches all packets that no other rule matches.
     pub network: Option<Network>,
-    /// What happens to them.
+    /// Conditions of these packets.
     pub netem: Netem,
 }
 
-/// What the kernel counted for a rule since it was made.
+/// The kernel's counters of a rule since its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
-    /// Bytes that left the discipline.
+    /// Bytes sent by the discipline.
     pub bytes: u64,
-    /// Packets that left it.
+    /// Packets sent by the discipline.
     pub packets: u64,
-    /// Packets that were lost, or came when it was full.
+    /// Packets lost at random or by a full queue.
     pub dropped: u64,
-    /// Packets in it.
+    /// Packets in the queue.
     pub waiting: u64,
 }
 
-/// What NetEm lost, and what came when its queue was full, it counts as one: lost. What it duplicated or corrupted it does
-/// not count.
+/// NetEm counts random losses and queue overflows as one number: lost. It does not count duplicated or corrupted
+/// packets.
 impl From<Counters> for LinkCounters {
     fn from(Counters { bytes, packets, dropped, .. }: Counters) -> Self {
         Self { packets, bytes, lost: dropped, ..Self::default() }
     }
 }
 
-/// Somebody's discipline that made place for ours, as the kernel told it.
+/// A foreign discipline that NetEm replaced, as the kernel reported it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Replaced {
-    /// Its name.
+    /// Handle of the discipline.
     pub handle: Handle,
-    /// What it is.
+    /// Kind of the discipline.
     pub kind: String,
-    /// Its options, in the kernel's own format.
+    /// Its options in the kernel's format.
     pub options: Vec<u8>,
 }
 
-/// Why a rule cannot be. Nothing has changed then.
+/// A rule that cannot be installed. Nothing has changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DisciplineError {
-    /// Somebody else's discipline is in the place.
+    /// A foreign discipline is in the way.
     #[error(
-        "`{interface}` has a queueing discipline that somebody put there ({kind}): it would be lost; \
-         --replace puts NetEm in its place, and `cotorra netem clear` puts it back"
+        "`{interface}` has a queueing discipline of kind {kind} that NetEm would replace: pass \
+         --replace to allow it; `cotorra netem clear` restores the old one"
     )]
     Foreign {
-        /// The interface.
+        /// Name of the interface.
         interface: String,
-        /// The discipline's kind.
+        /// Kind of the discipline.
         kind: String,
     },
-    /// Somebody else's discipline with others below it is in the place.
+    /// A foreign discipline with others below it is in the way.
     #[error(
-        "`{interface}` has queueing disciplines in classes that somebody put there ({kind}), which could not be put \
-         back: remove them first, with `tc qdisc delete dev {interface} root`"
+        "`{interface}` has foreign queueing disciplines in classes ({kind}), which could not be restored: \
+         remove them first with `tc qdisc delete dev {interface} root`"
     )]
     ForeignTree {
-        /// The interface.
+        /// Name of the interface.
         interface: String,
-        /// The root's kind.
+        /// Kind of the root discipline.
         kind: String,
     },
-    /// Nobody has so many.
-    #[error(
-        "there is no place for another rule: there can be 16000, and 400 for networks of the same length"
-    )]
+    /// No class or priority is free.
+    #[error("too many rules: an interface can have 16000, and 400 for networks of the same prefix length")]
     TooMany,
-    /// The interface that is to be conditioned is one that conditions others.
+    /// The interface is the ingress detour of another one.
     #[error(
-        "`{0}` only carries what arrives elsewhere: name the interface at which it arrives, and --ingress"
+        "`{0}` only carries ingress packets of another interface: name that interface, and pass --ingress"
     )]
     Detour(String),
 }

@@ -1,6 +1,6 @@
-//! How conditions lie on one interface, and what leads from one set of them to another. One rule for all packets is a
-//! NetEm at the root; rules for networks are classes with a NetEm each, and filters that lead there, the longest
-//! prefix first; packets that no rule is for then pass untouched.
+//! The layout of rules on one interface, and the requests that change it. A single rule for all packets is a NetEm at
+//! the root. Rules for networks are classes with a NetEm each, and filters that lead there, longest prefix first.
+//! Packets that match no rule pass unchanged.
 
 use std::collections::BTreeMap;
 
@@ -12,44 +12,44 @@ use crate::{
     rule::{Counters, DisciplineError, Replaced},
 };
 
-/// What is at an interface's root.
+/// Root discipline of an interface.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Root {
-    /// What the kernel puts there by itself.
+    /// The kernel's default.
     Default,
-    /// Our NetEm for all.
+    /// Our NetEm for all packets.
     Plain,
     /// Our classes.
     Classes,
-    /// Somebody's; and whether it has disciplines below it.
+    /// A foreign discipline; `has_below` if other disciplines are below it.
     Foreign { handle: Handle, replaced: Replaced, has_below: bool },
 }
 
-/// A rule that is there.
+/// A rule on the interface.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Installed {
     /// Number of its class; 0 at the root.
     pub(crate) number: u16,
-    /// Of the filter that leads to it.
+    /// Priority of its filter.
     pub(crate) priority: u16,
     pub(crate) netem: Netem,
     pub(crate) counters: Counters,
 }
 
-/// The root discipline of an interface and what is below it.
+/// The root discipline of an interface and the rules below it.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tree {
     pub(crate) interface: (u32, String),
-    /// Which address rules look at.
+    /// Address field that filters compare.
     pub(crate) field: Field,
     pub(crate) root: Root,
-    /// By network; `None` is the rule for all packets that no other is for.
+    /// Rules by network. `None` matches all packets that no other rule matches.
     pub(crate) rules: BTreeMap<Option<Network>, Installed>,
 }
 
-/// Filters of each length of prefix have so many priorities to themselves.
+/// Number of priorities reserved for filters of each prefix length.
 const PRIORITIES: u16 = 400;
-/// Of the filter that finds all.
+/// Priority of the filter that matches all packets.
 const LAST: u16 = 65_000;
 
 impl Tree {
@@ -61,7 +61,7 @@ impl Tree {
         self.request(verb, Object::Discipline { parent: Handle::ROOT, handle: Handle::OURS, discipline })
     }
 
-    /// The discipline of a rule.
+    /// Request for a rule's NetEm discipline.
     fn leaf(&self, verb: Verb, number: u16, netem: Netem, before: Option<Netem>) -> Request {
         let discipline = Discipline::Netem { netem, before };
         if number == 0 {
@@ -77,7 +77,7 @@ impl Tree {
         self.request(verb, Object::Filter { parent: Handle::OURS, filter })
     }
 
-    /// All that makes a rule, below classes.
+    /// Requests that create a rule in a class.
     fn add_rule(&self, network: Option<Network>, number: u16, priority: u16, netem: Netem) -> [Request; 3] {
         [
             self.request(Verb::Add, Object::Class { number }),
@@ -86,7 +86,7 @@ impl Tree {
         ]
     }
 
-    /// The first priority for filters of a network's length.
+    /// Returns the first priority for filters of a network's prefix length.
     fn priorities(network: Option<Network>) -> u16 {
         let Some(network) = network else { return LAST };
         let group = match network.address() {
@@ -96,7 +96,7 @@ impl Tree {
         1 + group * PRIORITIES
     }
 
-    /// A class and a priority that no rule has.
+    /// Returns a free class number and a free priority.
     fn free(&self, network: Option<Network>) -> Result<(u16, u16), DisciplineError> {
         let first = Self::priorities(network);
         let mut priorities = first..first.saturating_add(PRIORITIES);
@@ -105,7 +105,8 @@ impl Tree {
         number.zip(priority).ok_or(DisciplineError::TooMany)
     }
 
-    /// What gives a network, or all packets, these conditions. A rule that is there is changed in place.
+    /// Returns the requests that set the conditions of a network, or of all packets. An existing rule is changed in
+    /// place.
     pub(crate) fn set(
         &self,
         network: Option<Network>,
@@ -150,7 +151,7 @@ impl Tree {
         Ok(requests)
     }
 
-    /// The tree after [`Self::set`].
+    /// Returns the tree as it is after [`Self::set`].
     pub(crate) fn with(&self, network: Option<Network>, netem: &Netem) -> Result<Self, DisciplineError> {
         let mut tree = self.clone();
         if let Some(rule) = tree.rules.get_mut(&network) {
@@ -178,7 +179,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// What takes the conditions of a network, or of all packets, away, while others stay.
+    /// Returns the requests that remove one rule of several.
     pub(crate) fn remove(&self, network: Option<Network>) -> Vec<Request> {
         let Some(rule) = self.rules.get(&network) else { return Vec::new() };
         vec![
@@ -188,7 +189,7 @@ impl Tree {
         ]
     }
 
-    /// What takes all of ours away.
+    /// Returns the requests that remove all of our disciplines.
     pub(crate) fn clear(&self) -> Vec<Request> {
         match self.root {
             Root::Default | Root::Foreign { .. } => Vec::new(),
@@ -200,7 +201,7 @@ impl Tree {
         }
     }
 
-    /// Somebody's discipline, as it was found.
+    /// Request for a foreign discipline, as it was found.
     pub(crate) fn foreign(&self, verb: Verb, handle: Handle, replaced: &Replaced) -> Request {
         let Replaced { kind, options, .. } = replaced.clone();
         let discipline = Discipline::Foreign { kind, options };
@@ -222,9 +223,9 @@ mod tests {
     }
 
     proptest! {
-        /// A tree that is taken for granted has all rules, and each of them is only changed from then on.
+        /// Once set, each rule exists in the simulated tree and is changed in place from then on.
         #[test]
-        fn what_was_set_is_changed_in_place(rules in prop::collection::vec((any_network(), any_netem()), 1..6)) {
+        fn set_rules_are_changed_in_place(rules in prop::collection::vec((any_network(), any_netem()), 1..6)) {
             let interface = (7, "eth0".to_owned());
             let mut tree =
                 Tree { interface, field: Field::Destination, root: Root::Default, rules: BTreeMap::new() };

@@ -1,10 +1,10 @@
-//! What the kernel makes of it, in a kernel that has NetEm: `scripts/uml` runs this where this machine's has none. `tc`
-//! is the independent witness.
+//! Compares conditions with those that a real kernel applies, with `tc` as an independent witness. Needs a kernel
+//! with NetEm; `scripts/uml` boots one.
 #![allow(
     clippy::unwrap_used,
     clippy::disallowed_types,
     clippy::disallowed_methods,
-    reason = "packets are timed as they are, on the wall clock"
+    reason = "packets are timed on the wall clock"
 )]
 
 use std::{
@@ -36,7 +36,7 @@ fn sh(namespace: &Namespace, line: &str) -> String {
 }
 
 impl Wire {
-    /// `None`, with a message, where the kernel has no NetEm; that fails where the rig says that it must.
+    /// Returns `None` with a message if the kernel has no NetEm. Panics instead if the environment demands NetEm.
     fn new() -> Option<Self> {
         let rig = std::env::var_os("COTORRA_KERNEL").is_some();
         let a = match Namespace::new() {
@@ -66,7 +66,7 @@ impl Wire {
             "for a in 10.0.0.2/24 10.0.0.3/24; do ip address add $a dev vb; done
                      ip address add fd00::2/64 dev vb nodad; ip link set vb up",
         );
-        // Nobody asks for addresses while packets are counted.
+        // Static neighbours avoid ARP while packets are counted.
         let mac = sh(&wire.b, "ip -brief link show vb | awk '{print $3}'");
         for address in ["10.0.0.2", "10.0.0.3", "fd00::2"] {
             sh(
@@ -74,7 +74,7 @@ impl Wire {
                 &format!("ip neighbour replace {address} lladdr {} dev va nud permanent", mac.trim()),
             );
         }
-        // Router solicitations and the like would be counted, too.
+        // Router solicitations would be counted, too.
         sh(
             &wire.a,
             "until ip -6 -brief address show dev va | grep -q fe80; do :; done; ip -6 address flush dev va scope link",
@@ -112,13 +112,13 @@ impl Wire {
         socket
     }
 
-    /// Sends numbered packets, not so fast that any overflows, and gives the numbers that arrived, in order, and how
-    /// long each took.
+    /// Sends numbered packets, slowly enough that none overflows. Returns the numbers that arrived, in order, with
+    /// their transit times.
     fn send(&self, to: &str, count: u32, bytes: usize, gap: Duration) -> Vec<(u32, Duration)> {
         self.exchange(to, count, bytes, gap, true)
     }
 
-    /// The same, all at once; the end is that nothing comes any more.
+    /// Sends all packets at once, and stops when nothing arrives any more.
     fn send_without_last(&self, to: &str, count: u32, bytes: usize) -> Vec<(u32, Duration)> {
         self.exchange(to, count, bytes, Duration::ZERO, false)
     }
@@ -140,7 +140,7 @@ impl Wire {
             let now = begin.elapsed();
             packet[..4].copy_from_slice(&number.to_ne_bytes());
             packet[4..12].copy_from_slice(&(now.as_nanos() as u64).to_ne_bytes());
-            // A full discipline says so.
+            // A full discipline reports it.
             let _ = sender.send(&packet);
             if number % 100 == 99 {
                 // The receiver's buffer holds some 200.
@@ -152,7 +152,7 @@ impl Wire {
         }
         packet[..4].copy_from_slice(&LAST.to_ne_bytes());
         while last && !receive.is_finished() {
-            // Until it comes through, or nothing does.
+            // Repeat until it arrives, or nothing does.
             let _ = sender.send(&packet);
             std::thread::sleep(ms(20));
         }
@@ -160,10 +160,10 @@ impl Wire {
     }
 }
 
-/// Number of the packet that ends it.
+/// Number of the packet that ends an exchange.
 const LAST: u32 = u32::MAX;
 
-/// What arrives until the last packet does, or nothing came for two seconds.
+/// Collects packets until the last one, or until two seconds pass without any.
 fn receive(socket: &UdpSocket, begin: Instant) -> Vec<(u32, Duration)> {
     socket.set_read_timeout(Some(Duration::from_secs(2))).unwrap();
     let mut arrived = Vec::new();
@@ -192,7 +192,8 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// Measures anew until it is as expected: a busy machine makes packets late now and then, a wrong condition always.
+/// Repeats a measurement until it is as expected. A busy machine delays packets now and then; a wrong condition fails
+/// every time.
 fn soon<T: std::fmt::Debug>(mut measure: impl FnMut() -> T, is_expected: impl Fn(&T) -> bool) {
     let mut measured = Vec::new();
     while measured.len() < 20 {
@@ -210,7 +211,7 @@ fn fastest(arrived: &[(u32, Duration)]) -> Duration {
 }
 
 #[test]
-fn a_delay_is_what_packets_take() {
+fn packets_take_the_delay() {
     let Some(wire) = Wire::new() else { return };
     soon(|| fastest(&wire.send("10.0.0.2", 20, 64, ms(1))), |took| *took < ms(20));
     wire.set(Netem { delay: ms(20), ..Netem::default() });
@@ -241,8 +242,8 @@ fn jitter_has_its_deviation_and_keeps_order() {
     wire.set(free);
     let deviation = || {
         let arrived = wire.send("10.0.0.2", 200, 64, Duration::ZERO);
-        assert!(!arrived.is_sorted_by_key(|(number, _)| *number), "nobody asked for order");
-        // All were sent at once, so that what each took tells the jitter.
+        assert!(!arrived.is_sorted_by_key(|(number, _)| *number), "order was not requested");
+        // All were sent at once, so the differences are the jitter.
         let took: Vec<_> = arrived.iter().map(|(_, took)| took.as_secs_f64() * 1e3).collect();
         let mean = took.iter().sum::<f64>() / took.len() as f64;
         (took.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / took.len() as f64).sqrt()
@@ -253,7 +254,7 @@ fn jitter_has_its_deviation_and_keeps_order() {
 }
 
 #[test]
-fn losses_are_as_many_as_asked_and_as_the_kernel_counts() {
+fn losses_match_the_rate_and_the_kernels_count() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { loss: Loss::Independent { rate: p(0.1) }, ..Netem::default() });
     let arrived = wire.send("10.0.0.2", 4000, 64, Duration::ZERO);
@@ -271,7 +272,7 @@ fn losses_are_as_many_as_asked_and_as_the_kernel_counts() {
 }
 
 #[test]
-fn bursts_are_as_long_as_asked() {
+fn bursts_have_the_requested_length() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { loss: Loss::bursty(p(0.2), 10.0).unwrap(), ..Netem::default() });
     let arrived = wire.send("10.0.0.2", 20_000, 64, Duration::ZERO);
@@ -285,16 +286,16 @@ fn bursts_are_as_long_as_asked() {
 }
 
 #[test]
-fn a_model_of_bursts_keeps_its_state_when_something_else_changes() {
+fn burst_models_keep_their_state_when_other_parameters_change() {
     let Some(wire) = Wire::new() else { return };
-    // After one packet the bad state is entered, and never left.
+    // The first packet enters the bad state, which never ends.
     let loss = Loss::GilbertElliott {
         to_bad: Probability::ONE,
         to_good: Probability::ZERO,
         lost_in_bad: Probability::ONE,
         lost_in_good: Probability::ZERO,
     };
-    // A packet that the kernel sends of itself, a report of a multicast listener, would be that one.
+    // A packet sent by the kernel itself, such as a multicast listener report, would be that first packet.
     sh(&wire.a, "echo 1 >/proc/sys/net/ipv6/conf/va/disable_ipv6");
     wire.set(Netem { loss, ..Netem::default() });
     assert_eq!(wire.send("10.0.0.2", 10, 64, Duration::ZERO).len(), 1);
@@ -308,7 +309,7 @@ fn a_model_of_bursts_keeps_its_state_when_something_else_changes() {
 }
 
 #[test]
-fn a_change_loses_and_overtakes_nothing() {
+fn changes_neither_lose_nor_reorder_packets() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { delay: ms(500), ..Netem::default() });
     let receiver = wire.receiver("10.0.0.2");
@@ -328,7 +329,7 @@ fn a_change_loses_and_overtakes_nothing() {
     sender.send(&last).unwrap();
     let arrived: Vec<_> = receive(&receiver, begin).into_iter().map(|(number, _)| number).collect();
     assert_eq!(arrived, (0..200).collect::<Vec<_>>());
-    assert!(begin.elapsed() >= ms(500), "the first was in flight all along");
+    assert!(begin.elapsed() >= ms(500), "the first packet stayed in flight");
 }
 
 #[test]
@@ -346,20 +347,20 @@ fn a_rate_is_kept() {
 }
 
 #[test]
-fn a_limit_counts_what_is_in_flight() {
+fn limit_counts_packets_in_flight() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { delay: ms(300), limit: Some(50), ..Netem::default() });
-    // The kernel's own packets, of IPv6's routers and groups, take a place, too.
+    // IPv6 router and group messages of the kernel take a place, too.
     soon(|| wire.send_without_last("10.0.0.2", 100, 64).len(), |arrived| (40..=50).contains(arrived));
 }
 
 #[test]
-fn packets_double_break_and_overtake() {
+fn packets_are_duplicated_corrupted_and_reordered() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { duplication: Probability::ONE, ..Netem::default() });
     assert_eq!(wire.send("10.0.0.2", 10, 64, Duration::ZERO).len(), 20);
     wire.set(Netem { reordering: p(0.5), delay: ms(50), ..Netem::default() });
-    // The last would overtake others, too.
+    // The last packet would overtake others, too.
     let not_delayed = || {
         let arrived = wire.send_without_last("10.0.0.2", 100, 64);
         assert_eq!(arrived.len(), 100);
@@ -367,7 +368,7 @@ fn packets_double_break_and_overtake() {
     };
     soon(not_delayed, |fast| (20..=80).contains(fast));
     wire.set(Netem { corruption: Probability::ONE, ..Netem::default() });
-    // A flipped bit fails a checksum, or is in an address that nobody has; but who sent the frame does not matter.
+    // A flipped bit fails a checksum or changes an address. Bits of the sender's address do not matter.
     let arrived = wire.send_without_last("10.0.0.2", 50, 500).len();
     assert!(arrived < 10, "{arrived}");
     assert!(sh(&wire.a, "tc qdisc show dev va").contains("corrupt 100%"));
@@ -379,12 +380,12 @@ fn to(network: &str, delay: u64) -> Rule {
 }
 
 #[test]
-fn each_destination_has_conditions_of_its_own() {
+fn each_destination_has_its_own_conditions() {
     let Some(wire) = Wire::new() else { return };
     let delays = |wire: &Wire| {
         ["10.0.0.2", "10.0.0.3", "fd00::2"].map(|address| {
             let fastest = fastest(&wire.send(address, 10, 64, Duration::ZERO));
-            // Tens of milliseconds, which the load of a machine blurs seldom in the best of ten.
+            // Tens of milliseconds: load rarely blurs them in the best of ten.
             fastest.as_millis() / 40 * 40
         })
     };
@@ -393,7 +394,7 @@ fn each_destination_has_conditions_of_its_own() {
     wire.try_set(&to("fd00::/16", 120)).unwrap();
     soon(|| delays(&wire), |delays| *delays == [0, 80, 120]);
     wire.try_set(&to("10.0.0.0/24", 160)).unwrap();
-    // The longest prefix counts.
+    // The longest prefix wins.
     soon(|| delays(&wire), |delays| *delays == [160, 80, 120]);
     wire.try_set(&to("10.0.0.3", 200)).unwrap();
     // Changed in place.
@@ -411,11 +412,11 @@ fn each_destination_has_conditions_of_its_own() {
 }
 
 #[test]
-fn one_rule_for_all_becomes_the_rest_of_several() {
+fn rule_for_all_packets_becomes_the_fallback_of_several() {
     let Some(wire) = Wire::new() else { return };
     wire.try_set(&to("", 40)).unwrap();
     let plan = wire.device().set(&to("10.0.0.3", 80), false).unwrap();
-    assert!(plan.loses_packets(), "the root is made anew, and says so");
+    assert!(plan.loses_packets(), "recreating the root loses packets");
     wire.try_set(&to("10.0.0.3", 80)).unwrap();
     assert!(!wire.device().set(&to("10.0.0.3", 90), false).unwrap().loses_packets());
     let rules: Vec<_> = wire.rules().iter().map(|rule| (rule.network, rule.netem.delay)).collect();
@@ -425,7 +426,7 @@ fn one_rule_for_all_becomes_the_rest_of_several() {
 }
 
 #[test]
-fn what_arrives_is_conditioned_too() {
+fn ingress_packets_are_conditioned() {
     let Some(wire) = Wire::new() else { return };
     let at_b = |rule: &Rule| {
         wire.b.run(|| {
@@ -449,7 +450,7 @@ fn what_arrives_is_conditioned_too() {
 }
 
 #[test]
-fn what_somebody_put_there_is_left_alone_or_put_back() {
+fn foreign_disciplines_are_kept_or_restored() {
     let Some(wire) = Wire::new() else { return };
     sh(&wire.a, "tc qdisc add dev va root handle 7: pfifo limit 77");
     let rule = to("", 40);
@@ -472,7 +473,7 @@ fn what_somebody_put_there_is_left_alone_or_put_back() {
 }
 
 #[test]
-fn a_plan_that_fails_changes_nothing() {
+fn failed_plans_change_nothing() {
     let Some(wire) = Wire::new() else { return };
     let stale = wire.device().set(&to("10.0.0.3", 80), false).unwrap();
     sh(&wire.a, "tc qdisc add dev va root handle 7: pfifo");
@@ -483,9 +484,9 @@ fn a_plan_that_fails_changes_nothing() {
     assert!(nowhere.contains("no interface `eth9` here: there are lo, va"), "{nowhere}");
 }
 
-/// What is shown is what was set, in the kernel's units; but for what it never tells.
+/// The kernel reports the requested parameters in its units, except for those that it never reports.
 #[test]
-fn the_kernel_tells_what_it_was_told() {
+fn the_kernel_reports_the_requested_parameters() {
     let Some(wire) = Wire::new() else { return };
     let any_p = || prop_oneof![Just(0.0), Just(1.0), 0.0..1.0].prop_map(p);
     let any_loss = prop_oneof![
@@ -516,14 +517,14 @@ fn the_kernel_tells_what_it_was_told() {
         };
         wire.set(netem.clone());
         let mut kept = wire.rules().remove(0).netem;
-        // Newer kernels tell the seed that they chose.
+        // Newer kernels report the seed that they chose.
         kept.seed = None;
         prop_assert_eq!(kept, netem.as_kept());
     });
 }
 
 #[test]
-fn a_seed_is_kept_or_missing_by_name() {
+fn seeds_are_kept_or_reported_unsupported() {
     let Some(wire) = Wire::new() else { return };
     wire.set(Netem { seed: Some(42), ..Netem::default() });
     let kept = wire.rules().remove(0).netem.seed;
