@@ -1,9 +1,10 @@
-//! How long a 360-beam scan takes to a peer and back through the emulated network, 100 times a second: two ROS 1 nodes
-//! in two network namespaces, 5 ms apart each way. A bare UDP packet beside it says what the path itself takes.
+//! Measures how long a 360-beam scan takes to a peer and back through the emulated network, at 100 Hz. Two ROS 1
+//! nodes run in two network namespaces, 5 ms apart each way. A bare UDP packet serves as reference.
 //!
-//! `cargo bench -p cotorra-datapath --bench ros1`; on a busy machine, `chrt -f 5` before what that says it runs.
+//! Run with `cargo bench -p cotorra-datapath --bench ros1`. On a busy machine, run the program that this prints under
+//! `chrt -f 5`.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
-#![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::{
     fs, panic,
@@ -34,10 +35,10 @@ links:
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;
 const SAMPLES: u32 = 2000;
-/// After so long without anything, the last ones are lost.
+/// Time without any arrival after which the remaining packets count as lost.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Sends a number each 10 ms, whether those before are back or not, and prints how long they took to be received.
+/// Sends a number every 10 ms without waiting for earlier ones, and prints the distribution of their transit times.
 fn measure(what: &str, mut send: impl FnMut(u32) + Send, mut receive: impl FnMut() -> Option<u32>) {
     let sent = Mutex::new(Vec::new());
     let mut took = Vec::new();
@@ -50,7 +51,7 @@ fn measure(what: &str, mut send: impl FnMut(u32) + Send, mut receive: impl FnMut
                 send(number);
             }
         });
-        // What a busy machine leaves lying is dropped, by queues that keep what is new.
+        // Short queues drop what a busy machine leaves unread and keep what is new.
         while let Some(number) = receive() {
             let at = Instant::now();
             if number >= WARM_UP {
@@ -71,7 +72,7 @@ fn load_average() -> String {
     fs::read_to_string("/proc/loadavg").unwrap_or_default().trim().to_owned()
 }
 
-/// A thread that panics ends the benchmark: the others would wait for what never comes.
+/// Makes any panicking thread end the benchmark. The other threads would otherwise wait for ever.
 fn end_at_panics() {
     let tell = panic::take_hook();
     panic::set_hook(Box::new(move |what| {
@@ -153,7 +154,7 @@ fn main() {
     pitcher.shut_down();
     catcher.shut_down();
     catching.join().unwrap();
-    // It ends by a connection to itself.
+    // It ends by connecting to itself.
     far.run(|| drop(master));
     println!("load average after: {}", load_average());
 }

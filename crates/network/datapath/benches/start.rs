@@ -1,8 +1,9 @@
-//! How much longer a confined program takes to start than a bare fork and exec, in turn: until it ran and ended.
+//! Compares the start-up of a confined program with a bare fork and exec, run alternately: time until it runs and
+//! until it has ended.
 //!
-//! `cargo bench -p cotorra-datapath --bench start`
+//! Run with `cargo bench -p cotorra-datapath --bench start`.
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
-#![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
+#![allow(clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::{
     env, fs,

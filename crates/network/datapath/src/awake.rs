@@ -1,6 +1,5 @@
-//! Keeps cores from falling asleep. A packet that wakes a sleeping core waits for that, some ten to a hundred
-//! microseconds each time; so while a datapath runs, cores that have nothing to do are given something, at a priority
-//! at which it takes nothing from anyone else.
+//! Keeps cores from falling asleep. Waking a core delays a packet by some ten to a hundred microseconds. While a
+//! datapath runs, idle cores are therefore kept busy at idle priority, which takes no time from other programs.
 
 use std::{
     sync::{
@@ -12,10 +11,10 @@ use std::{
 
 use crate::sys;
 
-/// Packets go from thread to thread of a few; more cores than this need not be awake for them.
+/// Number of cores kept awake. Packets pass between a few threads, so more would not help.
 const CORES: usize = 4;
 
-/// Cores that are kept awake until this is dropped.
+/// Threads that keep cores awake until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Awake {
     done: Arc<AtomicBool>,
@@ -23,7 +22,7 @@ pub(crate) struct Awake {
 }
 
 impl Awake {
-    /// Keeps the cores awake that this process may use, up to a few; none where the kernel forbids it.
+    /// Keeps cores that this process may use awake, up to a limit; none if the kernel forbids it.
     pub(crate) fn keep() -> Self {
         let done = Arc::new(AtomicBool::new(false));
         let spawn = |core| {
@@ -50,7 +49,7 @@ fn stay(core: usize, done: &AtomicBool) {
     if let Err(error) = sys::set_idle().and_then(|()| sys::pin(core)) {
         return tracing::debug!("core {core} may fall asleep: {error}");
     }
-    // No pause instruction: a hypervisor takes many of them for a reason to put the core to sleep.
+    // No pause instruction: hypervisors put a core to sleep after many of them.
     while !done.load(Ordering::Relaxed) {}
 }
 
@@ -59,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cores_are_kept_awake_at_idle_priority_and_let_go() {
+    fn cores_are_kept_awake_at_idle_priority_until_dropped() {
         let awake = Awake::keep();
         assert!((1..=CORES).contains(&awake.threads.len()));
         drop(awake);

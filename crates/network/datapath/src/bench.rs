@@ -1,5 +1,5 @@
-//! Measures the emulator on the machine that it runs on: what `cotorra bench` prints. Everything goes through the
-//! public interface and real sockets, as a user's traffic would.
+//! Benchmarks of the emulator on this machine, which `cotorra bench` prints. They use the public interface and real
+//! sockets, as a user's traffic does.
 #![allow(clippy::disallowed_methods, reason = "a benchmark waits for the kernel on the wall clock")]
 
 pub mod compare;
@@ -35,14 +35,13 @@ use crate::{
     sys,
 };
 
-/// How a benchmark runs its datapath.
+/// Datapath settings of a benchmark.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Setting {
-    /// Kind of port.
     pub port: PortKind,
-    /// Spinning.
+    /// Spinning policy.
     pub busy_poll: BusyPoll,
-    /// Whether cores may fall asleep.
+    /// Whether idle cores may sleep.
     pub let_cores_sleep: bool,
 }
 
@@ -55,19 +54,17 @@ impl Setting {
     }
 }
 
-/// How something is spread.
+/// Percentiles of a distribution of durations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Percentiles {
-    /// The median.
     pub p50: Duration,
-    /// What 1 in 100 exceeds.
+    /// 99th percentile.
     pub p99: Duration,
-    /// The largest.
     pub max: Duration,
 }
 
 impl Percentiles {
-    /// Of at least one sample.
+    /// Computes the percentiles of at least one sample.
     fn of(mut samples: Vec<Duration>) -> Self {
         samples.sort_unstable();
         let at = |share: f64| samples[((samples.len() - 1) as f64 * share) as usize];
@@ -75,8 +72,8 @@ impl Percentiles {
     }
 }
 
-/// How much longer a round trip takes than a link of that one-way delay makes it, over so many round trips: UDP
-/// packets of 64 bytes, one at a time.
+/// Measures the excess of UDP round-trip times over a link's delay, in `round_trips` round trips of 64-byte packets,
+/// one at a time.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -98,7 +95,7 @@ pub fn round_trip(setting: Setting, one_way: Duration, round_trips: usize) -> Re
     })
 }
 
-/// Sends back what comes until it is done. The socket needs a timeout, so that it can look.
+/// Echoes packets until `done`. The socket needs a read timeout, so that `done` is noticed.
 pub fn echo(server: &UdpSocket, done: &AtomicBool) {
     be_punctual();
     let mut buffer = [0; 64];
@@ -109,7 +106,7 @@ pub fn echo(server: &UdpSocket, done: &AtomicBool) {
     }
 }
 
-/// How much longer than twice the delay each of so many round trips to an [`echo`] takes, whatever lies between.
+/// Measures by how much each round trip to an [`echo`] exceeds twice the one-way delay.
 ///
 /// # Errors
 /// As [`UdpSocket::recv_from`].
@@ -127,13 +124,13 @@ pub fn round_trips(
         client.recv_from(&mut [0; 64])?;
         Ok(clock.now().since(sent).saturating_sub(one_way * 2))
     };
-    // The first few find out each other's addresses.
+    // The first few also resolve addresses.
     let samples: io::Result<Vec<_>> = (0..round_trips + 10).map(once).skip(10).collect();
     samples.map(Percentiles::of)
 }
 
-/// What TCP carries in bit/s through so many links in a row, each with these conditions, for that long; its first
-/// fifth, in which it gets up to speed, not counted.
+/// Measures TCP throughput in bit/s through `links` links in a row, each with these conditions. The first fifth of
+/// `length`, while TCP speeds up, is not counted.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -155,7 +152,7 @@ pub fn tcp_throughput(
     })
 }
 
-/// Sends over TCP until the other side hangs up, because it has seen enough.
+/// Sends over TCP until the other side closes the connection.
 ///
 /// # Errors
 /// As [`TcpStream::connect`].
@@ -166,7 +163,7 @@ pub fn send(to: SocketAddr) -> io::Result<()> {
     Ok(())
 }
 
-/// What the first that connects sends in bit/s, for that long; the first fifth not counted.
+/// Returns the rate in bit/s at which the first connection sends. The first fifth of `length` is not counted.
 ///
 /// # Errors
 /// As [`TcpListener::accept`] and [`TcpStream::read`].
@@ -189,16 +186,16 @@ pub fn receive(listener: &TcpListener, length: Duration) -> io::Result<f64> {
     }
 }
 
-/// How many small packets the fabric's thread carries.
+/// Rate of small packets that the fabric's thread carries.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PacketRate {
-    /// Packets that arrived, a second, of a flood from one sender.
+    /// Packets delivered per second of a flood from one sender.
     pub delivered: f64,
-    /// Packets that it carried of bursts that were there at once, a second that it ran: what one core carries.
+    /// Packets carried per second of the thread's running time, in bursts: the capacity of one core.
     pub per_core: f64,
 }
 
-/// Sends UDP packets of 64 bytes through one link: a flood for that long, then bursts for as long.
+/// Sends UDP packets of 64 bytes through one link: a flood for `length`, then bursts for `length`.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -232,10 +229,11 @@ pub fn packet_rate(setting: Setting, length: Duration) -> Result<PacketRate, Err
     })
 }
 
-/// Packets in a burst: few enough for the queue of any port.
+/// Packets in a burst, few enough for any port's queue.
 const BURST: u64 = 256;
 
-/// Packets carried in a second that the fabric's thread runs, when it finds a burst of them each time it wakes.
+/// Returns the packets carried per second of the fabric thread's running time, when it finds a burst each time it
+/// wakes.
 fn bursts(handle: &Handle, clock: Clock, length: Duration, send: impl Fn()) -> Result<f64, Error> {
     let carried = || {
         let contexts = handle.with(|fabric, now| fabric.link_contexts(now))?;
@@ -250,7 +248,7 @@ fn bursts(handle: &Handle, clock: Clock, length: Duration, send: impl Fn()) -> R
             scope.spawn(|| {
                 handle.with(move |_, _| {
                     let _ = holds.send(());
-                    // Ends when the other end is dropped.
+                    // Returns when the other end is dropped.
                     let _ = released.recv();
                 })
             });
@@ -263,7 +261,7 @@ fn bursts(handle: &Handle, clock: Clock, length: Duration, send: impl Fn()) -> R
     Ok((after.0 - before.0) as f64 / after.1.saturating_sub(before.1).as_secs_f64())
 }
 
-/// How long the fabric's thread has run so far.
+/// Returns the running time of the fabric's thread so far.
 fn fabric_thread_busy() -> Duration {
     let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let mut fabric =
@@ -275,8 +273,8 @@ fn fabric_thread_busy() -> Duration {
     Duration::from_nanos(nanos.unwrap_or_default())
 }
 
-/// By which share the rate of a link differs from what it was asked for: frames of 1442 bytes (Ethernet without
-/// preamble, FCS and gap) are sent faster than the link takes them, for that long.
+/// Returns the relative error of a link's rate. Frames of 1442 bytes (Ethernet without preamble, FCS and gap) are
+/// sent faster than the link takes them, for `length`.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -303,7 +301,7 @@ pub fn rate_error(setting: Setting, rate: BitRate, length: Duration) -> Result<f
         let begin = clock.now();
         let mut sent = 0u64;
         while clock.now().since(begin) < length {
-            // A fifth more than fits keeps the queue full without keeping a core busy.
+            // A fifth more than the rate keeps the queue full without occupying a core.
             let due = clock.now().since(begin).as_secs_f64() * rate.bits_per_second() as f64 * 1.2;
             while (sent * FRAME as u64 * 8) as f64 <= due {
                 let _ = client.send_to(&[0; PAYLOAD], to);
@@ -324,30 +322,30 @@ pub fn rate_error(setting: Setting, rate: BitRate, length: Duration) -> Result<f
     })
 }
 
-/// What became of packets on a lossy link.
+/// Packet counts of a lossy link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LossCount {
-    /// Packets that the link was given.
+    /// Packets that entered the link.
     pub packets: u64,
-    /// Those of them that it lost.
+    /// Packets that it lost.
     pub lost: u64,
 }
 
-/// Sends UDP packets of 64 bytes over a link that loses that share of them, until it was given so many.
+/// Sends UDP packets of 64 bytes over a link with this loss rate until `packets` have entered it.
 ///
 /// # Errors
 /// [`Error::Kernel`].
 pub fn loss(setting: Setting, rate: Probability, packets: u64) -> Result<LossCount, Error> {
     let lossy = Conditions { loss: Loss::Independent { rate }, ..Conditions::default() };
     let datapath = setting.start(&line(2, 1, &lossy))?;
-    // Nobody reads from the server's, but where nobody listens, errors would come back.
+    // The server's socket is never read. Without it, ICMP errors would come back.
     let (client, _server) = (socket(&datapath, 0)?, socket(&datapath, 1)?);
     let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
     loop {
         for _ in 0..10_000 {
             let _ = client.send_to(&[0; 64], to);
         }
-        // The link counts, so that what a full socket drops on the way to it or from it does not matter.
+        // The link's own counters leave out drops at full sockets on either side.
         let counted = datapath.handle().with(|fabric, now| {
             let links = fabric.link_contexts(now);
             let forward = links.into_iter().find(|link| link.direction == Direction::Forward);
@@ -360,18 +358,18 @@ pub fn loss(setting: Setting, rate: Probability, packets: u64) -> Result<LossCou
     }
 }
 
-/// What it takes to bring hosts up and to be rid of them.
+/// Cost of bringing hosts up and down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BringUp {
-    /// Until every host can send.
+    /// Time until every host can send.
     pub up: Duration,
-    /// Until all interfaces are gone.
+    /// Time until all interfaces are gone.
     pub down: Duration,
-    /// Memory that the machine had less of while they were up, the kernel's included.
+    /// Decrease of available memory while they were up, including the kernel's.
     pub memory_bytes: u64,
 }
 
-/// Brings so many hosts up and down, each at a switch of its own, the switches in a line: Mininet's `linear` topology.
+/// Brings hosts up and down, each at its own switch, with the switches in a line: Mininet's `linear` topology.
 ///
 /// # Errors
 /// [`Error::Kernel`].
@@ -389,8 +387,8 @@ pub fn bring_up(setting: Setting, hosts: usize) -> Result<BringUp, Error> {
     Ok(BringUp { up, down: clock.now().since(begin), memory_bytes })
 }
 
-/// Waits until the kernel removed the namespaces that were closed before: it does so in their order, so that one
-/// more is closed, whose interface can be seen from outside.
+/// Waits until the kernel has removed the namespaces that were closed before. It removes them in order, so this
+/// closes one more, whose interface is visible from outside.
 fn wait_for_the_kernel() -> Result<(), Error> {
     on_a_thread(|| {
         let outside = Namespace::enter_new().action("make a network namespace")?;
@@ -415,9 +413,9 @@ fn available_memory() -> u64 {
 
 const PORT: u16 = 7711;
 
-/// The probes run before everything but the fabric, so that they measure it and not the machine's other load.
+/// Gives the calling probe thread priority over everything except the fabric, so that it does not measure other load.
 fn be_punctual() {
-    // Not everyone may.
+    // May be forbidden.
     let _ = sys::set_fifo(1);
 }
 
@@ -425,7 +423,7 @@ fn host(datapath: &Datapath, place: usize) -> &Namespace {
     datapath.namespace(&server_name(place)).expect("a line has that many hosts")
 }
 
-/// A socket that gives up waiting now and then, so that its thread can end.
+/// Opens a socket with a read timeout, so that its thread can end.
 fn socket(datapath: &Datapath, place: usize) -> Result<UdpSocket, Error> {
     let address = (IpAddr::from(Ipv4Addr::UNSPECIFIED), PORT);
     let socket = host(datapath, place).udp_socket(address).action("open a socket in a node")?;
@@ -441,8 +439,8 @@ fn switch_name(place: usize) -> NodeId {
     NodeId::new(&format!("s{place}")).expect("a letter and digits")
 }
 
-/// Switches in a line with one host each. Two hosts and n links: the hosts are at the ends of n links in a row, with
-/// n - 1 switches between.
+/// Builds a line of switches with one host each. Two hosts with n links are instead the ends of n links in a row,
+/// with n - 1 switches between.
 fn line(hosts: usize, links: usize, conditions: &Conditions) -> HardwareGraph {
     let domain = DomainId::new("bench").expect("letters");
     let node = |id, kind| Node { id, domain: domain.clone(), position: None, kind };

@@ -1,4 +1,4 @@
-//! What this machine lets cotorra do, found by trying it where nothing is left behind. `cotorra doctor` prints it.
+//! Tests what this machine allows, in ways that leave nothing behind. `cotorra doctor` prints the results.
 
 use std::{
     env,
@@ -14,27 +14,23 @@ use crate::{
     privilege, sys,
 };
 
-/// One thing that a machine can or cannot do.
+/// Something that a machine may be able to do.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Capability {
-    /// What.
     pub name: &'static str,
-    /// What cotorra does with it.
+    /// cotorra's use of it.
     pub purpose: &'static str,
-    /// Whether it is there.
     pub state: CapabilityState,
 }
 
-/// Whether a machine can do something.
+/// Result of testing a capability.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CapabilityState {
-    /// It can; with a detail for people, which may be empty.
+    /// Available, with details for display, which may be empty.
     Available(String),
-    /// It cannot.
     Missing {
-        /// Why.
         reason: String,
-        /// What to do about it.
+        /// Advice to make it available.
         remedy: &'static str,
     },
 }
@@ -47,13 +43,12 @@ impl CapabilityState {
         }
     }
 
-    /// Whether it can.
     pub fn is_available(&self) -> bool {
         matches!(self, Self::Available(_))
     }
 }
 
-/// Tries everything. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
+/// Tests all capabilities. Call it after [`crate::enter_user_namespace_if_needed`], whose rights it uses.
 pub fn probe() -> Vec<Capability> {
     let capability = |name, purpose, result, remedy| Capability {
         name,
@@ -63,7 +58,7 @@ pub fn probe() -> Vec<Capability> {
     vec![
         capability(
             "network namespaces",
-            "one for each host: nothing runs without",
+            "one for each host: required",
             network_namespaces(),
             "run as root, or allow user namespaces: sysctl kernel.unprivileged_userns_clone=1 (Debian), \
              kernel.apparmor_restrict_unprivileged_userns=0 (Ubuntu), user.max_user_namespaces=10000",
@@ -76,20 +71,20 @@ pub fn probe() -> Vec<Capability> {
         ),
         capability(
             "process and mount namespaces",
-            "programs in nodes: none outlives a run, nodes have names",
+            "programs in nodes end with the run and see node names",
             process_namespaces(),
             "run as root, or allow user namespaces",
         ),
         capability(
             "TAP with offloads",
-            "the faster kind of port",
+            "faster ports",
             tap(),
             "not needed: ports are packet sockets then; otherwise run as root, or `chmod 0666 /dev/net/tun` \
              (in a container: `--device /dev/net/tun`)",
         ),
         capability(
             "packet sockets with offloads",
-            "ports where /dev/net/tun cannot be opened",
+            "ports without /dev/net/tun",
             packet_sockets(),
             "load the module veth: `modprobe veth`",
         ),
@@ -176,7 +171,7 @@ fn netem() -> io::Result<String> {
         Namespace::enter_new()?;
         match Netlink::open()?.execute(vec![netlink::netem(LOOPBACK)]) {
             Err(e) if e.raw_os_error() == Some(libc::ENOENT) => {
-                Err(io::Error::other("this kernel has no sch_netem, nor finds the module"))
+                Err(io::Error::other("this kernel has no sch_netem and cannot load it"))
             }
             result => result.map(|()| String::new()),
         }
@@ -192,16 +187,16 @@ fn hwsim() -> io::Result<String> {
     let modules = Path::new("/lib/modules").join(release.trim());
     let listed = fs::read_to_string(modules.join("modules.dep")).is_ok_and(|list| list.contains(NAME));
     if !listed {
-        return Err(io::Error::other("this kernel neither has it nor finds the module"));
+        return Err(io::Error::other("this kernel has no such module"));
     }
     if privilege::have_rights() && sys::effective_ids().0 == 0 {
         Ok("as a module, not loaded yet".into())
     } else {
-        Err(io::Error::other("the module is there, but only root can load it"))
+        Err(io::Error::other("only root can load the module"))
     }
 }
 
-/// Where the process's own control groups are, and whether it may make others beneath them.
+/// Lists the controllers of the process's control groups in which it can create groups.
 fn control_groups() -> io::Result<String> {
     let own = fs::read_to_string("/proc/self/cgroup")?;
     let mut writable = Vec::new();
@@ -226,7 +221,7 @@ fn control_groups() -> io::Result<String> {
     }
     writable.retain(|controller| ["cpu", "memory", "cpuset", "pids"].contains(&controller.as_str()));
     if writable.is_empty() {
-        return Err(io::Error::other("no group with the controllers cpu or memory can be made"));
+        return Err(io::Error::other("cannot create groups with the controllers cpu or memory"));
     }
     Ok(format!("{version}: {}", writable.join(", ")))
 }

@@ -1,9 +1,9 @@
-//! What keeps a program in a node from this machine: a root folder of its own, in which it finds programs, libraries and
-//! what it is shown, all read-only, and one folder that it may write to; no capability that it was not given; no system
-//! call that reaches beyond.
+//! Confines a program in a node. It gets a root folder of its own with programs, libraries and shared files, all
+//! read-only, and one writable folder. It has only the capabilities that it was given, and no system call that
+//! reaches beyond the node.
 //!
-//! A thread that nobody needs afterwards puts it together with ordinary code ([`Confinement::build`]); what is left to do
-//! between fork and exec is in [`crate::init`].
+//! [`Confinement::build`] prepares this with ordinary code on a throw-away thread. The remaining steps between fork
+//! and exec are in [`crate::init`].
 
 use std::{
     env,
@@ -24,49 +24,49 @@ use crate::{
     sys::{self, Access, Attributes},
 };
 
-/// Folders that everyone is shown: programs, libraries, and how the machine is set up.
+/// System folders visible to every program.
 const SYSTEM: &[&str] =
     &["/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/libx32", "/opt", "/nix", "/etc"];
 const DEVICES: &str = "/dev";
 const DEVICE_NAMES: &[&str] = &["null", "zero", "full", "random", "urandom"];
-/// Folders that are the program's own, and go with it.
+/// In-memory folders private to the program.
 const IN_MEMORY: &[&str] = &["/tmp", "/dev/shm"];
 
-/// How a program is confined. Paths are absolute.
+/// Confinement of a program. Paths are absolute.
 #[derive(Debug, Clone)]
 pub struct Confinement {
-    /// The folder that is its own, which is there: it may write there and nowhere else that outlives it.
+    /// The program's own folder, which exists. It can write only here and to memory.
     pub home: PathBuf,
-    /// Files and folders that it may read beside the system's programs and libraries.
+    /// Files and folders that it can read beside the system's.
     pub readable: Vec<PathBuf>,
-    /// Files and folders that it finds empty, though they are within what it may read.
+    /// Files and folders that appear empty, although a readable folder contains them.
     pub hidden: Vec<PathBuf>,
-    /// The capabilities that it has over its network namespace and its own threads.
+    /// Capabilities over its network namespace and its own threads.
     pub capabilities: Vec<LinuxCapability>,
-    /// How many processes and threads it may have where no control group limits them.
+    /// Maximum number of processes and threads if no control group limits them.
     pub processes: u64,
-    /// The most memory that each of its processes, and its files in memory, may take.
+    /// Maximum memory of each process, and of its in-memory files, bytes.
     pub memory_bytes: u64,
 }
 
-/// What is left to do between fork and exec.
+/// The restrictions that [`crate::init`] puts in force between fork and exec.
 #[derive(Debug)]
-pub(crate) struct Walls {
-    /// The root folder of before, to be unmounted once `/proc` is mounted.
+pub(crate) struct Restrictions {
+    /// The old root folder, to be unmounted once `/proc` is mounted.
     pub(crate) outside: OwnedFd,
-    /// What it may open; `None` on kernels without Landlock, where mounts alone keep it.
+    /// Landlock rules; `None` on kernels without Landlock, where only mounts confine the program.
     pub(crate) access: Option<OwnedFd>,
     pub(crate) filter: Vec<libc::sock_filter>,
-    /// A bit each.
+    /// One bit per capability.
     pub(crate) capabilities: u64,
-    /// Of processes and of memory, where no control group limits them.
+    /// Processes and bytes of memory; `None` if a control group limits them.
     pub(crate) limits: Option<[u64; 2]>,
 }
 
 impl Confinement {
-    /// Moves the calling thread, which has a mount namespace of its own, into the root folder that the program will have.
-    pub(crate) fn build(&self, program: Option<&Path>, is_limited: bool) -> io::Result<Walls> {
-        // Sources first: what is mounted below is not to be among them.
+    /// Moves the calling thread into the program's root folder. The thread must have a mount namespace of its own.
+    pub(crate) fn build(&self, program: Option<&Path>, is_limited: bool) -> io::Result<Restrictions> {
+        // Open the sources first, so that they do not include the mounts made below.
         let home = Tree::open(&self.home, Attributes::NO_SUID | Attributes::NO_DEV)?;
         let system = Path::new("/").read_dir()?.flatten().map(|entry| entry.path());
         let system = system.filter(|path| SYSTEM.iter().any(|name| path == Path::new(name)));
@@ -82,7 +82,7 @@ impl Confinement {
         let covered = own_of_root();
 
         sys::mount_tmpfs(&self.home, "size=1m,mode=755").map_err(about(&self.home))?;
-        // From here on, relative paths are those in the new root.
+        // From here on, relative paths are inside the new root.
         env::set_current_dir(&self.home)?;
         for folder in ["proc", "run", "tmp", "var", "dev", "dev/shm"] {
             fs::create_dir(folder)?;
@@ -96,7 +96,7 @@ impl Confinement {
             sys::mount_tmpfs(inside(Path::new(memory)), &format!("size={},mode=1777", self.memory_bytes))?;
         }
         for link in &links {
-            // Relative, so that it leads nowhere else while this is put together.
+            // Relative, so that it does not lead out of the new root while that is being built.
             let target = fs::read_link(link)?;
             symlink(inside(&target), inside(link))?;
         }
@@ -113,7 +113,7 @@ impl Confinement {
         }
         let outside = File::open("/")?.into();
         sys::pivot_root_here()?;
-        Ok(Walls {
+        Ok(Restrictions {
             outside,
             access: self.access()?,
             filter: seccomp::filter(),
@@ -122,7 +122,7 @@ impl Confinement {
         })
     }
 
-    /// The same by Landlock, which holds even where a mount could be got around.
+    /// Returns the same restrictions as Landlock rules, which hold even if a mount can be circumvented.
     fn access(&self) -> io::Result<Option<OwnedFd>> {
         let Some(access) = Access::new()? else { return Ok(None) };
         access.allow_reading(Path::new("/"))?;
@@ -136,7 +136,7 @@ impl Confinement {
     }
 }
 
-/// A file or folder as it is outside, with all that is mounted below, to be attached in the new root.
+/// A detached copy of an outside file or folder with everything mounted below, to be attached in the new root.
 struct Tree {
     mount: OwnedFd,
     path: PathBuf,
@@ -144,7 +144,7 @@ struct Tree {
 }
 
 impl Tree {
-    /// Opens what is at a path without symbolic links.
+    /// Opens a path that contains no symbolic links.
     fn open(path: &Path, attributes: Attributes) -> io::Result<Self> {
         let open = || {
             let is_folder = fs::symlink_metadata(path)?.is_dir();
@@ -155,7 +155,7 @@ impl Tree {
         open().map_err(about(path))
     }
 
-    /// Attaches it where it was, unless it is there by something else that is.
+    /// Attaches the copy at its old path, unless another copy already provides that path.
     fn attach_if_new(&self) -> io::Result<()> {
         if fs::symlink_metadata(inside(&self.path)).is_ok() { Ok(()) } else { self.attach() }
     }
@@ -177,17 +177,22 @@ impl Tree {
     }
 }
 
-/// The path in the new root, which the working directory is.
+/// Returns the path relative to the new root, which is the working directory.
 fn inside(path: &Path) -> &Path {
     path.strip_prefix("/").unwrap_or(path)
 }
 
 fn about(path: &Path) -> impl FnOnce(io::Error) -> io::Error {
     let path = path.to_owned();
-    move |error| io::Error::new(error.kind(), format!("cannot show it {}: {error}", path.display()))
+    move |error| {
+        io::Error::new(
+            error.kind(),
+            format!("cannot make {} visible to the program: {error}", path.display()),
+        )
+    }
 }
 
-/// Puts nothing in the place of a file or folder, if there is one; says where something was mounted to become read-only.
+/// Hides a file or folder, if it exists. Returns the path of a mount that must become read-only.
 fn cover(path: &Path) -> io::Result<Option<PathBuf>> {
     match fs::symlink_metadata(path) {
         Ok(found) if found.is_dir() => {
@@ -203,8 +208,8 @@ fn cover(path: &Path) -> io::Result<Option<PathBuf>> {
     }
 }
 
-/// What in `/etc` not everyone may read, as it was when the first program was confined: one that runs as root could, without
-/// any capability.
+/// Lists the files in `/etc` that not everyone may read, as found when the first program was confined. A program
+/// running as root could read them even without capabilities.
 fn own_of_root() -> &'static [PathBuf] {
     static FOUND: OnceLock<Vec<PathBuf>> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -228,7 +233,7 @@ fn collect_own_of_root(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// capabilities(7) by number.
+/// Returns the number of a capability (capabilities(7)).
 fn number(capability: LinuxCapability) -> u32 {
     match capability {
         LinuxCapability::NetBindService => 10,

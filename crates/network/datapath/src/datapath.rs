@@ -1,4 +1,4 @@
-//! A fabric at work: a namespace with a real interface for each host, and the thread that carries packets between
+//! A running fabric: a namespace with a real interface for each host, and the thread that carries packets between
 //! them.
 
 use std::{
@@ -25,23 +25,23 @@ use crate::{
     sys,
 };
 
-/// How a datapath works.
+/// Settings of a datapath.
 #[derive(Default)]
 pub struct Options {
-    /// Kind of port.
     pub port: PortKind,
-    /// Spinning.
+    /// Spinning policy.
     pub busy_poll: BusyPoll,
-    /// Lets cores sleep that have nothing to do: saves power, and packets then wait for cores to wake.
+    /// Lets idle cores sleep. This saves power, but packets then wait for cores to wake.
     pub let_cores_sleep: bool,
-    /// Who gets the fabric's events.
+    /// Receiver of the fabric's events.
     pub events: Option<EventSink>,
-    /// The kernel carries the packets, between hosts that it has brought up; the fabric then only keeps the books.
+    /// A network in which the kernel carries the packets between its own hosts. The fabric then only keeps the
+    /// counters and conditions.
     pub kernel: Option<KernelNetwork>,
 }
 
-/// A fabric that carries real packets between hosts that are network namespaces. Dropping it ends all: programs
-/// started by [`Self::spawn`] are the caller's to drop before.
+/// A fabric that carries real packets between hosts in network namespaces. Dropping it stops everything except
+/// programs started by [`Self::spawn`], which the caller must drop first.
 pub struct Datapath {
     hosts: Vec<Namespace>,
     kernel: Option<Arc<KernelNetwork>>,
@@ -55,11 +55,11 @@ pub struct Datapath {
 }
 
 impl Datapath {
-    /// Brings the hosts of the graph up and lets the fabric, made from the same graph, carry their packets. The
-    /// run begins now.
+    /// Brings the graph's hosts up and starts the fabric, which must be made from the same graph. The run's clock
+    /// starts now.
     ///
     /// # Errors
-    /// [`Error::Kernel`], with what the kernel refused.
+    /// [`Error::Kernel`] with the rejected action.
     pub fn start(graph: &HardwareGraph, fabric: Fabric, options: Options) -> Result<Self, Error> {
         sys::raise_open_files();
         let places: HashMap<_, _> = graph.hosts().enumerate().map(|(i, node)| (node.id.clone(), i)).collect();
@@ -87,22 +87,21 @@ impl Datapath {
         Ok(Self { hosts, kernel, places, hosts_file, kind, clock, handle, thread, _awake: awake })
     }
 
-    /// The run's clock.
     pub fn clock(&self) -> Clock {
         self.clock
     }
 
-    /// A way to the fabric.
+    /// Returns a handle to run closures on the fabric's thread.
     pub fn handle(&self) -> Handle {
         self.handle.clone()
     }
 
-    /// The kind of port in use: never [`PortKind::Auto`].
+    /// Returns the kind of port in use, never [`PortKind::Auto`].
     pub fn port_kind(&self) -> PortKind {
         self.kind
     }
 
-    /// The namespace of a host.
+    /// Returns the namespace of a host.
     ///
     /// # Errors
     /// [`Error::NoSuchHost`].
@@ -114,12 +113,12 @@ impl Datapath {
         Ok(&self.hosts[*place])
     }
 
-    /// The kernel's network, if that carries the packets.
+    /// Returns the kernel's network, if the kernel carries the packets.
     pub fn kernel(&self) -> Option<Arc<KernelNetwork>> {
         self.kernel.clone()
     }
 
-    /// Starts a program in a host, in which it can use the names of all others; see [`Namespace::spawn`].
+    /// Starts a program in a host. It can use the names of all other hosts; see [`Namespace::spawn`].
     ///
     /// # Errors
     /// [`Error::NoSuchHost`], [`Error::Spawn`].
@@ -129,15 +128,16 @@ impl Datapath {
         self.namespace(host)?.spawn(command, SpawnOptions { hosts, hostname, ..options })
     }
 
-    /// Frames that a port did not take since the run began: an interface was down, or its queue full.
+    /// Returns the number of frames that ports dropped since the run began, because an interface was down or its
+    /// queue full.
     pub fn dropped_frames(&self) -> u64 {
         self.handle.0.dropped()
     }
 
-    /// Ends it and gives the fabric back, for its last figures.
+    /// Stops the datapath and returns the fabric with its final figures.
     ///
     /// # Errors
-    /// [`Error::Stopped`] if its thread has ended before, [`Error::Kernel`] if that was the kernel's doing.
+    /// [`Error::Stopped`] if its thread had ended before, [`Error::Kernel`] if the kernel ended it.
     pub fn stop(mut self) -> Result<Fabric, Error> {
         self.end().ok_or(Error::Stopped)?.action("wait for packets")
     }

@@ -1,5 +1,5 @@
-//! The fabric's thread: waits for frames, commands and the fabric's next deadline, whichever comes first, and lets
-//! the fabric say what leaves. It alone touches the fabric, so that nothing in it needs a lock.
+//! The fabric's thread. It waits for frames, commands and the fabric's next deadline, and sends what the fabric
+//! delivers. Only this thread touches the fabric, which therefore needs no lock.
 
 use std::{
     io, mem,
@@ -24,27 +24,27 @@ use crate::{
     sys::{Epoll, Ready, Waker},
 };
 
-/// Frames that are read from a port before others get their turn.
+/// Most frames read from a port before the next port's turn.
 const BATCH: usize = 64;
-/// One in so many frames is measured as it is sent.
+/// The duration of one send in this many is measured.
 const MEASURED: u64 = 4;
-/// What sending takes longer than this is another's doing.
+/// Upper limit on a measured send. A longer one was interrupted by other load.
 const MOST_HANDOVER: Duration = Duration::from_micros(15);
 
-/// What is done on the fabric's thread for someone else.
+/// Work for the fabric's thread.
 type Command = Box<dyn FnOnce(&mut Fabric, Timestamp) + Send>;
 
-/// Gets the fabric's events; runs on the fabric's thread and must not block.
+/// Receiver of the fabric's events. Runs on the fabric's thread and must not block.
 pub type EventSink = Box<dyn FnMut(Stamped) + Send>;
 
-/// What the thread shares with those who hold a [`Handle`].
+/// State shared with [`Handle`]s.
 pub(crate) struct Shared {
     /// `None` once the thread ends.
     commands: Mutex<Option<Vec<Command>>>,
     waker: Waker,
-    /// Set when the thread is to end: what is due is not sent any more, however much it is.
+    /// Set to end the thread. Frames that are due are no longer sent, however many there are.
     stopping: AtomicBool,
-    /// Frames that a port did not take, or could not give.
+    /// Frames that a port could not send or receive.
     dropped: AtomicU64,
 }
 
@@ -58,7 +58,7 @@ impl Shared {
         })
     }
 
-    /// Ends the thread after what it is about to do; commands that it has not begun are dropped.
+    /// Ends the thread after its current step. Commands that have not begun are dropped.
     pub(crate) fn stop(&self) {
         *self.commands.lock() = None;
         self.stopping.store(true, Ordering::Relaxed);
@@ -74,13 +74,13 @@ impl Shared {
     }
 }
 
-/// A way to the fabric from any thread.
+/// Access to the fabric from any thread.
 #[derive(Clone)]
 pub struct Handle(pub(crate) Arc<Shared>);
 
 impl Handle {
-    /// Runs a closure on the fabric's thread at once, and returns what it returns. `now` is the time at which it
-    /// runs. It should take microseconds: packets wait meanwhile.
+    /// Runs a closure on the fabric's thread immediately and returns its result. `now` is the time at which it runs.
+    /// It should take microseconds, because packets wait meanwhile.
     ///
     /// # Errors
     /// [`Error::Stopped`] once the datapath has stopped.
@@ -90,7 +90,7 @@ impl Handle {
     ) -> Result<R, Error> {
         let (result, wait) = mpsc::sync_channel(1);
         self.0.commands.lock().as_mut().ok_or(Error::Stopped)?.push(Box::new(move |fabric, now| {
-            // Whoever asked is waiting below.
+            // The receiver waits below.
             let _ = result.send(work(fabric, now));
         }));
         self.0.waker.wake();
@@ -104,27 +104,27 @@ impl std::fmt::Debug for Handle {
     }
 }
 
-/// The thread's state.
+/// State of the fabric's thread.
 pub(crate) struct Engine {
     fabric: Fabric,
     clock: Clock,
     ports: Ports,
     shared: Arc<Shared>,
     punctuality: Punctuality,
-    /// Where ports put what exceeds an ordinary frame.
+    /// Buffer for the part of a frame that exceeds an ordinary one.
     spill: Box<[u8]>,
     events: Option<EventSink>,
 }
 
-/// The ports and what sending takes.
+/// The ports, and measurements of sending.
 struct Ports {
     ports: Vec<Port>,
-    /// Frames that left, whose buffers the fabric gets back.
+    /// Sent frames, whose buffers go back to the fabric.
     spent: Vec<Frame>,
     epoll: Epoll,
     shared: Arc<Shared>,
     clock: Clock,
-    /// Frames sent so far, and how long it takes to send one: each is sent as much earlier than it is due.
+    /// Number of frames sent, and the smoothed duration of a send. Each frame is sent that much before it is due.
     sent: u64,
     handover: Duration,
 }
@@ -145,7 +145,7 @@ impl Ports {
         match sent {
             Sent::Now => {}
             Sent::Dropped => self.shared.count_drop(),
-            // Fails for no open descriptor; the frame would wait for the next one to this port.
+            // A failure leaves the frame queued until the next one to this port.
             Sent::Waits => drop(self.epoll.set_writable(port.as_fd(), index, true)),
         }
     }
@@ -192,9 +192,9 @@ impl Engine {
         })
     }
 
-    /// Runs until it is told to stop.
+    /// Runs until stopped.
     pub(crate) fn run(mut self) -> io::Result<Fabric> {
-        // Whatever ends this thread, nobody waits for it.
+        // Releases waiting callers, however this thread ends.
         struct Closing(Arc<Shared>);
         impl Drop for Closing {
             fn drop(&mut self) {
@@ -212,7 +212,7 @@ impl Engine {
             ready.extend(self.ports.epoll.wait(timeout)?);
             let now = self.clock.now();
             self.punctuality.woke(now, ready.is_empty());
-            // What is due goes first.
+            // Frames that are due go first.
             if deadline.is_some_and(|at| at <= now + self.ports.handover) {
                 deadline = self.poll();
             }
@@ -237,7 +237,7 @@ impl Engine {
         }
     }
 
-    /// Lets the fabric deliver what is due, and says when it wants that again.
+    /// Lets the fabric deliver what is due, and returns its next deadline.
     fn poll(&mut self) -> Option<Timestamp> {
         let ports = &mut self.ports;
         let out = self.clock.now() + ports.handover;
@@ -253,7 +253,8 @@ impl Engine {
         deadline
     }
 
-    /// Takes what came in at a port, the first frame at the time given, if that is known better than by reading it.
+    /// Receives frames at a port. `arrived` is the arrival time of the first, if known better than the time of
+    /// reading.
     fn receive(&mut self, index: usize, mut arrived: Option<Timestamp>) {
         let port = &mut self.ports.ports[index];
         for count in 0..port.batch {
@@ -269,7 +270,7 @@ impl Engine {
                 }
                 Err(e) => {
                     self.shared.count_drop();
-                    // A program in the node removed its interface: the descriptor would be ready for ever.
+                    // A program in the node removed its interface: the descriptor would stay ready for ever.
                     if e.raw_os_error() == Some(libc::EBADFD) {
                         drop(self.ports.epoll.remove(port.as_fd()));
                         return;
@@ -280,7 +281,7 @@ impl Engine {
         port.batch = (port.batch * 2).min(BATCH);
     }
 
-    /// Does what others asked for.
+    /// Runs the commands of other threads.
     fn run_commands(&mut self) {
         self.shared.waker.clear();
         let commands = self.shared.commands.lock().as_mut().map(mem::take);
@@ -290,9 +291,9 @@ impl Engine {
     }
 }
 
-/// Whether a frame tells multicast routers of a group that its sender joined (IGMPv3, RFC 3376, 4.2.14; MLDv2,
-/// RFC 3810, 5.2.14). A switch forwards such reports to multicast routers only (RFC 4541, 2.1.1), and there are none:
-/// flooded, those of a thousand hosts that come up would be millions of packets.
+/// Whether a frame reports a multicast group membership (IGMPv3, RFC 3376, 4.2.14; MLDv2, RFC 3810, 5.2.14). A switch
+/// forwards such reports to multicast routers only (RFC 4541, 2.1.1), and a testbed has none. Flooded, the reports of
+/// a thousand starting hosts would be millions of packets.
 fn is_membership_report(frame: &[u8]) -> bool {
     const IGMP_V3: [u8; 6] = [0x01, 0x00, 0x5e, 0x00, 0x00, 0x16];
     const MLD_V2: [u8; 6] = [0x33, 0x33, 0x00, 0x00, 0x00, 0x16];

@@ -1,40 +1,30 @@
-//! What can go wrong between cotorra and the kernel, and what to do about it.
+//! Errors between cotorra and the kernel, with remedies.
 
 use std::io;
 
 use cotorra_graph::NodeId;
 
-/// Why the datapath could not do something.
+/// A failure of the datapath.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// The kernel refused.
+    /// The kernel rejected an action.
     #[error("cannot {action}: {source}{}", remedy(source))]
-    Kernel {
-        /// What was tried.
-        action: &'static str,
-        /// What the kernel said.
-        source: io::Error,
-    },
+    Kernel { action: &'static str, source: io::Error },
     /// A user namespace can only be entered by a process with one thread.
     #[error("cannot enter a user namespace from a process with several threads: do it first thing in main")]
     SeveralThreads,
-    /// The kernel lets this user have a user namespace, but no rights in it.
+    /// The kernel allows this user a user namespace, but no rights in it.
     #[error(
         "user namespaces give no rights here (AppArmor or a security module forbids it): \
          set kernel.apparmor_restrict_unprivileged_userns=0, or run as root"
     )]
     RightsWithheld,
-    /// The graph has no host of that name; switches have no namespace.
-    #[error("`{0}` is no host of this testbed: robots, radio units and servers are")]
+    /// The graph has no host of that name. Switches have no namespace.
+    #[error("`{0}` is not a host of this testbed: hosts are robots, radio units and servers")]
     NoSuchHost(NodeId),
     /// A program could not be started.
     #[error("cannot start `{program}`: {source}")]
-    Spawn {
-        /// Which.
-        program: String,
-        /// Why.
-        source: io::Error,
-    },
+    Spawn { program: String, source: io::Error },
     /// The fabric's thread has ended.
     #[error("the datapath has stopped")]
     Stopped,
@@ -49,7 +39,7 @@ fn remedy(error: &io::Error) -> &'static str {
     }
 }
 
-/// Says what was tried when the kernel refuses.
+/// Adds the attempted action to an error of the kernel.
 pub(crate) trait Action<T> {
     fn action(self, action: &'static str) -> Result<T, Error>;
 }

@@ -1,5 +1,5 @@
-//! Brings hosts up: a namespace and an interface `eth0` each, on as many threads as there are cores, with one netlink
-//! message a host.
+//! Brings hosts up: a namespace with an interface `eth0` each, on as many threads as there are cores, with one
+//! netlink message per host.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -21,18 +21,18 @@ use crate::{
     sys,
 };
 
-/// Largest payload of a frame.
+/// Largest payload of a frame, bytes.
 const MTU: u32 = 1500;
-/// Frames between the kernel and the fabric's thread: a TAP drops what comes on top, without telling the sender.
+/// Frames queued between the kernel and the fabric's thread. A TAP drops the excess without telling the sender.
 const QUEUE: u32 = 4096;
-/// Bytes between the kernel and the fabric's thread at a packet socket.
+/// Bytes buffered between the kernel and the fabric's thread at a packet socket.
 const SOCKET_BUFFER: i32 = 32 << 20;
 const TUN: &str = "/dev/net/tun";
 
-/// Which kind of port hosts have.
+/// Kind of port that connects a host to the fabric.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PortKind {
-    /// TAPs where `/dev/net/tun` can be opened, else packet sockets.
+    /// TAPs if `/dev/net/tun` can be opened, else packet sockets.
     #[default]
     Auto,
     /// A TAP in the host's namespace.
@@ -47,7 +47,7 @@ pub(crate) struct Host {
     pub(crate) port: OwnedFd,
 }
 
-/// Which kind of port it will be.
+/// Resolves [`PortKind::Auto`].
 pub(crate) fn resolve(kind: PortKind) -> PortKind {
     match kind {
         PortKind::Auto if open_tun().is_ok() => PortKind::Tap,
@@ -56,9 +56,9 @@ pub(crate) fn resolve(kind: PortKind) -> PortKind {
     }
 }
 
-/// Brings up that many hosts, with the addresses that follow from their places.
+/// Brings up `count` hosts, with the addresses that follow from their places.
 pub(crate) fn bring_up(count: usize, kind: PortKind) -> Result<Vec<Host>, Error> {
-    // Where the other ends of virtual Ethernet pairs are; nobody else sees them.
+    // Namespace of the virtual Ethernet pairs' other ends, invisible to others.
     let wiring = match kind {
         PortKind::PacketSocket => Some(Namespace::new()?),
         _ => None,
@@ -94,10 +94,10 @@ fn enter_new_namespace() -> Result<Namespace, Error> {
     Namespace::enter_new().action("make a network namespace")
 }
 
-/// Gives `eth0` of the calling thread's namespace its addresses.
+/// Configures the addresses of `eth0` in the calling thread's namespace.
 pub(crate) fn configure(netlink: &Netlink, place: usize) -> Result<(), Error> {
     let eth0 = sys::interface_index(c"eth0").action("find a host's interface")?;
-    // There is no router in the fabric to ask for; without IPv6 there is no such file.
+    // The fabric has no router to solicit. Without IPv6 this file does not exist.
     let _ = fs::write("/proc/sys/net/ipv6/conf/eth0/router_solicitations", "0");
     netlink
         .execute(netlink::host(eth0, &HostAddress::of(place), MTU, QUEUE))
@@ -112,8 +112,8 @@ fn tap_host(place: usize) -> Result<Host, Error> {
     Ok(Host { namespace, port: device.into() })
 }
 
-/// What the header in front of each frame can tell: a packet socket loses frames with anything else left to the
-/// network card (tunnels, VLAN tags, SCTP's checksum). A TAP restricts itself.
+/// Lists the offloads that a frame's virtio header can describe. A packet socket loses frames with other offloads,
+/// such as tunnels, VLAN tags and SCTP checksums. A TAP restricts itself.
 fn offloads() -> Vec<&'static str> {
     let mut offloads = vec![
         "tx-scatter-gather",
@@ -131,7 +131,7 @@ fn offloads() -> Vec<&'static str> {
     offloads
 }
 
-/// The kernel's version; 0.0 if it hides it.
+/// Returns the kernel's version; 0.0 if it is hidden.
 fn kernel() -> (u32, u32) {
     let release = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
     let mut numbers = release.split(|c: char| !c.is_ascii_digit()).map(|n| n.parse().unwrap_or(0));
@@ -139,14 +139,14 @@ fn kernel() -> (u32, u32) {
 }
 
 fn packet_socket_host(place: usize, wiring: &Namespace) -> Result<Host, Error> {
-    // The loopback interface has index 1, kernels with tunnels built in give the next few.
+    // The loopback interface has index 1, and kernels with built-in tunnels use the next few.
     let index = 100 + place as u32;
     let namespace = enter_new_namespace()?;
     let inside = Netlink::open().action("open a netlink socket")?;
     inside
         .execute(vec![netlink::veth("eth0", &format!("p{place}"), index, wiring.as_fd())])
         .action("make a virtual Ethernet pair")?;
-    // With its other end up first, the host's has a carrier from the beginning.
+    // Set the other end up first, so that the host's end has a carrier from the start.
     let port = on_a_thread(|| {
         wiring.enter().action("enter the wiring's namespace")?;
         let outside = Netlink::open().action("open a netlink socket")?;

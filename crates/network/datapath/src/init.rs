@@ -1,8 +1,8 @@
-//! What runs between fork and exec of a program in a node: the first process of its process namespace. It waits for
-//! the program, passes signals on, reaps orphans, and ends when the program does or its parent is gone, whereupon the
-//! kernel kills whatever is left in the namespace.
+//! The init of a program in a node: the first process of its process namespace, running between fork and exec. It
+//! waits for the program, passes signals on and reaps orphans. It ends when the program ends or its parent is gone,
+//! and the kernel then kills everything left in the namespace.
 //!
-//! A copy of a process with several threads runs here, so that only async-signal-safe calls are allowed: no
+//! This code runs in a copy of a process with several threads. Only async-signal-safe calls are allowed: no
 //! allocation, no lock, no destructor.
 
 use std::{
@@ -18,28 +18,28 @@ use std::{
 
 use libc::{c_int, c_long, c_ulong, pid_t};
 
-use crate::{confine::Walls, sys::check};
+use crate::{confine::Restrictions, sys::check};
 
-/// What the init needs, made before the fork.
+/// State of the init, prepared before the fork.
 pub(crate) struct Init {
-    /// Open for writing: the program may find itself where their paths lead nowhere.
+    /// Control groups to join, open for writing: inside, their paths may not resolve.
     pub(crate) cgroups: Vec<File>,
     /// The end of a pipe that hangs up when the parent is gone.
     pub(crate) lifeline: RawFd,
-    /// The limit that the program gets: a program that uses select(2) must not see descriptors above 1024.
+    /// The program's limit of open files. A program that uses select(2) must not get descriptors above 1024.
     pub(crate) open_files: Option<libc::rlimit>,
-    /// What confines the program, whose root folder the spawning thread is in.
-    pub(crate) walls: Option<Walls>,
+    /// Confinement of the program. The spawning thread is already in its root folder.
+    pub(crate) restrictions: Option<Restrictions>,
 }
 
 impl Init {
-    /// Puts an init in front of a command, whose next spawn must happen on a thread that unshared `CLONE_NEWPID`.
+    /// Inserts an init before a command. Its next spawn must happen on a thread that unshared `CLONE_NEWPID`.
     pub(crate) fn before_exec_of(self, command: &mut Command) {
         // SAFETY: `split` keeps to async-signal-safe calls, as its own comments say.
         unsafe { command.pre_exec(move || self.split()) };
     }
 
-    /// Returns in the program's process; the init stays inside for ever.
+    /// Forks. Returns in the program's process; the init never returns.
     ///
     /// # Safety
     /// To be called between fork and exec.
@@ -48,8 +48,8 @@ impl Init {
             // SAFETY: the pointer is to one live byte; write is async-signal-safe.
             check(unsafe { libc::write(group.as_raw_fd(), c"0".as_ptr().cast(), 1) } as c_int)?;
         }
-        // SAFETY: a sigset_t is integers, for which zero is a value; the calls fill and apply a live one. Blocked,
-        // signals wait for signalfd even where the kernel would not deliver them to an init.
+        // SAFETY: a sigset_t is integers, for which zero is a value; the calls fill and apply a live one. Signals are
+        // blocked because blocked signals reach signalfd even where the kernel would not deliver them to an init.
         let (signals, before) = unsafe {
             let mut signals: libc::sigset_t = mem::zeroed();
             let mut before: libc::sigset_t = mem::zeroed();
@@ -57,11 +57,11 @@ impl Init {
             libc::sigprocmask(libc::SIG_SETMASK, &signals, &mut before);
             (signals, before)
         };
-        match &self.walls {
+        match &self.restrictions {
             // SAFETY: as for this function.
-            Some(walls) => unsafe { close(walls)? },
-            // SAFETY: all strings end in a zero. That /proc cannot be mounted where parts of it are hidden (containers)
-            // only means that the program sees the processes outside.
+            Some(restrictions) => unsafe { close(restrictions)? },
+            // SAFETY: all strings end in a zero. Where `/proc` cannot be mounted because parts of it are hidden
+            // (containers), the program merely sees the processes outside.
             None => unsafe {
                 if libc::unshare(libc::CLONE_NEWNS) == 0 {
                     let none = c"none".as_ptr();
@@ -80,8 +80,8 @@ impl Init {
                     if let Some(limit) = &self.open_files {
                         libc::setrlimit(libc::RLIMIT_NOFILE, limit);
                     }
-                    if let Some(walls) = &self.walls {
-                        restrict(walls)?;
+                    if let Some(restrictions) = &self.restrictions {
+                        restrict(restrictions)?;
                     }
                 }
                 Ok(())
@@ -92,7 +92,7 @@ impl Init {
     }
 }
 
-/// Forks by the system call alone. The C library's fork takes its locks, and another thread may have held one when this
+/// Forks by the bare system call. The C library's fork takes its locks, which another thread may have held when this
 /// process was made.
 ///
 /// # Safety
@@ -112,20 +112,21 @@ unsafe fn mount_proc(more_flags: c_ulong) {
     unsafe { libc::mount(proc, c"/proc".as_ptr(), proc, flags, ptr::null()) };
 }
 
-/// Leaves nothing of the root folder of before. Where the kernel refuses to mount `/proc`, it is an empty folder. It is
-/// read-only, because root needs no capability to write to `/proc/sys`.
+/// Unmounts the old root folder. `/proc` is an empty folder where the kernel rejects mounting it. It is read-only
+/// because root needs no capability to write to `/proc/sys`.
 ///
 /// # Safety
 /// To be called between fork and exec.
-unsafe fn close(walls: &Walls) -> io::Result<()> {
-    // SAFETY: async-signal-safe, with strings that end in a zero and open descriptors. Users of namespaces of their own
-    // may only mount /proc while they see another one: that of before.
+unsafe fn close(restrictions: &Restrictions) -> io::Result<()> {
+    // SAFETY: async-signal-safe, with strings that end in a zero and open descriptors. Users with their own
+    // namespaces may mount /proc only while they still see the old one.
     unsafe {
-        // The init has a copy of our memory, and stays within the program's sight. For the program, exec undoes this.
+        // The init has a copy of our memory and stays visible to the program. For the program itself, exec undoes
+        // this.
         check(libc::prctl(libc::PR_SET_DUMPABLE, 0 as c_ulong))?;
         mount_proc(libc::MS_RDONLY);
         let here = check(libc::open(c".".as_ptr(), libc::O_PATH | libc::O_CLOEXEC))?;
-        check(libc::fchdir(walls.outside.as_raw_fd()))?;
+        check(libc::fchdir(restrictions.outside.as_raw_fd()))?;
         check(libc::umount2(c".".as_ptr(), libc::MNT_DETACH))?;
         check(libc::fchdir(here))?;
         check(libc::close(here))?;
@@ -133,11 +134,11 @@ unsafe fn close(walls: &Walls) -> io::Result<()> {
     Ok(())
 }
 
-/// Takes from the calling process, for good, what it is not to have.
+/// Drops the calling process's rights for good.
 ///
 /// # Safety
 /// To be called between fork and exec.
-unsafe fn restrict(walls: &Walls) -> io::Result<()> {
+unsafe fn restrict(restrictions: &Restrictions) -> io::Result<()> {
     /// As `struct __user_cap_header_struct` and two of `struct __user_cap_data_struct`.
     #[repr(C)]
     struct Header {
@@ -147,28 +148,28 @@ unsafe fn restrict(walls: &Walls) -> io::Result<()> {
     const VERSION_3: u32 = 0x2008_0522;
     const MOST: u32 = 63;
     let system_call = |result: c_long| check(result as c_int);
-    let has = |capability: u32| walls.capabilities & 1 << capability != 0;
+    let has = |capability: u32| restrictions.capabilities & 1 << capability != 0;
     // SAFETY: async-signal-safe system calls, with live arguments of the layout that each takes.
     unsafe {
         let limit = |most: u64| libc::rlimit { rlim_cur: most, rlim_max: most };
         check(libc::setrlimit(libc::RLIMIT_CORE, &limit(0)))?;
-        // Whoever started this process may have left descriptors open to all that it starts.
+        // Whoever started this process may have left descriptors inheritable.
         let (first, last) = (3u32, u32::MAX);
         system_call(libc::syscall(libc::SYS_close_range, first, last, libc::CLOSE_RANGE_CLOEXEC))?;
-        if let Some([processes, bytes]) = walls.limits {
+        if let Some([processes, bytes]) = restrictions.limits {
             check(libc::setrlimit(libc::RLIMIT_NPROC, &limit(processes)))?;
             check(libc::setrlimit(libc::RLIMIT_DATA, &limit(bytes)))?;
         }
-        // In a user namespace nobody may, nor is there a need to.
+        // Not permitted in a user namespace, and not needed there.
         libc::syscall(libc::SYS_setgroups, 0usize, ptr::null::<libc::gid_t>());
         for capability in (0..=MOST).filter(|capability| !has(*capability)) {
             match check(libc::prctl(libc::PR_CAPBSET_DROP, c_ulong::from(capability))) {
-                // There is none of that number.
+                // The kernel has no capability of that number.
                 Err(error) if error.raw_os_error() == Some(libc::EINVAL) => break,
                 done => done?,
             };
         }
-        let halves = [walls.capabilities as u32, (walls.capabilities >> 32) as u32];
+        let halves = [restrictions.capabilities as u32, (restrictions.capabilities >> 32) as u32];
         let sets = halves.map(|half| [half; 3]);
         let header = Header { version: VERSION_3, pid: 0 };
         system_call(libc::syscall(libc::SYS_capset, &raw const header, sets.as_ptr()))?;
@@ -184,18 +185,20 @@ unsafe fn restrict(walls: &Walls) -> io::Result<()> {
         }
         let (on, none) = (1 as c_ulong, 0 as c_ulong);
         check(libc::prctl(libc::PR_SET_NO_NEW_PRIVS, on, none, none, none))?;
-        if let Some(access) = &walls.access {
+        if let Some(access) = &restrictions.access {
             system_call(libc::syscall(libc::SYS_landlock_restrict_self, access.as_raw_fd(), 0))?;
         }
-        let program =
-            libc::sock_fprog { len: walls.filter.len() as u16, filter: walls.filter.as_ptr().cast_mut() };
+        let program = libc::sock_fprog {
+            len: restrictions.filter.len() as u16,
+            filter: restrictions.filter.as_ptr().cast_mut(),
+        };
         let set = libc::SECCOMP_SET_MODE_FILTER;
         system_call(libc::syscall(libc::SYS_seccomp, set, 0, &raw const program))?;
     }
     Ok(())
 }
 
-/// Waits on a program's behalf.
+/// Waits on the program's behalf.
 ///
 /// # Safety
 /// `program` is the calling process's child; the process has one thread and nothing to clean up.
@@ -228,7 +231,7 @@ unsafe fn attend(program: pid_t, lifeline: RawFd, signals: &libc::sigset_t) -> !
             if signal.ssi_signo as c_int == libc::SIGCHLD {
                 reap(program);
             } else {
-                // Until the program leads a group of its own, there is only itself.
+                // The program has no process group of its own at first.
                 let signal = signal.ssi_signo as c_int;
                 if libc::kill(-program, signal) == -1 {
                     libc::kill(program, signal);
@@ -238,7 +241,7 @@ unsafe fn attend(program: pid_t, lifeline: RawFd, signals: &libc::sigset_t) -> !
     }
 }
 
-/// Collects every process that ended, and ends with the program.
+/// Reaps every ended process, and exits with the program.
 ///
 /// # Safety
 /// As [`attend`].
@@ -261,15 +264,15 @@ unsafe fn reap(program: pid_t) {
     }
 }
 
-/// Has a program killed when this process dies, however that comes. The thread that starts it stays until then: the kernel
-/// watches that thread.
+/// Makes the kernel kill a program when this process dies for any reason. The thread that starts the program must
+/// live until then, because the kernel watches that thread.
 pub fn end_with_us(command: &mut Command) {
     let ours = process::id();
     let watch = move || {
         // SAFETY: async-signal-safe calls without pointers.
         unsafe {
             check(libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL as c_ulong))?;
-            // Not if that was too late.
+            // Fails if this process died before.
             if libc::getppid() as u32 == ours { Ok(()) } else { Err(io::ErrorKind::BrokenPipe.into()) }
         }
     };
@@ -277,7 +280,7 @@ pub fn end_with_us(command: &mut Command) {
     unsafe { command.pre_exec(watch) };
 }
 
-/// Sends SIGTERM to a process that is our child and has not been waited for.
+/// Sends SIGTERM to a child process that has not been waited for.
 pub(crate) fn terminate(child: u32) -> io::Result<()> {
     // SAFETY: takes no pointer.
     check(unsafe { libc::kill(child as pid_t, libc::SIGTERM) }).map(drop)

@@ -1,9 +1,9 @@
-//! The wired network of a graph as the kernel itself emulates it: hosts in namespaces, every node a bridge, every link a
-//! virtual Ethernet pair between two bridges, with a NetEm at each end. A packet takes several steps a hop through the
-//! kernel, in place of one through the fabric; it is there to compare with, and for who trusts nothing else.
+//! A graph's wired network emulated by the kernel: hosts in namespaces, every node a bridge, every link a virtual
+//! Ethernet pair between two bridges with a NetEm at each end. A hop takes several steps in the kernel instead of one
+//! in the fabric. It serves for comparison, and for users who trust only the kernel.
 //!
-//! Bridges and links are in a namespace of their own, where no firewall of the machine reaches them. NetEm is never on a
-//! sender's own interface, where a drop would come back to it as an error.
+//! Bridges and links have a namespace of their own, where no firewall of the machine reaches them. NetEm is never on
+//! a sender's own interface, where a drop would be reported to the sender as an error.
 
 use std::{collections::HashMap, fs, net::Ipv4Addr, os::fd::AsFd};
 
@@ -24,61 +24,57 @@ use crate::{
     sys,
 };
 
-/// Why the kernel cannot emulate a network, or not do to a link what was asked. The fabric can.
+/// A network, or a link's conditions, that the kernel cannot emulate. The fabric can.
 #[derive(Debug, thiserror::Error)]
 pub enum NoKernelNetwork {
-    /// NetEm knows no radio.
-    #[error("`{0}` is reached by radio, which NetEm does not know: no airtime, no attachment, no handover")]
+    /// A node is reached by radio, which NetEm does not emulate.
+    #[error("`{0}` is reached by radio, which NetEm does not emulate: let the fabric emulate")]
     Radio(NodeId),
-    /// Bridges would send packets in circles.
-    #[error("the link `{0}` closes a circle, and bridges need a tree")]
+    /// The links form a circle, in which bridges would forward packets for ever.
+    #[error("the link `{0}` closes a circle: the kernel's bridges need a tree; let the fabric emulate")]
     Circle(LinkId),
     /// The kernel lacks modules.
-    #[error("this kernel has no {}", .0.join(", no "))]
+    #[error("this kernel lacks {}", .0.join(", "))]
     Lacks(Vec<&'static str>),
-    /// A setting.
+    /// NetEm cannot emulate a link's conditions.
     #[error("link `{link}`: {reason}")]
-    Setting {
-        /// The link.
-        link: LinkId,
-        /// What NetEm cannot do.
-        reason: NotByNetem,
-    },
-    /// NetEm's part of the kernel refused.
+    Setting { link: LinkId, reason: NotByNetem },
+    /// A NetEm request failed.
     #[error(transparent)]
     Netem(#[from] cotorra_netem::Error),
-    /// Another part did.
+    /// Another action failed.
     #[error(transparent)]
     Datapath(#[from] Error),
 }
 
-/// A graph's wired network in the kernel. Held by descriptors alone, as all namespaces here: it goes with the process.
+/// A graph's wired network in the kernel. Held by descriptors alone, as all namespaces here: it ends with the
+/// process.
 pub struct KernelNetwork {
     hosts: Vec<Namespace>,
     places: HashMap<NodeId, usize>,
     links: Vec<LinkId>,
-    /// In the namespace of all bridges and links, which it holds.
+    /// Socket in the namespace of all bridges and links, which it keeps alive.
     kernel: Mutex<Kernel>,
     probes: LinkProbes,
     _wiring: Namespace,
 }
 
-/// What is known of one direction of a link.
+/// Observations of one direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observed {
-    /// What it did so far, packets that measure left out. NetEm counts packets that it lost, and those for which its queue
-    /// had no room, as one: lost. Those that it duplicated or corrupted it does not count.
+    /// Traffic so far, without measurement packets. NetEm counts packets lost at random and at a full queue as one:
+    /// lost. It does not count duplicated or corrupted packets.
     pub counters: LinkCounters,
-    /// What probes tell; `None` if there are none, or not yet.
+    /// Result of probes; `None` without probes or before the first result.
     pub probed: Option<Probed>,
-    /// What the last test of its throughput told.
+    /// Result of the last throughput test.
     pub tested: Option<Tested>,
 }
 
-/// Interfaces of the wiring have indices from here: a bridge for each node, a port for each host, two ends for each link.
+/// First interface index of the wiring: a bridge for each node, a port for each host, two ends for each link.
 const FIRST: u32 = 100;
 
-/// The interface at which a direction of a link leaves.
+/// Returns the name of the interface at which a direction of a link leaves.
 fn end(link: usize, direction: Direction) -> String {
     match direction {
         Direction::Forward => format!("l{link}a"),
@@ -87,10 +83,11 @@ fn end(link: usize, direction: Direction) -> String {
 }
 
 impl KernelNetwork {
-    /// Brings it up; links do what the fabric makes of those of their names, and are probed if that is wanted.
+    /// Brings the network up. Links get the effective conditions that the fabric has for them, and are probed if
+    /// requested.
     ///
     /// # Errors
-    /// [`NoKernelNetwork`], with what stands against it.
+    /// [`NoKernelNetwork`] if the kernel cannot emulate the graph.
     ///
     /// # Panics
     /// If the fabric lacks a link.
@@ -120,7 +117,7 @@ impl KernelNetwork {
         let first_end = FIRST + graph.nodes.len() as u32;
         wiring
             .run(|| {
-                // No bridge is to have an address, and so to speak.
+                // Bridges need no addresses, and without them send no packets of their own.
                 for of in ["all", "default"] {
                     let _ = fs::write(format!("/proc/sys/net/ipv6/conf/{of}/disable_ipv6"), "1");
                 }
@@ -164,7 +161,7 @@ impl KernelNetwork {
         Ok(Self { hosts, places, links, kernel: Mutex::new(kernel), probes, _wiring: wiring })
     }
 
-    /// The namespace of a host.
+    /// Returns the namespace of a host.
     ///
     /// # Errors
     /// [`Error::NoSuchHost`].
@@ -173,13 +170,13 @@ impl KernelNetwork {
         Ok(&self.hosts[*place])
     }
 
-    /// Gives one direction of a link other conditions, in place; it does so when this returns.
+    /// Changes the conditions of one direction of a link in place. They apply when this returns.
     ///
     /// # Errors
     /// [`NoKernelNetwork`]; then nothing has changed.
     ///
     /// # Panics
-    /// If the graph has no link of that name.
+    /// If the graph has no such link.
     pub fn set(
         &self,
         link: &LinkId,
@@ -192,11 +189,11 @@ impl KernelNetwork {
         Ok(())
     }
 
-    /// Begins to test what one direction of a link carries; what came of it is observed a second after the last of its
-    /// packets was sent.
+    /// Starts a throughput test of one direction of a link. [`Self::observe`] has the result a second after its last
+    /// packet was sent.
     ///
     /// # Errors
-    /// [`FabricError`] for a link that does not exist, a test without bounds, or one so soon after another.
+    /// [`FabricError`] for an unknown link, an unbounded test, or one too soon after another.
     pub fn test_throughput(
         &self,
         link: &LinkId,
@@ -208,7 +205,7 @@ impl KernelNetwork {
         self.probes.test_throughput((place, link), direction, test)
     }
 
-    /// What is known of each direction of each link.
+    /// Returns the observations of each direction of each link.
     ///
     /// # Errors
     /// [`NoKernelNetwork::Netem`].
@@ -223,21 +220,21 @@ impl KernelNetwork {
                 [Direction::Forward, Direction::Backward].into_iter().zip(measured)
             {
                 let Some(counters) = counted.get(end(place, direction).as_str()) else { continue };
-                let counters = self.probes.others(place, direction, LinkCounters::from(*counters));
+                let counters = self.probes.other_traffic(place, direction, LinkCounters::from(*counters));
                 observed.insert((link.clone(), direction), Observed { counters, probed, tested });
             }
         }
         Ok(observed)
     }
 
-    /// By how much longer probes took than links were asked to make it, on those where no jitter and no reordering leaves
-    /// that to chance. Where a probe waits for other packets, that counts. Of other packets the kernel tells nothing.
+    /// Returns by how much probes were later than requested, over links without jitter and reordering. A probe's wait
+    /// behind other packets counts. The kernel reports nothing about the lateness of other packets.
     pub fn lateness(&self) -> Lateness {
         self.probes.lateness()
     }
 }
 
-/// Gives an end of a link other settings, in place.
+/// Changes the conditions at an end of a link in place.
 fn set_netem(
     kernel: &Kernel,
     hosts: &[Namespace],
@@ -253,7 +250,7 @@ fn set_netem(
     Ok(kernel.apply(&plan.expect("nobody else is in the wiring's namespace"))?)
 }
 
-/// Lets hosts send packets one by one: NetEm would lose, delay or serialise a super-packet as a whole.
+/// Makes hosts send packets one by one. NetEm would lose, delay or serialise a super-packet as a whole.
 fn segment(hosts: &[Namespace]) -> Result<(), Error> {
     for host in hosts {
         let socket = host.udp_socket((Ipv4Addr::UNSPECIFIED, 0)).action("open a socket in a namespace")?;
@@ -263,7 +260,7 @@ fn segment(hosts: &[Namespace]) -> Result<(), Error> {
     Ok(())
 }
 
-/// The settings, and whether they need packets one by one, as in the fabric.
+/// Converts conditions, and returns whether they need packets one by one, as in the fabric.
 fn netem_of(link: &LinkId, conditions: &Conditions) -> Result<(Netem, bool), NoKernelNetwork> {
     const COARSE: u64 = 1_000_000_000;
     let netem = Netem::try_from(conditions)
@@ -277,7 +274,7 @@ fn netem_of(link: &LinkId, conditions: &Conditions) -> Result<(Netem, bool), NoK
     ))
 }
 
-/// No link may lead back to where others lead already.
+/// Rejects links that close a circle.
 fn check_tree(graph: &HardwareGraph, nodes: &HashMap<&NodeId, usize>) -> Result<(), NoKernelNetwork> {
     let mut group: Vec<_> = (0..graph.nodes.len()).collect();
     for link in &graph.links {
@@ -290,7 +287,7 @@ fn check_tree(graph: &HardwareGraph, nodes: &HashMap<&NodeId, usize>) -> Result<
     Ok(())
 }
 
-/// A host with `eth0`, whose other end is a port of its bridge.
+/// Makes a host with an `eth0` whose other end is a port of its bridge.
 fn attach_host(place: usize, port: u32, bridge: u32, wiring: &Namespace) -> Result<Namespace, Error> {
     let host = Namespace::new()?;
     host.run(|| {

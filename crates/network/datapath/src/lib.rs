@@ -1,6 +1,8 @@
-//! Runs a [`Fabric`](cotorra_fabric::Fabric) on the wall clock with real packets: one network namespace a host, ports
-//! that are TAPs or packet sockets with offloads, programs started in nodes, and nothing left behind however the
-//! process ends. Linux 5.11 or later; the only crate with unsafe code.
+//! Runs a [`Fabric`](cotorra_fabric::Fabric) on the wall clock with real packets.
+//!
+//! Each host is a network namespace, with a TAP or a packet socket with offloads as its port. Programs run in hosts,
+//! and nothing is left behind however the process ends. Needs Linux 5.11 or later. This is the only crate with unsafe
+//! code.
 //!
 //! ```no_run
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -1,6 +1,6 @@
-//! Measures the links of the kernel's network by packets of the fabric's own making: a socket at each end of each link
-//! sends them through that end's NetEm and takes those that come out of the other's. The kernel stamps what arrives, so
-//! that no wait of this thread counts as a delay of the link.
+//! Measures the links of the kernel's network with the fabric's own probe packets. A socket at each end of a link
+//! sends probes through that end's NetEm and receives those of the other end. The kernel timestamps arrivals, so that
+//! this thread's own waiting does not count as link delay.
 
 use std::{
     io,
@@ -25,12 +25,12 @@ use crate::{
     sys::{self, Epoll, Waker},
 };
 
-/// What waits at an end to be read: a test's packets at its fastest, for some 20 ms.
+/// Receive buffer of an end: the packets of the fastest throughput test for some 20 ms.
 const BUFFER_BYTES: i32 = 4 << 20;
-/// Packets that are sent before those that came are looked at.
+/// Most packets sent before arrivals are read.
 const BATCH: usize = 64;
 
-/// The packets that measure links, and the thread that sends and takes them; it ends with this.
+/// The probes of all links, and the thread that sends and receives them. Dropping this ends the thread.
 pub(crate) struct LinkProbes {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
@@ -47,7 +47,7 @@ struct State {
     clock: Clock,
     probes: WireProbes,
     throughput_tests: ThroughputTests,
-    /// By edge: forward and backward of each link in turn.
+    /// Indexed by edge: forward and backward of each link in turn.
     edges: Vec<Edge>,
     lateness: Histogram,
     buffer: Vec<u8>,
@@ -55,20 +55,20 @@ struct State {
 
 /// One direction of a link.
 struct Edge {
-    /// At the end where it leaves; what arrives there has crossed the other direction.
+    /// Socket at the end where it leaves. Arrivals there have crossed the other direction.
     socket: OwnedFd,
     conditions: Conditions,
-    /// Since when nothing but them decides what packets meet that are sent.
+    /// Time from which packets are under these conditions alone.
     since: Timestamp,
-    /// Of the packets that measure, what was sent and what has arrived.
+    /// Measurement packets sent.
     sent: u64,
     arrived: u64,
     arrived_bytes: u64,
-    /// What was told last of all other packets.
-    told: LinkCounters,
+    /// Counters of all other packets, as last reported.
+    reported: LinkCounters,
 }
 
-/// What is known of one direction of a link.
+/// Measurements of one direction of a link.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Measured {
     pub(crate) probed: Option<Probed>,
@@ -80,8 +80,8 @@ fn edge(link: usize, direction: Direction) -> usize {
 }
 
 impl LinkProbes {
-    /// Begins to probe links, if that is wanted. `ends` are the interfaces of each link in the calling thread's network
-    /// namespace, the one where its forward direction leaves first, and the conditions in which packets leave there.
+    /// Starts probing links, if requested. `ends` are the two interfaces of each link in the calling thread's network
+    /// namespace, the forward one first, with the conditions of packets leaving there.
     pub(crate) fn start(ends: Vec<[(u32, Conditions); 2]>, probing: Option<Probing>) -> io::Result<Self> {
         let clock = Clock::start();
         let now = clock.now();
@@ -103,7 +103,7 @@ impl LinkProbes {
                 sent: 0,
                 arrived: 0,
                 arrived_bytes: 0,
-                told: LinkCounters::default(),
+                reported: LinkCounters::default(),
             })
         };
         let edges = ends.into_iter().flatten().map(edge).collect::<io::Result<Vec<_>>>()?;
@@ -119,19 +119,19 @@ impl LinkProbes {
         let its = Arc::clone(&shared);
         let thread = thread::Builder::new().name("probes".into()).spawn(move || {
             if let Err(error) = its.run(epoll) {
-                tracing::error!("links are measured no longer: {error}");
+                tracing::error!("link measurements have stopped: {error}");
             }
         })?;
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// A direction of a link has other conditions, since just now.
+    /// Records that a direction of a link has just got other conditions.
     pub(crate) fn change(&self, link: usize, direction: Direction, conditions: &Conditions) {
         let mut state = self.shared.state.lock();
         let now = self.shared.clock.now();
         let State { probes, edges, .. } = &mut *state;
         let its = &mut edges[edge(link, direction)];
-        // What is sent sooner than that may have to wait for what was sent before, because order is kept.
+        // Packets sent before then may wait for earlier ones, because order is kept.
         its.since = now + its.conditions.delay;
         its.conditions = conditions.clone();
         probes.change(
@@ -140,7 +140,7 @@ impl LinkProbes {
         );
     }
 
-    /// Begins to test what a direction of a link carries.
+    /// Starts a throughput test of a direction of a link.
     pub(crate) fn test_throughput(
         &self,
         (place, link): (usize, &LinkId),
@@ -156,7 +156,7 @@ impl LinkProbes {
         Ok(())
     }
 
-    /// What is known of both directions of each link.
+    /// Returns the measurements of both directions of each link.
     pub(crate) fn measured(&self) -> Vec<[Measured; 2]> {
         let state = self.shared.state.lock();
         let now = self.shared.clock.now();
@@ -170,21 +170,21 @@ impl LinkProbes {
         (0..state.edges.len() / 2).map(of).collect()
     }
 
-    /// What others' packets did, of all that a direction's NetEm has counted a moment ago. While packets that measure are
-    /// under way that may be less than the truth, by as many; it never falls.
-    pub(crate) fn others(&self, link: usize, direction: Direction, all: LinkCounters) -> LinkCounters {
+    /// Returns the counters of other traffic, given all that a direction's NetEm has just counted. While measurement
+    /// packets are in flight it may be short by that many. It never falls.
+    pub(crate) fn other_traffic(&self, link: usize, direction: Direction, all: LinkCounters) -> LinkCounters {
         let mut state = self.shared.state.lock();
         let edge = edge(link, direction);
-        // What NetEm has let go is there to be read.
+        // Packets that NetEm has released can be read now.
         state.receive(edge ^ 1);
-        let Edge { sent, arrived, arrived_bytes, told, .. } = &mut state.edges[edge];
-        told.packets = told.packets.max(all.packets.saturating_sub(*arrived));
-        told.bytes = told.bytes.max(all.bytes.saturating_sub(*arrived_bytes));
-        told.lost = told.lost.max(all.lost.saturating_sub(sent.saturating_sub(*arrived)));
-        *told
+        let Edge { sent, arrived, arrived_bytes, reported, .. } = &mut state.edges[edge];
+        reported.packets = reported.packets.max(all.packets.saturating_sub(*arrived));
+        reported.bytes = reported.bytes.max(all.bytes.saturating_sub(*arrived_bytes));
+        reported.lost = reported.lost.max(all.lost.saturating_sub(sent.saturating_sub(*arrived)));
+        *reported
     }
 
-    /// By how much probes took longer than they were asked to; those aside of which nobody knows how long that is.
+    /// Returns by how much probes exceeded their requested delay. Probes of unpredictable delay are left out.
     pub(crate) fn lateness(&self) -> Lateness {
         self.shared.state.lock().lateness.summary()
     }
@@ -224,7 +224,7 @@ impl Shared {
 }
 
 impl State {
-    /// Sends what is due, and says when there is more.
+    /// Sends what is due, and returns the next deadline.
     fn send(&mut self) -> Option<Timestamp> {
         for _ in 0..BATCH {
             let now = self.clock.now();
@@ -239,7 +239,7 @@ impl State {
         self.probes.deadline().into_iter().chain(self.throughput_tests.deadline()).min()
     }
 
-    /// Takes what has come to a socket.
+    /// Reads the packets at a socket.
     fn receive(&mut self, at: usize) {
         let crossed = at ^ 1;
         while let Ok((length, age)) = sys::read_with_age(self.edges[at].socket.as_fd(), &mut self.buffer) {
@@ -275,9 +275,9 @@ impl State {
 impl Edge {
     fn send(&mut self, frame: &Frame) {
         match sys::write_frame(self.socket.as_fd(), &[], frame.bytes()) {
-            // NetEm's own loss at a full queue, which it has counted.
+            // NetEm dropped it at its full queue and counted it.
             Err(error) if error.raw_os_error() == Some(libc::ENOBUFS) => self.sent += 1,
-            // What never came to NetEm is lost like what it loses.
+            // It never reached NetEm, so it counts as neither sent nor lost.
             Err(_) => {}
             Ok(()) => self.sent += 1,
         }

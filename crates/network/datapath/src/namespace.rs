@@ -1,5 +1,5 @@
-//! Network namespaces that nobody has to clean up: each is held by a descriptor alone, so that the kernel removes it,
-//! with all that is in it, when the process ends, however it ends.
+//! Network namespaces held by descriptors alone. The kernel removes them with everything inside when the process
+//! ends, however it ends.
 
 use std::{
     fs::File,
@@ -16,12 +16,11 @@ use crate::{
     privilege, sys,
 };
 
-/// A network namespace.
 #[derive(Debug)]
 pub struct Namespace(OwnedFd);
 
 impl Namespace {
-    /// Makes an empty one: a loopback interface that is down.
+    /// Makes an empty namespace, whose loopback interface is down.
     ///
     /// # Errors
     /// [`Error::Kernel`] without the right to make one; see [`crate::enter_user_namespace_if_needed`].
@@ -29,24 +28,24 @@ impl Namespace {
         on_a_thread(Self::enter_new).action("make a network namespace")
     }
 
-    /// Makes one and leaves the calling thread, which others must not share, in it.
+    /// Makes a namespace and leaves the calling thread in it. No other work may share the thread.
     pub(crate) fn enter_new() -> io::Result<Self> {
         sys::unshare(libc::CLONE_NEWNET)?;
         Self::current()
     }
 
-    /// The calling thread's.
+    /// Returns the calling thread's namespace.
     pub(crate) fn current() -> io::Result<Self> {
         Ok(Self(File::open("/proc/thread-self/ns/net")?.into()))
     }
 
-    /// Moves the calling thread there, which must be a short-lived one.
+    /// Moves the calling thread into this namespace. It must be a short-lived thread.
     pub(crate) fn enter(&self) -> io::Result<()> {
         sys::setns(self.as_fd(), libc::CLONE_NEWNET)
     }
 
-    /// Runs a closure inside, on a short-lived thread. Sockets that it opens stay inside for good; it must not hand
-    /// work to other threads, which are elsewhere.
+    /// Runs a closure inside, on a short-lived thread. Sockets that it opens stay inside for good. It must not hand
+    /// work to other threads, which are outside.
     ///
     /// # Panics
     /// If the closure does.
@@ -57,7 +56,7 @@ impl Namespace {
         })
     }
 
-    /// A UDP socket inside, bound to the address.
+    /// Opens a UDP socket inside, bound to the address.
     ///
     /// # Errors
     /// As [`UdpSocket::bind`].
@@ -65,8 +64,8 @@ impl Namespace {
         self.run(|| UdpSocket::bind(bind))
     }
 
-    /// A path under which another process of the same user finds it, as long as this process lives and holds it:
-    /// what [`enter`] takes.
+    /// Returns a path by which another process of the same user can [`enter`] this namespace, for as long as this
+    /// process holds it.
     pub fn path(&self) -> PathBuf {
         format!("/proc/{}/fd/{}", std::process::id(), self.0.as_raw_fd()).into()
     }
@@ -78,15 +77,14 @@ impl AsFd for Namespace {
     }
 }
 
-/// Moves this process, which must have one thread, into a network namespace that another process holds, entering
-/// its user namespace first where need be: what it runs next (`exec`) runs there. Call it instead of
+/// Moves this process into a network namespace that another process holds, and into its user namespace first if
+/// needed. A program that it executes next runs there. This process must have one thread. Call it instead of
 /// [`crate::enter_user_namespace_if_needed`].
 ///
 /// # Errors
-/// [`Error::Kernel`] when the path leads to no namespace, or to one of another user;
-/// [`Error::SeveralThreads`].
+/// [`Error::Kernel`] if the path is no namespace or belongs to another user; [`Error::SeveralThreads`].
 pub fn enter(path: &Path) -> Result<(), Error> {
-    let namespace = File::open(path).action("open the namespace (does its run still go on?)")?;
+    let namespace = File::open(path).action("open the namespace (is its run still going?)")?;
     if !privilege::have_rights() {
         let user = sys::owner_of(namespace.as_fd()).action("find the namespace's user namespace")?;
         enter_user(user.as_fd()).map_err(privilege::several_threads)?;
@@ -94,7 +92,8 @@ pub fn enter(path: &Path) -> Result<(), Error> {
     sys::setns(namespace.as_fd(), libc::CLONE_NEWNET).action("enter the network namespace")
 }
 
-/// Only who is alone may. A thread that looked up a name, or was joined, may take a moment longer to be gone.
+/// Enters a user namespace, which only a process with one thread may. Threads that were joined or that resolved a
+/// name may take a moment to disappear.
 #[allow(clippy::disallowed_methods, reason = "the kernel tells nobody when a thread is gone")]
 fn enter_user(user: BorrowedFd<'_>) -> io::Result<()> {
     const TRIES: u32 = 500;
@@ -110,7 +109,7 @@ fn enter_user(user: BorrowedFd<'_>) -> io::Result<()> {
     enter()
 }
 
-/// Runs a closure on a thread of its own, because what a thread unshares it cannot get back.
+/// Runs a closure on a thread of its own, because a thread cannot undo an unshare.
 pub(crate) fn on_a_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     thread::scope(|scope| match scope.spawn(work).join() {
         Ok(result) => result,

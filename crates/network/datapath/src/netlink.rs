@@ -1,4 +1,4 @@
-//! Configures interfaces through rtnetlink, many requests to a message: no `ip` program is ever started.
+//! Configures interfaces through rtnetlink, with many requests in one message. The `ip` program is never started.
 
 use std::{
     io,
@@ -29,16 +29,17 @@ pub(crate) struct Netlink {
 }
 
 impl Netlink {
-    /// Opens one in the calling thread's network namespace, whichever that thread enters afterwards.
+    /// Opens a socket in the calling thread's network namespace. It stays in that namespace when the thread changes
+    /// to another.
     pub(crate) fn open() -> io::Result<Self> {
         let mut socket = Socket::new(NETLINK_ROUTE)?;
         socket.bind_auto()?;
-        // Errors come back without the request in them, so that all answers to a batch fit the buffer.
+        // Errors come back without the request, so that all answers to a batch fit the buffer.
         socket.set_cap_ack(true)?;
         Ok(Self { socket })
     }
 
-    /// Sends requests in one message, and returns once the kernel did all. The first error counts.
+    /// Sends requests in one message, and returns once the kernel has done all. Returns the first error.
     pub(crate) fn execute(&self, requests: Vec<RouteNetlinkMessage>) -> io::Result<()> {
         let mut outstanding = requests.len();
         let mut batch = Vec::new();
@@ -89,39 +90,33 @@ pub(crate) fn up(index: u32, attributes: Vec<LinkAttribute>) -> RouteNetlinkMess
     RouteNetlinkMessage::SetLink(link)
 }
 
-/// Makes a pair of virtual Ethernet interfaces: one here, its peer in another network namespace, both at the index
-/// given (a kernel that is told only the peer's ignores it).
+fn veth_pair(name: &str, index: u32, peer: LinkMessage) -> RouteNetlinkMessage {
+    RouteNetlinkMessage::NewLink(link(
+        index,
+        vec![
+            LinkAttribute::IfName(name.into()),
+            LinkAttribute::LinkInfo(vec![
+                LinkInfo::Kind(InfoKind::Veth),
+                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
+            ]),
+        ],
+    ))
+}
+
+/// Makes a pair of virtual Ethernet interfaces: one here, its peer in another network namespace, both with this
+/// index. (Kernels ignore an index that is given for the peer only.)
 pub(crate) fn veth(name: &str, peer: &str, index: u32, peer_space: BorrowedFd<'_>) -> RouteNetlinkMessage {
     let peer =
         link(index, vec![LinkAttribute::IfName(peer.into()), LinkAttribute::NetNsFd(peer_space.as_raw_fd())]);
-    RouteNetlinkMessage::NewLink(link(
-        index,
-        vec![
-            LinkAttribute::IfName(name.into()),
-            LinkAttribute::LinkInfo(vec![
-                LinkInfo::Kind(InfoKind::Veth),
-                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
-            ]),
-        ],
-    ))
+    veth_pair(name, index, peer)
 }
 
-/// The same with both ends here, each with its name and index.
+/// Makes a pair of virtual Ethernet interfaces here, each with its name and index.
 pub(crate) fn veth_here([(name, index), (peer, peer_index)]: [(&str, u32); 2]) -> RouteNetlinkMessage {
     let peer = link(peer_index, vec![LinkAttribute::IfName(peer.into())]);
-    RouteNetlinkMessage::NewLink(link(
-        index,
-        vec![
-            LinkAttribute::IfName(name.into()),
-            LinkAttribute::LinkInfo(vec![
-                LinkInfo::Kind(InfoKind::Veth),
-                LinkInfo::Data(InfoData::Veth(InfoVeth::Peer(peer))),
-            ]),
-        ],
-    ))
+    veth_pair(name, index, peer)
 }
 
-/// Makes a bridge.
 pub(crate) fn bridge(name: &str, index: u32) -> RouteNetlinkMessage {
     let kind = LinkAttribute::LinkInfo(vec![LinkInfo::Kind(InfoKind::Bridge)]);
     RouteNetlinkMessage::NewLink(link(index, vec![LinkAttribute::IfName(name.into()), kind]))
@@ -138,7 +133,8 @@ fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> Rout
     message.header.prefix_len = prefix;
     message.header.index = index;
     message.header.scope = scope;
-    // Addresses follow from the graph, so that none is taken twice: detection would only hold a host up for a second.
+    // Addresses follow from the graph and are unique. Duplicate address detection would only delay a host by a
+    // second.
     message.header.flags = AddressHeaderFlags::Nodad;
     message.attributes = vec![
         AddressAttribute::Local(address),
@@ -152,7 +148,7 @@ fn address(index: u32, address: IpAddr, prefix: u8, scope: AddressScope) -> Rout
     RouteNetlinkMessage::NewAddress(message)
 }
 
-/// What the kernel would otherwise refuse to send: broadcast to all and multicast, for want of a route.
+/// Adds a route for broadcast or multicast, which the kernel would otherwise not send.
 fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
     let mut route = RouteMessage::default();
     route.header.address_family = AddressFamily::Inet;
@@ -165,7 +161,7 @@ fn route(index: u32, to: Ipv4Addr, prefix: u8) -> RouteNetlinkMessage {
     RouteNetlinkMessage::NewRoute(route)
 }
 
-/// The link-local address that follows from a MAC address (RFC 4291, appendix A).
+/// Returns the link-local address that follows from a MAC address (RFC 4291, appendix A).
 fn link_local(mac: [u8; 6]) -> Ipv6Addr {
     let [a, b, c, d, e, f] = mac.map(u16::from);
     Ipv6Addr::new(0xfe80, 0, 0, 0, (a ^ 2) << 8 | b, c << 8 | 0xff, 0xfe00 | d, e << 8 | f)
@@ -176,7 +172,7 @@ pub(crate) fn has_ipv6() -> bool {
     Path::new("/proc/thread-self/net/if_inet6").exists()
 }
 
-/// All that a host needs: loopback up, `eth0` up with its addresses and routes.
+/// Returns the requests that configure a host: loopback up, `eth0` up with its addresses and routes.
 pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<RouteNetlinkMessage> {
     const LOOPBACK: u32 = 1;
     let mut requests = vec![up(LOOPBACK, vec![])];
@@ -206,13 +202,13 @@ pub(crate) fn host(eth0: u32, of: &HostAddress, mtu: u32, queue: u32) -> Vec<Rou
     requests
 }
 
-/// Puts a NetEm queueing discipline on an interface. `ENOENT` says that the kernel has none.
+/// Puts a NetEm queueing discipline on an interface. `ENOENT` means that the kernel has none.
 pub(crate) fn netem(index: u32) -> RouteNetlinkMessage {
     let mut message = TcMessage::default();
     message.header.index = index as i32;
     message.header.parent = TcHandle::ROOT;
     message.header.handle = TcHandle { major: 1, minor: 0 };
-    // struct tc_netem_qopt: latency, limit, loss, gap, duplicate, jitter; only the limit has no good zero.
+    // `struct tc_netem_qopt`: latency, limit, loss, gap, duplicate, jitter. Only the limit must not be zero.
     let mut options = [0u8; 24];
     options[4..8].copy_from_slice(&1000u32.to_ne_bytes());
     message.attributes = vec![
@@ -227,14 +223,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_link_local_address_follows_from_the_mac() {
+    fn link_local_address_follows_from_the_mac() {
         assert_eq!(link_local([0x02, 0x77, 0, 0, 0x12, 0x34]).to_string(), "fe80::77:ff:fe00:1234");
     }
 
     #[test]
-    fn a_batch_is_answered_request_by_request() {
+    fn batches_are_answered_request_by_request() {
         if !crate::privilege::have_rights() {
-            // The harness has threads, with which an ordinary user cannot enter a user namespace.
+            // The test harness has threads, so an ordinary user cannot enter a user namespace here.
             return;
         }
         crate::namespace::Namespace::new().unwrap().run(|| {

@@ -1,5 +1,5 @@
-//! A port of the fabric on a real interface: frames in and out through a descriptor that never blocks, each behind
-//! its [`vnet`] header. A TAP and a packet socket differ in how they are made, not in how they are used.
+//! A port of the fabric on a real interface: a non-blocking descriptor that carries frames behind their [`vnet`]
+//! headers. TAPs and packet sockets differ only in their creation.
 
 use std::{
     collections::VecDeque,
@@ -12,47 +12,46 @@ use cotorra_fabric::{Fabric, Frame};
 
 use crate::{sys, vnet};
 
-/// Frames that wait for a port that takes no more for now; what comes on top is dropped, as at a network card.
+/// Most frames queued for a port that takes no more. The excess is dropped, as at a network card.
 const BACKLOG: usize = 256;
 
-/// An ordinary frame fits; what exceeds it is a super-packet.
+/// Size of an ordinary frame's buffer, bytes. A larger frame is a super-packet.
 const ORDINARY: usize = 2048;
-/// Room for the largest super-packet.
+/// Size of the largest super-packet, bytes.
 pub(crate) const LARGEST: usize = 66 * 1024;
 
-/// What became of a frame that was sent.
+/// Outcome of sending a frame.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Sent {
-    /// It is out.
+    /// The frame was sent.
     Now,
-    /// It waits; tell [`Port::flush`] when the descriptor is writable.
+    /// The frame is queued. Call [`Port::flush`] when the descriptor is writable.
     Waits,
-    /// It is lost: the interface is down, or takes no frame like it, or too many wait.
+    /// The frame was dropped: the interface is down or rejects it, or the queue is full.
     Dropped,
 }
 
-/// A port.
 pub(crate) struct Port {
     fd: OwnedFd,
-    /// How many frames to read in a row, as many as were there the last time: to find out that there is none costs
-    /// as much as to read one.
+    /// Number of frames to read in a row, as many as the last time. Finding no further frame costs as much as reading
+    /// one.
     pub(crate) batch: usize,
-    /// Whether the last frame was a super-packet: the next one is likely to be, and is read where it stays.
+    /// Whether the last frame was a super-packet. The next probably is one, too, and is then read without a copy.
     expects_large: bool,
     backlog: VecDeque<Frame>,
 }
 
 impl Port {
-    /// A port on a TAP or a packet socket that does not block and carries [`vnet`] headers.
+    /// Makes a port from a non-blocking TAP or packet socket with [`vnet`] headers.
     pub(crate) fn new(fd: OwnedFd) -> Self {
         Self { fd, batch: 1, expects_large: false, backlog: VecDeque::new() }
     }
 
-    /// The next frame, in one of the fabric's buffers; `Ok(None)` when there is none for now. What does not fit an
-    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`].
+    /// Reads the next frame into one of the fabric's buffers; `Ok(None)` if there is none now. The part beyond an
+    /// ordinary buffer goes through `spill`, which has room for [`LARGEST`] bytes.
     ///
     /// # Errors
-    /// When a frame was there that cannot be had; the next one may be fine.
+    /// If a frame was unreadable; the next one may be fine.
     pub(crate) fn receive(&mut self, fabric: &mut Fabric, spill: &mut [u8]) -> io::Result<Option<Frame>> {
         let mut header = [0; vnet::LENGTH];
         let mut buffer = fabric.buffer(if self.expects_large { LARGEST } else { ORDINARY });
@@ -78,7 +77,7 @@ impl Port {
         Ok(Some(Frame::with_offload(buffer, offload)))
     }
 
-    /// Sends a frame, behind those that wait. What is sent or dropped goes to `spent`.
+    /// Sends a frame behind those queued. Sent and dropped frames go to `spent`.
     pub(crate) fn send(&mut self, frame: Frame, spent: &mut Vec<Frame>) -> Sent {
         if self.backlog.is_empty() {
             match self.write(&frame) {
@@ -97,7 +96,7 @@ impl Port {
         Sent::Waits
     }
 
-    /// Sends what waits, as far as it goes; `true` when nothing waits any more.
+    /// Sends queued frames as far as possible. Returns whether the queue is empty.
     pub(crate) fn flush(&mut self, spent: &mut Vec<Frame>) -> bool {
         while let Some(frame) = self.backlog.pop_front() {
             match self.write(&frame) {
@@ -122,8 +121,8 @@ impl AsFd for Port {
     }
 }
 
-/// Closes ports on many threads: closing a packet socket waits some 10 ms for the kernel's readers (RCU), and one wait
-/// does for all who wait at the same time.
+/// Closes ports on many threads. Closing a packet socket waits some 10 ms for an RCU grace period, which parallel
+/// closes share.
 pub(crate) fn close(mut ports: Vec<Port>) {
     const AT_A_TIME: usize = 64;
     let share = ports.len().div_ceil(AT_A_TIME).max(1);
@@ -135,7 +134,7 @@ pub(crate) fn close(mut ports: Vec<Port>) {
     });
 }
 
-/// Whether a port takes no more for now.
+/// Whether an error means that the port takes no more for now.
 fn is_full(error: &io::Error) -> bool {
     matches!(error.raw_os_error(), Some(libc::EAGAIN | libc::ENOBUFS))
 }

@@ -1,4 +1,4 @@
-//! Programs in a node: each runs in the node's network namespace with a process namespace of its own, and ends, with
+//! Programs in a node. Each runs in the node's network namespace with a process namespace of its own. It ends, with
 //! every process that it started, when its [`Child`] is dropped or this process dies.
 
 use std::{
@@ -25,45 +25,46 @@ use crate::{
     sys,
 };
 
-/// Lets this process open as many files as its hard limit allows, and returns how many those are. Programs in nodes keep
-/// the limit that it had at first.
+/// Raises this process's limit of open files to the hard limit, and returns that. Programs in nodes keep the original
+/// limit.
 ///
 /// # Errors
-/// [`Error::Kernel`] if the kernel does not say.
+/// [`Error::Kernel`] if the limit cannot be read.
 pub fn raise_open_files() -> Result<u64, Error> {
     sys::raise_open_files();
     sys::open_files_limit().action("read the limit of open files")
 }
 
-/// What a program gets beside its namespaces.
+/// Settings of a program beside its namespaces.
 #[derive(Debug, Default)]
 pub struct SpawnOptions<'a> {
-    /// Names that it can use for other nodes.
+    /// Names of other nodes.
     pub hosts: Option<&'a HostsFile>,
-    /// What it finds its host to be called.
+    /// Host name that the program sees.
     pub hostname: Option<&'a str>,
     /// `cgroup.procs` (v2) or `tasks`/`cgroup.procs` (v1) files of the control groups that it joins before it runs.
     pub cgroups: Vec<PathBuf>,
-    /// What keeps it from this machine. Without it, it may do what this process may.
+    /// Confinement; without it the program has this process's rights.
     pub confinement: Option<&'a Confinement>,
 }
 
-/// A program in a node. Dropping it kills the program and all that it started.
+/// A program in a node. Dropping it kills the program and everything that it started.
 #[derive(Debug)]
 pub struct Child {
     init: process::Child,
-    /// The init ends with all else when this end of the pipe closes, which the kernel sees to if we are killed.
+    /// The init ends with everything in its namespace when this end of the pipe closes. The kernel closes it if this
+    /// process is killed.
     _lifeline: PipeWriter,
 }
 
 impl Child {
-    /// The process that stands for the program, and for all that it starts, from outside.
+    /// Returns the ID of the init process, which stands for the program and its descendants.
     pub fn id(&self) -> u32 {
         self.init.id()
     }
 
-    /// Waits for the program to end. Its descendants end with it. A program that was killed by signal n gives
-    /// exit code 128 + n, as a shell has it.
+    /// Waits for the program to end. Its descendants end with it. A program killed by signal n has exit code 128 + n,
+    /// as in a shell.
     ///
     /// # Errors
     /// As [`process::Child::wait`].
@@ -71,7 +72,7 @@ impl Child {
         self.init.wait().map(as_a_shell)
     }
 
-    /// Its exit status, if it has ended; as [`Self::wait`].
+    /// Returns the exit status if the program has ended; see [`Self::wait`].
     ///
     /// # Errors
     /// As [`process::Child::try_wait`].
@@ -79,7 +80,7 @@ impl Child {
         Ok(self.init.try_wait()?.map(as_a_shell))
     }
 
-    /// Asks the program and its process group to end (SIGTERM). Does nothing if it has.
+    /// Sends SIGTERM to the program and its process group. Does nothing if it has ended.
     ///
     /// # Errors
     /// [`Error::Kernel`] if the signal cannot be sent.
@@ -90,7 +91,7 @@ impl Child {
         }
     }
 
-    /// Kills the program and all that it started, and waits until they are gone. Does nothing if they are.
+    /// Kills the program and everything that it started, and waits for their end. Does nothing if they have ended.
     ///
     /// # Errors
     /// As [`process::Child::kill`].
@@ -99,7 +100,7 @@ impl Child {
         self.init.wait().map(drop)
     }
 
-    /// Its standard input, output and error, where the command asked for pipes.
+    /// Takes standard input, output and error, as far as the command requested pipes.
     pub fn pipes(
         &mut self,
     ) -> (Option<process::ChildStdin>, Option<process::ChildStdout>, Option<process::ChildStderr>) {
@@ -113,7 +114,8 @@ impl Drop for Child {
     }
 }
 
-/// The init says 128 + n by itself; only if it is killed, all of them are.
+/// The init itself exits with 128 + n. A status with a signal means that the init was killed, and with it everything
+/// inside.
 fn as_a_shell(status: ExitStatus) -> ExitStatus {
     match status.signal() {
         Some(signal) => ExitStatus::from_raw((128 + signal) << 8),
@@ -122,12 +124,11 @@ fn as_a_shell(status: ExitStatus) -> ExitStatus {
 }
 
 impl Namespace {
-    /// Starts a program inside: in process and mount namespaces of its own, in a session of its own, with `/proc`
-    /// telling of its own processes where the kernel allows that.
+    /// Starts a program inside, in process and mount namespaces and a session of its own. `/proc` shows its own
+    /// processes, where the kernel allows that.
     ///
     /// # Errors
-    /// [`Error::Spawn`] when there is no such program, a control group refuses it, or the kernel refuses one of the
-    /// namespaces.
+    /// [`Error::Spawn`] if there is no such program, or a control group or the kernel rejects it.
     pub fn spawn(&self, mut command: Command, options: SpawnOptions<'_>) -> Result<Child, Error> {
         let program = command.get_program().to_string_lossy().into_owned();
         self.try_spawn(&mut command, &options).map_err(|source| Error::Spawn { program, source })
@@ -140,7 +141,7 @@ impl Namespace {
         if let Some(confinement) = options.confinement {
             command.env("HOME", &confinement.home).env("TMPDIR", &confinement.home);
         }
-        // Entering a mount namespace goes to its root.
+        // Entering a mount namespace changes the working directory to its root.
         let start = match (command.get_current_dir(), options.confinement) {
             (Some(folder), _) => folder.to_owned(),
             (None, Some(confinement)) => confinement.home.clone(),
@@ -149,7 +150,7 @@ impl Namespace {
         command.current_dir(&start);
         let open_files = sys::raise_open_files();
         let lifeline_end = hold.as_fd().as_raw_fd();
-        // What a thread unshares it cannot get back, so that one is used up; nothing is tied to its life.
+        // A thread cannot undo an unshare, so use a throw-away one. Nothing depends on its lifetime.
         let init = on_a_thread(|| {
             self.enter()?;
             sys::unshare(libc::CLONE_NEWPID)?;
@@ -161,7 +162,7 @@ impl Namespace {
                 sys::unshare(libc::CLONE_FS)?;
                 sys::setns(hosts.mounts.as_fd(), libc::CLONE_NEWNS)?;
             }
-            let walls = match options.confinement {
+            let restrictions = match options.confinement {
                 Some(confinement) => {
                     sys::unshare(libc::CLONE_NEWNS | libc::CLONE_NEWIPC)?;
                     sys::mount(c"none", c"/", None, libc::MS_REC | libc::MS_SLAVE)?;
@@ -171,14 +172,14 @@ impl Namespace {
                 }
                 None => None,
             };
-            Init { cgroups, lifeline: lifeline_end, open_files, walls }.before_exec_of(command);
+            Init { cgroups, lifeline: lifeline_end, open_files, restrictions }.before_exec_of(command);
             command.spawn()
         })?;
         Ok(Child { init, _lifeline: lifeline })
     }
 }
 
-/// The text of `/etc/hosts` in every host.
+/// Returns the text of `/etc/hosts` in every host.
 fn names(graph: &HardwareGraph) -> String {
     let mut text = String::from("127.0.0.1 localhost\n::1 localhost ip6-localhost ip6-loopback\n");
     for (i, node) in graph.hosts().enumerate() {
@@ -188,15 +189,15 @@ fn names(graph: &HardwareGraph) -> String {
     text
 }
 
-/// An `/etc/hosts` for programs in nodes: a mount namespace, held by a descriptor alone, that differs from ours in
-/// that file. Nothing of it is left on disk.
+/// An `/etc/hosts` for programs in nodes: a mount namespace that differs from ours in that file. A descriptor alone
+/// holds it; nothing is left on disk.
 #[derive(Debug)]
 pub struct HostsFile {
     mounts: OwnedFd,
 }
 
 impl HostsFile {
-    /// One with the names of a graph's hosts.
+    /// Makes one with the names of a graph's hosts.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -204,19 +205,19 @@ impl HostsFile {
         Self::new(&names(graph))
     }
 
-    /// One with this text.
+    /// Makes one with this text.
     ///
     /// # Errors
-    /// [`Error::Kernel`] where mount namespaces are forbidden or there is no `/etc/hosts` to cover.
+    /// [`Error::Kernel`] if mount namespaces are forbidden or there is no `/etc/hosts` to cover.
     pub fn new(text: &str) -> Result<Self, Error> {
         on_a_thread(|| Self::on_this_thread(text)).action("cover /etc/hosts in a mount namespace")
     }
 
     fn on_this_thread(text: &str) -> io::Result<Self> {
         sys::unshare(libc::CLONE_NEWNS)?;
-        // What others mount later is still seen; what is mounted here is not seen elsewhere.
+        // Mounts made elsewhere later stay visible here; mounts made here are not visible elsewhere.
         sys::mount(c"none", c"/", None, libc::MS_REC | libc::MS_SLAVE)?;
-        // In a folder that nobody else sees: over one that is always there, for a moment.
+        // The file needs a private folder for a moment: mount one over a folder that always exists.
         const FOLDER: &CStr = c"/proc";
         const FILE: &CStr = c"/proc/hosts";
         sys::mount_tmpfs(Path::new("/proc"), "size=1m,mode=755")?;
@@ -224,21 +225,22 @@ impl HostsFile {
         fs::write(file, text)?;
         fs::set_permissions(file, fs::Permissions::from_mode(0o644))?;
         sys::mount(FILE, c"/etc/hosts", None, libc::MS_BIND)?;
-        // What is mounted keeps the file alive.
+        // The bind mount keeps the file alive.
         sys::unmount(FOLDER)?;
         Ok(Self { mounts: File::open("/proc/thread-self/ns/mnt")?.into() })
     }
 
-    /// Moves the calling thread to where it is seen. What it runs next (`exec`) sees it.
+    /// Moves the calling thread to the mount namespace with this file. A program that it executes next sees the file.
     ///
     /// # Errors
     /// [`Error::Kernel`] without the right to do so: see [`crate::enter`].
     pub fn enter(&self) -> Result<(), Error> {
         let here = env::current_dir().action("find the working directory")?;
-        // Who shares root and working directory with another thread may not; one that was joined may not be gone yet.
+        // A thread that shares root and working directory with another one cannot enter. A joined thread may not be
+        // gone yet.
         sys::unshare(libc::CLONE_FS).action("have a working directory of its own")?;
         sys::setns(self.mounts.as_fd(), libc::CLONE_NEWNS).action("enter a mount namespace")?;
-        // Entering a mount namespace goes to its root.
+        // Entering a mount namespace changes the working directory to its root.
         env::set_current_dir(here).action("go back to the working directory")
     }
 }

@@ -1,6 +1,6 @@
-//! When the fabric's thread sleeps and when it spins. A sleeping thread wakes late, by an amount that is the
-//! machine's and is much the same each time: so it is measured, the alarm is set earlier by as much, and the rest is
-//! spun away. What that takes from others is bounded.
+//! Decides when the fabric's thread sleeps and when it spins. A sleeping thread wakes late, by an amount that depends
+//! on the machine and varies little. That amount is measured, the alarm is set earlier by it, and the rest is spent
+//! spinning. The share of spinning is limited.
 
 use std::{thread, time::Duration};
 
@@ -8,45 +8,44 @@ use cotorra_graph::Timestamp;
 
 use crate::sys;
 
-/// Whether the fabric's thread spins just before a deadline instead of sleeping up to it.
+/// Policy of spinning just before a deadline instead of sleeping until it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BusyPoll {
-    /// On a machine with more than two cores as long as need be, else for at most a tenth of the time.
+    /// On a machine with more than two cores as long as needed, else for at most a tenth of the time.
     #[default]
     Auto,
-    /// Whatever it takes from others.
+    /// As long as needed, whatever it takes from other threads.
     Always,
-    /// Never.
     Never,
 }
 
-/// Priority of the fabric's thread: above everything that is not real-time, below what the kernel itself runs so.
+/// Priority of the fabric's thread: above everything that is not real-time, below the kernel's own real-time threads.
 const PRIORITY: i32 = 10;
-/// The least urgent that is real time.
+/// Lowest real-time priority.
 const LOWEST: i32 = 1;
-/// No machine should wake later than this by itself; one that does was kept busy by others.
+/// Upper limit on the lead. A machine that wakes later than this was kept busy by others.
 const MOST_LEAD: Duration = Duration::from_micros(100);
-/// Lead where a core is spare: about what one takes to wake from its deepest sleep.
+/// Lead on a machine with a spare core: about the time in which one wakes from its deepest sleep.
 const AMPLE_LEAD: Duration = Duration::from_micros(70);
-/// By how much an alarm that came on time shortens the lead. One that came late lengthens it by three times as much,
-/// so that three in four come on time, and one that came very late counts no more than any other.
+/// Decrease of the lead after an alarm on time. A late alarm increases it three times as much, so that three in four
+/// are on time. A very late alarm counts no more than any other.
 const STEP: Duration = Duration::from_nanos(500);
-/// One in so many nanoseconds may be spun where no core is spare.
+/// Inverse share of time that may be spent spinning without a spare core.
 const BUDGET_SHARE: u32 = 10;
-/// What may be saved up of it.
+/// Most spinning time that may be saved up.
 const MOST_BUDGET: Duration = Duration::from_millis(5);
 
-/// Decides how long to sleep.
+/// Computes how long to sleep.
 #[derive(Debug)]
 pub(crate) struct Punctuality {
     spin: Spin,
-    /// How much earlier the alarm has to be set.
+    /// How much earlier the alarm is set.
     lead: Duration,
-    /// For when it is set.
+    /// Time that the alarm is set for.
     alarm: Option<Timestamp>,
     budget: Duration,
-    /// When it was last asked, and whether it said to spin.
-    asked: (Timestamp, bool),
+    /// Time and result of the last call: whether it was to spin.
+    last: (Timestamp, bool),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,13 +62,13 @@ impl Punctuality {
             BusyPoll::Auto if !can_spare_a_core() => Spin::Budgeted,
             BusyPoll::Auto | BusyPoll::Always => Spin::Always,
         };
-        Self { spin, lead: Duration::ZERO, alarm: None, budget: MOST_BUDGET, asked: (Timestamp::ZERO, false) }
+        Self { spin, lead: Duration::ZERO, alarm: None, budget: MOST_BUDGET, last: (Timestamp::ZERO, false) }
     }
 
-    /// How long to sleep at `now` for the sake of a deadline: not at all means to look again at once.
+    /// Returns how long to sleep at `now` before a deadline. Zero means to poll again at once.
     pub(crate) fn sleep(&mut self, now: Timestamp, deadline: Timestamp) -> Duration {
-        let passed = now.since(self.asked.0);
-        let spun = if self.asked.1 { passed } else { Duration::ZERO };
+        let passed = now.since(self.last.0);
+        let spun = if self.last.1 { passed } else { Duration::ZERO };
         self.budget = (self.budget + passed / BUDGET_SHARE).saturating_sub(spun).min(MOST_BUDGET);
         let lead = match self.spin {
             Spin::Never => Duration::ZERO,
@@ -77,18 +76,18 @@ impl Punctuality {
             Spin::Always => self.lead.max(AMPLE_LEAD),
         };
         let sleep = deadline.since(now).saturating_sub(lead);
-        self.asked = (now, sleep.is_zero());
+        self.last = (now, sleep.is_zero());
         self.alarm = (!sleep.is_zero()).then(|| now + sleep);
         sleep
     }
 
-    /// When that happened which woke the thread at `now`, if it slept since `before`: about as long ago as an alarm is
-    /// late.
+    /// Estimates when the event happened that woke the thread at `now`, if it slept since `before`. A wake-up is
+    /// about as late as an alarm.
     pub(crate) fn event_at(&self, before: Timestamp, now: Timestamp) -> Timestamp {
         before.max(now - self.lead)
     }
 
-    /// The thread is awake, by its alarm or by something else.
+    /// Records that the thread woke, by its alarm or by an event.
     pub(crate) fn woke(&mut self, now: Timestamp, by_alarm: bool) {
         let Some(alarm) = self.alarm.take().filter(|_| by_alarm) else { return };
         self.lead = if now.since(alarm) > self.lead {
@@ -99,25 +98,25 @@ impl Punctuality {
     }
 }
 
-/// Whether a core may spin without taking it from those whose packets the thread carries.
+/// Whether a core may spin without taking it from the programs whose packets the thread carries.
 pub(crate) fn can_spare_a_core() -> bool {
     thread::available_parallelism().is_ok_and(|cores| cores.get() > 2)
 }
 
-/// Asks the kernel to run the calling thread as soon as it wakes, and to wake it on time: for the fabric's thread, and
-/// for those that note when packets arrive. Such a thread should work for microseconds at a time.
+/// Asks the kernel to run the calling thread as soon as it wakes, and to wake it on time. Meant for the fabric's
+/// thread and for those that stamp arriving packets. Such a thread should work for microseconds at a time.
 pub fn be_punctual() {
-    // Each of these may be forbidden; the run report's lateness shows what it cost, and `doctor` what to do.
+    // Each of these may be forbidden. The run report's lateness shows the effect, and `doctor` the remedy.
     if sys::set_least_timer_slack().is_err() {
-        tracing::debug!("timers keep their slack");
+        tracing::debug!("timer slack cannot be reduced");
     }
     if sys::set_fifo(PRIORITY).is_err() && sys::set_short_slice().is_err() {
         tracing::debug!("the fabric's thread is scheduled like any other");
     }
 }
 
-/// Asks the kernel to run the calling thread before all that is not urgent, but after those that are [punctual](be_punctual): for
-/// what steers robots, which works for milliseconds at a time, and which a robot stops without.
+/// Asks the kernel to run the calling thread before ordinary threads, but after [punctual](be_punctual) ones. Meant
+/// for threads that steer robots: they work for milliseconds at a time, and a robot stops without them.
 pub fn be_timely() {
     if sys::set_fifo(LOWEST).is_err() && sys::set_short_slice().is_err() {
         tracing::debug!("the calling thread is scheduled like any other");
@@ -141,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn alarms_are_set_earlier_by_as_much_as_they_come_late() {
+    fn alarms_are_set_earlier_by_their_lateness() {
         let late = Duration::from_micros(40);
         let (mut punctuality, now) = after_alarms_late_by(late, 200, BusyPoll::Auto);
         let sleep = punctuality.sleep(now, now + SECOND);
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn spinning_ends_with_its_budget_and_comes_back_with_it() {
+    fn spinning_is_limited_by_its_budget() {
         let (mut punctuality, mut now) = after_alarms_late_by(Duration::from_micros(40), 200, BusyPoll::Auto);
         let tick = Duration::from_micros(1);
         let begin = now;
@@ -163,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn who_never_spins_sleeps_up_to_the_deadline() {
+    fn threads_that_never_spin_sleep_until_the_deadline() {
         let mut punctuality = Punctuality::new(BusyPoll::Never);
         assert_eq!(punctuality.sleep(Timestamp::ZERO, Timestamp::ZERO + SECOND), SECOND);
     }

@@ -1,5 +1,5 @@
-//! The system calls that a confined program is refused: those that change the machine, reach other processes, make
-//! namespaces, or are large and new. What is not named here is allowed, within the program's capabilities.
+//! The system calls that a confined program is denied: those that change the machine, reach other processes, make
+//! namespaces, or are large and new. Everything else is allowed, within the program's capabilities.
 //!
 //! A filter is a program of the kernel's classic packet filter (seccomp(2)), made before the fork.
 
@@ -13,19 +13,19 @@ const ARCHITECTURE: u32 = 0xc000_00b7;
 const ARCHITECTURE: u32 = 0xc000_00f3;
 
 const ALLOW: u32 = libc::SECCOMP_RET_ALLOW;
-const REFUSE: u32 = libc::SECCOMP_RET_ERRNO | libc::EPERM as u32;
-/// As on a kernel without the call, so that libraries fall back to an older one.
+const DENY: u32 = libc::SECCOMP_RET_ERRNO | libc::EPERM as u32;
+/// Error of a kernel without the call, so that libraries fall back to an older one.
 const MISSING: u32 = libc::SECCOMP_RET_ERRNO | libc::ENOSYS as u32;
 const NO_FAMILY: u32 = libc::SECCOMP_RET_ERRNO | libc::EAFNOSUPPORT as u32;
 
-/// Where `struct seccomp_data` has what is looked at; of arguments the lower half.
+/// Offsets in `struct seccomp_data`; of arguments the lower half.
 const NUMBER: u32 = 0;
 const ARCHITECTURE_AT: u32 = 4;
 const fn argument(index: u32) -> u32 {
     16 + 8 * index
 }
 
-const REFUSED: &[c_long] = &[
+const DENIED: &[c_long] = &[
     // Mounts and roots.
     libc::SYS_mount,
     libc::SYS_umount2,
@@ -71,7 +71,7 @@ const REFUSED: &[c_long] = &[
     libc::SYS_add_key,
     libc::SYS_request_key,
     libc::SYS_keyctl,
-    // Large parts of the kernel that few need.
+    // Large parts of the kernel that few programs need.
     libc::SYS_bpf,
     libc::SYS_perf_event_open,
     libc::SYS_userfaultfd,
@@ -88,7 +88,7 @@ const REFUSED: &[c_long] = &[
     libc::SYS_modify_ldt,
 ];
 
-/// Types things into a terminal as if someone had.
+/// Types characters into a terminal as if from the keyboard.
 const TIOCSTI: u32 = 0x5412;
 const TIOCLINUX: u32 = 0x541c;
 
@@ -100,7 +100,8 @@ const NAMESPACES: u32 = (libc::CLONE_NEWNS
     | libc::CLONE_NEWPID
     | libc::CLONE_NEWNET) as u32;
 
-/// Those that end at the network namespace. Others reach beyond: AF_VSOCK this machine's own host.
+/// Address families that stay within the network namespace. Others reach beyond it, such as AF_VSOCK to this
+/// machine's own host.
 const FAMILIES: &[i32] =
     &[libc::AF_UNIX, libc::AF_INET, libc::AF_INET6, libc::AF_NETLINK, libc::AF_PACKET, libc::AF_CAN];
 
@@ -116,44 +117,44 @@ fn answer(verdict: u32) -> sock_filter {
     statement(libc::BPF_RET | libc::BPF_K, verdict)
 }
 
-/// Goes on with the next instruction if the test holds, else skips so many.
+/// Continues with the next instruction if the test holds, else skips `skip` of them.
 fn unless_skip(test: u32, k: u32, skip: usize) -> sock_filter {
     let code = (libc::BPF_JMP | test | libc::BPF_K) as u16;
     sock_filter { code, jt: 0, jf: u8::try_from(skip).expect("blocks are short"), k }
 }
 
-/// Those instructions where the call has this number.
+/// Runs these instructions if the call has this number.
 fn at_call(number: c_long, block: Vec<sock_filter>) -> impl Iterator<Item = sock_filter> {
     std::iter::once(unless_skip(libc::BPF_JEQ, number as u32, block.len())).chain(block)
 }
 
-/// Answers so if the value that was loaded is this.
+/// Returns `verdict` if the loaded value equals `value`.
 fn if_equal(value: u32, verdict: u32) -> [sock_filter; 2] {
     [unless_skip(libc::BPF_JEQ, value, 1), answer(verdict)]
 }
 
-/// The filter of every confined program.
+/// Returns the filter of all confined programs.
 pub(crate) fn filter() -> Vec<sock_filter> {
     let mut filter = vec![load(ARCHITECTURE_AT)];
-    // Programs for another architecture number their calls in another way.
-    filter.extend(at_other(ARCHITECTURE));
+    // Programs of another architecture number their calls differently.
+    filter.extend(unless_equal(ARCHITECTURE));
     filter.push(load(NUMBER));
     #[cfg(target_arch = "x86_64")]
     {
-        // The calls of x32, which the filter would not recognise.
+        // The calls of x32 have numbers of their own.
         const X32: u32 = 0x4000_0000;
         filter.extend([unless_skip(libc::BPF_JGE, X32, 1), answer(MISSING)]);
     }
-    for call in REFUSED {
-        filter.extend(if_equal(*call as u32, REFUSE));
+    for call in DENIED {
+        filter.extend(if_equal(*call as u32, DENY));
     }
-    // Its flags are in memory, where a filter cannot look.
+    // Its flags are in memory, which a filter cannot read.
     filter.extend(if_equal(libc::SYS_clone3 as u32, MISSING));
     let clone =
-        vec![load(argument(0)), unless_skip(libc::BPF_JSET, NAMESPACES, 1), answer(REFUSE), answer(ALLOW)];
+        vec![load(argument(0)), unless_skip(libc::BPF_JSET, NAMESPACES, 1), answer(DENY), answer(ALLOW)];
     filter.extend(at_call(libc::SYS_clone, clone));
     let mut ioctl = vec![load(argument(1))];
-    ioctl.extend([TIOCSTI, TIOCLINUX].into_iter().flat_map(|request| if_equal(request, REFUSE)));
+    ioctl.extend([TIOCSTI, TIOCLINUX].into_iter().flat_map(|request| if_equal(request, DENY)));
     ioctl.push(answer(ALLOW));
     filter.extend(at_call(libc::SYS_ioctl, ioctl));
     let mut socket = vec![load(argument(0))];
@@ -164,8 +165,8 @@ pub(crate) fn filter() -> Vec<sock_filter> {
     filter
 }
 
-/// Ends here unless the value that was loaded is this.
-fn at_other(value: u32) -> [sock_filter; 2] {
+/// Returns an error unless the loaded value equals `value`.
+fn unless_equal(value: u32) -> [sock_filter; 2] {
     let code = (libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K) as u16;
     [sock_filter { code, jt: 1, jf: 0, k: value }, answer(MISSING)]
 }

@@ -1,5 +1,5 @@
-//! The system calls that the standard library does not offer, each behind a safe signature. All unsafe code of the
-//! project is here and in [`crate::init`]; nothing here knows what a fabric is.
+//! System calls missing from the standard library, each behind a safe signature. All unsafe code of the project is
+//! here and in [`crate::init`]. This module knows nothing of the fabric.
 
 use std::{
     ffi::{CStr, CString},
@@ -27,13 +27,13 @@ fn check_len(result: isize) -> io::Result<usize> {
 }
 
 /// # Safety
-/// `result` is what a system call that makes a descriptor returned.
+/// `result` is the return value of a system call that makes a descriptor.
 unsafe fn own(result: c_int) -> io::Result<OwnedFd> {
     // SAFETY: the descriptor is new, so that nobody else owns it.
     check(result).map(|fd| unsafe { OwnedFd::from_raw_fd(fd) })
 }
 
-/// A path as the kernel takes it.
+/// Converts a path for the kernel.
 pub(crate) fn c_path(path: &Path) -> io::Result<CString> {
     use std::os::unix::ffi::OsStrExt;
     Ok(CString::new(path.as_os_str().as_bytes())?)
@@ -57,21 +57,21 @@ pub(crate) fn setns(namespace: BorrowedFd<'_>, kind: c_int) -> io::Result<()> {
     check(unsafe { libc::setns(namespace.as_raw_fd(), kind) }).map(drop)
 }
 
-/// The user namespace that owns a namespace (`NS_GET_USERNS`).
+/// Returns the user namespace that owns a namespace (`NS_GET_USERNS`).
 pub(crate) fn owner_of(namespace: BorrowedFd<'_>) -> io::Result<OwnedFd> {
     const NS_GET_USERNS: c_ulong = 0xb701;
     // SAFETY: this request takes no argument and makes a descriptor.
     unsafe { own(libc::ioctl(namespace.as_raw_fd(), NS_GET_USERNS)) }
 }
 
-/// `mount`, with what it does not need left out.
+/// `mount` without data.
 pub(crate) fn mount(source: &CStr, target: &CStr, kind: Option<&CStr>, flags: c_ulong) -> io::Result<()> {
     let kind = kind.map_or(std::ptr::null(), CStr::as_ptr);
     // SAFETY: all strings end in a zero and outlive the call; no file system here takes data.
     check(unsafe { libc::mount(source.as_ptr(), target.as_ptr(), kind, flags, std::ptr::null()) }).map(drop)
 }
 
-/// Mounts an empty file system in memory, with these options.
+/// Mounts an empty in-memory file system with these options.
 pub(crate) fn mount_tmpfs(on: &Path, options: &str) -> io::Result<()> {
     let (on, options) = (c_path(on)?, CString::new(options)?);
     let tmpfs = c"tmpfs".as_ptr();
@@ -80,13 +80,13 @@ pub(crate) fn mount_tmpfs(on: &Path, options: &str) -> io::Result<()> {
     check(unsafe { libc::mount(tmpfs, on.as_ptr(), tmpfs, flags, options.as_ptr().cast()) }).map(drop)
 }
 
-/// Unmounts what is there as soon as nobody uses it; nobody finds it any more at once.
+/// Unmounts a file system at once from the path, and for good when nobody uses it any more.
 pub(crate) fn unmount(path: &CStr) -> io::Result<()> {
     // SAFETY: the path ends in a zero.
     check(unsafe { libc::umount2(path.as_ptr(), libc::MNT_DETACH) }).map(drop)
 }
 
-/// A copy of what is mounted at a path, and of what is mounted below, that is not mounted itself yet (`open_tree`).
+/// Returns a detached copy of the mount at a path, including mounts below (`open_tree`).
 pub(crate) fn open_tree(path: &Path) -> io::Result<OwnedFd> {
     let path = c_path(path)?;
     let flags = libc::OPEN_TREE_CLONE
@@ -97,7 +97,7 @@ pub(crate) fn open_tree(path: &Path) -> io::Result<OwnedFd> {
     unsafe { own(libc::syscall(libc::SYS_open_tree, libc::AT_FDCWD, path.as_ptr(), flags) as c_int) }
 }
 
-/// Mounts such a copy.
+/// Mounts a copy made by [`open_tree`].
 pub(crate) fn move_mount(tree: BorrowedFd<'_>, to: &Path) -> io::Result<()> {
     const FROM_DESCRIPTOR: c_uint = 0x4;
     let to = c_path(to)?;
@@ -110,7 +110,7 @@ pub(crate) fn move_mount(tree: BorrowedFd<'_>, to: &Path) -> io::Result<()> {
     check(moved as c_int).map(drop)
 }
 
-/// What a mount forbids (`MOUNT_ATTR_…`).
+/// Restrictions of a mount (`MOUNT_ATTR_…`).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Attributes(u64);
 
@@ -129,7 +129,7 @@ impl std::ops::BitOr for Attributes {
     }
 }
 
-/// Makes a mount, and all below, forbid more: one that is not mounted yet, or the one at the path.
+/// Adds restrictions to a mount and all mounts below: a detached one, or the one at the path.
 pub(crate) fn set_mount_attributes(
     tree: Option<BorrowedFd<'_>>,
     path: &Path,
@@ -150,13 +150,13 @@ pub(crate) fn set_mount_attributes(
     .map(drop)
 }
 
-/// Makes the mount that is the working directory the root, and leaves the root of before mounted over it.
+/// Makes the working directory, which is a mount, the root. The old root stays mounted over it.
 pub(crate) fn pivot_root_here() -> io::Result<()> {
     // SAFETY: the strings end in a zero.
     check(unsafe { libc::syscall(libc::SYS_pivot_root, c".".as_ptr(), c".".as_ptr()) } as c_int).map(drop)
 }
 
-/// What a thread may open once it is restricted to this (Landlock, Linux 5.13).
+/// File access rules for a thread (Landlock, Linux 5.13).
 pub(crate) struct Access {
     rules: OwnedFd,
     version: c_int,
@@ -173,7 +173,7 @@ impl Access {
     /// Signals to processes outside.
     const SCOPE_SIGNAL: u64 = 1 << 1;
 
-    /// One that allows nothing yet; `None` where the kernel has no Landlock.
+    /// Creates rules that allow nothing; `None` if the kernel has no Landlock.
     pub(crate) fn new() -> io::Result<Option<Self>> {
         const VERSION: c_uint = 1;
         let none = std::ptr::null::<c_void>();
@@ -184,7 +184,7 @@ impl Access {
             return Ok(None);
         }
         let scoped = if version >= 6 { Self::SCOPE_SIGNAL } else { 0 };
-        // Files, network, scopes; older kernels know the first, or the first two.
+        // Files, network, scopes. Older kernels know the first, or the first two.
         let attributes = [Self::files(version), 0, scoped];
         let size = mem::size_of::<u64>() * if version >= 6 { 3 } else { 1 };
         // SAFETY: the pointer is to that many live bytes at least; the call makes a descriptor.
@@ -194,7 +194,7 @@ impl Access {
         Ok(Some(Self { rules, version }))
     }
 
-    /// All that a version knows to do with files.
+    /// Returns all file rights that a Landlock version knows.
     fn files(version: c_int) -> u64 {
         let count = match version {
             1 => 13,
@@ -222,17 +222,17 @@ impl Access {
         .map(drop)
     }
 
-    /// What is beneath a folder may be read and run.
+    /// Allows reading and executing everything beneath a folder.
     pub(crate) fn allow_reading(&self, folder: &Path) -> io::Result<()> {
         self.allow(folder, Self::EXECUTE | Self::READ_FILE | Self::READ_FOLDER)
     }
 
-    /// All but devices may be made beneath a folder.
+    /// Allows writing beneath a folder, except for devices.
     pub(crate) fn allow_writing(&self, folder: &Path) -> io::Result<()> {
         self.allow(folder, !(Self::MAKE_CHARACTER_DEVICE | Self::MAKE_BLOCK_DEVICE | Self::IOCTL))
     }
 
-    /// A file may be read and written.
+    /// Allows reading and writing a file.
     pub(crate) fn allow_using(&self, file: &Path) -> io::Result<()> {
         self.allow(file, Self::READ_FILE | Self::WRITE_FILE)
     }
@@ -244,19 +244,19 @@ impl From<Access> for OwnedFd {
     }
 }
 
-/// Keeps other processes of the same user from looking into this one, and the kernel from writing its memory to disk.
+/// Hides this process's memory from other processes of the same user, and keeps the kernel from dumping it to disk.
 pub(crate) fn set_not_dumpable() -> io::Result<()> {
     // SAFETY: takes no pointer.
     check(unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0 as c_ulong) }).map(drop)
 }
 
-/// Names the host of the calling thread's UTS namespace.
+/// Sets the host name of the calling thread's UTS namespace.
 pub(crate) fn set_hostname(name: &str) -> io::Result<()> {
     // SAFETY: the pointer is to so many live bytes.
     check(unsafe { libc::sethostname(name.as_ptr().cast(), name.len()) }).map(drop)
 }
 
-/// The index of an interface in the calling thread's network namespace.
+/// Returns the index of an interface in the calling thread's network namespace.
 pub(crate) fn interface_index(name: &CStr) -> io::Result<u32> {
     // SAFETY: the name ends in a zero.
     match unsafe { libc::if_nametoindex(name.as_ptr()) } {
@@ -265,7 +265,7 @@ pub(crate) fn interface_index(name: &CStr) -> io::Result<u32> {
     }
 }
 
-/// Lets the process open as many files as the hard limit allows, and returns what it was allowed at first.
+/// Raises the limit of open files to the hard limit, and returns the original limit.
 pub(crate) fn raise_open_files() -> Option<libc::rlimit> {
     static AT_FIRST: OnceLock<Option<libc::rlimit>> = OnceLock::new();
     *AT_FIRST.get_or_init(|| {
@@ -280,7 +280,7 @@ pub(crate) fn raise_open_files() -> Option<libc::rlimit> {
     })
 }
 
-/// How many files the process may have open.
+/// Returns the limit of open files.
 pub(crate) fn open_files_limit() -> io::Result<u64> {
     // SAFETY: an rlimit is two integers, for which zero is a value.
     let mut limit: libc::rlimit = unsafe { mem::zeroed() };
@@ -289,7 +289,7 @@ pub(crate) fn open_files_limit() -> io::Result<u64> {
     Ok(limit.rlim_cur)
 }
 
-/// Tries an `unshare` in a process of its own, which this one is not changed by.
+/// Tries an `unshare` in a process of its own, without effect on this one.
 pub(crate) fn try_unshare(flags: c_int) -> io::Result<()> {
     // SAFETY: the new process makes two async-signal-safe calls and ends.
     let child = check(unsafe {
@@ -302,15 +302,15 @@ pub(crate) fn try_unshare(flags: c_int) -> io::Result<()> {
     let mut status = 0;
     // SAFETY: the pointer is to a live integer.
     check(unsafe { libc::waitpid(child, &mut status, 0) })?;
-    tried(ExitStatus::from_raw(status))
+    test_result(ExitStatus::from_raw(status))
 }
 
-/// What the process found that tried something: it ends with the error's number.
-fn tried(status: ExitStatus) -> io::Result<()> {
+/// Converts the exit status of a process that test_result something. Its exit code is the error's number.
+fn test_result(status: ExitStatus) -> io::Result<()> {
     match status.code() {
         Some(0) => Ok(()),
         Some(error) => Err(io::Error::from_raw_os_error(error)),
-        None => Err(io::Error::other("the process that tried it was killed")),
+        None => Err(io::Error::other("the process that tested it was killed")),
     }
 }
 
@@ -320,7 +320,7 @@ pub(crate) fn set_least_timer_slack() -> io::Result<()> {
     check(unsafe { libc::prctl(libc::PR_SET_TIMERSLACK, 1 as c_ulong) }).map(drop)
 }
 
-/// `SCHED_FIFO` for the calling thread at the given priority; not inherited by what it starts.
+/// Sets `SCHED_FIFO` for the calling thread at this priority. Threads and processes that it starts do not inherit it.
 pub(crate) fn set_fifo(priority: c_int) -> io::Result<()> {
     let param = libc::sched_param { sched_priority: priority };
     // SAFETY: the pointer is to a live sched_param; 0 is the calling thread.
@@ -328,14 +328,14 @@ pub(crate) fn set_fifo(priority: c_int) -> io::Result<()> {
         .map(drop)
 }
 
-/// `SCHED_IDLE` for the calling thread: it runs only where nobody else wants to. Anyone may.
+/// Sets `SCHED_IDLE` for the calling thread: it runs only on otherwise idle cores. Always permitted.
 pub(crate) fn set_idle() -> io::Result<()> {
     let param = libc::sched_param { sched_priority: 0 };
     // SAFETY: the pointer is to a live sched_param; 0 is the calling thread.
     check(unsafe { libc::sched_setscheduler(0, libc::SCHED_IDLE, &param) }).map(drop)
 }
 
-/// The cores that the calling thread may run on.
+/// Returns the cores that the calling thread may run on.
 pub(crate) fn allowed_cores() -> io::Result<Vec<usize>> {
     // SAFETY: a set of no cores is all zeros.
     let mut set: libc::cpu_set_t = unsafe { mem::zeroed() };
@@ -359,8 +359,8 @@ pub(crate) fn pin(core: usize) -> io::Result<()> {
     check(unsafe { libc::sched_setaffinity(0, mem::size_of_val(&set), &set) }).map(drop)
 }
 
-/// Asks the fair scheduler for the shortest slice, which lets the calling thread run soon after it wakes
-/// (Linux 6.12 and later; earlier ones ignore it). Anyone may.
+/// Asks the fair scheduler for the shortest slice, so that the calling thread runs soon after it wakes. Linux 6.12
+/// and later; earlier ones ignore it. Always permitted.
 pub(crate) fn set_short_slice() -> io::Result<()> {
     #[repr(C)]
     struct SchedAttr {
@@ -387,8 +387,8 @@ pub(crate) fn set_short_slice() -> io::Result<()> {
     check(unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw const attr, 0) } as c_int).map(drop)
 }
 
-/// Makes a TAP out of an open `/dev/net/tun`, in the network namespace in which that was opened, whose frames carry
-/// a `virtio_net_hdr` and which takes and gives all offloads that the kernel knows.
+/// Makes a TAP from an open `/dev/net/tun`, in the network namespace in which that was opened. Its frames carry a
+/// `virtio_net_hdr`, and it has all offloads that the kernel knows.
 pub(crate) fn make_tap(device: &File, name: &CStr) -> io::Result<()> {
     const TUNSETOFFLOAD: c_ulong = 0x4004_54d0;
     const TUNSETIFF: c_ulong = 0x4004_54ca;
@@ -408,12 +408,12 @@ pub(crate) fn make_tap(device: &File, name: &CStr) -> io::Result<()> {
     request.ifr_ifru.ifru_flags = (libc::IFF_TAP | libc::IFF_NO_PI | libc::IFF_VNET_HDR) as c_short;
     // SAFETY: the request takes a pointer to an ifreq, and this one lives.
     check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETIFF, &mut request) })?;
-    // A TAP that goes with its descriptor is removed alone, in 30 ms; one that stays goes with its namespace, many at
-    // a time. Nobody else holds the namespace, so that none outlives the process.
+    // The kernel removes a TAP that closes with its descriptor alone, in 30 ms. A persistent one is removed with its
+    // namespace, many at a time. Nobody else holds the namespace, so no TAP outlives the process.
     // SAFETY: the request takes an integer.
     check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETPERSIST, 1 as c_ulong) })?;
     let tso = CSUM | TSO4 | TSO6 | TSO_ECN;
-    // Segmenting UDP came with Linux 6.2; without it the kernel segments before it hands frames over.
+    // UDP segmentation came with Linux 6.2. Without it the kernel segments before it hands frames over.
     for offloads in [tso | USO4 | USO6, tso] {
         // SAFETY: the request takes an integer.
         match check(unsafe { libc::ioctl(device.as_raw_fd(), TUNSETOFFLOAD, c_ulong::from(offloads)) }) {
@@ -424,8 +424,8 @@ pub(crate) fn make_tap(device: &File, name: &CStr) -> io::Result<()> {
     Err(io::Error::from_raw_os_error(libc::EINVAL))
 }
 
-/// Keeps an interface in the calling thread's network namespace from leaving more to its network card than the names
-/// in `keep` say, as `ethtool -K` would: `socket` is any that was opened there.
+/// Restricts an interface in the calling thread's network namespace to the transmit offloads named in `keep`, as
+/// `ethtool -K` does. `socket` is any socket opened there.
 pub(crate) fn restrict_offloads(socket: BorrowedFd<'_>, interface: &CStr, keep: &[&str]) -> io::Result<()> {
     const SIOCETHTOOL: c_ulong = 0x8946;
     const GSSET_INFO: u32 = 0x37;
@@ -441,11 +441,11 @@ pub(crate) fn restrict_offloads(socket: BorrowedFd<'_>, interface: &CStr, keep: 
             *to = *from as libc::c_char;
         }
         message.ifr_ifru.ifru_data = request.as_mut_ptr().cast();
-        // SAFETY: the request points to a live ifreq, and that to a live buffer, which has room for all that the
+        // SAFETY: the request points to a live ifreq, and that to a live buffer. The buffer has room for all that the
         // command in its first word reads and writes, as stated where it is made.
         check(unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL, &mut message) })
     };
-    // Command, reserved, mask of sets (64 bits), then one length for the one set asked for.
+    // Command, reserved, mask of sets (64 bits), then one length for the requested set.
     let mut length = [GSSET_INFO, 0, 1 << FEATURES, 0, 0];
     ethtool(&mut length)?;
     let count = length[4] as usize;
@@ -460,7 +460,7 @@ pub(crate) fn restrict_offloads(socket: BorrowedFd<'_>, interface: &CStr, keep: 
     for (i, name) in names[3..].chunks_exact(NAME / 4).enumerate() {
         let bytes: Vec<u8> = name.iter().flat_map(|word| word.to_ne_bytes()).collect();
         let name = CStr::from_bytes_until_nul(&bytes).unwrap_or_default().to_string_lossy();
-        // Before Linux 6.12 this was among the features, and refused to be changed.
+        // Before Linux 6.12 this was listed as a feature but could not be changed.
         if name.starts_with("tx-") && name != "tx-lockless" && !keep.contains(&name.as_ref()) {
             change[2 + i / 32 * 2] |= 1 << (i % 32);
         }
@@ -477,8 +477,8 @@ fn set_option<T>(socket: &OwnedFd, level: c_int, option: c_int, value: &T) -> io
     .map(drop)
 }
 
-/// A packet socket on an interface of the calling thread's network namespace: receives what comes in, never what
-/// goes out, each frame behind its `virtio_net_hdr`.
+/// Opens a packet socket on an interface of the calling thread's network namespace. It receives incoming frames only,
+/// each behind its `virtio_net_hdr`.
 pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<OwnedFd> {
     const PACKET_IGNORE_OUTGOING: c_int = 23;
     let socket = unbound_packet_socket(buffer_bytes)?;
@@ -490,8 +490,8 @@ pub(crate) fn packet_socket(interface: u32, buffer_bytes: c_int) -> io::Result<O
     Ok(socket)
 }
 
-/// A packet socket that sends through an interface's queueing discipline, and receives what comes in of one EtherType;
-/// [`read_with_age`] tells when that was.
+/// Opens a packet socket that sends through an interface's queueing discipline and receives frames of one EtherType.
+/// [`read_with_age`] returns their age.
 pub(crate) fn stamped_packet_socket(
     interface: u32,
     ethertype: u16,
@@ -505,12 +505,12 @@ pub(crate) fn stamped_packet_socket(
 }
 
 fn unbound_packet_socket(buffer_bytes: c_int) -> io::Result<OwnedFd> {
-    // Protocol 0 receives nothing: until it is bound, frames of other interfaces would come in.
+    // Protocol 0 receives nothing. Until the socket is bound, it would get frames of other interfaces.
     // SAFETY: takes no pointer and makes a descriptor.
     let socket = unsafe {
         own(libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC, 0))?
     };
-    // Only root may exceed the system's limit; an ordinary user gets as much as it allows.
+    // Only root may exceed the system's limit. An ordinary user gets as much as it allows.
     for (force, plain) in [(libc::SO_RCVBUFFORCE, libc::SO_RCVBUF), (libc::SO_SNDBUFFORCE, libc::SO_SNDBUF)] {
         set_option(&socket, libc::SOL_SOCKET, force, &buffer_bytes)
             .or_else(|_| set_option(&socket, libc::SOL_SOCKET, plain, &buffer_bytes))?;
@@ -535,13 +535,13 @@ fn bind_packet_socket(socket: &OwnedFd, interface: u32, ethertype: u16) -> io::R
     .map(drop)
 }
 
-/// A wait for many descriptors at once, to the nanosecond (`epoll_pwait2`, Linux 5.11).
+/// Waits for many descriptors at once, with nanosecond timeouts (`epoll_pwait2`, Linux 5.11).
 pub(crate) struct Epoll {
     fd: OwnedFd,
     ready: Vec<libc::epoll_event>,
 }
 
-/// What an [`Epoll`] found about one descriptor.
+/// State of a descriptor found by [`Epoll`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ready {
     pub(crate) token: usize,
@@ -563,22 +563,22 @@ impl Epoll {
         check(unsafe { libc::epoll_ctl(self.fd.as_raw_fd(), operation, fd, &mut event) }).map(drop)
     }
 
-    /// Waits for a descriptor to be readable.
+    /// Starts waiting for a descriptor to be readable.
     pub(crate) fn add(&self, fd: BorrowedFd<'_>, token: usize) -> io::Result<()> {
         self.control(libc::EPOLL_CTL_ADD, fd.as_raw_fd(), token, false)
     }
 
-    /// Waits for it to be writable, too, or no longer.
+    /// Starts or stops waiting for it to be writable, too.
     pub(crate) fn set_writable(&self, fd: BorrowedFd<'_>, token: usize, writable: bool) -> io::Result<()> {
         self.control(libc::EPOLL_CTL_MOD, fd.as_raw_fd(), token, writable)
     }
 
-    /// Waits for it no longer.
+    /// Stops waiting for it.
     pub(crate) fn remove(&self, fd: BorrowedFd<'_>) -> io::Result<()> {
         self.control(libc::EPOLL_CTL_DEL, fd.as_raw_fd(), 0, false)
     }
 
-    /// Waits for at most that long, for ever without. A signal ends the wait with nothing ready.
+    /// Waits for at most `timeout`, for ever without one. A signal ends the wait with nothing ready.
     pub(crate) fn wait(&mut self, timeout: Option<Duration>) -> io::Result<impl Iterator<Item = Ready> + '_> {
         let timeout = timeout.map(|t| libc::timespec {
             tv_sec: t.as_secs().min(i32::MAX as u64) as libc::time_t,
@@ -637,8 +637,8 @@ impl AsFd for Waker {
     }
 }
 
-/// Reads one frame behind its header: into the buffer as far as its capacity goes, the rest into `spill`. Returns
-/// the frame's length, which is above 0; a frame that fits neither is cut.
+/// Reads one frame behind its header: into the buffer up to its capacity, the rest into `spill`. Returns the frame's
+/// length, which is above 0. A frame that fits neither is truncated.
 pub(crate) fn read_frame(
     fd: BorrowedFd<'_>,
     header: &mut [u8],
@@ -653,12 +653,12 @@ pub(crate) fn read_frame(
         libc::iovec { iov_base: spill.as_mut_ptr().cast(), iov_len: spill.len() },
     ];
     // SAFETY: the parts are live memory of ours, of the lengths stated; the kernel only writes to them.
-    // The C library's own function would first see whether the thread is to be cancelled, for 4 % of all its time.
+    // The C library's function checks for thread cancellation first, which takes 4 % of the thread's time.
     let read = check_len(unsafe {
         libc::syscall(libc::SYS_readv, fd.as_raw_fd(), parts.as_ptr(), parts.len()) as isize
     })?;
     let length = read.checked_sub(header.len()).filter(|l| *l > 0).ok_or(io::ErrorKind::UnexpectedEof)?;
-    // SAFETY: the kernel filled the parts in order, so that so many bytes of the buffer are initialised.
+    // SAFETY: the kernel filled the parts in order, so that this many bytes of the buffer are initialised.
     unsafe { buffer.set_len(length.min(room)) };
     Ok(length)
 }
@@ -674,7 +674,8 @@ pub(crate) fn write_frame(fd: BorrowedFd<'_>, header: &[u8], frame: &[u8]) -> io
     .map(drop)
 }
 
-/// Reads one frame of a [`stamped_packet_socket`], cut to the buffer, and tells how long ago the kernel got it.
+/// Reads one frame of a [`stamped_packet_socket`], truncated to the buffer, and returns its length and its age since
+/// the kernel received it.
 pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result<(usize, Duration)> {
     /// Room for one control message with a timespec, aligned as its header is.
     #[repr(C)]
@@ -699,15 +700,15 @@ pub(crate) fn read_with_age(fd: BorrowedFd<'_>, buffer: &mut [u8]) -> io::Result
     let header = unsafe { first.as_ref() };
     let got = header.filter(|h| h.cmsg_level == libc::SOL_SOCKET && h.cmsg_type == libc::SCM_TIMESTAMPNS);
     let age = got.map_or(Duration::ZERO, |_| {
-        // SAFETY: the data of such a message is a timespec, which need not be aligned. The pointer to the header is the
-        // one into the whole buffer: a reference to the header alone does not reach what follows it.
+        // SAFETY: the data of such a message is a timespec, which need not be aligned. The pointer to the header
+        // points into the whole buffer: a reference to the header alone does not reach what follows it.
         let at = unsafe { libc::CMSG_DATA(first).cast::<libc::timespec>().read_unaligned() };
         now.saturating_sub(since_1970(at))
     });
     Ok((length, age))
 }
 
-/// The kernel's wall clock, by which it stamps packets.
+/// Returns the kernel's wall clock, by which it timestamps packets.
 fn realtime() -> io::Result<Duration> {
     // SAFETY: a timespec is integers, for which zero is a value.
     let mut now: libc::timespec = unsafe { mem::zeroed() };
@@ -725,13 +726,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trial_that_was_killed_did_not_succeed() {
+    fn killed_tests_of_a_capability_do_not_succeed() {
         const EXITED_WITH_EPERM: c_int = libc::EPERM << 8;
-        assert!(tried(ExitStatus::from_raw(0)).is_ok());
+        assert!(test_result(ExitStatus::from_raw(0)).is_ok());
         assert_eq!(
-            tried(ExitStatus::from_raw(EXITED_WITH_EPERM)).unwrap_err().raw_os_error(),
+            test_result(ExitStatus::from_raw(EXITED_WITH_EPERM)).unwrap_err().raw_os_error(),
             Some(libc::EPERM)
         );
-        assert!(tried(ExitStatus::from_raw(libc::SIGSYS)).is_err());
+        assert!(test_result(ExitStatus::from_raw(libc::SIGSYS)).is_err());
     }
 }

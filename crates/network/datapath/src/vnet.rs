@@ -1,9 +1,9 @@
-//! The header in front of each frame at a port, which tells what the sender left to its network card:
+//! The header before each frame at a port, which describes the work that the sender left to its network card. It is
 //! `virtio_net_hdr` in its legacy form, 10 bytes in the machine's byte order (virtio 1.2, 5.1.6).
 
 use cotorra_fabric::{Checksum, Offload, Segmentation, SegmentationKind};
 
-/// Length of the header.
+/// Length of the header, bytes.
 pub(crate) const LENGTH: usize = 10;
 
 const NEEDS_CSUM: u8 = 1;
@@ -11,10 +11,10 @@ const GSO_NONE: u8 = 0;
 const GSO_TCPV4: u8 = 1;
 const GSO_TCPV6: u8 = 4;
 const GSO_UDP_L4: u8 = 5;
-/// Set beside a TCP kind when the first segment carries CWR, which its own header tells as well.
+/// Set beside a TCP kind when the first segment carries CWR, which its own header shows as well.
 const GSO_ECN: u8 = 0x80;
 
-/// What a header says; `None` for a kind of super-packet that no port of ours lets through.
+/// Decodes a header. Returns `None` for a kind of super-packet that our ports do not let through.
 pub(crate) fn decode(header: &[u8; LENGTH]) -> Option<Offload> {
     let word = |at: usize| u16::from_ne_bytes([header[at], header[at + 1]]);
     let kind = match header[1] & !GSO_ECN {
@@ -30,7 +30,7 @@ pub(crate) fn decode(header: &[u8; LENGTH]) -> Option<Offload> {
     })
 }
 
-/// The header that says this.
+/// Encodes a header.
 pub(crate) fn encode(offload: Offload) -> [u8; LENGTH] {
     let mut header = [0; LENGTH];
     let mut put = |at: usize, value: u16| header[at..at + 2].copy_from_slice(&value.to_ne_bytes());
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_encoded_is_decoded() {
+    fn encoded_headers_decode() {
         let checksum = Some(Checksum { start: 34, offset: 16 });
         for kind in [SegmentationKind::Tcp4, SegmentationKind::Tcp6, SegmentationKind::Udp] {
             let segmentation = Some(Segmentation { kind, size: 1448, header_len: 66 });
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_super_packets_are_refused() {
+    fn unknown_super_packets_are_rejected() {
         const UFO: u8 = 3;
         let mut header = encode(Offload::NONE);
         header[1] = UFO;

@@ -1,5 +1,5 @@
-//! Ways out of a node that a confined program tries, as root and as an ordinary user: none may lead anywhere.
-#![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
+//! Tries many ways out of a node as a confined program, as root and as an ordinary user. None may succeed.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 mod harness;
 mod ways;
@@ -23,10 +23,13 @@ const SECRET: &str = "a-secret-of-the-core";
 
 type Test = (&'static str, fn());
 const TESTS: &[Test] = &[
-    ("a confined program gets out by none of many ways", no_way_leads_out),
-    ("the ways lead out where nothing confines a program", ways_lead_out_of_no_confinement),
-    ("a confined program works in its own folder with what it is shown", confined_programs_are_at_home),
-    ("a confined program has the capabilities that it was given", given_capabilities_are_there),
+    ("a confined program cannot escape", confined_programs_cannot_escape),
+    ("the escapes succeed without confinement", escapes_succeed_without_confinement),
+    (
+        "a confined program works in its own folder with the files made visible to it",
+        confined_programs_work_in_their_folder,
+    ),
+    ("a confined program has the capabilities granted to it", granted_capabilities_are_held),
 ];
 
 fn main() -> ExitCode {
@@ -38,7 +41,7 @@ fn main() -> ExitCode {
     harness::run(TESTS, [(format!("{privilege:?}"), ())], |test, ()| test())
 }
 
-/// A run's folder, with a history, a folder of a VNF, and the testbed file's folder beside.
+/// Folder of a run with a history and a VNF's folder, beside the testbed file's folder.
 struct Place {
     root: PathBuf,
 }
@@ -84,7 +87,7 @@ impl Drop for Place {
     }
 }
 
-/// What a program must not reach: processes, sockets and memory of this one.
+/// Processes, sockets and memory of this process, which a program must not reach.
 struct Outside {
     bystander: Child,
     _sockets: [UnixListener; 2],
@@ -124,28 +127,28 @@ impl Drop for Outside {
     }
 }
 
-fn told_by(namespace: &Namespace, mut command: Command, confinement: Option<&Confinement>) -> String {
+fn output_of(namespace: &Namespace, mut command: Command, confinement: Option<&Confinement>) -> String {
     command.stdin(Stdio::null()).stdout(Stdio::piped());
     let options = SpawnOptions { confinement, hostname: Some("node"), ..SpawnOptions::default() };
     let mut child = namespace.spawn(command, options).unwrap();
-    let mut told = String::new();
-    child.pipes().1.unwrap().read_to_string(&mut told).unwrap();
-    told
+    let mut output = String::new();
+    child.pipes().1.unwrap().read_to_string(&mut output).unwrap();
+    output
 }
 
-/// The names of the ways that led out.
+/// Returns the names of the ways that led out.
 fn attempt(confinement: Option<&Confinement>, place: &Place, all: bool) -> Vec<String> {
     let outside = Outside::new(place);
     let mut command = Command::new(env::current_exe().unwrap());
     command.env_clear().env(ways::HELPER, if all { "all" } else { "harmless" });
     command.envs(outside.facts.to_environment()).env("PATH", "/usr/bin:/bin");
-    let told = told_by(&Namespace::new().unwrap(), command, confinement);
-    print!("{told}");
-    assert!(told.ends_with("all were tried\n"), "{told}");
-    told.lines().filter_map(|line| line.strip_suffix(": ESCAPED")).map(str::to_owned).collect()
+    let output = output_of(&Namespace::new().unwrap(), command, confinement);
+    print!("{output}");
+    assert!(output.ends_with("all were tried\n"), "{output}");
+    output.lines().filter_map(|line| line.strip_suffix(": ESCAPED")).map(str::to_owned).collect()
 }
 
-fn no_way_leads_out() {
+fn confined_programs_cannot_escape() {
     assert!(WAYS.len() >= 20);
     let place = Place::new();
     let escaped = attempt(Some(&place.confinement(&[])), &place, true);
@@ -154,7 +157,7 @@ fn no_way_leads_out() {
     assert_eq!(fs::read_dir(place.testbed()).unwrap().count(), 2, "the data and the runs");
 }
 
-fn ways_lead_out_of_no_confinement() {
+fn escapes_succeed_without_confinement() {
     let place = Place::new();
     let escaped = attempt(None, &place, false);
     println!("{} of {} ways", escaped.len(), WAYS.len());
@@ -175,37 +178,37 @@ fn shell(script: &str) -> Command {
     command
 }
 
-fn confined_programs_are_at_home() {
+fn confined_programs_work_in_their_folder() {
     let place = Place::new();
     let namespace = Namespace::new().unwrap();
     let confinement = place.confinement(&[]);
-    let told = |script: &str| {
+    let output = |script: &str| {
         let mut command = shell(script);
         command.current_dir(place.testbed());
-        told_by(&namespace, command, Some(&confinement))
+        output_of(&namespace, command, Some(&confinement))
     };
     let home = place.home();
     assert_eq!(
-        told("cat data; echo; pwd; echo $HOME; echo $TMPDIR").lines().collect::<Vec<_>>(),
+        output("cat data; echo; pwd; echo $HOME; echo $TMPDIR").lines().collect::<Vec<_>>(),
         ["data", place.testbed().to_str().unwrap(), home.to_str().unwrap(), home.to_str().unwrap(),]
     );
-    assert_eq!(told("mkdir ~/a && echo kept >~/a/file && mv ~/a ~/b && cat ~/b/file"), "kept\n");
+    assert_eq!(output("mkdir ~/a && echo kept >~/a/file && mv ~/a ~/b && cat ~/b/file"), "kept\n");
     assert_eq!(fs::read_to_string(home.join("b/file")).unwrap(), "kept\n");
-    assert_eq!(told("echo gone >/tmp/a && ln /tmp/a /dev/shm/b 2>/dev/null; cat /tmp/a"), "gone\n");
+    assert_eq!(output("echo gone >/tmp/a && ln /tmp/a /dev/shm/b 2>/dev/null; cat /tmp/a"), "gone\n");
     assert!(!Path::new("/tmp/a").exists());
-    assert_eq!(told("head -c 3 /dev/urandom | wc -c; echo x >/dev/null; cat /dev/null; ls runs"), "3\n1\n");
-    // What it started sees itself, and nobody else.
+    assert_eq!(output("head -c 3 /dev/urandom | wc -c; echo x >/dev/null; cat /dev/null; ls runs"), "3\n1\n");
+    // Its children see each other, and nobody else.
     assert_eq!(
-        told("ls /proc | grep -c '^[0-9]' || true").trim().parse::<u32>().unwrap().min(1),
+        output("ls /proc | grep -c '^[0-9]' || true").trim().parse::<u32>().unwrap().min(1),
         proc_is_there()
     );
-    assert_eq!(told("exit 3; echo"), "");
+    assert_eq!(output("exit 3; echo"), "");
     let missing = SpawnOptions { confinement: Some(&confinement), ..SpawnOptions::default() };
     let missing = namespace.spawn(Command::new("/no/such/program"), missing).unwrap_err().to_string();
     assert!(missing.contains("/no/such/program"), "{missing}");
 }
 
-/// Whether a confined program has a `/proc` here: not where parts of it are hidden, as in many containers.
+/// Whether a confined program has a `/proc` here. It has none where parts of it are hidden, as in many containers.
 fn proc_is_there() -> u32 {
     let mounts = fs::read_to_string("/proc/mounts").unwrap();
     let is_over = |line: &&str| line.split(' ').nth(1).is_some_and(|at| at.starts_with("/proc/"));
@@ -214,21 +217,21 @@ fn proc_is_there() -> u32 {
     u32::from(!(hidden && is_ordinary))
 }
 
-fn given_capabilities_are_there() {
+fn granted_capabilities_are_held() {
     let place = Place::new();
     let namespace = Namespace::new().unwrap();
     let capabilities = |confinement: &Confinement| {
         let script = "grep -E '^Cap(Eff|Prm|Bnd|Amb)' /proc/self/status | cut -f2 | sort -u";
-        told_by(&namespace, shell(script), Some(confinement))
+        output_of(&namespace, shell(script), Some(confinement))
     };
     if proc_is_there() == 0 {
-        return println!("skipped: no /proc in here");
+        return println!("skipped: no /proc here");
     }
     assert_eq!(capabilities(&place.confinement(&[])), "0000000000000000\n");
     let given = [LinuxCapability::NetRaw, LinuxCapability::NetAdmin];
     assert_eq!(capabilities(&place.confinement(&given)), "0000000000003000\n");
     let ping = shell("ip link set lo up && ping -c 1 -W 60 127.0.0.1 >/dev/null && echo pong");
     if Path::new("/usr/bin/ping").exists() && Path::new("/sbin/ip").exists() {
-        assert_eq!(told_by(&namespace, ping, Some(&place.confinement(&given))), "pong\n");
+        assert_eq!(output_of(&namespace, ping, Some(&place.confinement(&given))), "pong\n");
     }
 }

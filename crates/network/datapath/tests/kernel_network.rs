@@ -1,12 +1,11 @@
-//! What is known of the links of the kernel's network, in a kernel that has NetEm: `scripts/uml` runs this where this
-//! machine's has none.
+//! Tests observations of the kernel network's links, in a kernel with NetEm; `scripts/uml` boots one.
 //!
-//! No packet comes sooner than NetEm lets it, however busy the machine is: so a delay is told to be at least what was
-//! asked, and a direction without one less than the other has.
+//! No packet arrives sooner than NetEm lets it, however busy the machine is. A measured delay is therefore at least
+//! the requested one, and a direction without delay measures less than the other one's.
 #![allow(
     clippy::unwrap_used,
     clippy::disallowed_methods,
-    reason = "a test that finds no value has failed; the kernel works on the wall clock"
+    reason = "tests may panic; the kernel works on the wall clock"
 )]
 
 use std::{thread, time::Duration};
@@ -30,13 +29,16 @@ fn testbed(left: &str, right: &str) -> Testbed {
     cotorra_testbed_file::parse("lab.yaml", &text, ".".as_ref()).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// `None`, with a message, where the kernel cannot; that fails where the rig says that it must.
+/// Returns `None` with a message if the kernel cannot emulate. Panics instead if the environment demands it.
 fn start(testbed: &Testbed, probing: Option<Probing>) -> Option<KernelNetwork> {
     let fabric = Fabric::new(&testbed.graph, 1).unwrap();
     match KernelNetwork::start(&testbed.graph, &fabric, probing) {
         Ok(network) => Some(network),
         Err(error @ (NoKernelNetwork::Lacks(_) | NoKernelNetwork::Datapath(_))) => {
-            assert!(std::env::var_os("COTORRA_KERNEL").is_none(), "the rig's kernel must: {error}");
+            assert!(
+                std::env::var_os("COTORRA_KERNEL").is_none(),
+                "COTORRA_KERNEL demands a kernel with NetEm: {error}"
+            );
             eprintln!("skipped: {error}");
             None
         }
@@ -52,7 +54,7 @@ fn observe(network: &KernelNetwork, name: &str, direction: Direction) -> Observe
     network.observe().unwrap()[&(link(name), direction)]
 }
 
-/// Waits until it holds of what is known of one direction of a link, and gives that.
+/// Waits until the condition holds for one direction of a link, and returns the observation.
 fn wait_until(
     network: &KernelNetwork,
     (name, direction): (&str, Direction),
@@ -74,10 +76,10 @@ fn delay(observed: &Observed) -> Option<Duration> {
 const MS: Duration = Duration::from_millis(1);
 
 #[test]
-fn probes_tell_each_direction_of_each_link_by_itself_and_follow_what_changes() {
+fn probes_measure_each_direction_and_follow_changes() {
     let mut testbed =
         testbed("forward: { delay: 100 ms }, backward: { delay: 0 ms }", "delay: 300 ms, loss: 100 %");
-    // The file's own scales count from the start.
+    // The file's own scales apply from the start.
     testbed.graph.links[0].scales[0] = Scale { delay_scale: 3.0, drop_scale: 1.0 };
     let Some(network) = start(&testbed, Some(PROBING)) else { return };
     let known = wait_until(&network, ("one", Direction::Forward), |known| delay(known).is_some());
@@ -88,7 +90,7 @@ fn probes_tell_each_direction_of_each_link_by_itself_and_follow_what_changes() {
     let lossy = wait_until(&network, ("two", Direction::Forward), |known| known.probed.is_some());
     let probed = lossy.probed.unwrap();
     assert_eq!((probed.delay, probed.loss), (None, Some(1.0)), "{probed:?}");
-    assert_eq!(observe(&network, "two", Direction::Backward).probed.unwrap().loss, None, "none came to it");
+    assert_eq!(observe(&network, "two", Direction::Backward).probed.unwrap().loss, None, "no probe arrived");
 
     let slower = Conditions { delay: 600 * MS, ..Conditions::default() };
     network.set(&link("one"), Direction::Backward, &slower).unwrap();
@@ -107,7 +109,7 @@ fn probes_tell_each_direction_of_each_link_by_itself_and_follow_what_changes() {
 }
 
 #[test]
-fn probes_are_in_no_counter_and_are_none_where_none_are_wanted() {
+fn probes_are_not_counted_and_can_be_off() {
     let lab = testbed("delay: 1 ms, loss: 50 %", "delay: 1 ms");
     let Some(network) = start(&lab, Some(Probing { interval: MS, ..PROBING })) else { return };
     // Some 2000 probes, half of which got lost.
@@ -115,7 +117,7 @@ fn probes_are_in_no_counter_and_are_none_where_none_are_wanted() {
         thread::sleep(20 * MS);
     }
     for ((name, direction), observed) in network.observe().unwrap() {
-        // The hosts' own few packets, by which they say who they are.
+        // The hosts' own few neighbour packets.
         let counters = observed.counters;
         assert!(counters.packets < 200 && counters.lost < 200, "{name} {direction:?}: {counters:?}");
         assert!(observed.probed.is_some() && observed.tested.is_none());
@@ -128,7 +130,7 @@ fn probes_are_in_no_counter_and_are_none_where_none_are_wanted() {
 }
 
 #[test]
-fn lateness_is_told_of_probes_whose_delay_is_not_left_to_chance() {
+fn lateness_covers_probes_of_deterministic_delay() {
     let lab = testbed("delay: 5 ms, jitter: 1 ms", "delay: 40 ms");
     let Some(network) = start(&lab, Some(PROBING)) else { return };
     wait_until(&network, ("one", Direction::Backward), |known| delay(known).is_some());
@@ -136,17 +138,17 @@ fn lateness_is_told_of_probes_whose_delay_is_not_left_to_chance() {
         thread::sleep(20 * MS);
     }
     let two = observe(&network, "two", Direction::Forward);
-    // The worst of all probes is no better than what the mean of one direction is late by.
+    // The worst of all probes is at least as late as the mean of one direction.
     let late_us = (delay(&two).unwrap() - 40 * MS).as_secs_f64() * 1e6;
     let lateness = network.lateness();
     assert!(lateness.max_us >= late_us, "{lateness:?}, {two:?}");
-    // The other link's would be five milliseconds early or late as chance has it, and are not among them.
+    // The other link's probes vary by five milliseconds and are not included.
     let jitter = observe(&network, "one", Direction::Forward).probed.unwrap().jitter.unwrap();
     assert!(jitter > Duration::ZERO);
 }
 
 #[test]
-fn a_test_tells_what_a_link_carries_within_bounds() {
+fn throughput_tests_measure_links_within_bounds() {
     let lab = testbed("delay: 5 ms, rate: 8 Mbit/s", "delay: 5 ms");
     let Some(network) = start(&lab, None) else { return };
     let test = |duration_ms, mbps| ThroughputTest {
@@ -170,7 +172,7 @@ fn a_test_tells_what_a_link_carries_within_bounds() {
     assert!((4e6..12e6).contains(&tested.throughput_bps) && tested.offered_bps <= 24e6, "{tested:?}");
     assert!(known.counters.packets < 200 && known.counters.lost < 200, "{known:?}");
     assert_eq!(observe(&network, "one", Direction::Forward).tested, None);
-    // Its rate in the conditions is what a test goes by that has none.
+    // A test without a rate uses the rate of the link's conditions.
     let faster = Conditions {
         rate: Rate::Fixed { bits_per_second: BitRate::from_mbps(2.0).unwrap() },
         ..Conditions::default()

@@ -1,6 +1,6 @@
-//! What the datapath promises, shown with real namespaces, real sockets and unmodified programs, on every kind of
-//! port that this machine has. Runs as root and as an ordinary user.
-#![allow(clippy::unwrap_used, reason = "a test that finds no value has failed")]
+//! Tests the datapath's promises with real namespaces, real sockets and unmodified programs, on every kind of port
+//! that this machine has. Runs as root and as an ordinary user.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 mod harness;
 
@@ -24,17 +24,20 @@ const HELPER: &str = "COTORRA_TEST_HELPER";
 
 type Test = (&'static str, fn(PortKind));
 const TESTS: &[Test] = &[
-    ("packets go round by IPv4 and IPv6", packets_go_round),
+    ("packets travel between all hosts by IPv4 and IPv6", packets_travel_between_hosts),
     ("an unmodified program finds nodes by name", programs_find_nodes_by_name),
     ("broadcast and multicast reach all others", broadcast_and_multicast_reach_all_others),
     ("TCP carries every byte through loss", tcp_carries_every_byte_through_loss),
     ("large datagrams arrive whole", large_datagrams_arrive_whole),
-    ("a change is in force once it returns, and loses nothing", a_change_loses_nothing),
-    ("commands fail once it has stopped", commands_fail_once_it_has_stopped),
-    ("nothing is left once it is dropped", nothing_is_left_once_it_is_dropped),
-    ("a machine that runs this is told so", a_machine_that_runs_this_is_told_so),
+    ("a change applies when it returns, and loses nothing", a_change_loses_nothing),
+    ("commands fail after stop", commands_fail_once_it_has_stopped),
+    ("nothing is left after drop", nothing_is_left_once_it_is_dropped),
+    ("capabilities in use are reported as available", capabilities_in_use_are_reported),
     ("a program's descendants end with it", descendants_end_with_their_program),
-    ("a program gets its exit code, its host's name, its limits and its signals", programs_are_at_home),
+    (
+        "a program gets its exit code, its host's name, its limits and its signals",
+        programs_get_their_environment,
+    ),
     ("nothing survives kill -9", nothing_survives_kill_9),
     ("another process enters a node", another_process_enters_a_node),
     ("names of nodes are in no folder that others share", names_are_in_no_shared_folder),
@@ -103,7 +106,7 @@ fn udp(datapath: &Datapath, host: &NodeId, address: impl Into<IpAddr>) -> UdpSoc
     datapath.namespace(host).unwrap().udp_socket((address.into(), 4000)).unwrap()
 }
 
-fn packets_go_round(kind: PortKind) {
+fn packets_travel_between_hosts(kind: PortKind) {
     let (datapath, names) = up(3, Conditions::default(), kind);
     assert_eq!(datapath.port_kind(), kind);
     for family in [0, 1] {
@@ -128,7 +131,7 @@ fn programs_find_nodes_by_name(kind: PortKind) {
         println!("skipped: no ping here");
         return;
     }
-    // One packet each: once one has come back, ping waits for the next no longer than twice as long.
+    // One packet each: ping waits for the next no longer than twice the first round trip.
     for family in ["-4", "-6", "-4", "-6", "-4", "-6"] {
         let mut ping = Command::new("ping");
         ping.args([family, "-c", "1", "-W", "60", names[1].as_str()]).stdout(Stdio::piped());
@@ -223,7 +226,7 @@ fn a_change_loses_nothing(kind: PortKind) {
     let clock = datapath.clock();
     let to = (HostAddress::of(1).ipv4, 4000);
     let mut buffer = [0; 8];
-    // Finds out addresses.
+    // Resolves addresses.
     a.send_to(&u64::MAX.to_ne_bytes(), to).unwrap();
     b.recv_from(&mut buffer).unwrap();
     for number in 0..20u64 {
@@ -270,11 +273,11 @@ fn nothing_is_left_once_it_is_dropped(kind: PortKind) {
     drop(child);
     drop(datapath);
     assert!(!is_alive(process));
-    // Threads that have been joined are still told of for a moment.
+    // Joined threads are listed for another moment.
     wait_until(|| held() == before);
 }
 
-fn a_machine_that_runs_this_is_told_so(kind: PortKind) {
+fn capabilities_in_use_are_reported(kind: PortKind) {
     let capabilities = cotorra_datapath::probe();
     let port = if kind == PortKind::Tap { "TAP with offloads" } else { "packet sockets with offloads" };
     for name in ["network namespaces", "process and mount namespaces", port] {
@@ -283,7 +286,7 @@ fn a_machine_that_runs_this_is_told_so(kind: PortKind) {
     }
 }
 
-/// A shell command in a namespace of its own whose output can be read.
+/// A shell command in a namespace of its own, with readable output.
 fn shell(script: &str) -> Command {
     let mut command = Command::new("sh");
     command.args(["-c", script]).stdin(Stdio::null()).stdout(Stdio::piped());
@@ -308,7 +311,7 @@ fn descendants_end_with_their_program(_: PortKind) {
     }
 }
 
-fn programs_are_at_home(_: PortKind) {
+fn programs_get_their_environment(_: PortKind) {
     let namespace = Namespace::new().unwrap();
     let run = |script: &str, options: SpawnOptions<'_>| {
         let mut child = namespace.spawn(shell(script), options).unwrap();
@@ -346,14 +349,14 @@ fn programs_are_at_home(_: PortKind) {
     fs::remove_file(&file).unwrap();
 }
 
-/// This very program, doing something else.
+/// This test program in a helper role.
 fn helper(what: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.env(HELPER, what).stdin(Stdio::piped()).stdout(Stdio::piped());
     command
 }
 
-/// Brings hosts up, runs a program in one, tells where that is, and waits to be killed.
+/// Brings hosts up, runs a program in one, prints where that is, and waits to be killed.
 fn run_and_wait(kind: &str) -> ExitCode {
     let kind = if kind == "Tap" { PortKind::Tap } else { PortKind::PacketSocket };
     let (datapath, names) = up(3, Conditions::default(), kind);
@@ -365,10 +368,10 @@ fn run_and_wait(kind: &str) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// Enters a namespace and tells the addresses and names that it finds there.
+/// Enters a namespace and prints the addresses and names found there.
 fn enter_and_tell(path: &str) -> ExitCode {
     cotorra_datapath::enter(path.as_ref()).unwrap();
-    // With another thread beside this one, as one is that was joined and is not gone yet.
+    // Next to another thread, like one that was joined and is not gone yet.
     let (stay, until) = std::sync::mpsc::channel::<()>();
     std::thread::spawn(move || until.recv());
     HostsFile::of(&star(2, Conditions::default()).0).unwrap().enter().unwrap();
@@ -396,7 +399,7 @@ fn nothing_survives_kill_9(kind: PortKind) {
     for process in processes {
         wait_until(|| !is_alive(process));
     }
-    // Namespaces are held by descriptors of the helper alone: nothing refers to them by path, by process or by name.
+    // Namespaces are held by descriptors of the helper alone. No path, process or name refers to them.
     assert!(!fs::exists(line.split(' ').nth(1).unwrap()).unwrap());
     let leftover = fs::read_dir(std::env::temp_dir()).unwrap().flatten().any(|entry| {
         entry.file_name().to_string_lossy().starts_with(&format!("cotorra-hosts-{}", helper.id()))
@@ -414,7 +417,7 @@ fn another_process_enters_a_node(kind: PortKind) {
 }
 
 fn names_are_in_no_shared_folder(_: PortKind) {
-    // What someone put there who knew the name that a file would have.
+    // A file placed there by someone who guessed the name.
     let victim = std::env::temp_dir().join(format!("cotorra-test-victim-{}", process::id()));
     fs::write(&victim, "untouched").unwrap();
     let name = |i: u32| format!("cotorra-hosts-{}-ThreadId({i})", process::id());
@@ -459,8 +462,8 @@ fn descendants(root: u32) -> Vec<u32> {
     processes.filter(is_below).collect()
 }
 
-/// Waits for the kernel, which the test's own time limit bounds.
-#[allow(clippy::disallowed_methods, reason = "there is no event to wait for when a stranger's process ends")]
+/// Waits for the kernel. The test's own time limit bounds this.
+#[allow(clippy::disallowed_methods, reason = "no event reports the end of another process's child")]
 fn wait_until(condition: impl Fn() -> bool) {
     while !condition() {
         thread::sleep(Duration::from_millis(1));

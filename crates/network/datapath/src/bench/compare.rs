@@ -1,5 +1,5 @@
-//! The fabric beside NetEm, in one kernel: the same graph, the same conditions and the same probes, so that only the
-//! emulator differs.
+//! Compares the fabric with NetEm in one kernel: the same graph, conditions and probes, so that only the emulator
+//! differs.
 
 use std::{
     net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket},
@@ -25,19 +25,17 @@ use crate::{
     punctual::BusyPoll,
 };
 
-/// Who emulates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emulator {
-    /// The fabric.
     Fabric,
-    /// The kernel.
+    /// The kernel's NetEm.
     NetEm,
 }
 
-/// Nothing keeps cores awake: in a kernel with one core, such as user-mode-linux's, it would be in the way.
+/// Lets cores sleep: in a kernel with one core, such as user-mode Linux, keeping it awake would get in the way.
 const SETTING: Setting = Setting { port: PortKind::Auto, busy_poll: BusyPoll::Never, let_cores_sleep: true };
 
-/// A network that one of them emulates.
+/// A network emulated by either.
 enum Network {
     Fabric(Datapath),
     NetEm(KernelNetwork),
@@ -64,7 +62,7 @@ impl Network {
         }
     }
 
-    /// Another delay, in force when this returns.
+    /// Sets another delay, which applies when this returns.
     fn change(&self, link: &LinkId, delay: Duration) -> Result<(), NoKernelNetwork> {
         match self {
             Self::Fabric(datapath) => {
@@ -87,8 +85,8 @@ impl Network {
         }
     }
 
-    /// Sends that many packets of 64 bytes from one end of the line to the other, `at_once` of them each `gap`, and gives
-    /// when each that arrived was sent, and when it arrived. `meanwhile` runs beside it.
+    /// Sends `packets` packets of 64 bytes from one end of the line to the other, `at_once` of them every `gap`.
+    /// Returns send and arrival time of each that arrived. Runs `meanwhile` in parallel.
     fn probe<R>(
         &self,
         packets: usize,
@@ -102,7 +100,7 @@ impl Network {
             self.host(1)?.udp_socket((Ipv4Addr::UNSPECIFIED, PORT)).action("open a socket in a node")?;
         receiver.set_read_timeout(Some(Duration::from_secs(1))).action("set a timeout")?;
         let to = SocketAddr::new(HostAddress::of(1).ipv4.into(), PORT);
-        // The hosts find out each other's addresses.
+        // Resolves the hosts' addresses.
         for _ in 0..10 {
             let _ = sender.send_to(&[0; 64], to);
             let _ = receiver.recv(&mut [0; 64]);
@@ -132,7 +130,7 @@ impl Network {
     }
 }
 
-/// What arrives, until a second after the last was sent.
+/// Collects arrivals until a second after the last packet was sent.
 fn collect(receiver: &UdpSocket, clock: Clock, done: &AtomicBool) -> Vec<(Timestamp, Timestamp)> {
     be_punctual();
     let mut arrived = Vec::new();
@@ -152,7 +150,7 @@ fn collect(receiver: &UdpSocket, clock: Clock, done: &AtomicBool) -> Vec<(Timest
 
 const MILLISECOND: Duration = Duration::from_millis(1);
 
-/// By how much longer a packet takes than so many links in a row of this delay make it.
+/// Measures by how much transit times exceed the delays of `links` links in a row.
 ///
 /// # Errors
 /// [`NoKernelNetwork`].
@@ -167,8 +165,8 @@ pub fn delay_error(
     Ok(Percentiles::of(arrived.into_iter().map(error).collect()))
 }
 
-/// Standard deviation of what packets take over so many links in a row of 20 ms with a normal jitter of this standard
-/// deviation.
+/// Measures the standard deviation of transit times over `links` links in a row, each of 20 ms with normal jitter of
+/// this standard deviation.
 ///
 /// # Errors
 /// [`NoKernelNetwork`].
@@ -180,7 +178,7 @@ pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<D
         links,
         &Conditions { delay, jitter: Some(jitter), ..Conditions::default() },
     ))?;
-    // So far apart that order holds none up.
+    // Packets are so far apart that keeping order delays none.
     let (arrived, ()) = network.probe(1000, 1, deviation * 5, |_| ())?;
     let took: Vec<_> = arrived.iter().map(|(sent, at)| at.since(*sent).as_secs_f64()).collect();
     let mean = took.iter().sum::<f64>() / took.len() as f64;
@@ -188,7 +186,7 @@ pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<D
     Ok(Duration::from_secs_f64(variance.sqrt()))
 }
 
-/// Share of packets that do not arrive over so many links in a row, each of which loses this share.
+/// Measures the share of packets lost over `links` links in a row with this loss rate each.
 ///
 /// # Errors
 /// [`NoKernelNetwork`].
@@ -200,7 +198,7 @@ pub fn loss(emulator: Emulator, links: usize, rate: Probability) -> Result<f64, 
     Ok(1.0 - arrived.len() as f64 / PACKETS as f64)
 }
 
-/// What TCP carries over so many links in a row that do nothing, in bit/s.
+/// Measures TCP throughput in bit/s over `links` unlimited links in a row.
 ///
 /// # Errors
 /// [`NoKernelNetwork`].
@@ -218,8 +216,8 @@ pub fn throughput(emulator: Emulator, links: usize, length: Duration) -> Result<
     })
 }
 
-/// How long after the call that changes a link's delay returned the last packet was sent that it did not meet; zero
-/// where all met it. A packet is sent each 0.1 ms or so.
+/// Measures how long after a delay change returned packets were still sent under the old delay; zero if none. A
+/// packet is sent about every 0.1 ms.
 ///
 /// # Errors
 /// [`NoKernelNetwork`].
@@ -235,7 +233,8 @@ pub fn change_lag(emulator: Emulator, changes: usize) -> Result<Percentiles, NoK
             thread::sleep(LONG);
             network.change(link, LONG)?;
             changed.push(clock.now());
-            // The fabric brings forward what is in flight when a delay falls: what counts has arrived by then.
+            // The fabric brings packets in flight forward when a delay falls, so wait until all that count have
+            // arrived.
             thread::sleep(LONG * 4);
             network.change(link, SHORT)?;
         }

@@ -6,8 +6,8 @@ use std::{
     process::ExitCode,
 };
 
-/// Lists the tests, or runs those that the arguments choose with each labelled case, in the protocol of nextest:
-/// `--list --format terse`, and `NAME --exact` for each test. Without `--exact`, a part of the name is enough.
+/// Lists the tests, or runs the selected ones with each labelled case, in nextest's protocol: `--list --format
+/// terse`, and `NAME --exact` for each test. Without `--exact`, a part of the name is enough.
 pub fn run<F: Copy, T: Copy>(
     tests: &[(&str, F)],
     cases: impl IntoIterator<Item = (String, T)>,

@@ -1,5 +1,5 @@
-//! What a program tries that wants out of its node. Each way is tried in a process of its own, so that what it breaks
-//! breaks nothing else; whoever is killed for it has not got out.
+//! Ways in which a program may try to get out of its node. Each is tried in a process of its own, so that its damage
+//! affects no other. A process that is killed for it has not got out.
 
 use std::{
     env,
@@ -25,7 +25,7 @@ use libc::{c_int, c_long, c_ulong};
 pub const HELPER: &str = "COTORRA_TEST_ESCAPES";
 const SECRET: &[u8] = super::SECRET.as_bytes();
 
-/// What the program was told of what is outside, as a spy would know.
+/// Facts about the outside that an attacker might know.
 pub struct Facts {
     pub core: u32,
     pub bystander: u32,
@@ -63,14 +63,14 @@ impl Facts {
     }
 }
 
-/// Whether it harms a machine on which nothing keeps it from succeeding.
+/// Whether it harms a machine that does not prevent it.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Harm {
     None,
     Some,
 }
 
-/// Says whether it got out.
+/// Returns whether it got out.
 type Way = fn(&Facts) -> bool;
 
 pub const WAYS: &[(&str, Harm, Way)] = &[
@@ -220,7 +220,7 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
     }),
     ("look into the init, which has a copy of the core's memory", Harm::None, |_| {
         let files = ["mem", "maps", "environ", "auxv"].map(|name| format!("/proc/1/{name}"));
-        // Those of descriptors can be counted, not opened.
+        // Descriptors can be counted, but not opened.
         let folders = ["fd/0", "ns/net", "root", "cwd", "exe"].map(|name| format!("/proc/1/{name}"));
         files
             .iter()
@@ -348,7 +348,7 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
             })
     }),
     ("type into a terminal", Harm::None, |_| {
-        // SAFETY: the pointer is to a live byte. Nobody is there who would read it.
+        // SAFETY: the pointer is to a live byte. Nobody reads the terminal.
         let typed = unsafe { libc::ioctl(0, libc::TIOCSTI, c"x".as_ptr()) };
         got_through(typed.into()) || File::open("/dev/tty").is_ok()
     }),
@@ -410,7 +410,7 @@ pub const WAYS: &[(&str, Harm, Way)] = &[
     }),
 ];
 
-/// Tries all ways, or those that harm nobody, and says for each whether it was held.
+/// Tries all ways, or only the harmless ones, and prints the result of each.
 pub fn attempt_all(harmful: bool) -> ExitCode {
     let facts = Facts::from_environment();
     for (name, harm, way) in WAYS.iter().filter(|(_, harm, _)| harmful || *harm == Harm::None) {
@@ -432,7 +432,7 @@ pub fn attempt_all(harmful: bool) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// A segment in this process's own IPC namespace.
+/// Creates a segment in this process's own IPC namespace.
 pub fn make_shared_memory() -> c_int {
     // SAFETY: takes no pointer.
     let id = unsafe { libc::shmget(libc::IPC_PRIVATE, 4096, 0o666) };
@@ -445,7 +445,7 @@ pub fn remove_shared_memory(id: c_int) {
     unsafe { libc::shmctl(id, libc::IPC_RMID, ptr::null_mut()) };
 }
 
-/// Whether there is a file beneath that others may not read, and this process may.
+/// Whether there is a file beneath that others may not read and this process may.
 fn reads_what_only_root_may(folder: &Path) -> bool {
     fs::read_dir(folder).into_iter().flatten().flatten().any(|entry| {
         let Ok(its) = entry.metadata() else { return false };
@@ -463,13 +463,13 @@ fn address(text: &'static std::ffi::CStr) -> c_long {
     text.as_ptr() as c_long
 }
 
-/// A system call whose arguments are live, or none.
+/// Makes a system call whose arguments are live, or none.
 fn call(number: c_long, [a, b, c, d, e]: [c_long; 5]) -> c_long {
     // SAFETY: what each takes is given where it is called.
     unsafe { libc::syscall(number, a, b, c, d, e) }
 }
 
-/// Whether the kernel looked at what was asked for, instead of at who asked.
+/// Whether the kernel processed the request instead of rejecting the caller.
 fn got_through(result: c_long) -> bool {
     let error = io::Error::last_os_error().raw_os_error();
     result >= 0 || !matches!(error, Some(libc::EPERM | libc::EACCES | libc::ENOSYS))
@@ -480,13 +480,13 @@ fn socket(family: c_int, kind: c_int) -> bool {
     unsafe { libc::socket(family, kind, 0) >= 0 }
 }
 
-/// Processes that can be seen, this one left out.
+/// Returns the visible processes except for this one.
 fn processes() -> impl Iterator<Item = u32> {
     let all = fs::read_dir("/proc").into_iter().flatten().flatten();
     all.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).filter(|pid| *pid != std::process::id())
 }
 
-/// Whether this process sees those of the whole machine: then process 1 is not the node's.
+/// Whether this process sees those of the whole machine: then process 1 is not the node's init.
 fn is_outermost() -> bool {
     fs::read_to_string("/proc/1/comm").is_ok_and(|name| name.trim() != "cotorra-init")
 }
