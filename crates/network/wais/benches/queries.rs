@@ -1,10 +1,10 @@
-//! Queries over HTTP to the service of 50 access points and 500 stations, which are surveyed anew every 20 ms: how many a
-//! second, how long they take, and how many one core could answer. `cargo bench -p cotorra-wais`
+//! Benchmarks HTTP queries to the service of 50 access points and 500 stations, surveyed every 20 ms: queries per
+//! second, their latency, and queries per second of CPU time. Run with `cargo bench -p cotorra-wais`.
 #![allow(
     missing_docs,
     clippy::unwrap_used,
     clippy::disallowed_types,
-    reason = "a benchmark goes by the wall clock"
+    reason = "a benchmark uses the wall clock"
 )]
 
 use std::{
@@ -66,7 +66,8 @@ fn serve() -> SocketAddr {
     }
     let units: Vec<_> = (0..ACCESS_POINTS).map(|ap| format!("a{ap}")).collect();
     writeln!(text, "  lan: {{ kind: switch }}\nlinks: [{{ ends: [lan, [{}]] }}]", units.join(", ")).unwrap();
-    let testbed = cotorra_testbed_file::parse("campus.yaml", &text, Path::new("")).expect("it is a good one");
+    let testbed =
+        cotorra_testbed_file::parse("campus.yaml", &text, Path::new("")).expect("a valid testbed file");
     let radio = (0..ACCESS_POINTS).map(|ap| {
         let id = NodeId::new(&format!("a{ap}")).unwrap();
         let stations = (ap..STATIONS).step_by(ACCESS_POINTS).map(|station| StationContext {
@@ -89,7 +90,7 @@ fn serve() -> SocketAddr {
     listener.set_nonblocking(true).unwrap();
     let address = listener.local_addr().unwrap();
     thread::spawn(move || {
-        // One thread, as a run has.
+        // One thread, as in a run.
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let listener = tokio::net::TcpListener::from_std(listener).unwrap();
@@ -127,7 +128,7 @@ impl Client {
     }
 }
 
-/// Seconds for which the server's thread was on a core.
+/// Returns the seconds of CPU time that the server's thread has used.
 fn cpu(address: SocketAddr) -> f64 {
     let text = String::from_utf8(Client::new(address).get("/cpu")).unwrap();
     text.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9

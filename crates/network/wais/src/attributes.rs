@@ -1,47 +1,43 @@
-//! The attributes of the data types that can be queried (ETSI GS MEC 028 v2.3.1, clauses 6.2 and 6.5), all of them:
-//! the standard lets filters and selectors name also those that this service leaves out.
+//! The attributes of the data types that can be queried (ETSI GS MEC 028 v2.3.1, clauses 6.2 and 6.5). All are
+//! listed: the standard lets filters and selectors also name attributes that this service omits.
 
 use Kind::{Address, Flag, Number, Structure, Text};
 
-/// An attribute of a data type.
 #[derive(Debug)]
 pub(crate) struct Attribute {
     pub(crate) name: &'static str,
     pub(crate) kind: Kind,
     /// Whether it is an array.
     pub(crate) many: bool,
-    /// Whether its cardinality begins with 1.
+    /// Whether its minimum cardinality is 1.
     pub(crate) required: bool,
 }
 
-/// What an attribute holds.
+/// Type of an attribute's value.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Kind {
-    /// A string.
     Text,
-    /// A MAC address: a string whose letters' case means nothing.
+    /// A MAC address: a string compared without regard to case.
     Address,
-    /// A number.
     Number,
-    /// True or false.
     Flag,
-    /// Attributes.
+    /// A structure with these attributes.
     Structure(&'static [Attribute]),
 }
 
 impl Attribute {
-    /// Whether it is a structure or an array, as ETSI GS MEC 009 says.
+    /// Whether it is a structure or an array, which ETSI GS MEC 009 calls complex.
     pub(crate) fn is_complex(&self) -> bool {
         self.many || matches!(self.kind, Structure(_))
     }
 }
 
-/// The attribute of that name.
 pub(crate) fn find(attributes: &'static [Attribute], name: &str) -> Option<&'static Attribute> {
     attributes.iter().find(|attribute| attribute.name == name)
 }
 
-/// `name: kind` for one, `name: [kind]` for an array, `!` before what is required.
+/// Declares the attributes of data types: `name: kind` for one, `name: [kind]` for an array, `!` before required
+/// ones.
 macro_rules! attributes {
     (@kind $kind:ident) => { $kind };
     (@kind ($kind:ident)) => { Structure($kind) };
@@ -59,7 +55,7 @@ macro_rules! attributes {
     };
 }
 
-/// Attributes that all hold one kind, none of them an array.
+/// Declares a data type whose attributes all have one kind, none of them an array.
 macro_rules! alike {
     ($data_type:ident $required:literal $kind:ident: $($name:literal)*) => {
         static $data_type: &[Attribute] =

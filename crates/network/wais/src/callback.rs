@@ -1,44 +1,46 @@
-//! Where notifications may be sent: an URI that a consumer gives, on a network that the operator allows. The check is of
-//! the address that is then connected to, so that a name cannot lead elsewhere between the two.
+//! Callbacks: URIs for notifications, restricted to networks that the operator allows. The check applies to the
+//! address that is then connected to, so that a name cannot be resolved differently in between.
 
 use std::net::{IpAddr, SocketAddr};
 
 use cotorra_graph::IpNetwork;
 
-/// Why nothing is sent there.
+/// A callback that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CallbackError {
-    /// No URI that this service can post to.
-    #[error("`{0}` is not a callback: write it like http://host:port/path, without user or https")]
+    /// The text is not a URI that this service can post to.
+    #[error(
+        "`{0}` is not a callback: write it like http://host:port/path, without a user name, and not https"
+    )]
     Invalid(String),
-    /// Nobody knows the host.
+    /// The host has no address.
     #[error("the callback's host `{0}` has no address")]
     Unknown(String),
-    /// The operator does not allow it.
+    /// The operator does not allow the address.
     #[error(
-        "callbacks to {0} are not allowed: the operator allows what the testbed file (wais.callbacks) or --wais-callbacks \
-         names, and loopback to itself only"
+        "callbacks to {0} are not allowed: name their network in the testbed file (wais.callbacks) or in \
+         --wais-callbacks; only the operator may use loopback"
     )]
     Forbidden(IpAddr),
 }
 
-/// An URI that notifications can be posted to.
+/// A URI that notifications can be posted to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Callback {
-    /// As it was given.
+    /// The URI as given.
     pub uri: String,
-    /// Name or address; an IPv6 address without its brackets.
+    /// Name or address; IPv6 addresses without brackets.
     pub host: String,
-    /// 80 unless it says so.
+    /// 80 unless given.
     pub port: u16,
-    /// What is asked for there: path and query.
+    /// Path and query.
     pub target: String,
-    /// What is written as `Host`.
+    /// Value of the `Host` header.
     pub authority: String,
 }
 
 impl Callback {
-    /// Reads an `http://…` URI.
+    /// Parses an `http://…` URI.
     ///
     /// # Errors
     /// [`CallbackError::Invalid`].
@@ -51,7 +53,7 @@ impl Callback {
         if !is_http || host.is_empty() || authority.as_str().contains('@') {
             return Err(invalid());
         }
-        // A port that is written must be one.
+        // A port that is given must be valid.
         let port = match authority.as_str().rsplit_once(':') {
             Some((_, digits)) if !digits.contains(']') => digits.parse().map_err(|_| invalid())?,
             _ => 80,
@@ -71,23 +73,23 @@ impl Callback {
 pub struct Allowed(Vec<IpNetwork>);
 
 impl Allowed {
-    /// These, and no other.
+    /// Allows only these networks.
     pub fn new(networks: impl IntoIterator<Item = IpNetwork>) -> Self {
         Self(networks.into_iter().collect())
     }
 
-    /// And loopback, where services listen that trust whoever reaches them: for those who may do anything on this machine's
-    /// testbed.
+    /// Also allows loopback addresses, where services may listen that trust every caller. Only for consumers with
+    /// full rights over the testbed.
     #[must_use]
     pub fn and_loopback(mut self) -> Self {
         self.0.extend(IpNetwork::LOOPBACK);
         self
     }
 
-    /// The first of a host's addresses that may be connected to.
+    /// Returns the first of a host's addresses that is allowed.
     ///
     /// # Errors
-    /// [`CallbackError`] when there is none.
+    /// [`CallbackError`] if there is none.
     pub fn choose(
         &self,
         host: &str,
@@ -109,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn uris_are_taken_apart() {
+    fn uris_are_parsed() {
         for (uri, host, port, target) in [
             ("http://127.0.0.1:8080/a/b?c=d", "127.0.0.1", 8080, "/a/b?c=d"),
             ("http://[::1]:8080", "::1", 8080, "/"),

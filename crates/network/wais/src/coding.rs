@@ -1,26 +1,28 @@
-//! How figures are coded on the way out: IEEE 802.11-2016 for the radio, RFC 6225 for places.
+//! Encodes figures for answers: radio figures by IEEE 802.11-2016, places by RFC 6225.
 
 use cotorra_graph::{Dbm, GeoOrigin, Position, WifiStandard};
 
 use crate::types::GeoLocation;
 
-/// RCPI of a received power (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110) rounded, P in dBm, from 0 (-110 dBm or less) to
-/// 220 (0 dBm or more).
+/// Encodes a received power as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110) rounded, P in dBm, from 0 (-110 dBm or
+/// less) to 220 (0 dBm or more).
 pub(crate) fn rcpi(power: Dbm) -> u8 {
     ((power.0 + 110.0) * 2.0).round().clamp(0.0, 220.0) as u8
 }
 
-/// RSNI of a power over the noise floor (IEEE 802.11-2016, 9.4.2.41): 2·(SNR + 10) rounded, SNR in dB, from 0 to 254.
+/// Encodes a signal-to-noise ratio as RSNI (IEEE 802.11-2016, 9.4.2.41): 2·(SNR + 10) rounded, SNR in dB, from 0 to
+/// 254.
 pub(crate) fn rsni(power: Dbm, noise_floor: Dbm) -> u8 {
     ((power.0 - noise_floor.0 + 10.0) * 2.0).round().clamp(0.0, 254.0) as u8
 }
 
-/// A share of the time, 255 being all of it.
+/// Encodes a share of time, 255 being all of it.
 pub(crate) fn share(share: f64) -> u8 {
     (share * 255.0).round().clamp(0.0, 255.0) as u8
 }
 
-/// The global operating class of a 20 MHz channel (IEEE 802.11-2016, Table E-4); `None` for a channel of none.
+/// Returns the global operating class of a 20 MHz channel (IEEE 802.11-2016, Table E-4); `None` for a channel without
+/// one.
 pub(crate) fn operating_class(standard: WifiStandard, channel: u8) -> Option<u8> {
     match (standard, channel) {
         (WifiStandard::G | WifiStandard::N, 1..=13) => Some(81),
@@ -33,7 +35,7 @@ pub(crate) fn operating_class(standard: WifiStandard, channel: u8) -> Option<u8>
     }
 }
 
-/// `dot11PHYType` (IEEE 802.11-2016, Annex C).
+/// Returns `dot11PHYType` (IEEE 802.11-2016, Annex C).
 pub(crate) fn phy_type(standard: WifiStandard) -> u8 {
     match standard {
         WifiStandard::A => 4,
@@ -43,11 +45,11 @@ pub(crate) fn phy_type(standard: WifiStandard) -> u8 {
     }
 }
 
-/// Metres of a degree of latitude: the mean meridian of WGS 84.
+/// Metres per degree of latitude: the mean meridian of WGS 84.
 const METRES_A_DEGREE: f64 = 111_195.0;
 
-/// Where a place on the map is on Earth: on the plane that touches Earth at the map's origin, which over the size of a
-/// campus is right to centimetres.
+/// Converts a place on the map to a place on Earth. It uses the plane tangent to Earth at the map's origin, which is
+/// accurate to centimetres over the size of a campus.
 pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
     let (sin, cos) = origin.bearing.sin_cos();
     let north_m = place.y * cos - place.x * sin;
@@ -58,7 +60,7 @@ pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
         lat_uncertainty: 0,
         lat: fixed_point(latitude.clamp(-90.0, 90.0)),
         long_uncertainty: 0,
-        // At a pole every longitude is as good.
+        // At a pole every longitude is valid.
         long: fixed_point(if longitude.is_finite() { longitude.clamp(-180.0, 180.0) } else { 0.0 }),
         datum: 1,
         altitude_type: origin.altitude.map(|_| 1),
@@ -67,13 +69,13 @@ pub(crate) fn geolocation(origin: &GeoOrigin, place: Position) -> GeoLocation {
     }
 }
 
-/// RFC 6225, 2.4.1: two's complement in 30 bits, 8 of them fraction.
+/// Encodes an altitude (RFC 6225, 2.4.1): two's complement in 30 bits, 8 of them fraction.
 fn height(metres: f64) -> u32 {
     let most = f64::from((1 << 29) - 1);
     ((metres * 256.0).round().clamp(-most, most) as i32).cast_unsigned() & ((1 << 30) - 1)
 }
 
-/// RFC 6225, 2.3: two's complement in 34 bits, 25 of them fraction.
+/// Encodes an angle (RFC 6225, 2.3): two's complement in 34 bits, 25 of them fraction.
 fn fixed_point(degrees: f64) -> u64 {
     ((degrees * f64::from(1 << 25)).round() as i64 as u64) & ((1 << 34) - 1)
 }
@@ -83,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn powers_are_coded_in_half_decibels() {
+    fn powers_are_encoded_in_half_decibels() {
         for (dbm, code) in [(-110.0, 0), (-109.5, 1), (-60.0, 100), (0.0, 220), (5.0, 220), (-200.0, 0)] {
             assert_eq!(rcpi(Dbm(dbm)), code, "{dbm}");
         }
@@ -93,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn channels_have_the_classes_of_their_bands() {
+    fn channels_have_the_operating_classes_of_their_bands() {
         assert_eq!(operating_class(WifiStandard::N, 6), Some(81));
         assert_eq!(operating_class(WifiStandard::Ac, 36), Some(115));
         assert_eq!(operating_class(WifiStandard::A, 157), Some(125));
@@ -106,13 +108,13 @@ mod tests {
     }
 
     #[test]
-    fn places_on_the_map_are_places_on_earth() {
+    fn map_places_convert_to_earth() {
         let origin = GeoOrigin { latitude: -33.5, longitude: 151.25, bearing: 0.0, altitude: None };
         let there = geolocation(&origin, Position::new(0.0, 0.0));
         assert_eq!((degrees(there.lat), degrees(there.long), there.datum), (-33.5, 151.25, 1));
         let north = geolocation(&origin, Position::new(0.0, METRES_A_DEGREE / 100.0));
         assert!((degrees(north.lat) + 33.49).abs() < 1e-6);
-        // With the y axis to the east, what is up on the map is in the east.
+        // With the y axis to the east, up on the map is east.
         let turned = GeoOrigin { bearing: std::f64::consts::FRAC_PI_2, ..origin };
         let east = geolocation(&turned, Position::new(0.0, 1000.0));
         assert!((degrees(east.lat) + 33.5).abs() < 1e-6 && degrees(east.long) > 151.26);

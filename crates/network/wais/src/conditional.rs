@@ -1,17 +1,17 @@
-//! Conditional requests (RFC 9110, clause 13): entity tags, and what `If-Match` and `If-None-Match` say about them.
+//! Conditional requests (RFC 9110, clause 13): comparison of entity tags with `If-Match` and `If-None-Match`.
 
-/// Whether `If-Match` lets a change pass: no header, `*`, or a tag that is the resource's. Weak tags match nothing.
+/// Whether `If-Match` permits a change: no header, `*`, or the resource's tag. Weak tags never match.
 pub(crate) fn may_change(if_match: Option<&str>, etag: &str) -> bool {
     if_match.is_none_or(|header| tags(header).any(|tag| tag == "*" || tag == etag))
 }
 
-/// Whether `If-None-Match` says that the requester has it already: `*`, or a tag that is the resource's, weak or not.
+/// Whether `If-None-Match` shows that the requester has the resource already: `*`, or its tag, weak or not.
 pub(crate) fn is_known(if_none_match: Option<&str>, etag: &str) -> bool {
     let strong = |tag: &str| tag.strip_prefix("W/").unwrap_or(tag) == etag;
     if_none_match.is_some_and(|header| tags(header).any(|tag| tag == "*" || strong(tag)))
 }
 
-/// Tags with commas between. The tags of this service have none in them.
+/// Splits a list of tags at commas. This service's own tags contain none.
 fn tags(header: &str) -> impl Iterator<Item = &str> {
     header.split(',').map(str::trim)
 }
@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tags_decide() {
+    fn matching_tags_permit_changes_and_save_answers() {
         let etag = "\"1-2\"";
         for (header, changes, known) in [
             (None, true, false),

@@ -1,5 +1,6 @@
-//! Attribute filters (ETSI GS MEC 009, clause 6.19): `(op,attribute/attribute,value)`, several of them with `;` between,
-//! all of which must hold. Read once and checked against the data type, then tested against many objects.
+//! Attribute filters (ETSI GS MEC 009, clause 6.19): expressions `(op,attribute/attribute,value)` separated by `;`,
+//! all of which must hold. A filter is parsed and checked against the data type once, then tested against many
+//! objects.
 
 use std::fmt;
 
@@ -7,11 +8,11 @@ use serde_json::Value;
 
 use crate::attributes::{Attribute, Kind, find};
 
-/// Why a text is no filter.
+/// A text that is not a filter.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the filter is wrong at character {}: {what}", at + 1)]
+#[error("invalid filter at character {}: {what}", at + 1)]
 pub struct FilterError {
-    /// Characters before it.
+    /// Number of characters before the error.
     at: usize,
     what: String,
 }
@@ -22,9 +23,9 @@ pub struct Filter {
     root: Node,
 }
 
-/// What is asked of an attribute: of itself, and of the attributes in it.
+/// Tests of an attribute and of the attributes in it.
 ///
-/// Expressions with a prefix in common are kept together, because one element of an array must meet all of them.
+/// Expressions with a common prefix are kept together, because a single element of an array must meet all of them.
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Node {
     name: &'static str,
@@ -83,31 +84,31 @@ impl Op {
         matches!(self, Self::In | Self::Nin | Self::Cont | Self::Ncont)
     }
 
-    /// Whether attributes of this kind can be compared so, and with what if not.
+    /// Checks that the operator applies to attributes of this kind. The error names the kind that it compares.
     fn suits(self, kind: Kind) -> Result<(), &'static str> {
         match (self, kind) {
             (Self::Gt | Self::Lt | Self::Gte | Self::Lte, Kind::Text | Kind::Address | Kind::Flag) => {
                 Err("numbers")
             }
-            (Self::Cont | Self::Ncont, Kind::Number | Kind::Flag) => Err("texts"),
+            (Self::Cont | Self::Ncont, Kind::Number | Kind::Flag) => Err("strings"),
             _ => Ok(()),
         }
     }
 }
 
 impl Filter {
-    /// Reads a filter of access points' information (`ApInfo`).
+    /// Parses a filter of access point information (`ApInfo`).
     ///
     /// # Errors
-    /// [`FilterError`], with the place and what would be right.
+    /// [`FilterError`] with the place and the expected text.
     pub fn of_access_points(text: &str) -> Result<Self, FilterError> {
         Self::parse(text, crate::attributes::AP_INFO)
     }
 
-    /// Reads a filter of stations' information (`StaInfo`).
+    /// Parses a filter of station information (`StaInfo`).
     ///
     /// # Errors
-    /// [`FilterError`], with the place and what would be right.
+    /// [`FilterError`] with the place and the expected text.
     pub fn of_stations(text: &str) -> Result<Self, FilterError> {
         Self::parse(text, crate::attributes::STA_INFO)
     }
@@ -118,10 +119,10 @@ impl Filter {
         loop {
             reader.expect('(', "an expression begins with `(`, as in (eq,channel,6)")?;
             let (op, at) = reader.op()?;
-            reader.expect(',', "behind the operator comes `,` and an attribute")?;
+            reader.expect(',', "expected `,` and an attribute after the operator")?;
             let (node, attribute) = reader.attribute(of, &mut root)?;
             if let Err(others) = op.suits(attribute.kind) {
-                let what = format!("`{}` compares {others}, and `{}` is none", op.name(), attribute.name);
+                let what = format!("`{}` compares {others}, but `{}` is none", op.name(), attribute.name);
                 return Err(FilterError { at, what });
             }
             let mut values = Vec::new();
@@ -129,7 +130,7 @@ impl Filter {
                 values.push(reader.value(attribute)?);
             }
             match values.len() {
-                0 => return reader.fail("behind the attribute comes `,` and a value"),
+                0 => return reader.fail("expected `,` and a value after the attribute"),
                 1 => {}
                 _ if op.takes_many() => {}
                 _ => return reader.fail(&format!("`{}` takes one value", op.name())),
@@ -139,12 +140,12 @@ impl Filter {
             if reader.is_at_end() {
                 return Ok(Self { root });
             }
-            reader.expect(';', "between expressions stands `;`")?;
+            reader.expect(';', "expected `;` between expressions")?;
         }
     }
 
-    /// Whether an object meets all expressions. Where an array is on the way, one of its elements must meet all that is
-    /// asked behind the same prefix. An attribute that is left out meets none, `neq` no more than `eq`.
+    /// Whether an object meets all expressions. If an array is on the path, one of its elements must meet all
+    /// expressions with the same prefix. A missing attribute meets no expression, neither `eq` nor `neq`.
     pub fn matches(&self, object: &Value) -> bool {
         self.root.is_met(object)
     }
@@ -191,7 +192,7 @@ impl Node {
     }
 }
 
-/// The filter as text; reading it again gives the same filter.
+/// The filter as text. Parsing it gives the same filter.
 impl fmt::Display for Filter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.root.write("", &mut true, f)
@@ -239,7 +240,7 @@ impl Constant {
     }
 }
 
-/// Where reading has come to.
+/// Parser state.
 struct Reader<'a> {
     text: &'a str,
     /// Bytes read.
@@ -269,7 +270,7 @@ impl<'a> Reader<'a> {
         if self.take(wanted) { Ok(()) } else { self.fail(what) }
     }
 
-    /// Everything up to one of these characters, which is not taken.
+    /// Reads up to one of these characters, which is not consumed.
     fn until(&mut self, ends: &[char]) -> &'a str {
         let rest = self.rest();
         let word = &rest[..rest.find(ends).unwrap_or(rest.len())];
@@ -288,7 +289,7 @@ impl<'a> Reader<'a> {
         Ok((*op, self.text[..before].chars().count()))
     }
 
-    /// The attribute that a path leads to, and its place among what is asked.
+    /// Reads a path. Returns its attribute and the attribute's node.
     fn attribute<'n>(
         &mut self,
         of: &'static [Attribute],
@@ -307,8 +308,7 @@ impl<'a> Reader<'a> {
             match (attribute.kind, self.take('/')) {
                 (Kind::Structure(inner), true) => among = inner,
                 (Kind::Structure(_), false) => {
-                    return self
-                        .fail(&format!("`{name}` has attributes: write one of them behind `{name}/`"));
+                    return self.fail(&format!("`{name}` has attributes: name one of them after `{name}/`"));
                 }
                 (_, true) => return self.fail(&format!("`{name}` has no attributes")),
                 (_, false) => return Ok((node, attribute)),
@@ -316,7 +316,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A value, in single quotes if it holds a quote, a comma or a bracket; in them a quote is written twice.
+    /// Reads a value. It is in single quotes if it contains a quote, a comma or a bracket; a quote in it is doubled.
     fn value(&mut self, attribute: &Attribute) -> Result<Constant, FilterError> {
         let before = self.at;
         let text = if self.take('\'') {
@@ -334,7 +334,7 @@ impl<'a> Reader<'a> {
         } else {
             let text = self.until(&[',', ')', '\'']);
             if self.rest().starts_with('\'') {
-                return self.fail("a value with a quote in it is written in quotes, and the quote twice");
+                return self.fail("put a value with a quote in quotes, and double the quote");
             }
             text.to_owned()
         };

@@ -1,8 +1,8 @@
-//! The WLAN Access Information Service of ETSI GS MEC 028 v2.3.1: what the testbed knows of its radio, in the standard's
-//! terms, for MEC applications that speak it already. docs/wais.md says what maps to what.
+//! The WLAN Access Information Service of ETSI GS MEC 028 v2.3.1: the testbed's radio state in the standard's terms,
+//! for MEC applications that use it already. docs/wais.md has the mapping.
 //!
 //! [`Wais`] is a state machine: surveys and requests go in with the time, answers and notifications come out.
-//! [`http`] is the shell around it, which owns sockets and waits.
+//! [`http`] owns sockets and waits.
 #![forbid(unsafe_code)]
 
 mod attributes;

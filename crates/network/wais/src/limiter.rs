@@ -1,4 +1,4 @@
-//! How often resources may be changed: a token bucket on the run's time.
+//! Limits the rate of changes to resources: a token bucket on the run's time.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use cotorra_graph::Timestamp;
 
 /// Changes at once.
 const BURST: f64 = 500.0;
-/// Changes a second in the long run.
+/// Changes per second in the long run.
 const RATE: f64 = 200.0;
 
 #[derive(Debug)]
@@ -22,7 +22,7 @@ impl Default for Limiter {
 }
 
 impl Limiter {
-    /// Whether there may be another change now; if not, after how long.
+    /// Admits a change, or returns the time until the next one is admitted.
     pub(crate) fn admit(&mut self, now: Timestamp) -> Result<(), Duration> {
         self.tokens = (self.tokens + now.since(self.since).as_secs_f64() * RATE).min(BURST);
         self.since = self.since.max(now);
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_burst_passes_and_then_the_rate() {
+    fn bursts_pass_then_the_rate_applies() {
         let mut limiter = Limiter::default();
         let admitted = |limiter: &mut Limiter, at: f64| {
             (0..1000).filter(|_| limiter.admit(Timestamp::from_secs_f64(at)).is_ok()).count()

@@ -1,4 +1,5 @@
-//! Reports of measurements from a survey: channel loads, beacons that stations hear, neighbors that they could go to.
+//! Computes measurement reports from a survey: channel loads, beacons that stations hear, neighbors that they could
+//! roam to.
 
 use std::sync::Arc;
 
@@ -16,7 +17,8 @@ use crate::{
     },
 };
 
-/// The standard's type for the time that a load was measured over holds no more; it was measured over a second.
+/// Duration of a load measurement in units of 1024 µs. A load is measured over a second, but the standard's type
+/// holds no more.
 const MEASUREMENT_DURATION: u8 = 255;
 
 /// Reports by kind.
@@ -37,7 +39,7 @@ pub(crate) struct Measured<'a> {
 }
 
 impl Measured<'_> {
-    /// Adds what this measurement gives.
+    /// Adds the reports of this measurement.
     pub(crate) fn report(&self, info: &MeasurementInfo, reports: &mut Reports) {
         if let Some(wanted) = &info.channel_load_conf {
             reports.channel_load.extend(self.channel_load(wanted));
@@ -104,7 +106,7 @@ impl Measured<'_> {
     fn neighbors(&self, wanted: &NeighborReportConfig, reports: &mut Vec<NeighborReport>) {
         let serving = self.survey.unit_of(self.station);
         let ssid = wanted.ssid.as_ref().unwrap_or(&serving.ssid);
-        // Without a network, an access point is not asked for by name, either.
+        // Without an SSID, the BSSID is ignored, too.
         let bssid: Option<Mac> = wanted.bssid.filter(|_| wanted.ssid.is_some());
         for unit in self.survey.units() {
             let Some(operating_class) = unit.operating_class else { continue };
@@ -124,12 +126,12 @@ impl Measured<'_> {
     }
 }
 
-/// What an emulated access point can do, beside the one that serves a station.
+/// Returns the properties of an emulated access point as seen from the serving one.
 fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
     use cotorra_graph::{WifiStandard::Ac, WifiStandard::N};
     let same = unit.ssid == serving.ssid;
     BssidInfo {
-        // Its network's access points can be reached, of others it is not known.
+        // Access points of the same network are reachable. For others this is unknown.
         ap_reachability: if same { 3 } else { 2 },
         security: same,
         capabilities: BssCapabilities {
@@ -147,7 +149,7 @@ fn bssid_info(unit: &Unit, serving: &Unit) -> BssidInfo {
     }
 }
 
-/// How well a beacon was heard.
+/// Strength of a received beacon.
 #[derive(Debug, Clone, Copy)]
 struct Levels {
     rcpi: u8,
@@ -159,7 +161,8 @@ impl Levels {
         Self { rcpi: rcpi(signal), rsni: rsni(signal, unit.noise_floor) }
     }
 
-    /// IEEE 802.11-2016, Table 9-89. Beside a serving access point that is not heard nothing can be set.
+    /// Whether the reporting condition is met (IEEE 802.11-2016, Table 9-89). Conditions relative to a serving access
+    /// point that is not heard are never met.
     fn meet(self, wanted: &BeaconReportingConfig, serving: Option<Self>) -> bool {
         let threshold = i16::from(wanted.threshold);
         let offset = i16::from(wanted.threshold as i8);
@@ -195,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reporting_conditions_are_those_of_the_standard() {
+    fn reporting_conditions_follow_the_standard() {
         let serving = Levels { rcpi: 100, rsni: 60 };
         let stronger = Levels { rcpi: 110, rsni: 70 };
         let weaker = Levels { rcpi: 90, rsni: 50 };

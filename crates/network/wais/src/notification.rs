@@ -1,4 +1,4 @@
-//! Notifications (ETSI GS MEC 028 v2.3.1, clause 6.4): what each says, and when a subscription's is due.
+//! Notifications (ETSI GS MEC 028 v2.3.1, clause 6.4): their contents, and when they are due.
 
 use std::{collections::BTreeSet, sync::Arc, time::Duration};
 
@@ -19,22 +19,21 @@ use crate::{
     view::data_rate,
 };
 
-/// Radio units tell what they know once a second: no measurement is newer.
+/// Interval of radio units' reports: no measurement is newer.
 const MEASUREMENT: Duration = Duration::from_secs(1);
-/// IEEE 802.11's unit of time.
+/// Time unit of IEEE 802.11.
 const TIME_UNIT: Duration = Duration::from_micros(1024);
 
-/// What consumers are told.
+/// A notification to a consumer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "notificationType")]
 pub enum Notification {
-    /// Who is associated with an access point (6.4.2).
+    /// Stations associated with an access point (6.4.2).
     #[serde(rename_all = "camelCase")]
     AssocStaNotification {
-        /// When that was known.
+        /// Time of the survey.
         time_stamp: TimeStamp,
-        /// The access point.
         ap_id: ApIdentity,
         /// Its stations.
         sta_id: Vec<StaIdentity>,
@@ -42,41 +41,40 @@ pub enum Notification {
     /// Rates of stations (6.4.3).
     #[serde(rename_all = "camelCase")]
     StaDataRateNotification {
-        /// When they were known.
+        /// Time of the survey.
         time_stamp: TimeStamp,
-        /// Those of stations that are associated, and meet the threshold if there is one.
+        /// Rates of associated stations that meet the threshold, if there is one.
         sta_data_rate: Vec<StaDataRate>,
     },
     /// A subscription is about to expire (6.4.4).
     #[serde(rename_all = "camelCase")]
     ExpiryNotification {
-        /// Which.
+        /// The subscription.
         #[serde(rename = "_links")]
         links: ToSubscription,
-        /// When.
+        /// Time of expiry.
         expiry_deadline: TimeStamp,
     },
-    /// Reports of a measurement, of one kind (6.4.5).
+    /// Reports of one kind of measurement (6.4.5).
     #[serde(rename_all = "camelCase")]
     MeasurementReportNotification {
-        /// When that was known.
+        /// Time of the survey.
         time_stamp: TimeStamp,
-        /// What stations hear.
+        /// Beacons that stations hear.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         #[cfg_attr(feature = "openapi", schema(required = false))]
         beacon_report: Vec<BeaconReport>,
-        /// Access points that they could go to.
+        /// Access points that they could roam to.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         #[cfg_attr(feature = "openapi", schema(required = false))]
         neighbor_report: Vec<NeighborReport>,
-        /// How busy channels are.
+        /// Loads of channels.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         #[cfg_attr(feature = "openapi", schema(required = false))]
         channel_load: Vec<ChannelLoad>,
     },
     /// Tests that notifications arrive (6.4.6).
     TestNotification {
-        /// The subscription.
         #[serde(rename = "_links")]
         links: ToSubscription,
     },
@@ -91,7 +89,7 @@ impl Notification {
         Self::ExpiryNotification { links: to(href), expiry_deadline }
     }
 
-    /// As it is sent.
+    /// Encodes the notification as it is sent.
     pub(crate) fn to_json(&self) -> Arc<str> {
         serde_json::to_string(self).expect("a notification holds only what JSON can").into()
     }
@@ -101,13 +99,13 @@ fn to(href: &str) -> ToSubscription {
     ToSubscription { subscription: LinkType { href: href.to_owned() } }
 }
 
-/// When a subscription's notifications are due, and what it takes.
+/// Schedule of a subscription's notifications.
 #[derive(Debug, Default)]
 pub(crate) struct Schedule {
-    /// Between notifications; without one, they go out when a threshold is reached.
+    /// Interval between notifications. Without one, they are sent when a threshold is reached.
     period: Option<Duration>,
     next: Timestamp,
-    /// Of the stations, or of all of them under no name, those that met the threshold when last looked at.
+    /// Stations that met the threshold at the last poll. `None` stands for a threshold on the number of stations.
     met: BTreeSet<Option<Mac>>,
 }
 
@@ -125,12 +123,12 @@ impl Schedule {
         Self { period, next: period.map_or(now, |period| now + period), met: BTreeSet::new() }
     }
 
-    /// When there may be something to say even if nothing changed.
+    /// Returns when a notification may be due even if nothing changes.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         self.period.map(|_| self.next)
     }
 
-    /// What a subscription has to say now.
+    /// Returns the notification that is due now, if any.
     pub(crate) fn poll(
         &mut self,
         now: Timestamp,
@@ -142,7 +140,7 @@ impl Schedule {
             if now < self.next {
                 return None;
             }
-            // Periods that nobody looked at are gone.
+            // Missed periods are skipped.
             while self.next <= now {
                 self.next = self.next + period;
             }
@@ -155,7 +153,8 @@ impl Schedule {
         }
     }
 
-    /// Keeps of what meets a threshold what is to be told: all of it periodically, otherwise what did not meet it before.
+    /// Returns which of those meeting a threshold to report: all of them periodically, otherwise those that did not
+    /// meet it before.
     fn news(&mut self, met: BTreeSet<Option<Mac>>) -> BTreeSet<Option<Mac>> {
         let news = if self.period.is_some() { met.clone() } else { &met - &self.met };
         self.met = met;

@@ -1,41 +1,40 @@
-//! Notifications on their way to one consumer, in order: one at a time, tried again with longer and longer pauses, and
-//! dropped in the end. A consumer that is slow or dead costs a bounded amount of memory, and nobody else anything.
+//! Queue of notifications to one consumer. They are sent in order, one at a time, retried with growing pauses, and
+//! finally dropped. A slow or dead consumer costs a bounded amount of memory and affects no other.
 
 use std::{collections::VecDeque, sync::Arc, time::Duration};
 
 use cotorra_graph::Timestamp;
 
-/// Notifications that wait at the most; then the oldest is dropped.
+/// Most notifications that may wait; beyond it the oldest is dropped.
 pub(crate) const WAITING: usize = 64;
-/// A notification is tried so often …
+/// Attempts per notification.
 pub(crate) const ATTEMPTS: u32 = 5;
-/// … the second time after so long, and then twice as long each time …
+/// Pause before the second attempt. It doubles each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
-/// … but never longer than this.
+/// Longest pause between attempts.
 const LONGEST_PAUSE: Duration = Duration::from_secs(8);
 
-/// What came of an attempt.
+/// Outcome of an attempt.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
-    /// The consumer took it.
     Delivered,
-    /// It may go better next time.
+    /// A retry may succeed.
     Failed(String),
-    /// It will not.
+    /// A retry is pointless.
     Refused(String),
 }
 
 #[derive(Debug)]
 pub(crate) struct Outbox {
     waiting: VecDeque<Arc<str>>,
-    /// Whether anything can be sent: always to a callback, to a WebSocket while it is open.
+    /// Whether sending is possible: always to a callback, to a WebSocket while it is open.
     open: bool,
-    /// The attempt that is under way.
-    under_way: Option<u64>,
+    /// The current attempt.
+    current: Option<u64>,
     attempts: u32,
     retry_at: Timestamp,
-    /// A drop is told once, until something is delivered.
-    told: bool,
+    /// Whether a drop was reported since the last delivery.
+    reported: bool,
 }
 
 impl Outbox {
@@ -43,41 +42,41 @@ impl Outbox {
         Self {
             waiting: VecDeque::new(),
             open,
-            under_way: None,
+            current: None,
             attempts: 0,
             retry_at: Timestamp::ZERO,
-            told: false,
+            reported: false,
         }
     }
 
-    /// Adds a notification; gives the complaint if that drops another.
+    /// Adds a notification. Returns a complaint if another was dropped for it.
     pub(crate) fn push(&mut self, notification: Arc<str>) -> Option<String> {
         self.waiting.push_back(notification);
         if self.waiting.len() <= WAITING {
             return None;
         }
-        // The one under way cannot be called back.
-        self.waiting.remove(usize::from(self.under_way.is_some()));
+        // The one being sent cannot be recalled.
+        self.waiting.remove(usize::from(self.current.is_some()));
         self.complain(|| format!("{WAITING} notifications wait already: the oldest was dropped"))
     }
 
-    /// The next to be sent, if it is time; `attempt` names it.
+    /// Returns the next notification if one is due. `attempt` identifies the attempt.
     pub(crate) fn poll(&mut self, now: Timestamp, attempt: u64) -> Option<Arc<str>> {
         if self.deadline().is_none_or(|at| at > now) {
             return None;
         }
-        self.under_way = Some(attempt);
+        self.current = Some(attempt);
         self.waiting.front().cloned()
     }
 
-    /// When there is something to be sent.
+    /// Returns when the next notification is due.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
-        (self.open && self.under_way.is_none() && !self.waiting.is_empty()).then_some(self.retry_at)
+        (self.open && self.current.is_none() && !self.waiting.is_empty()).then_some(self.retry_at)
     }
 
-    /// An attempt is over; gives the complaint if its notification was dropped.
+    /// Ends an attempt. Returns a complaint if its notification was dropped.
     pub(crate) fn done(&mut self, now: Timestamp, attempt: u64, outcome: Outcome) -> Option<String> {
-        self.under_way.take_if(|under_way| *under_way == attempt)?;
+        self.current.take_if(|current| *current == attempt)?;
         self.attempts += 1;
         match outcome {
             Outcome::Failed(_) if self.attempts < ATTEMPTS => {
@@ -85,7 +84,7 @@ impl Outbox {
                 self.retry_at = now + pause.min(LONGEST_PAUSE);
                 return None;
             }
-            Outcome::Delivered => self.told = false,
+            Outcome::Delivered => self.reported = false,
             Outcome::Failed(_) | Outcome::Refused(_) => {}
         }
         let attempts = std::mem::take(&mut self.attempts);
@@ -99,13 +98,13 @@ impl Outbox {
         }
     }
 
-    /// Something can be sent from now on, or cannot any more; what was under way is tried again.
+    /// Sets whether sending is possible. The current attempt will be repeated.
     pub(crate) fn set_open(&mut self, open: bool) {
-        (self.open, self.under_way) = (open, None);
+        (self.open, self.current) = (open, None);
     }
 
     fn complain(&mut self, complaint: impl FnOnce() -> String) -> Option<String> {
-        (!std::mem::replace(&mut self.told, true)).then(complaint)
+        (!std::mem::replace(&mut self.reported, true)).then(complaint)
     }
 }
 
@@ -122,14 +121,14 @@ mod tests {
     }
 
     #[test]
-    fn one_goes_at_a_time_and_in_order() {
+    fn notifications_are_sent_in_order_one_at_a_time() {
         let mut outbox = Outbox::new(true);
         for text in ["a", "b"] {
             assert_eq!(outbox.push(text.into()), None);
         }
         assert_eq!(outbox.poll(at(0.0), 1).as_deref(), Some("a"));
-        assert_eq!(outbox.poll(at(9.0), 2), None, "one is under way");
-        assert_eq!(outbox.done(at(9.0), 7, Outcome::Delivered), None, "of another attempt");
+        assert_eq!(outbox.poll(at(9.0), 2), None, "one is being sent");
+        assert_eq!(outbox.done(at(9.0), 7, Outcome::Delivered), None, "from another attempt");
         outbox.done(at(9.0), 1, Outcome::Delivered);
         assert_eq!(outbox.poll(at(9.0), 2).as_deref(), Some("b"));
         outbox.done(at(9.0), 2, Outcome::Delivered);
@@ -137,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_grow_and_in_the_end_it_is_dropped_and_told_once() {
+    fn pauses_grow_and_a_drop_is_reported_once() {
         let mut outbox = Outbox::new(true);
         outbox.push("a".into());
         outbox.push("b".into());
@@ -147,14 +146,14 @@ mod tests {
             assert_eq!(&*body, if attempt < u64::from(ATTEMPTS) { "a" } else { "b" });
             complaints.extend(outbox.done(at(now), attempt, failed()));
             let due = outbox.deadline().map_or(now, |at| at.as_secs_f64().max(now));
-            assert!(due == now || outbox.poll(at(due - 0.001), 99).is_none(), "not before its time");
+            assert!(due == now || outbox.poll(at(due - 0.001), 99).is_none(), "not before its deadline");
             pauses.push(due - now);
             now = due;
         }
         assert_eq!(pauses[..5], [0.5, 1.0, 2.0, 4.0, 0.0]);
         assert_eq!(complaints, ["a notification was dropped after 5 attempts: nobody listens"]);
         assert_eq!(outbox.deadline(), None);
-        // After a delivery a drop is news again.
+        // After a delivery the next drop is reported again.
         for (attempt, outcome) in [(20, Outcome::Delivered), (21, Outcome::Refused("404".into()))] {
             outbox.push("c".into());
             outbox.poll(at(now), attempt).unwrap();
@@ -164,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_takes_is_bounded() {
+    fn undelivered_notifications_are_bounded() {
         let mut outbox = Outbox::new(true);
         outbox.push("first".into());
         outbox.poll(at(0.0), 1).unwrap();
@@ -176,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_websocket_keeps_what_it_did_not_take() {
+    fn closed_websockets_keep_undelivered_notifications() {
         let mut outbox = Outbox::new(false);
         outbox.push("a".into());
         assert_eq!(outbox.poll(at(0.0), 1), None);

@@ -1,5 +1,5 @@
-//! What service consumers ask for: subscriptions (ETSI GS MEC 028 v2.3.1, clause 6.3) and measurement configurations
-//! (6.2.4), as they are written, and the checks of each by itself.
+//! Requests of service consumers: subscriptions (ETSI GS MEC 028 v2.3.1, clause 6.3) and measurement configurations
+//! (6.2.4), in their JSON form, with the checks of each by itself.
 
 use std::sync::Arc;
 
@@ -7,12 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::types::{ApIdentity, LinkType, Mac, SelfLink, StaIdentity, TimeStamp};
 
-/// A subscription.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(tag = "subscriptionType")]
 pub enum Subscription {
-    /// Who is associated with an access point.
+    /// Stations associated with an access point.
     AssocStaSubscription(AssocStaSubscription),
     /// Rates of stations.
     StaDataRateSubscription(StaDataRateSubscription),
@@ -20,20 +19,20 @@ pub enum Subscription {
     MeasurementReportSubscription(MeasurementReportSubscription),
 }
 
-/// Where notifications go, and until when.
+/// Target and end of a subscription.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct Notifying {
-    /// Where notifications are posted: `http://host:port/path`, on a network that the operator allows.
+    /// URI for notifications: `http://host:port/path`, on a network that the operator allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
     pub callback_reference: Option<String>,
-    /// Ask for a `TestNotification` first.
+    /// Request a `TestNotification` first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub request_test_notification: Option<bool>,
-    /// Ask for a WebSocket in place of a callback; wins where both are given.
+    /// Request a WebSocket instead of a callback; takes precedence over one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub websock_notif_config: Option<WebsockNotifConfig>,
@@ -41,7 +40,7 @@ pub struct Notifying {
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub links: Option<SelfLink>,
-    /// When the subscription ends: what is asked for, but a day at most. Without it, with the run.
+    /// End of the subscription, at most a day ahead. Without it, the subscription ends with the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub expiry_deadline: Option<TimeStamp>,
@@ -52,70 +51,69 @@ pub struct Notifying {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct WebsockNotifConfig {
-    /// Set by the service: where to connect.
+    /// URI to connect to; set by the service.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(format = "uri", nullable = false))]
     pub websocket_uri: Option<String>,
-    /// True asks for it.
+    /// Whether to provide a WebSocket.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub request_websocket_uri: Option<bool>,
 }
 
-/// Asks who is associated with an access point (6.3.2): periodically, at a threshold, or periodically beyond it.
+/// Subscription to the stations associated with an access point (6.3.2): periodically, at a threshold, or
+/// periodically beyond it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct AssocStaSubscription {
-    /// Where to, and until when.
+    /// Target and end.
     #[serde(flatten)]
     pub notifying: Notifying,
-    /// The access point.
     pub ap_id: ApIdentity,
-    /// Seconds between notifications; one of this and `notificationEvent` is needed.
+    /// Seconds between notifications. Either this or `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
     pub notification_period: Option<u8>,
-    /// The threshold.
+    /// Threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub notification_event: Option<AssocStaEvent>,
 }
 
-/// A number of stations (6.3.2).
+/// A threshold on the number of stations (6.3.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct AssocStaEvent {
     /// 1: at the threshold or more; 2: at the threshold or fewer.
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 2))]
     pub trigger: u8,
-    /// Stations.
+    /// Number of stations.
     #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub threshold: u8,
 }
 
-/// Asks for rates of stations (6.3.3).
+/// Subscription to rates of stations (6.3.3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRateSubscription {
-    /// Where to, and until when.
+    /// Target and end.
     #[serde(flatten)]
     pub notifying: Notifying,
-    /// The stations.
     #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
-    /// Seconds between notifications; one of this and `notificationEvent` is needed.
+    /// Seconds between notifications. Either this or `notificationEvent` is needed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 255, nullable = false))]
     pub notification_period: Option<u8>,
-    /// The threshold.
+    /// Threshold.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub notification_event: Option<StaDataRateEvent>,
 }
 
-/// Rates to compare with (6.3.3).
+/// Thresholds on rates (6.3.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -123,11 +121,11 @@ pub struct StaDataRateEvent {
     /// 1 and 2: downlink at its threshold or more, or less; 3 and 4: uplink; 5 and 6: both; 7 and 8: either.
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 8))]
     pub trigger: u8,
-    /// kbit/s.
+    /// Downlink threshold, kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub downlink_rate_threshold: Option<u32>,
-    /// kbit/s.
+    /// Uplink threshold, kbit/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub uplink_rate_threshold: Option<u32>,
@@ -150,25 +148,24 @@ impl StaDataRateEvent {
     }
 }
 
-/// Asks for reports of a measurement (6.3.5).
+/// Subscription to reports of a measurement (6.3.5).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementReportSubscription {
-    /// Where to, and until when.
+    /// Target and end.
     #[serde(flatten)]
     pub notifying: Notifying,
-    /// The stations.
     #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
-    /// What the consumer calls it.
+    /// Consumer's name for the measurement.
     #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
-    /// What is measured.
+    /// The measurement.
     pub measurement_info: MeasurementInfo,
 }
 
-/// A measurement whose reports are told with stations' information (6.2.4).
+/// A measurement whose reports are included in station information (6.2.4).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -177,48 +174,47 @@ pub struct MeasurementConfig {
     #[serde(rename = "_links", default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub links: Option<SelfLink>,
-    /// What the consumer calls it; no other configuration may be called so.
+    /// Consumer's name for the measurement, unique among configurations.
     #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
-    /// The stations.
     #[cfg_attr(feature = "openapi", schema(min_items = 1))]
     pub sta_id: Vec<StaIdentity>,
-    /// What is measured.
+    /// The measurement.
     pub measurement_info: MeasurementInfo,
 }
 
-/// What is measured (6.5.41): exactly one of the four.
+/// A measurement (6.5.41): exactly one of the four.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementInfo {
-    /// Units of 1024 µs between reports of a subscription, where that is more than a second.
+    /// Units of 1024 µs between a subscription's reports, if that is more than a second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
     pub measurement_duration: Option<u16>,
-    /// Accepted, and of no effect: nothing is put on the air that would have to be spread.
+    /// Accepted without effect: measurements put nothing on the air that would have to be spread.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(maximum = 65535, nullable = false))]
     pub random_interval: Option<u16>,
-    /// How busy a channel is.
+    /// Load of a channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub channel_load_conf: Option<ChannelLoadConfig>,
-    /// What stations hear.
+    /// Beacons that stations hear.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub beacon_request_conf: Option<BeaconRequestConfig>,
-    /// Counters of a station, which this service does not have: refused.
+    /// Counters of a station. This service has none and rejects it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub sta_statistics_conf: Option<StaStatisticsConfig>,
-    /// Access points that stations could go to.
+    /// Access points that stations could roam to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub neighbor_report_conf: Option<NeighborReportConfig>,
 }
 
-/// How busy a channel is (6.5.24).
+/// Load of a channel (6.5.24).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -226,20 +222,19 @@ pub struct ChannelLoadConfig {
     /// Global operating class (IEEE 802.11-2016, Table E-4).
     #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub operating_class: u8,
-    /// The channel.
     #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub channel: u8,
-    /// 0, or left out: always; 1: at the threshold or more; 2: at the threshold or less.
+    /// 0 or absent: always; 1: at the threshold or more; 2: at the threshold or less.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(maximum = 2, nullable = false))]
     pub reporting_condition: Option<u8>,
-    /// 255 is busy all the time.
+    /// Load; 255 is busy all the time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(maximum = 255, nullable = false))]
     pub threshold: Option<u8>,
 }
 
-/// What stations hear (6.5.25).
+/// Beacons that stations hear (6.5.25).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -250,15 +245,15 @@ pub struct BeaconRequestConfig {
     /// A channel of that class; 0 or 255: all of them.
     #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub channel_id: u8,
-    /// 0: passive, 1: active, 2: the beacon table. Whichever it is, what the station heard last is told: this service
+    /// 0: passive, 1: active, 2: beacon table. In each mode the report has what the station heard last: this service
     /// takes no radio off its channel.
     #[cfg_attr(feature = "openapi", schema(maximum = 2))]
     pub measurement_mode: u8,
-    /// Only this access point.
+    /// Restrict to this access point.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub bssid: Option<Mac>,
-    /// Only this network.
+    /// Restrict to this network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub ssid: Option<String>,
@@ -266,13 +261,14 @@ pub struct BeaconRequestConfig {
     pub beacon_reporting_conf: BeaconReportingConfig,
 }
 
-/// Which beacons are reported (6.5.28).
+/// Condition for reporting a beacon (6.5.28).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReportingConfig {
-    /// 0: all; 1 and 2: RCPI above or below the threshold; 3 and 4: RSNI; 5 to 8: the same beside the serving access
-    /// point's with an offset; 9 and 10: RCPI or RSNI between the serving access point's and that with the offset.
+    /// 0: all; 1 and 2: RCPI above or below the threshold; 3 and 4: RSNI; 5 to 8: the same relative to the serving
+    /// access point's with an offset; 9 and 10: RCPI or RSNI between the serving access point's and that with the
+    /// offset.
     #[cfg_attr(feature = "openapi", schema(maximum = 10))]
     pub reporting_condition: u8,
     /// The threshold, or the offset: an 8-bit two's complement number in units of 0.5 dB.
@@ -280,27 +276,27 @@ pub struct BeaconReportingConfig {
     pub threshold: u8,
 }
 
-/// Counters of a station (6.5.26), as far as they are named: nothing of it is known here.
+/// Counters of a station (6.5.26), which this service does not have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaStatisticsConfig {
-    /// Which counters.
+    /// Group of counters.
     #[cfg_attr(feature = "openapi", schema(maximum = 255))]
     pub group_identity: u8,
-    /// When.
+    /// Whether reports are triggered.
     pub triggered_report: bool,
 }
 
-/// Access points that stations could go to (6.5.32).
+/// Access points that stations could roam to (6.5.32).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct NeighborReportConfig {
-    /// Of this network; without it, of the station's.
+    /// Network; by default the station's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub ssid: Option<String>,
-    /// Only this one; ignored without `ssid`.
+    /// Restrict to this access point; ignored without `ssid`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub bssid: Option<Mac>,
@@ -310,10 +306,10 @@ pub struct NeighborReportConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SubscriptionLinkList {
-    /// To this list.
+    /// Link to this list.
     #[serde(rename = "_links")]
     pub links: SelfLink,
-    /// To each.
+    /// Links to the subscriptions.
     pub subscription: Vec<SubscriptionLink>,
 }
 
@@ -322,10 +318,8 @@ pub struct SubscriptionLinkList {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct SubscriptionLink {
-    /// Its URI.
     #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
-    /// Its type.
     pub subscription_type: &'static str,
 }
 
@@ -334,10 +328,10 @@ pub struct SubscriptionLink {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLinkList {
-    /// To this list.
+    /// Link to this list.
     #[serde(rename = "_links")]
     pub links: SelfLink,
-    /// To each.
+    /// Links to the configurations.
     pub measurement_config: Vec<MeasurementConfigLink>,
 }
 
@@ -346,29 +340,27 @@ pub struct MeasurementConfigLinkList {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct MeasurementConfigLink {
-    /// Its URI.
     #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
-    /// What the consumer calls it.
+    /// Consumer's name for the measurement.
     #[cfg_attr(feature = "openapi", schema(value_type = String))]
     pub measurement_id: Arc<str>,
 }
 
-/// Tells that a subscription is about to expire, or tests it: its link (6.4.4, 6.4.6).
+/// Link from an expiry or test notification to its subscription (6.4.4, 6.4.6).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ToSubscription {
-    /// The subscription.
     pub subscription: LinkType,
 }
 
-/// Why a request cannot be met.
+/// A request that cannot be met.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidRequest {
-    /// It says nothing, or two things.
+    /// The request is incomplete or contradictory.
     #[error("{0}")]
     Malformed(String),
-    /// It is understood, but the testbed does not have what it asks for.
+    /// The request is valid, but the testbed lacks the data.
     #[error("{0}")]
     Unsupported(&'static str),
 }
@@ -378,7 +370,7 @@ fn malformed<T>(what: impl Into<String>) -> Result<T, InvalidRequest> {
 }
 
 impl Subscription {
-    /// Reads one, as the standard writes it: the plain object.
+    /// Parses the JSON of a subscription, as the standard defines it: the plain object.
     ///
     /// # Errors
     /// [`InvalidRequest::Malformed`] with the place.
@@ -400,7 +392,7 @@ impl Subscription {
         }
     }
 
-    /// Its type's name.
+    /// Returns the name of its type.
     pub fn type_name(&self) -> &'static str {
         match self {
             Self::AssocStaSubscription(_) => "AssocStaSubscription",
@@ -409,7 +401,7 @@ impl Subscription {
         }
     }
 
-    /// Where its notifications go.
+    /// Returns the target and end of its notifications.
     pub fn notifying(&self) -> &Notifying {
         match self {
             Self::AssocStaSubscription(s) => &s.notifying,
@@ -426,13 +418,13 @@ impl Subscription {
         }
     }
 
-    /// Checks what its type alone does not say.
+    /// Checks constraints that the types do not express.
     ///
     /// # Errors
     /// [`InvalidRequest`].
     pub fn check(&self) -> Result<(), InvalidRequest> {
         let when = |period: Option<u8>, event: bool| match (period, event) {
-            (Some(0), _) => malformed("notificationPeriod is at least 1 second"),
+            (Some(0), _) => malformed("notificationPeriod must be at least 1 second"),
             (None, false) => malformed("one of notificationPeriod and notificationEvent is needed"),
             _ => Ok(()),
         };
@@ -441,7 +433,7 @@ impl Subscription {
                 when(s.notification_period, s.notification_event.is_some())?;
                 match s.notification_event {
                     Some(AssocStaEvent { trigger: 1 | 2, .. }) | None => Ok(()),
-                    Some(_) => malformed("notificationEvent.trigger is 1 or 2"),
+                    Some(_) => malformed("notificationEvent.trigger must be 1 or 2"),
                 }
             }
             Self::StaDataRateSubscription(s) => {
@@ -465,13 +457,13 @@ impl StaDataRateEvent {
             (1 | 2, false, _) => malformed("triggers 1 and 2 need downlinkRateThreshold"),
             (3 | 4, _, false) => malformed("triggers 3 and 4 need uplinkRateThreshold"),
             (5..=8, ..) => malformed("triggers 5 to 8 need downlinkRateThreshold and uplinkRateThreshold"),
-            _ => malformed("notificationEvent.trigger is from 1 to 8"),
+            _ => malformed("notificationEvent.trigger must be from 1 to 8"),
         }
     }
 }
 
 impl MeasurementConfig {
-    /// Reads one.
+    /// Parses the JSON of a configuration.
     ///
     /// # Errors
     /// [`InvalidRequest::Malformed`] with the place.
@@ -479,7 +471,7 @@ impl MeasurementConfig {
         read(body)
     }
 
-    /// Checks what its type alone does not say.
+    /// Checks constraints that the types do not express.
     ///
     /// # Errors
     /// [`InvalidRequest`].
@@ -499,13 +491,13 @@ impl MeasurementInfo {
         ];
         if given.iter().filter(|given| **given).count() != 1 {
             return malformed(
-                "measurementInfo has exactly one of channelLoadConf, beaconRequestConf, staStatisticsConf and \
+                "measurementInfo needs exactly one of channelLoadConf, beaconRequestConf, staStatisticsConf and \
                  neighborReportConf",
             );
         }
         if self.sta_statistics_conf.is_some() {
             return Err(InvalidRequest::Unsupported(
-                "the testbed does not know the counters of IEEE 802.11 that staStatistics reports",
+                "the testbed does not have the IEEE 802.11 counters of staStatistics reports",
             ));
         }
         match self.channel_load_conf {
@@ -513,12 +505,14 @@ impl MeasurementInfo {
                 malformed("reportingCondition 1 and 2 need a threshold")
             }
             Some(ChannelLoadConfig { reporting_condition: Some(3..), .. }) => {
-                malformed("channelLoadConf.reportingCondition is from 0 to 2")
+                malformed("channelLoadConf.reportingCondition must be from 0 to 2")
             }
             _ => match &self.beacon_request_conf {
-                Some(request) if request.measurement_mode > 2 => malformed("measurementMode is from 0 to 2"),
+                Some(request) if request.measurement_mode > 2 => {
+                    malformed("measurementMode must be from 0 to 2")
+                }
                 Some(request) if request.beacon_reporting_conf.reporting_condition > 10 => {
-                    malformed("beaconReportingConf.reportingCondition is from 0 to 10")
+                    malformed("beaconReportingConf.reportingCondition must be from 0 to 10")
                 }
                 _ => Ok(()),
             },
@@ -527,7 +521,7 @@ impl MeasurementInfo {
 }
 
 fn check_stations(stations: &[StaIdentity]) -> Result<(), InvalidRequest> {
-    if stations.is_empty() { malformed("staId names at least one station") } else { Ok(()) }
+    if stations.is_empty() { malformed("staId must name at least one station") } else { Ok(()) }
 }
 
 fn read<'a, T: Deserialize<'a>>(body: &'a [u8]) -> Result<T, InvalidRequest> {

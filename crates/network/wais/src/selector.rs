@@ -1,34 +1,34 @@
-//! Attribute selectors (ETSI GS MEC 009, clause 6.18): which complex attributes - structures and arrays - an answer has.
-//! Simple attributes, and those that the standard requires, are always there.
+//! Attribute selectors (ETSI GS MEC 009, clause 6.18): the complex attributes - structures and arrays - that an
+//! answer includes. Simple and required attributes are always included.
 
 use serde_json::{Map, Value};
 
 use crate::attributes::{Attribute, Kind, find};
 
-/// Why attributes cannot be selected so.
+/// Invalid selectors.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SelectorError {
     /// The data type has no such attribute.
     #[error("`{parameter}` names `{path}`, but there is no attribute `{name}`; there are {there}")]
     Unknown {
-        /// Which parameter.
+        /// Name of the parameter.
         parameter: &'static str,
-        /// The path that leads nowhere.
+        /// The invalid path.
         path: String,
-        /// The part of it that is wrong.
+        /// The unknown name in it.
         name: String,
-        /// What would be right.
+        /// Names of the existing attributes.
         there: String,
     },
-    /// An answer without it would not be one.
-    #[error("`{0}` cannot be left out: `exclude_fields` takes structures and arrays that are not required")]
+    /// A required or simple attribute is excluded.
+    #[error("`{0}` cannot be left out: `exclude_fields` takes only optional structures and arrays")]
     Required(String),
-    /// They say different things.
+    /// Two selectors contradict each other.
     #[error("`{0}` and `{1}` exclude each other: give one of them")]
     Conflict(&'static str, &'static str),
 }
 
-/// The selectors as the query has them.
+/// The selectors of a query.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Selectors {
     pub(crate) all_fields: bool,
@@ -37,13 +37,13 @@ pub(crate) struct Selectors {
     pub(crate) exclude_default: bool,
 }
 
-/// What of an object is answered.
+/// The attributes of an object to include.
 ///
-/// The standard excludes no attribute of access points and stations by default, so `all_fields`, `exclude_default` and
-/// no selector at all mean the same.
+/// The standard excludes no attribute of access points and stations by default. `all_fields`, `exclude_default` and
+/// no selector therefore mean the same.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) enum Selection {
-    /// All of it.
+    /// All attributes.
     #[default]
     All,
     /// Of complex attributes only these.
@@ -60,7 +60,7 @@ impl PartialEq for Attribute {
 
 impl Eq for Attribute {}
 
-/// An attribute that was named, with those in it that were; all of it where there are none.
+/// A selected attribute, with its selected inner attributes. An empty list selects all of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Choice {
     attribute: &'static Attribute,
@@ -82,7 +82,7 @@ impl Selection {
             return Err(SelectorError::Conflict(one, other));
         }
         match (&selectors.fields, &selectors.exclude_fields) {
-            // What is excluded by default is nothing, and `fields` adds to all the rest.
+            // Nothing is excluded by default, so `fields` adds to everything.
             (Some(list), None) if selectors.exclude_default => {
                 choices("fields", list, of, |_| true).map(|_| Self::All)
             }
@@ -95,7 +95,7 @@ impl Selection {
         }
     }
 
-    /// What is left of an object.
+    /// Returns the selected part of an object.
     pub(crate) fn apply(&self, object: &Value) -> Value {
         match self {
             Self::All => object.clone(),
@@ -105,7 +105,7 @@ impl Selection {
     }
 }
 
-/// Reads paths with commas between.
+/// Reads paths separated by commas.
 fn choices(
     parameter: &'static str,
     list: &str,
@@ -139,7 +139,7 @@ fn choices(
     Ok(all)
 }
 
-/// The choices within an attribute; `None` where all of it is chosen.
+/// Returns the choices within an attribute; `None` if all of it is chosen.
 fn descend<'c>(
     choices: &'c mut Vec<Choice>,
     attribute: &'static Attribute,
@@ -162,7 +162,7 @@ fn descend<'c>(
     Some(inner)
 }
 
-/// At a level at which something was named, other complex attributes go unless they are required.
+/// Drops complex attributes that are not chosen, unless they are required, at each level with a choice.
 fn only(value: &Value, of: &'static [Attribute], choices: &[Choice]) -> Value {
     each(value, |name, inner| {
         let attribute = find(of, name)?;
@@ -185,7 +185,7 @@ fn without(value: &Value, choices: &[Choice]) -> Value {
     })
 }
 
-/// An object, or each object of an array, with what is kept of its attributes.
+/// Applies `keep` to the attributes of an object, or of each object of an array.
 fn each(value: &Value, keep: impl Fn(&str, &Value) -> Option<Value>) -> Value {
     fn one(value: &Value, keep: &dyn Fn(&str, &Value) -> Option<Value>) -> Value {
         match value {
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn no_selector_and_those_of_defaults_leave_all() {
+    fn default_selectors_include_everything() {
         for query in [
             &[][..],
             &[("all_fields", "")],
@@ -246,29 +246,29 @@ mod tests {
     }
 
     #[test]
-    fn fields_keeps_what_is_simple_or_required_or_named() {
+    fn fields_keeps_simple_required_and_named_attributes() {
         let chosen = select(&[("fields", "bssLoad")]).unwrap();
         assert_eq!(names(&chosen), ["apId", "bssLoad", "channel"]);
-        assert_eq!(chosen["apId"], object()["apId"], "nothing in it was named: it is whole");
-        // Where attributes in it are named, the others in it go.
+        assert_eq!(chosen["apId"], object()["apId"], "nothing in it was named, so it is complete");
+        // If inner attributes are named, the others are dropped.
         let chosen = select(&[("fields", "apId/ssid,timeStamp")]).unwrap();
         assert_eq!(names(&chosen), ["apId", "channel", "timeStamp"]);
         assert_eq!(names(&chosen["apId"]), ["bssid", "ssid"]);
-        // The whole of it wins over a part, in either order.
+        // A whole attribute overrides a part of it, in either order.
         for list in ["apId,apId/ssid", "apId/ssid,apId"] {
             assert_eq!(select(&[("fields", list)]).unwrap()["apId"], object()["apId"]);
         }
     }
 
     #[test]
-    fn exclude_fields_leaves_out_what_is_named() {
+    fn exclude_fields_drops_named_attributes() {
         let chosen = select(&[("exclude_fields", "bssLoad,apId/ipAddress")]).unwrap();
         assert_eq!(names(&chosen), ["apId", "channel", "timeStamp"]);
         assert_eq!(names(&chosen["apId"]), ["bssid", "ssid"]);
     }
 
     #[test]
-    fn what_cannot_be_selected_says_why() {
+    fn invalid_selectors_are_rejected_with_a_reason() {
         for (query, part) in [
             (&[("fields", "load")][..], "no attribute `load`"),
             (&[("fields", "bssLoad/x")], "there are staCount"),

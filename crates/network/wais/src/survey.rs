@@ -1,5 +1,5 @@
-//! What the testbed knows of its radio at a time, as the service needs it: who is where (φ), what radio units tell
-//! (ι(R)), what stations hear, and what crosses the wire behind a radio unit (λ).
+//! The state of the testbed's radio at a time: attachments of stations (φ), reports of radio units (ι(R)), signals
+//! that stations hear, and traffic on the wire behind a radio unit (λ).
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -16,23 +16,22 @@ use crate::{
     types::{ApIdentity, ApLocation, Mac, StaIdentity, WanMetrics},
 };
 
-/// Whose radio units a service is about.
+/// Radio units covered by a service.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Scope {
-    /// All of the testbed.
+    /// The whole testbed.
     Testbed,
-    /// One domain's, and the stations that are associated with them.
+    /// One domain's, with the stations associated with them.
     Domain(DomainId),
 }
 
-/// What stays as it is: radio units and stations, and how they are known.
+/// The fixed part: radio units and stations, and their identities.
 #[derive(Debug)]
 pub struct Site {
     units: Vec<Unit>,
     stations: HashMap<NodeId, StaIdentity>,
 }
 
-/// A radio unit.
 #[derive(Debug)]
 pub(crate) struct Unit {
     id: NodeId,
@@ -58,15 +57,14 @@ struct Uplink {
     medium: BitRate,
 }
 
-/// What was known at a time.
+/// The state at a time.
 #[derive(Debug, Clone)]
 pub struct Survey {
-    /// When.
     pub at: Timestamp,
     pub(crate) site: Arc<Site>,
     pub(crate) access_points: Vec<AccessPoint>,
     pub(crate) stations: Vec<Station>,
-    /// Of each radio unit that told it, how busy its channel was; 0 to 1.
+    /// Channel load from 0 to 1, of each radio unit that reported it.
     loads: HashMap<usize, f64>,
 }
 
@@ -76,22 +74,22 @@ pub(crate) struct AccessPoint {
     unit: usize,
     pub(crate) load: Option<f64>,
     pub(crate) wan: Option<WanMetrics>,
-    /// Places among the survey's stations.
+    /// Indices into the survey's stations.
     pub(crate) associated: Vec<usize>,
 }
 
-/// A station that is associated with an access point in scope.
+/// A station associated with an access point in scope.
 #[derive(Debug, Clone)]
 pub(crate) struct Station {
     pub(crate) identity: StaIdentity,
-    /// Its access point's place among the units.
+    /// Index of its access point among the units.
     unit: usize,
     pub(crate) reception: Option<Reception>,
     /// Units that it hears.
     heard: Vec<(usize, Dbm)>,
 }
 
-/// What an access point knows of a station.
+/// An access point's knowledge of a station.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reception {
     pub(crate) signal: Dbm,
@@ -100,7 +98,7 @@ pub(crate) struct Reception {
 }
 
 impl Site {
-    /// Radio units and robots of a graph.
+    /// Collects the radio units and robots of a graph.
     pub fn new(graph: &HardwareGraph, settings: &WaisSettings, scope: &Scope) -> Self {
         let (mut units, mut stations) = (Vec::new(), HashMap::new());
         for (place, node) in graph.hosts().enumerate() {
@@ -149,8 +147,8 @@ impl Site {
         self.units.iter().any(|unit| unit.served && unit.identity.bssid == bssid)
     }
 
-    /// What is known now. A station is where it says that it is attached (φ), or where a radio unit says so (ι) before
-    /// it has said anything.
+    /// Surveys the state. A station is where it reports to be attached (φ), or where a radio unit reports it (ι)
+    /// before the station's first report.
     pub fn survey(
         self: &Arc<Self>,
         at: Timestamp,
@@ -160,7 +158,7 @@ impl Site {
     ) -> Survey {
         let places: HashMap<_, _> = self.units.iter().enumerate().map(|(i, unit)| (&unit.id, i)).collect();
         let mut received: HashMap<(&NodeId, usize), Reception> = HashMap::new();
-        let mut told: HashMap<&NodeId, usize> = HashMap::new();
+        let mut reported: HashMap<&NodeId, usize> = HashMap::new();
         let mut loads = HashMap::new();
         for (unit, context) in radio.values().filter_map(|c| Some((*places.get(&c.radio_unit)?, c))) {
             loads.insert(unit, context.load);
@@ -169,7 +167,7 @@ impl Site {
                 let (downlink_kbps, uplink_kbps) = (kbps(station.downlink_bps), kbps(station.uplink_bps));
                 let reception = Reception { signal: station.signal, downlink_kbps, uplink_kbps };
                 received.insert((&station.robot, unit), reception);
-                told.insert(&station.robot, unit);
+                reported.insert(&station.robot, unit);
             }
         }
         let mut access_points: Vec<_> = self
@@ -192,7 +190,7 @@ impl Site {
             let context = robots.get(robot);
             let attached =
                 context.map(|context| context.attached_to().and_then(|id| places.get(id)).copied());
-            let Some(unit) = attached.unwrap_or_else(|| told.get(robot).copied()) else { continue };
+            let Some(unit) = attached.unwrap_or_else(|| reported.get(robot).copied()) else { continue };
             let Some(ap) = ap_places.get(&unit) else { continue };
             access_points[*ap].associated.push(stations.len());
             let attachments = context.map(|context| context.attachments.as_slice()).unwrap_or_default();
@@ -219,7 +217,7 @@ impl Uplink {
             let rate = match context.effective.rate {
                 Rate::Unlimited => self.medium,
                 Rate::Fixed { bits_per_second } => bits_per_second,
-                // A trace has no rate of the moment.
+                // A trace has no current rate.
                 Rate::Trace { .. } => return None,
             };
             let kbps = u32::try_from(rate.bits_per_second() / 1000).unwrap_or(u32::MAX);
@@ -239,43 +237,41 @@ impl Uplink {
 }
 
 impl Survey {
-    /// Nothing known yet.
+    /// Returns a survey in which nothing is known yet.
     pub(crate) fn empty(site: &Arc<Site>) -> Self {
         site.survey(Timestamp::ZERO, &BTreeMap::new(), &BTreeMap::new(), &BTreeMap::new())
     }
 
-    /// The radio unit of an access point.
     pub(crate) fn unit(&self, ap: &AccessPoint) -> &Unit {
         &self.site.units[ap.unit]
     }
 
-    /// The radio unit of a station.
     pub(crate) fn unit_of(&self, station: &Station) -> &Unit {
         &self.site.units[station.unit]
     }
 
-    /// The access point of that address, if it is in scope.
+    /// Returns the access point with this address, if it is in scope.
     pub(crate) fn access_point(&self, bssid: Mac) -> Option<&AccessPoint> {
         self.access_points.iter().find(|ap| self.unit(ap).identity.bssid == bssid)
     }
 
-    /// The station of that address, if it is associated with an access point in scope.
+    /// Returns the station with this address, if it is associated with an access point in scope.
     pub(crate) fn station(&self, mac: Mac) -> Option<&Station> {
         let place = self.stations.binary_search_by_key(&mac, |station| station.identity.mac_id).ok()?;
         Some(&self.stations[place])
     }
 
-    /// Radio units that a station hears, whoever runs them, and how well.
+    /// Returns the radio units that a station hears, in any domain, with their signals.
     pub(crate) fn heard<'a>(&'a self, station: &'a Station) -> impl Iterator<Item = (&'a Unit, Dbm)> {
         station.heard.iter().map(|(unit, signal)| (&self.site.units[*unit], *signal))
     }
 
-    /// Radio units in scope.
+    /// Returns the radio units in scope.
     pub(crate) fn units(&self) -> impl Iterator<Item = &Unit> {
         self.access_points.iter().map(|ap| self.unit(ap))
     }
 
-    /// How busy a channel was, as a radio unit on it told; `None` where there is none.
+    /// Returns the load of a channel as reported by a radio unit on it; `None` without one.
     pub(crate) fn channel_load(&self, operating_class: u8, channel: u8) -> Option<f64> {
         let on_it = |unit: &Unit| unit.operating_class == Some(operating_class) && unit.channel == channel;
         let mut units = self.site.units.iter().enumerate();

@@ -1,4 +1,4 @@
-//! A small testbed for tests: two domains, three radio units, three robots, of which one is between radio units.
+//! A small testbed for tests: two domains, three radio units and three robots.
 
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
@@ -41,7 +41,8 @@ fn id(name: &str) -> NodeId {
     NodeId::new(name).unwrap()
 }
 
-/// What is known: which robot is where, with what downlink rate in Mbit/s; each hears all radio units, 10 dB apart.
+/// Builds a survey from each robot's place and downlink rate in Mbit/s. Each robot hears all radio units, 10 dB
+/// apart.
 pub(crate) fn survey(site: &Arc<Site>, at: f64, places: &[(&str, Option<&str>, f64)]) -> Survey {
     let units = [("west", 1, 0.25), ("middle", 6, 0.5), ("east", 6, 0.5)];
     let radio = units.map(|(unit, channel, load)| {

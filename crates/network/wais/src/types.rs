@@ -1,5 +1,5 @@
-//! The data types of ETSI GS MEC 028 v2.3.1 as far as this service gives them, with the standard's names. What the
-//! testbed does not know is left out here, not sent as zero.
+//! The data types of ETSI GS MEC 028 v2.3.1 that this service provides, with the standard's names. Attributes unknown
+//! to the testbed are omitted rather than sent as zero.
 
 use std::{fmt, str::FromStr, sync::Arc};
 
@@ -11,14 +11,13 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct TimeStamp {
-    /// Whole seconds.
     pub seconds: u32,
-    /// The rest.
+    /// Nanoseconds of the second.
     #[cfg_attr(feature = "openapi", schema(maximum = 999_999_999))]
     pub nano_seconds: u32,
 }
 
-/// When a run began, for times of the run as times of the calendar.
+/// Start of a run, to convert its times to calendar times.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Epoch {
     /// Nanoseconds since 1970-01-01 UTC; 0 in virtual time, which has no calendar.
@@ -26,14 +25,14 @@ pub struct Epoch {
 }
 
 impl Epoch {
-    /// The calendar's time at a time of the run.
+    /// Converts a time of the run to calendar time.
     pub fn at(self, now: Timestamp) -> TimeStamp {
         let ns = self.unix_ns.saturating_add(now.as_nanos());
         let seconds = u32::try_from(ns / 1_000_000_000).unwrap_or(u32::MAX);
         TimeStamp { seconds, nano_seconds: (ns % 1_000_000_000) as u32 }
     }
 
-    /// The time of the run at the calendar's; its beginning for what was before.
+    /// Converts calendar time to a time of the run; its start for earlier times.
     pub fn run_time(self, stamp: TimeStamp) -> Timestamp {
         let ns = u64::from(stamp.seconds) * 1_000_000_000 + u64::from(stamp.nano_seconds);
         Timestamp::from_nanos(ns.saturating_sub(self.unix_ns))
@@ -48,7 +47,7 @@ impl Epoch {
 #[serde(try_from = "String", into = "String")]
 pub struct Mac(pub [u8; 6]);
 
-/// Why a text is no MAC address.
+/// A text that is not a MAC address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a MAC address: write it like 02:77:00:00:00:01")]
 pub struct InvalidMac(String);
@@ -94,7 +93,6 @@ impl fmt::Display for Mac {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct LinkType {
-    /// Its URI.
     #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     pub href: String,
 }
@@ -103,7 +101,6 @@ pub struct LinkType {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SelfLink {
-    /// Its URI.
     #[serde(rename = "self")]
     pub itself: LinkType,
 }
@@ -114,59 +111,57 @@ impl SelfLink {
     }
 }
 
-/// Which access point (6.5.3).
+/// An access point's identity (6.5.3).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ApIdentity {
-    /// Its MAC address.
+    /// MAC address.
     pub bssid: Mac,
-    /// The networks that it serves.
+    /// Networks that it serves.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ssid: Arc<[String]>,
-    /// Its addresses.
+    /// IP addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ip_address: Arc<[String]>,
 }
 
-/// Which station (6.5.11).
+/// A station's identity (6.5.11).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaIdentity {
-    /// Its MAC address.
+    /// MAC address.
     pub mac_id: Mac,
-    /// The network that it joins.
+    /// Network that it joins.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ssid: Arc<[String]>,
-    /// Its addresses.
+    /// IP addresses.
     #[serde(default, skip_serializing_if = "<[_]>::is_empty")]
     #[cfg_attr(feature = "openapi", schema(value_type = Vec<String>))]
     pub ip_address: Arc<[String]>,
 }
 
-/// An access point and what is known of it (6.2.2).
+/// An access point and its state (6.2.2).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ApInfo {
-    /// When that was known; left out with `fields`.
+    /// Time of the survey; omitted with `fields`.
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub time_stamp: TimeStamp,
-    /// Which.
     pub ap_id: ApIdentity,
-    /// Its channel.
     pub channel: u32,
-    /// The wired link behind it, where it has one and no more.
+    /// The wired link behind it, if it has exactly one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wan_metrics: Option<WanMetrics>,
-    /// Its stations and its channel.
+    /// Number of its stations, and load of its channel.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bss_load: Option<BssLoad>,
-    /// Where it is, if the testbed file says where its map is.
+    /// Location, if the testbed file gives the origin of its map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ap_location: Option<ApLocation>,
 }
@@ -176,11 +171,11 @@ pub struct ApInfo {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BssLoad {
-    /// Stations associated now.
+    /// Number of associated stations.
     pub sta_count: u16,
     /// Share of the last second in which the channel was busy; 255 is all of it.
     pub channel_utilization: u8,
-    /// Medium time left by admission control, 32 µs/s: 0, there is none.
+    /// Medium time left by admission control, 32 µs/s: always 0, because there is none.
     pub avail_adm_cap: u16,
 }
 
@@ -189,25 +184,25 @@ pub struct BssLoad {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct WanMetrics {
-    /// 1: the link is up; 5: and it is as fast in both directions.
+    /// 1: the link is up; 5: it is also equally fast in both directions.
     pub wan_info: u8,
     /// Rate to the access point, kbit/s.
     pub downlink_speed: u32,
-    /// Rate from it, kbit/s.
+    /// Rate from the access point, kbit/s.
     pub uplink_speed: u32,
-    /// Share of the downlink that was used over the last second; 255 is all of it.
+    /// Share of the downlink used over the last second; 255 is all of it.
     pub downlink_load: u8,
-    /// The same of the uplink.
+    /// Share of the uplink used over the last second; 255 is all of it.
     pub uplink_load: u8,
-    /// Over how long that was measured, tenths of a second.
+    /// Duration of the load measurement, tenths of a second.
     pub lmd: u16,
 }
 
-/// Where an access point is (6.5.9).
+/// Location of an access point (6.5.9).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ApLocation {
-    /// On Earth.
+    /// Location on Earth.
     pub geolocation: GeoLocation,
 }
 
@@ -218,15 +213,15 @@ pub struct ApLocation {
 pub struct GeoLocation {
     /// 0: unknown.
     pub lat_uncertainty: u8,
-    /// Degrees to the north.
+    /// Degrees north.
     pub lat: u64,
     /// 0: unknown.
     pub long_uncertainty: u8,
-    /// Degrees to the east.
+    /// Degrees east.
     pub long: u64,
     /// 1: WGS 84.
     pub datum: u8,
-    /// 1: metres; left out where the altitude of the map's floor is unknown.
+    /// 1: metres; omitted if the altitude of the map's floor is unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub altitude_type: Option<u8>,
     /// 0: unknown.
@@ -237,36 +232,34 @@ pub struct GeoLocation {
     pub altitude: Option<u32>,
 }
 
-/// A station and what is known of it (6.2.3).
+/// A station and its state (6.2.3).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaInfo {
-    /// When that was known; left out with `fields`.
+    /// Time of the survey; omitted with `fields`.
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub time_stamp: TimeStamp,
-    /// Which.
     pub sta_id: StaIdentity,
-    /// The channel of its access point.
+    /// Channel of its access point.
     pub channel: u32,
-    /// Its access point; left out with `fields`.
+    /// Its access point; omitted with `fields`.
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub ap_associated: ApIdentity,
-    /// What its access point receives of it.
+    /// Signal received by its access point.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rssi: Option<Rssi>,
-    /// Its rates.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sta_data_rate: Option<StaDataRate>,
-    /// What it hears, for measurement configurations that ask for it.
+    /// Beacons that it hears, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub beacon_report: Vec<BeaconReport>,
-    /// Access points that it could go to, for measurement configurations that ask for it.
+    /// Access points that it could roam to, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub neighbor_report: Vec<NeighborReport>,
-    /// How busy channels are, for measurement configurations that ask for it.
+    /// Loads of channels, for measurement configurations that request them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "openapi", schema(required = false))]
     pub channel_load: Vec<ChannelLoad>,
@@ -276,7 +269,7 @@ pub struct StaInfo {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Rssi {
-    /// Coded as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110), P in dBm.
+    /// Encoded as RCPI (IEEE 802.11-2016, 9.4.2.38): 2·(P + 110), P in dBm.
     #[cfg_attr(feature = "openapi", schema(maximum = 220))]
     pub rssi: u8,
 }
@@ -286,43 +279,42 @@ pub struct Rssi {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct StaDataRate {
-    /// Which; left out where the station is told around it.
+    /// The station; omitted where the enclosing object names it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sta_id: Option<StaIdentity>,
-    /// PHY rate to it, kbit/s.
+    /// PHY rate to the station, kbit/s.
     pub sta_last_data_downlink_rate: u32,
-    /// PHY rate from it, kbit/s.
+    /// PHY rate from the station, kbit/s.
     pub sta_last_data_uplink_rate: u32,
 }
 
-/// What a station hears of an access point (6.5.27).
+/// An access point that a station hears (6.5.27).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BeaconReport {
-    /// Which station; left out where it is told around it.
+    /// The station; omitted where the enclosing object names it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sta_id: Option<StaIdentity>,
-    /// The measurement that asked.
+    /// Measurement that requested it.
     pub measurement_id: Arc<str>,
     /// Global operating class (IEEE 802.11-2016, Table E-4).
     pub operating_class: u8,
-    /// Its channel.
     pub channel: u8,
-    /// What was heard.
+    /// The received frame.
     pub reported_frame_info: ReportedBeaconFrameInfo,
-    /// Whose.
+    /// The access point.
     pub bssid: Mac,
     /// The network.
     pub ssid: String,
     /// Received power: 2·(P + 110), P in dBm.
     #[cfg_attr(feature = "openapi", schema(maximum = 220))]
     pub rcpi: u8,
-    /// Over the noise floor: 2·(SNR + 10), SNR in dB (IEEE 802.11-2016, 9.4.2.41).
+    /// Signal over the noise floor: 2·(SNR + 10), SNR in dB (IEEE 802.11-2016, 9.4.2.41).
     pub rsni: u8,
 }
 
-/// A frame that was heard (6.5.29).
+/// A received frame (6.5.29).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
@@ -333,46 +325,45 @@ pub struct ReportedBeaconFrameInfo {
     pub frame_type: u8,
 }
 
-/// An access point that a station could go to (6.5.10).
+/// An access point that a station could roam to (6.5.10).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct NeighborReport {
-    /// Which station; left out where it is told around it.
+    /// The station; omitted where the enclosing object names it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sta_id: Option<StaIdentity>,
-    /// The measurement that asked.
+    /// Measurement that requested it.
     pub measurement_id: Arc<str>,
-    /// Which access point.
+    /// The access point.
     pub bssid: Mac,
-    /// What it can do.
+    /// Its capabilities.
     pub bssid_info: BssidInfo,
     /// Global operating class (IEEE 802.11-2016, Table E-4).
     pub operating_class: u8,
-    /// Its channel.
     pub channel: u8,
     /// `dot11PHYType`: 4 OFDM, 6 ERP, 7 HT, 9 VHT.
     pub phy_type: u8,
 }
 
-/// What a neighbor can do (6.5.30).
+/// Capabilities of a neighbor (6.5.30).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct BssidInfo {
-    /// 3: reachable.
+    /// 2: unknown; 3: reachable.
     pub ap_reachability: u8,
-    /// As in the station's association: yes, it is one network.
+    /// Whether the security is the same as in the station's association, which holds within a network.
     pub security: bool,
-    /// What the emulated access points have of it.
+    /// Options of the emulated access point.
     pub capabilities: BssCapabilities,
-    /// Fast transition (IEEE 802.11r) from one to the other.
+    /// Fast transition (IEEE 802.11r) between the two.
     pub mobility_domain: bool,
     /// IEEE 802.11n or ac.
     pub high_throughput: bool,
     /// IEEE 802.11ac.
     pub very_high_throughput: bool,
-    /// Fine timing measurement: none.
+    /// Fine timing measurement: never.
     pub ftm: bool,
 }
 
@@ -387,7 +378,7 @@ pub struct BssCapabilities {
     pub qos: bool,
     /// Not emulated.
     pub apsd: bool,
-    /// Reports are given.
+    /// Whether measurement reports are available: always.
     pub radio_measurements: bool,
     /// Not emulated.
     #[serde(rename = "delayedBACK")]
@@ -397,23 +388,22 @@ pub struct BssCapabilities {
     pub immediate_back: bool,
 }
 
-/// How busy a channel is (6.5.39).
+/// Load of a channel (6.5.39).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "camelCase")]
 pub struct ChannelLoad {
-    /// Which station; left out where it is told around it.
+    /// The station; omitted where the enclosing object names it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sta_id: Option<StaIdentity>,
-    /// The measurement that asked.
+    /// Measurement that requested it.
     pub measurement_id: Arc<str>,
     /// Global operating class (IEEE 802.11-2016, Table E-4).
     pub operating_class: u8,
-    /// The channel.
     pub channel: u8,
-    /// In units of 1024 µs: the last second, and so 255, the most that the standard's type holds.
+    /// Duration in units of 1024 µs. The load covers the last second, but the standard's type holds at most 255.
     pub measurement_duration: u8,
-    /// Share of that in which it was busy; 255 is all of it.
+    /// Share of that time in which the channel was busy; 255 is all of it.
     pub channel_load: u8,
 }
 
@@ -422,7 +412,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_are_read_however_they_are_written() {
+    fn addresses_parse_in_any_notation() {
         let mac = Mac([2, 0x77, 0, 0, 1, 0xfe]);
         for text in ["02:77:00:00:01:fe", "02-77-00-00-01-FE"] {
             assert_eq!(text.parse(), Ok(mac));
@@ -436,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn the_calendar_and_the_run_agree() {
+    fn calendar_and_run_times_convert_both_ways() {
         let epoch = Epoch { unix_ns: 1_700_000_000_250_000_000 };
         let stamp = epoch.at(Timestamp::from_nanos(1_900_000_000));
         assert_eq!(stamp, TimeStamp { seconds: 1_700_000_002, nano_seconds: 150_000_000 });

@@ -1,4 +1,4 @@
-//! What queries are answered from: the last survey as the standard's data types, written once and searched often.
+//! Answers to queries: the last survey as the standard's data types, serialised once and searched often.
 
 use std::{
     hash::{DefaultHasher, Hash, Hasher},
@@ -20,14 +20,14 @@ use crate::{
     types::{ApInfo, BssLoad, Epoch, Rssi, StaDataRate, StaIdentity, StaInfo},
 };
 
-/// What is asked for.
+/// A parsed query.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Query {
     filter: Option<Filter>,
     selection: Selection,
 }
 
-/// What can be asked for.
+/// Kind of object to query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// `ApInfo`.
@@ -36,27 +36,25 @@ pub enum Kind {
     Stations,
 }
 
-/// Why a query is none.
+/// Invalid query parameters.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum QueryError {
-    /// The filter.
     #[error(transparent)]
     Filter(#[from] crate::filter::FilterError),
-    /// The selectors.
     #[error(transparent)]
     Selector(#[from] SelectorError),
-    /// No parameter of a query.
+    /// The parameter does not exist.
     #[error(
         "there is no parameter `{0}`; there are filter, all_fields, fields, exclude_fields, exclude_default"
     )]
     Unknown(String),
-    /// Said twice.
+    /// The parameter is repeated.
     #[error("`{0}` is given twice")]
     Twice(String),
 }
 
 impl Query {
-    /// Reads the parameters of a query.
+    /// Parses the parameters of a query.
     ///
     /// # Errors
     /// [`QueryError`].
@@ -83,12 +81,12 @@ impl Query {
     }
 }
 
-/// An answer: an array in JSON, and its entity tag.
+/// An answer: a JSON array and its entity tag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
     /// The array.
     pub body: Bytes,
-    /// Changes when the body does; in quotes.
+    /// Entity tag in quotes, which changes with the body.
     pub etag: String,
 }
 
@@ -100,7 +98,7 @@ impl Answer {
     }
 }
 
-/// Things of one kind as JSON.
+/// All objects of one kind as JSON.
 #[derive(Debug)]
 pub(crate) struct Listing {
     items: Vec<(Value, String)>,
@@ -120,7 +118,7 @@ impl Listing {
         Self { items, whole }
     }
 
-    /// The answer to a query.
+    /// Returns the answer to a query.
     pub(crate) fn answer(&self, query: &Query) -> Answer {
         let matching = || {
             let filter = query.filter.as_ref();
@@ -146,7 +144,7 @@ fn array<T: AsRef<str>>(items: impl Iterator<Item = T>) -> Vec<u8> {
     text
 }
 
-/// Access points as they are told.
+/// Lists the access points.
 pub(crate) fn access_points(survey: &Survey, epoch: Epoch) -> Listing {
     Listing::new(survey.access_points.iter().map(|ap| {
         let unit = survey.unit(ap);
@@ -165,7 +163,7 @@ pub(crate) fn access_points(survey: &Survey, epoch: Epoch) -> Listing {
     }))
 }
 
-/// Stations as they are told, with the reports of measurements that are configured.
+/// Lists the stations, with the reports of configured measurements.
 pub(crate) fn stations<'a>(
     survey: &Survey,
     epoch: Epoch,
@@ -194,7 +192,7 @@ pub(crate) fn stations<'a>(
     }))
 }
 
-/// Rates of a station, as its access point knows them.
+/// Returns the rates of a station as its access point knows them.
 pub(crate) fn data_rate(station: &Station, named: Option<StaIdentity>) -> Option<StaDataRate> {
     station.reception.map(|reception| StaDataRate {
         sta_id: named,
@@ -203,7 +201,7 @@ pub(crate) fn data_rate(station: &Station, named: Option<StaIdentity>) -> Option
     })
 }
 
-/// Listings that are made when somebody asks, and kept until something changes.
+/// Listings made on demand and kept until something changes.
 #[derive(Debug, Default)]
 pub(crate) struct Listings {
     access_points: Option<Arc<Listing>>,
@@ -211,12 +209,12 @@ pub(crate) struct Listings {
 }
 
 impl Listings {
-    /// What is known changed.
+    /// Drops all listings, after a new survey.
     pub(crate) fn forget(&mut self) {
         *self = Self::default();
     }
 
-    /// What is measured changed.
+    /// Drops the listing of stations, after a change of measurements.
     pub(crate) fn forget_stations(&mut self) {
         self.stations = None;
     }

@@ -1,5 +1,5 @@
 //! The service as a state machine, without a clock or a socket: surveys and requests go in with the time, answers and
-//! notifications to be sent come out.
+//! notifications come out.
 
 mod configured;
 
@@ -20,79 +20,76 @@ use crate::{
     view::{self, Answer, Kind, Listings, Query},
 };
 
-/// Subscriptions, and measurement configurations, at the most.
+/// Most subscriptions, and most measurement configurations.
 const MOST: usize = 256;
-/// No subscription lasts longer than this without being renewed, if it has a deadline.
+/// Longest life of a subscription with a deadline, without renewal.
 const LONGEST_LIFE: Duration = Duration::from_secs(24 * 3600);
-/// So long before its end a subscription's consumer is told, or half of its life if that is less.
+/// Time before expiry at which the consumer is notified, or half of the subscription's life if that is less.
 const NOTICE: Duration = Duration::from_secs(30);
 
-/// Why a request is not met.
+/// A request that is not met.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// It cannot be.
+    /// The request is invalid.
     #[error(transparent)]
     Invalid(#[from] InvalidRequest),
-    /// Its callback.
+    /// The callback cannot be used.
     #[error(transparent)]
     Callback(#[from] CallbackError),
-    /// No such resource.
+    /// There is no such resource.
     #[error("there is no {what} `{id}`")]
     NotFound {
-        /// What was looked for.
+        /// Kind of the resource.
         what: &'static str,
-        /// By which name.
+        /// Its ID.
         id: String,
     },
-    /// Another changed it meanwhile.
-    #[error("the resource is not the one that `If-Match` names: it was changed, and is {0} now")]
+    /// The resource was changed meanwhile.
+    #[error("the resource has changed since the version in `If-Match`: it is {0} now")]
     Changed(String),
-    /// There are too many already.
+    /// The limit is reached.
     #[error("there are {MOST} already: delete some first")]
     Full,
-    /// Too often.
+    /// Changes are too frequent.
     #[error("resources change at most 200 times a second: try again later")]
     TooOften(Duration),
 }
 
-/// A resource as it is answered.
+/// A resource with its metadata.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resource<T> {
-    /// It.
     pub value: T,
-    /// Its URI.
     pub href: String,
-    /// Changes when it does; in quotes.
+    /// Entity tag in quotes, which changes with the resource.
     pub etag: String,
 }
 
-/// A notification that is to be sent now.
+/// A notification to send now.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dispatch {
-    /// The subscription.
+    /// ID of the subscription.
     pub subscription: u64,
-    /// Names the attempt.
+    /// ID of the attempt.
     pub attempt: u64,
-    /// Where to.
     pub target: Target,
     /// A JSON object.
     pub body: Arc<str>,
 }
 
-/// Where notifications of a subscription go.
+/// Target of a subscription's notifications.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
-    /// To a server of the consumer's.
+    /// A server of the consumer.
     Callback(Callback),
-    /// To whoever opened the subscription's WebSocket.
+    /// The WebSocket of the subscription.
     WebSocket,
 }
 
 impl Target {
-    /// Where a subscription wants its notifications; the WebSocket if it asks for both.
+    /// Returns the target of a subscription; the WebSocket if both are requested.
     ///
     /// # Errors
-    /// [`RequestError::Invalid`] if it asks for neither, [`RequestError::Callback`] for what is no callback.
+    /// [`RequestError::Invalid`] if neither is requested, [`RequestError::Callback`] for an invalid callback.
     pub fn of(subscription: &Subscription) -> Result<Self, RequestError> {
         let notifying = subscription.notifying();
         let socket = notifying.websock_notif_config.as_ref();
@@ -111,7 +108,7 @@ impl Target {
 struct Held {
     subscription: Subscription,
     target: Target,
-    /// As the consumer that made it sees it.
+    /// URI by which the consumer that made it sees it.
     href: String,
     version: u64,
     schedule: Schedule,
@@ -122,7 +119,7 @@ struct Held {
 #[derive(Debug, Clone, Copy)]
 struct Expiry {
     at: Timestamp,
-    /// When it is told; `None` once it was.
+    /// Time of the expiry notification; `None` once it was sent.
     notice: Option<Timestamp>,
 }
 
@@ -135,14 +132,14 @@ pub struct Wais {
     listings: Listings,
     subscriptions: BTreeMap<u64, Held>,
     configured: BTreeMap<u64, Configured>,
-    /// The last number given to a resource, a version or an attempt.
+    /// The last number assigned to a resource, a version or an attempt.
     numbers: u64,
     limiter: Limiter,
     complaints: Vec<String>,
 }
 
 impl Wais {
-    /// The service of a site, of which nothing is known yet.
+    /// Makes the service of a site, of which nothing is known yet.
     pub fn new(site: Arc<Site>, epoch: Epoch) -> Self {
         Self {
             survey: Survey::empty(&site),
@@ -157,12 +154,11 @@ impl Wais {
         }
     }
 
-    /// The site that it is of.
     pub fn site(&self) -> &Arc<Site> {
         &self.site
     }
 
-    /// This is known now.
+    /// Replaces the survey.
     pub fn observe(&mut self, survey: Survey) {
         self.survey = survey;
         self.listings.forget();
@@ -190,7 +186,7 @@ impl Wais {
         self.limiter.admit(now).map_err(RequestError::TooOften)
     }
 
-    /// Makes a subscription. `base` is the URI under which the consumer sees the service.
+    /// Creates a subscription. `base` is the URI under which the consumer sees the service.
     ///
     /// # Errors
     /// [`RequestError`]; then there is none.
@@ -222,10 +218,10 @@ impl Wais {
         self.subscription(base, &id.to_string())
     }
 
-    /// Replaces a subscription by another of its type. Notifications that wait are kept if they go to the same place.
+    /// Replaces a subscription by another of its type. Waiting notifications are kept if the target stays the same.
     ///
     /// # Errors
-    /// [`RequestError`]; then it is as it was.
+    /// [`RequestError`]; then nothing has changed.
     pub fn resubscribe(
         &mut self,
         now: Timestamp,
@@ -237,21 +233,19 @@ impl Wais {
         self.admit(now)?;
         let (number, held) = self.find(id)?;
         let type_name = held.subscription.type_name();
-        let etag = etag(number, held.version);
+        let version = held.version;
         let (target, expiry) = self.check(now, &subscription)?;
         if type_name != subscription.type_name() {
-            let what = format!("the subscription is a {type_name}, and stays one");
+            let what = format!("the subscription is a {type_name}, which cannot change");
             return Err(InvalidRequest::Malformed(what).into());
         }
         if let Some(links) = &subscription.notifying().links
             && !links.itself.href.ends_with(&format!("/subscriptions/{number}"))
         {
-            let what = format!("_links.self is {}", subscription_uri(base, number));
+            let what = format!("_links.self must be {}", subscription_uri(base, number));
             return Err(InvalidRequest::Malformed(what).into());
         }
-        if !may_change(if_match, &etag) {
-            return Err(RequestError::Changed(etag));
-        }
+        check_unchanged(if_match, number, version)?;
         let old = self.subscriptions.remove(&number);
         let kept = old.filter(|old| old.target == target).map(|old| old.outbox);
         let outbox = kept.unwrap_or_else(|| Outbox::new(target != Target::WebSocket));
@@ -280,7 +274,7 @@ impl Wais {
         self.subscriptions.insert(id, held);
     }
 
-    /// What is wrong with a subscription; else where it goes, and when it ends.
+    /// Checks a subscription, and returns its target and its expiry.
     fn check(
         &self,
         now: Timestamp,
@@ -308,7 +302,7 @@ impl Wais {
         found.ok_or_else(|| RequestError::NotFound { what: "subscription", id: id.to_owned() })
     }
 
-    /// A subscription.
+    /// Returns a subscription.
     ///
     /// # Errors
     /// [`RequestError::NotFound`].
@@ -333,7 +327,7 @@ impl Wais {
         Ok(Resource { value, href, etag: etag(number, held.version) })
     }
 
-    /// Links to all subscriptions, or those of one type.
+    /// Returns links to all subscriptions, or to those of one type.
     pub fn subscriptions(&self, base: &str, type_name: Option<&str>) -> SubscriptionLinkList {
         let wanted = |held: &Held| type_name.is_none_or(|name| held.subscription.type_name() == name);
         let held = self.subscriptions.iter().filter(|(_, held)| wanted(held));
@@ -347,7 +341,7 @@ impl Wais {
         }
     }
 
-    /// Ends a subscription; what still waits is not sent.
+    /// Ends a subscription. Waiting notifications are not sent.
     ///
     /// # Errors
     /// [`RequestError`].
@@ -359,21 +353,18 @@ impl Wais {
     ) -> Result<(), RequestError> {
         self.admit(now)?;
         let (number, held) = self.find(id)?;
-        let etag = etag(number, held.version);
-        if !may_change(if_match, &etag) {
-            return Err(RequestError::Changed(etag));
-        }
+        check_unchanged(if_match, number, held.version)?;
         self.subscriptions.remove(&number);
         Ok(())
     }
 
-    /// Whether anybody is to be told anything, now or later.
+    /// Whether there are any subscriptions.
     pub fn has_subscriptions(&self) -> bool {
         !self.subscriptions.is_empty()
     }
 
-    /// Ends what expired, composes what is due, and gives what is to be sent now. Whoever sends it says what came of it
-    /// by [`Wais::done`].
+    /// Ends expired subscriptions, composes due notifications, and returns those to send now. The sender reports each
+    /// outcome by [`Wais::done`].
     pub fn poll(&mut self, now: Timestamp) -> Vec<Dispatch> {
         self.subscriptions.retain(|_, held| held.expiry.is_none_or(|expiry| now < expiry.at));
         let mut dispatches = Vec::new();
@@ -398,7 +389,7 @@ impl Wais {
         dispatches
     }
 
-    /// When [`Wais::poll`] has something to do, even if nothing is observed until then.
+    /// Returns when [`Wais::poll`] has something to do, even if nothing is observed until then.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let of = |held: &Held| {
             let expiry = held.expiry.map(|expiry| expiry.notice.unwrap_or(expiry.at));
@@ -407,19 +398,19 @@ impl Wais {
         self.subscriptions.values().filter_map(of).min()
     }
 
-    /// An attempt to send a notification is over.
+    /// Records the outcome of an attempt to send a notification.
     pub fn done(&mut self, now: Timestamp, subscription: u64, attempt: u64, outcome: Outcome) {
         let Some(held) = self.subscriptions.get_mut(&subscription) else { return };
         let complaint = held.outbox.done(now, attempt, outcome);
         self.complaints.extend(complaint.map(|what| about(&held.href, &what)));
     }
 
-    /// Whether there is such a subscription, and it is notified over a WebSocket.
+    /// Whether the subscription exists and is notified over a WebSocket.
     pub fn has_websocket(&self, subscription: u64) -> bool {
         self.subscriptions.get(&subscription).is_some_and(|held| held.target == Target::WebSocket)
     }
 
-    /// Somebody opened a subscription's WebSocket, or it was closed; nothing happens where it has none.
+    /// Records that a subscription's WebSocket was opened or closed. Does nothing if it has none.
     pub fn set_websocket_open(&mut self, subscription: u64, open: bool) {
         let held = self.subscriptions.get_mut(&subscription);
         if let Some(held) = held.filter(|held| held.target == Target::WebSocket) {
@@ -427,7 +418,7 @@ impl Wais {
         }
     }
 
-    /// What the operator should know since the last call: notifications that were dropped, and why.
+    /// Returns the complaints to the operator since the last call: dropped notifications and their reasons.
     pub fn take_complaints(&mut self) -> Vec<String> {
         std::mem::take(&mut self.complaints)
     }
@@ -439,6 +430,12 @@ fn about(href: &str, what: &str) -> String {
 
 fn subscription_uri(base: &str, id: u64) -> String {
     format!("{base}/subscriptions/{id}")
+}
+
+/// Checks that `If-Match` permits a change of a resource's version.
+fn check_unchanged(if_match: Option<&str>, id: u64, version: u64) -> Result<(), RequestError> {
+    let etag = etag(id, version);
+    if may_change(if_match, &etag) { Ok(()) } else { Err(RequestError::Changed(etag)) }
 }
 
 fn etag(id: u64, version: u64) -> String {

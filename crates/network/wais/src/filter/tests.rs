@@ -53,7 +53,7 @@ fn every_operator_compares() {
 }
 
 #[test]
-fn all_expressions_must_hold_and_one_element_must_meet_all_of_its_prefix() {
+fn one_array_element_must_meet_all_expressions_with_its_prefix() {
     for (text, expected) in [
         ("(eq,channel,6);(gt,rssi/rssi,100)", true),
         ("(eq,channel,6);(gt,rssi/rssi,200)", false),
@@ -69,7 +69,7 @@ fn all_expressions_must_hold_and_one_element_must_meet_all_of_its_prefix() {
 }
 
 #[test]
-fn what_is_left_out_meets_nothing() {
+fn missing_attributes_meet_no_expression() {
     for text in
         ["(eq,apAssociated/bssid,02:77:00:00:00:01)", "(neq,apAssociated/bssid,x)", "(nin,staId/aid,1)"]
     {
@@ -78,19 +78,19 @@ fn what_is_left_out_meets_nothing() {
 }
 
 #[test]
-fn addresses_are_compared_however_they_are_written() {
+fn addresses_compare_in_any_notation() {
     for text in ["(eq,staId/macId,02:77:00:00:00:0A)", "(eq,staId/macId,02-77-00-00-00-0a)"] {
         assert!(filter(text).matches(&station()), "{text}");
     }
 }
 
 #[test]
-fn mistakes_are_told_with_their_place() {
+fn errors_name_their_place() {
     for (text, at, part) in [
         ("", 1, "begins with `(`"),
         ("eq,channel,6", 1, "begins with `(`"),
         ("(is,channel,6)", 2, "no operator `is`"),
-        ("(eq)", 4, "comes `,` and an attribute"),
+        ("(eq)", 4, "`,` and an attribute"),
         ("(eq,chanel,6)", 5, "no attribute `chanel`"),
         ("(eq,staId/bssid,6)", 11, "no attribute `bssid`; there are macId"),
         ("(eq,staId,6)", 10, "`staId` has attributes"),
@@ -101,11 +101,11 @@ fn mistakes_are_told_with_their_place() {
         ("(eq,neighborReport/bssidInfo/ftm,1)", 34, "`true` or `false`"),
         ("(eq,channel,6,7)", 16, "takes one value"),
         ("(gt,staId/macId,1)", 2, "compares numbers"),
-        ("(cont,channel,6)", 2, "compares texts"),
+        ("(cont,channel,6)", 2, "compares strings"),
         ("(eq,channel,6", 14, "ends with `)`"),
-        ("(eq,channel,6)(eq,channel,6)", 15, "stands `;`"),
+        ("(eq,channel,6)(eq,channel,6)", 15, "expected `;`"),
         ("(eq,channel,6);", 16, "begins with `(`"),
-        ("(eq,staId/ssid,it's)", 18, "written in quotes"),
+        ("(eq,staId/ssid,it's)", 18, "in quotes"),
         ("(eq,staId/ssid,'é", 18, "ends with `'`"),
     ] {
         let error = Filter::of_stations(text).unwrap_err().to_string();
@@ -114,7 +114,7 @@ fn mistakes_are_told_with_their_place() {
     }
 }
 
-/// Every path that leads to a simple attribute.
+/// Paths of all simple attributes.
 fn leaves() -> Vec<(String, Kind)> {
     fn collect(of: &'static [Attribute], prefix: &str, leaves: &mut Vec<(String, Kind)>) {
         for attribute in of {
@@ -130,7 +130,7 @@ fn leaves() -> Vec<(String, Kind)> {
     all
 }
 
-/// A well-formed expression and the value that it compares with.
+/// A valid expression and the value that it compares with.
 fn expression() -> impl Strategy<Value = String> {
     let leaves = leaves();
     (0..leaves.len(), 0..OPS.len(), prop::collection::vec(any::<i32>(), 1..4), "\\PC{0,8}").prop_filter_map(
@@ -152,7 +152,7 @@ fn expression() -> impl Strategy<Value = String> {
 
 proptest! {
     #[test]
-    fn any_well_formed_filter_is_read_and_comes_back(
+    fn valid_filters_survive_display_and_parsing(
         expressions in prop::collection::vec(expression(), 1..6)
     ) {
         let read = filter(&expressions.join(";"));
@@ -160,7 +160,7 @@ proptest! {
     }
 
     #[test]
-    fn all_of_a_filter_hold_exactly_when_each_does_where_no_array_is_asked(
+    fn filters_without_arrays_are_conjunctions(
         channel in 0_i64..4, rssi in 0_i64..4, a in 0_i64..4, b in 0_i64..4, op in 0_usize..6, other in 0_usize..6,
     ) {
         let station = json!({ "channel": channel, "rssi": { "rssi": rssi } });
@@ -173,7 +173,7 @@ proptest! {
     }
 
     #[test]
-    fn a_negated_operator_says_the_opposite_where_there_is_one_value(
+    fn negated_operators_invert_the_result_for_one_value(
         channel in 0_i64..4, a in 0_i64..4, b in 0_i64..4
     ) {
         let station = json!({ "channel": channel });
@@ -186,7 +186,7 @@ proptest! {
     }
 
     #[test]
-    fn no_text_breaks_the_reader(text in "\\PC{0,40}|[(),;'/a-z0-9]{0,40}") {
+    fn arbitrary_text_never_panics(text in "\\PC{0,40}|[(),;'/a-z0-9]{0,40}") {
         if let Ok(read) = Filter::of_stations(&text) {
             prop_assert_eq!(filter(&read.to_string()), read);
         }

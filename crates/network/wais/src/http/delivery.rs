@@ -1,5 +1,5 @@
-//! The thread that sends notifications: waits for what is due, and posts it. It asks nothing of the thread that serves
-//! requests, so that a consumer that hangs holds up nobody.
+//! The thread that sends notifications. It waits until one is due, and posts it. It is separate from the thread that
+//! serves requests, so that a hanging consumer delays nobody else.
 
 use std::{io, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -17,9 +17,9 @@ use crate::{
     wais::{Dispatch, Target},
 };
 
-/// An attempt takes no longer than this.
+/// Longest duration of an attempt.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// A callback's name is looked up within this, when somebody subscribes.
+/// Longest duration of a callback's name resolution at subscription.
 const LOOK_UP: Duration = Duration::from_secs(2);
 
 /// Sends the notifications of services until it is dropped.
@@ -29,10 +29,10 @@ pub struct Delivery {
 }
 
 impl Delivery {
-    /// Sends what these services have to say.
+    /// Starts sending the notifications of these services.
     ///
     /// # Errors
-    /// The system refuses a thread or a runtime.
+    /// The system provides no thread or runtime.
     pub fn start(services: Vec<Service>) -> io::Result<Self> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (stop, stopped) = oneshot::channel::<()>();
@@ -44,7 +44,7 @@ impl Delivery {
                     _ = stopped => {}
                 }
             });
-            // A name that is being looked up must not keep a finished run alive.
+            // A pending name resolution must not keep a finished run alive.
             runtime.shutdown_background();
         })?;
         Ok(Self { stop: Some(stop), thread: Some(thread) })
@@ -87,7 +87,7 @@ async fn send(service: Service, dispatch: Dispatch) {
     service.done(subscription, attempt, outcome);
 }
 
-/// Where a callback leads: looked up, and allowed.
+/// Resolves a callback's host, and returns an allowed address.
 pub(super) async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<SocketAddr, CallbackError> {
     let host = (callback.host.as_str(), callback.port);
     match tokio::time::timeout(LOOK_UP, tokio::net::lookup_host(host)).await {
@@ -96,7 +96,7 @@ pub(super) async fn resolve(callback: &Callback, allowed: &Allowed) -> Result<So
     }
 }
 
-/// Posts a notification to the very address that was checked. Redirections are not followed.
+/// Posts a notification to the address that was checked. Does not follow redirections.
 async fn post(callback: &Callback, allowed: &Allowed, body: Arc<str>) -> Outcome {
     let address = match resolve(callback, allowed).await {
         Ok(address) => address,
@@ -126,7 +126,7 @@ async fn exchange(callback: &Callback, address: SocketAddr, body: Arc<str>) -> R
     let answer = sender.send_request(request);
     tokio::pin!(connection);
     tokio::pin!(answer);
-    // The connection is driven until the answer's head is there; its body is nobody's concern.
+    // The connection is driven until the head of the answer arrives. Its body is ignored.
     tokio::select! {
         answer = &mut answer => Ok(answer?.status()),
         ended = &mut connection => {

@@ -33,7 +33,7 @@ use super::routes;
 )]
 struct Document;
 
-/// The OpenAPI document of the service.
+/// Returns the OpenAPI document of the service.
 pub fn openapi() -> String {
     let expected = "the document holds only what JSON can";
     let mut document = serde_json::to_value(Document::openapi()).expect(expected);

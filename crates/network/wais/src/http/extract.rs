@@ -1,4 +1,4 @@
-//! What requests carry, taken out so that each mistake is a problem of the standard's: addresses, bodies, conditions.
+//! Extractors of request data, whose errors are the standard's problems: URIs, bodies, conditions.
 
 use axum::{
     extract::{FromRequest, FromRequestParts, Path, Query, Request},
@@ -10,12 +10,12 @@ use bytes::Bytes;
 
 use super::{Service, problem::Problem};
 
-/// Bytes of the longest body.
+/// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
-/// Bytes of the longest path and query.
+/// Longest path and query, bytes.
 const LONGEST_URI: usize = 8000;
 
-/// What is asked of every request: a URI of reasonable length, and that JSON is taken.
+/// Rejects requests with an overlong URI, and those that do not accept JSON.
 pub(super) async fn check(request: Request, next: Next) -> Response {
     let uri = request.uri();
     if uri.path_and_query().is_some_and(|asked| asked.as_str().len() > LONGEST_URI) {
@@ -23,13 +23,13 @@ pub(super) async fn check(request: Request, next: Next) -> Response {
         return Problem::new(StatusCode::URI_TOO_LONG, detail).into_response();
     }
     if !takes_json(request.headers()) {
-        let detail = "this service gives application/json, and problems as application/problem+json";
+        let detail = "this service answers in application/json, and problems in application/problem+json";
         return Problem::new(StatusCode::NOT_ACCEPTABLE, detail).into_response();
     }
     next.run(request).await
 }
 
-/// Whether `Accept` has JSON in it (RFC 9110, 12.5.1).
+/// Whether `Accept` includes JSON (RFC 9110, 12.5.1).
 fn takes_json(headers: &HeaderMap) -> bool {
     let mut accepted = headers.get_all(header::ACCEPT).iter().peekable();
     if accepted.peek().is_none() {
@@ -43,7 +43,7 @@ fn takes_json(headers: &HeaderMap) -> bool {
     })
 }
 
-/// The URI under which the requester sees the service.
+/// The URI under which the requester reaches the service.
 pub(super) struct Base(pub(super) String);
 
 impl FromRequestParts<Service> for Base {
@@ -54,16 +54,14 @@ impl FromRequestParts<Service> for Base {
         let authority = match host.or_else(|| parts.uri.authority().cloned().map(Ok)) {
             Some(Ok(authority)) => authority,
             _ => {
-                return Err(Problem::bad_request(
-                    "the header `Host` says under which name this service is seen",
-                ));
+                return Err(Problem::bad_request("the `Host` header is missing or invalid"));
             }
         };
         Ok(Self(format!("http://{authority}{}", service.prefix())))
     }
 }
 
-/// The last part of a path.
+/// The last segment of a path.
 pub(super) struct Id(pub(super) String);
 
 impl FromRequestParts<Service> for Id {
@@ -91,7 +89,7 @@ impl FromRequestParts<Service> for Parameters {
     }
 }
 
-/// A body that says that it is JSON.
+/// A body declared as JSON.
 pub(super) struct Json(pub(super) Bytes);
 
 impl FromRequest<Service> for Json {
@@ -114,12 +112,12 @@ impl FromRequest<Service> for Json {
     }
 }
 
-/// What a header says, if it says one thing in ASCII.
+/// Returns a header's value, if it is ASCII text.
 pub(super) fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// `If-Match`; where it cannot be read, it matches nothing.
+/// Returns `If-Match`. An unreadable value becomes one that matches nothing.
 pub(super) fn if_match(headers: &HeaderMap) -> Option<&str> {
     headers.get(header::IF_MATCH).map(|value| value.to_str().unwrap_or_default())
 }
@@ -129,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_is_taken_by_those_who_say_nothing_else() {
+    fn json_is_accepted_unless_excluded() {
         for (accept, expected) in [
             ("application/json", true),
             ("text/html, */*;q=0.1", true),

@@ -1,4 +1,4 @@
-//! The shell: HTTP resources and WebSockets around a [`Wais`], and the thread that delivers its notifications.
+//! HTTP resources and WebSockets around a [`Wais`], and the thread that delivers its notifications.
 
 mod delivery;
 #[cfg(feature = "openapi")]
@@ -35,21 +35,21 @@ use crate::{
     wais::{Dispatch, RequestError, Target, Wais},
 };
 
-/// What is known changes without notice: while anybody has subscribed, it is looked at this often.
+/// Interval of surveys while there are subscriptions. The testbed changes without notice.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The testbed that a service is about.
+/// The testbed of a service.
 pub trait Testbed: Send + Sync + 'static {
-    /// The time of the run.
+    /// Returns the time of the run.
     fn now(&self) -> Timestamp;
 
-    /// What is known of a site now.
+    /// Surveys a site.
     fn survey(&self, site: &Arc<Site>) -> Survey;
 
-    /// How old what is known may be when a query is answered from it.
+    /// Returns the maximum age of a survey from which a query may be answered.
     fn freshness(&self) -> Duration;
 
-    /// Tells the operator something.
+    /// Reports a message to the operator.
     fn tell(&self, message: String);
 }
 
@@ -59,7 +59,7 @@ pub struct Service(Arc<Shared>);
 
 struct Shared {
     testbed: Arc<dyn Testbed>,
-    /// What is known, and since when.
+    /// The service, and the time of its last survey.
     state: Mutex<(Wais, Option<Timestamp>)>,
     allowed: Allowed,
     prefix: String,
@@ -67,7 +67,7 @@ struct Shared {
     sockets: Sockets,
 }
 
-/// The resources: [`openapi`] describes the same.
+/// The resources; [`openapi`] describes them.
 fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
     [
         ("/queries/ap/ap_information", get(routes::ap_information)),
@@ -85,15 +85,15 @@ fn resources() -> [(&'static str, MethodRouter<Service>); 6] {
     ]
 }
 
-/// The OpenAPI document of the service as it is checked in. The feature `openapi` derives it from the code, and the tests compare
-/// the two: a first build need not compile what derives it.
+/// Returns the OpenAPI document of the service as it is checked in. The feature `openapi` derives it from the code,
+/// and the tests compare the two. A first build need not compile the derivation.
 #[cfg(not(feature = "openapi"))]
 pub fn openapi() -> String {
     include_str!("../../../../../docs/wais.openapi.json").to_owned()
 }
 
 impl Service {
-    /// The service of a site. `prefix` is the path under which [`Service::router`] is put, such as `/wai/v2`.
+    /// Makes the service of a site. `prefix` is the path of [`Service::router`], such as `/wai/v2`.
     pub fn new(
         testbed: Arc<dyn Testbed>,
         site: Site,
@@ -106,12 +106,11 @@ impl Service {
         Self(Arc::new(Shared { testbed, state, allowed, prefix, wake, sockets }))
     }
 
-    /// Its resources. Every answer is the standard's, also where there is no such path or method.
+    /// Returns the resources. Every answer follows the standard, also for unknown paths and methods.
     pub fn router(&self) -> Router {
         let no_path = || async { Problem::new(StatusCode::NOT_FOUND, "there is no such path here") };
-        let no_method = || async {
-            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "see `Allow` for what is possible here")
-        };
+        let no_method =
+            || async { Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method not allowed: see `Allow`") };
         resources()
             .into_iter()
             .fold(Router::new(), |router, (path, methods)| router.route(path, methods))
@@ -122,7 +121,7 @@ impl Service {
             .with_state(self.clone())
     }
 
-    /// The path under which it is found.
+    /// Returns the path of the service.
     pub fn prefix(&self) -> &str {
         &self.0.prefix
     }
@@ -131,7 +130,7 @@ impl Service {
         self.0.testbed.now()
     }
 
-    /// Does something with the service, which knows what is fresh enough then.
+    /// Runs a closure with the service, after a new survey if the last one is too old.
     fn with<R>(&self, act: impl FnOnce(&mut Wais) -> R) -> R {
         let mut state = self.0.state.lock();
         let (wais, known) = &mut *state;
@@ -151,14 +150,14 @@ impl Service {
         result
     }
 
-    /// What is to be sent now, and how long there is nothing more to do; `None` until it is woken.
+    /// Returns the notifications to send now, and the time until there is more to do; `None` until woken.
     fn poll(&self) -> (Vec<Dispatch>, Option<Duration>) {
         let now = self.now();
         self.with(|wais| {
             let dispatches = wais.poll(now);
             self.0.sockets.keep(|subscription| wais.has_websocket(subscription));
             let wait = wais.next_deadline().map_or(LOOK, |deadline| deadline.since(now).min(LOOK));
-            // In virtual time a deadline may stay where it is: that must not become a busy loop.
+            // In virtual time a deadline may stand still: this must not become a busy loop.
             let wait = wait.max(Duration::from_millis(1));
             (dispatches, wais.has_subscriptions().then_some(wait))
         })
@@ -186,7 +185,7 @@ impl Service {
         &self.0.sockets
     }
 
-    /// A callback that could never be called is refused when it is given.
+    /// Rejects a callback that could never be called.
     async fn check_callback(&self, subscription: &Subscription) -> Result<(), Problem> {
         subscription.check()?;
         if let Target::Callback(callback) = Target::of(subscription)? {

@@ -1,4 +1,4 @@
-//! Errors as ETSI GS MEC 009 wants them: problem details (RFC 9457), whatever went wrong.
+//! Errors in the form that ETSI GS MEC 009 requires: problem details (RFC 9457).
 
 use axum::{
     http::{HeaderName, HeaderValue, StatusCode, header},
@@ -8,23 +8,23 @@ use serde::Serialize;
 
 use crate::{callback::CallbackError, requests::InvalidRequest, view::QueryError, wais::RequestError};
 
-/// What went wrong (RFC 9457).
+/// A problem (RFC 9457).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ProblemDetails {
-    /// `about:blank`: the status says what kind of problem it is.
+    /// `about:blank`: the status describes the kind of problem.
     #[serde(rename = "type")]
     #[cfg_attr(feature = "openapi", schema(format = "uri"))]
     kind: &'static str,
-    /// The status in words.
+    /// Name of the status.
     title: &'static str,
-    /// The status.
+    /// HTTP status.
     status: u16,
-    /// What is wrong here, and what would be right.
+    /// Explanation of the error, and its remedy.
     detail: String,
 }
 
-/// A problem and what its answer's head says of it.
+/// A problem with a header of its response.
 #[derive(Debug)]
 pub(crate) struct Problem {
     status: StatusCode,
@@ -42,7 +42,8 @@ impl Problem {
     }
 }
 
-/// An answer that says what went wrong, for those who answer in the service's place: who is not let in, for instance.
+/// Returns a response with a problem. For servers that reject a request on the service's behalf, such as an
+/// unauthorised one.
 pub fn problem(status: StatusCode, detail: impl Into<String>) -> Response {
     let mut problem = Problem::new(status, detail);
     if status == StatusCode::UNAUTHORIZED {
@@ -70,8 +71,8 @@ impl IntoResponse for Problem {
 }
 
 impl From<RequestError> for Problem {
-    fn from(refused: RequestError) -> Self {
-        let status = match &refused {
+    fn from(error: RequestError) -> Self {
+        let status = match &error {
             RequestError::Invalid(InvalidRequest::Malformed(_))
             | RequestError::Callback(CallbackError::Invalid(_) | CallbackError::Unknown(_)) => {
                 StatusCode::BAD_REQUEST
@@ -82,14 +83,14 @@ impl From<RequestError> for Problem {
             RequestError::Changed(_) => StatusCode::PRECONDITION_FAILED,
             RequestError::TooOften(_) => StatusCode::TOO_MANY_REQUESTS,
         };
-        let header = match &refused {
+        let header = match &error {
             RequestError::TooOften(wait) => {
                 let seconds = HeaderValue::from(wait.as_secs() + 1);
                 Some((header::RETRY_AFTER, seconds))
             }
             _ => None,
         };
-        Self { status, detail: refused.to_string(), header }
+        Self { status, detail: error.to_string(), header }
     }
 }
 
@@ -105,24 +106,24 @@ impl From<InvalidRequest> for Problem {
     }
 }
 
-/// What can go wrong with any request.
+/// Problems of any request.
 #[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
-#[expect(dead_code, reason = "it is there for the OpenAPI document")]
-pub(crate) enum Asked {
-    /// The request is wrong; the details say how.
+#[expect(dead_code, reason = "used by the OpenAPI document")]
+pub(crate) enum RequestProblems {
+    /// The request is invalid; the details explain how.
     #[response(status = 400, content_type = "application/problem+json")]
     BadRequest(ProblemDetails),
-    /// The API needs its token.
+    /// The API requires its token.
     #[response(status = 401, content_type = "application/problem+json")]
     Unauthorized(ProblemDetails),
-    /// Not from there, not to there, or there is no room.
+    /// The source or target is not allowed, or a limit is reached.
     #[response(status = 403, content_type = "application/problem+json")]
     Forbidden(ProblemDetails),
     /// There is no such resource.
     #[response(status = 404, content_type = "application/problem+json")]
     NotFound(ProblemDetails),
-    /// Only JSON is given.
+    /// The service answers only in JSON.
     #[response(status = 406, content_type = "application/problem+json")]
     NotAcceptable(ProblemDetails),
     /// Longer than 8000 bytes.
@@ -130,24 +131,24 @@ pub(crate) enum Asked {
     UriTooLong(ProblemDetails),
 }
 
-/// What can go wrong with a change beside that.
+/// Further problems of a change.
 #[cfg(feature = "openapi")]
 #[derive(utoipa::IntoResponses)]
-#[expect(dead_code, reason = "it is there for the OpenAPI document")]
-pub(crate) enum Changing {
-    /// It was changed since `If-Match` was known.
+#[expect(dead_code, reason = "used by the OpenAPI document")]
+pub(crate) enum ChangeProblems {
+    /// The resource was changed since the version in `If-Match`.
     #[response(status = 412, content_type = "application/problem+json")]
     PreconditionFailed(ProblemDetails),
-    /// More than 64 KiB.
+    /// Longer than 64 KiB.
     #[response(status = 413, content_type = "application/problem+json")]
     ContentTooLarge(ProblemDetails),
-    /// Only JSON is taken.
+    /// Only JSON is accepted.
     #[response(status = 415, content_type = "application/problem+json")]
     UnsupportedMediaType(ProblemDetails),
-    /// The testbed does not have what is asked for.
+    /// The testbed lacks the requested data.
     #[response(status = 422, content_type = "application/problem+json")]
     UnprocessableContent(ProblemDetails),
-    /// Too many changes; `Retry-After` says when.
+    /// Too many changes; `Retry-After` has the waiting time.
     #[response(status = 429, content_type = "application/problem+json")]
     TooManyRequests(ProblemDetails),
 }

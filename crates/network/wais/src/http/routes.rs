@@ -8,7 +8,7 @@ use axum::{
 use serde::Serialize;
 
 #[cfg(feature = "openapi")]
-use super::problem::{Asked, Changing};
+use super::problem::{ChangeProblems, RequestProblems};
 use super::{
     Service,
     extract::{Base, Id, Json, Parameters, if_match, text},
@@ -28,21 +28,21 @@ use crate::{
 
 type Answer = Result<Response, Problem>;
 
-/// What of which things (ETSI GS MEC 009, 6.18 and 6.19).
+/// Filters and selectors of a query (ETSI GS MEC 009, 6.18 and 6.19).
 #[cfg(feature = "openapi")]
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "it is there for the OpenAPI document")]
+#[expect(dead_code, reason = "used by the OpenAPI document")]
 struct Selecting {
-    /// Expressions `(op,attribute/attribute,value)` with `;` between, all of which hold; op is one of eq, neq, gt, lt, gte,
-    /// lte, in, nin, cont, ncont.
+    /// Expressions `(op,attribute/attribute,value)` separated by `;`, all of which must hold. `op` is one of eq, neq,
+    /// gt, lt, gte, lte, in, nin, cont, ncont.
     #[param(example = "(eq,channel,6);(gt,bssLoad/staCount,0)")]
     filter: Option<String>,
-    /// All attributes, as without any of these.
+    /// All attributes; the default.
     all_fields: Option<String>,
-    /// Of structures and arrays only these, with commas between.
+    /// Only these structures and arrays, separated by commas, beside simple and required attributes.
     fields: Option<String>,
-    /// All but these structures and arrays, with commas between.
+    /// All but these structures and arrays, separated by commas.
     exclude_fields: Option<String>,
     /// All attributes: the standard excludes none by default.
     exclude_default: Option<String>,
@@ -54,7 +54,7 @@ fn query(of: Kind, service: &Service, headers: &HeaderMap, parameters: &[(String
     Ok(tagged(headers, answer.etag, answer.body))
 }
 
-/// JSON with its entity tag, or that the requester has it already.
+/// Answers with JSON and its entity tag, or with 304 if the requester has it already.
 fn tagged(headers: &HeaderMap, etag: String, body: impl Into<axum::body::Body>) -> Response {
     if is_known(text(headers, header::IF_NONE_MATCH), &etag) {
         return (StatusCode::NOT_MODIFIED, [(header::ETAG, etag)]).into_response();
@@ -84,10 +84,10 @@ fn changed<T: Serialize>(resource: &Resource<T>) -> Response {
     shown(&HeaderMap::new(), resource)
 }
 
-/// Access points and what is known of them.
+/// Access points and their state.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/ap/ap_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), Asked)))]
+    responses((status = 200, description = "access points", body = Vec<ApInfo>), (status = 304, description = "as known already"), RequestProblems)))]
 pub(super) async fn ap_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -96,10 +96,10 @@ pub(super) async fn ap_information(
     query(Kind::AccessPoints, &service, &headers, &parameters)
 }
 
-/// Stations that are associated, and what is known of them.
+/// Associated stations and their state.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/queries/sta/sta_information", tag = "queries",
     params(Selecting, ("If-None-Match" = Option<String>, Header)),
-    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), Asked)))]
+    responses((status = 200, description = "stations", body = Vec<StaInfo>), (status = 304, description = "as known already"), RequestProblems)))]
 pub(super) async fn sta_information(
     State(service): State<Service>,
     headers: HeaderMap,
@@ -108,7 +108,7 @@ pub(super) async fn sta_information(
     query(Kind::Stations, &service, &headers, &parameters)
 }
 
-/// Types as `subscription_type` names them.
+/// Subscription types by their names in `subscription_type`.
 const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
     ("assoc_sta", "AssocStaSubscription"),
     ("sta_data_rate", "StaDataRateSubscription"),
@@ -118,7 +118,7 @@ const SUBSCRIPTION_TYPES: [(&str, &str); 3] = [
 /// Links to subscriptions.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions", tag = "subscriptions",
     params(("subscription_type" = Option<String>, Query, pattern = "^(assoc_sta|sta_data_rate|measure_report)$")),
-    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), Asked)))]
+    responses((status = 200, description = "links to subscriptions", body = SubscriptionLinkList), RequestProblems)))]
 pub(super) async fn subscriptions(
     State(service): State<Service>,
     Base(base): Base,
@@ -142,7 +142,7 @@ pub(super) async fn subscriptions(
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/subscriptions", tag = "subscriptions",
     request_body = Subscription,
     responses((status = 201, description = "the subscription", body = Subscription, headers(("Location" = String), ("ETag" = String))),
-        Asked, Changing)))]
+        RequestProblems, ChangeProblems)))]
 pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let subscription = Subscription::read(&body)?;
     service.check_callback(&subscription).await?;
@@ -156,7 +156,7 @@ pub(super) async fn subscribe(State(service): State<Service>, Base(base): Base, 
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), Asked)))]
+        (status = 304, description = "as known already"), RequestProblems)))]
 pub(super) async fn subscription(
     State(service): State<Service>,
     Base(base): Base,
@@ -170,7 +170,7 @@ pub(super) async fn subscription(
 #[cfg_attr(feature = "openapi", utoipa::path(put, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     request_body = Subscription,
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), Asked, Changing)))]
+    responses((status = 200, description = "the subscription", body = Subscription, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
 pub(super) async fn resubscribe(
     State(service): State<Service>,
     Base(base): Base,
@@ -191,7 +191,7 @@ pub(super) async fn resubscribe(
 /// End a subscription.
 #[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/subscriptions/{subscriptionId}", tag = "subscriptions",
     params(("subscriptionId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), Asked, Changing)))]
+    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
 pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unsubscribe(now, &id, if_match(&headers)))?;
@@ -201,7 +201,7 @@ pub(super) async fn unsubscribe(State(service): State<Service>, Id(id): Id, head
 
 /// Links to measurement configurations.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements", tag = "measurements",
-    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), Asked)))]
+    responses((status = 200, description = "links to measurement configurations", body = MeasurementConfigLinkList), RequestProblems)))]
 pub(super) async fn measurements(
     State(service): State<Service>,
     Base(base): Base,
@@ -214,11 +214,11 @@ pub(super) async fn measurements(
     Ok(([(header::CONTENT_TYPE, "application/json")], json(&list)).into_response())
 }
 
-/// Configure a measurement, whose reports are told with stations' information from then on.
+/// Configure a measurement. Its reports are included in station information from then on.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/measurements", tag = "measurements",
     request_body = MeasurementConfig,
     responses((status = 201, description = "the configuration", body = MeasurementConfig, headers(("Location" = String), ("ETag" = String))),
-        Asked, Changing)))]
+        RequestProblems, ChangeProblems)))]
 pub(super) async fn configure(State(service): State<Service>, Base(base): Base, Json(body): Json) -> Answer {
     let config = MeasurementConfig::read(&body)?;
     let now = service.now();
@@ -229,7 +229,7 @@ pub(super) async fn configure(State(service): State<Service>, Base(base): Base, 
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-None-Match" = Option<String>, Header)),
     responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))),
-        (status = 304, description = "as known already"), Asked)))]
+        (status = 304, description = "as known already"), RequestProblems)))]
 pub(super) async fn measurement(
     State(service): State<Service>,
     Base(base): Base,
@@ -243,7 +243,7 @@ pub(super) async fn measurement(
 #[cfg_attr(feature = "openapi", utoipa::path(put, path = "/measurements/{measurementConfigId}", tag = "measurements",
     request_body = MeasurementConfig,
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), Asked, Changing)))]
+    responses((status = 200, description = "the configuration", body = MeasurementConfig, headers(("ETag" = String))), RequestProblems, ChangeProblems)))]
 pub(super) async fn reconfigure(
     State(service): State<Service>,
     Base(base): Base,
@@ -261,7 +261,7 @@ pub(super) async fn reconfigure(
 /// End a measurement.
 #[cfg_attr(feature = "openapi", utoipa::path(delete, path = "/measurements/{measurementConfigId}", tag = "measurements",
     params(("measurementConfigId" = String, Path), ("If-Match" = Option<String>, Header)),
-    responses((status = 204, description = "it has ended"), Asked, Changing)))]
+    responses((status = 204, description = "it has ended"), RequestProblems, ChangeProblems)))]
 pub(super) async fn unconfigure(State(service): State<Service>, Id(id): Id, headers: HeaderMap) -> Answer {
     let now = service.now();
     service.with(|wais| wais.unconfigure(now, &id, if_match(&headers)))?;

@@ -1,4 +1,4 @@
-//! The service over real sockets: what is answered to whom, and what reaches consumers. Time is the tests' own.
+//! Tests the service over real sockets: answers to requests, and notifications to consumers. The tests set the time.
 
 use std::{
     collections::BTreeSet,
@@ -16,7 +16,7 @@ use tokio_tungstenite::tungstenite;
 use super::*;
 use crate::{survey::Scope, testing};
 
-/// A testbed in which everything is where it was, at a time that tests set; or that goes on when it is looked at.
+/// A testbed whose state never changes, at a time set by the test or advancing at each look.
 struct Still {
     now: AtomicU64,
     step: AtomicU64,
@@ -69,7 +69,7 @@ fn serve() -> Served {
     Served { address, testbed, told, _delivery: Delivery::start(vec![service]).unwrap() }
 }
 
-/// An answer's status, head in lower case, and body.
+/// Status, head in lower case, and body of an answer.
 type Answered = (u16, String, Value);
 
 impl Served {
@@ -79,7 +79,7 @@ impl Served {
             format!("{method} /wai/v2{path} HTTP/1.1\r\nHost: wais.lab\r\nConnection: close\r\n");
         head.iter().for_each(|line| request += &format!("{line}\r\n"));
         request += &format!("Content-Length: {}\r\n\r\n{body}", body.len());
-        // An answer may come before all of a body is sent.
+        // An answer may arrive before the whole body is sent.
         let _ = stream.write_all(request.as_bytes());
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
@@ -118,7 +118,7 @@ fn etag(head: &str) -> String {
 }
 
 #[test]
-fn every_mistake_is_a_problem_of_the_standards() {
+fn every_error_is_a_problem_of_the_standard() {
     let served = serve();
     let json_head = ["Content-Type: application/json"];
     let long = format!("/subscriptions?x={}", "y".repeat(9000));
@@ -163,7 +163,7 @@ fn every_mistake_is_a_problem_of_the_standards() {
         assert!(problem["detail"].as_str().unwrap().contains(part), "{method} {path}: {problem}");
         assert_eq!(status == 405, head.contains("allow: "), "{head}");
     }
-    // Whoever changes too much waits.
+    // Too many changes must wait.
     let (limited, head, _) = (0..600)
         .map(|_| served.ask("DELETE", "/subscriptions/7", &[], ""))
         .find(|(status, ..)| *status != 404)
@@ -173,7 +173,7 @@ fn every_mistake_is_a_problem_of_the_standards() {
 }
 
 #[test]
-fn entity_tags_save_and_guard() {
+fn entity_tags_save_answers_and_guard_changes() {
     let served = serve();
     let query = "/queries/sta/sta_information?filter=(gt,rssi/rssi,10)";
     let (status, head, body) = served.ask("GET", query, &[], "");
@@ -199,7 +199,7 @@ fn entity_tags_save_and_guard() {
     assert_eq!(served.ask("GET", "/subscriptions/1", &[], "").0, 404);
 }
 
-/// Takes one notification as a consumer's server, and answers.
+/// Receives one notification as a consumer's server, and answers.
 fn take(listener: &TcpListener, answer: &str) -> (String, Value) {
     let (stream, _) = listener.accept().unwrap();
     let mut reader = BufReader::new(stream);
@@ -225,7 +225,7 @@ fn take(listener: &TcpListener, answer: &str) -> (String, Value) {
 }
 
 #[test]
-fn callbacks_are_posted_tried_again_and_never_redirected() {
+fn callbacks_are_posted_retried_and_never_redirected() {
     let served = serve();
     let consumer = TcpListener::bind("127.0.0.1:0").unwrap();
     let uri = format!("http://{}/told?by=wais", consumer.local_addr().unwrap());
@@ -248,7 +248,7 @@ fn callbacks_are_posted_tried_again_and_never_redirected() {
 }
 
 #[test]
-fn a_consumer_that_hangs_holds_up_nobody() {
+fn hanging_consumers_delay_nobody_else() {
     let served = serve();
     let hanging = TcpListener::bind("127.0.0.1:0").unwrap();
     let consumer = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -267,7 +267,7 @@ fn a_consumer_that_hangs_holds_up_nobody() {
 }
 
 #[test]
-fn a_websocket_brings_notifications_and_closes_with_its_subscription() {
+fn websockets_deliver_notifications_and_close_with_their_subscription() {
     let served = serve();
     let (_, _, made) = served.post("/subscriptions", &websocket());
     let uri = made["websockNotifConfig"]["websocketUri"].as_str().unwrap();
@@ -292,7 +292,7 @@ fn a_websocket_brings_notifications_and_closes_with_its_subscription() {
 }
 
 #[test]
-fn the_document_has_every_resource() {
+fn openapi_document_has_every_resource() {
     let document: Value = serde_json::from_str(&openapi()).unwrap();
     let paths: Vec<_> = document["paths"].as_object().unwrap().keys().map(String::as_str).collect();
     assert_eq!(BTreeSet::from_iter(paths.clone()), resources().iter().map(|(path, _)| *path).collect());

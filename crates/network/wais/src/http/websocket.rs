@@ -1,4 +1,4 @@
-//! WebSockets to consumers that cannot, or may not, be called back: each notification is a text message.
+//! WebSockets for consumers that cannot be called back. Each notification is a text message.
 
 use std::{collections::HashMap, sync::Arc, time::Duration};
 
@@ -16,18 +16,18 @@ use tokio::sync::{mpsc, oneshot};
 use super::{Service, extract::Id, problem::Problem};
 use crate::{outbox::Outcome, wais::RequestError};
 
-/// A consumer has nothing to say here that would be longer.
+/// Longest accepted message, bytes. Consumers have nothing longer to send.
 const LONGEST_MESSAGE: usize = 4096;
-/// One that takes nothing for so long is let go.
+/// Time after which a consumer that accepts no data is disconnected.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A notification, and where to say that it went out.
+/// A notification, and a channel to confirm that it was sent.
 type Outgoing = (Arc<str>, oneshot::Sender<()>);
 
-/// Open WebSockets by subscription; the number tells an older one from a newer.
+/// Open WebSockets by subscription. The number distinguishes an older one from a newer.
 type Open = HashMap<u64, (u64, mpsc::Sender<Outgoing>)>;
 
-/// Open WebSockets, and the last number given to one.
+/// Open WebSockets, and the last number assigned.
 #[derive(Debug, Default)]
 pub(super) struct Sockets(Mutex<(u64, Open)>);
 
@@ -41,9 +41,9 @@ impl Sockets {
         act(last, sockets)
     }
 
-    /// Closes those of subscriptions that are no more.
-    pub(super) fn keep(&self, lives: impl Fn(u64) -> bool) {
-        self.with(|_, sockets| sockets.retain(|subscription, _| lives(*subscription)));
+    /// Closes the WebSockets of subscriptions that have ended.
+    pub(super) fn keep(&self, is_active: impl Fn(u64) -> bool) {
+        self.with(|_, sockets| sockets.retain(|subscription, _| is_active(*subscription)));
     }
 
     pub(super) async fn send(&self, subscription: u64, body: Arc<str>) -> Outcome {
@@ -58,7 +58,7 @@ impl Sockets {
     }
 }
 
-/// Opens the WebSocket of a subscription; an older one of it is closed.
+/// Opens the WebSocket of a subscription, and closes an older one.
 pub(super) async fn open(
     State(service): State<Service>,
     Id(id): Id,
@@ -89,7 +89,7 @@ async fn attend(service: Service, subscription: u64, mut socket: WebSocket) {
     loop {
         tokio::select! {
             next = outgoing.recv() => {
-                // Another took its place, or the subscription is no more.
+                // A newer WebSocket took its place, or the subscription has ended.
                 let Some((body, sent)) = next else { break };
                 let message = Message::text(body.to_string());
                 match tokio::time::timeout(PATIENCE, socket.send(message)).await {
@@ -97,8 +97,8 @@ async fn attend(service: Service, subscription: u64, mut socket: WebSocket) {
                     _ => break,
                 }
             }
-            // What a consumer says means nothing, but that it is there; pings are answered by themselves.
-            said = socket.recv() => match said {
+            // Messages from the consumer only show that it is alive. Pings are answered automatically.
+            received = socket.recv() => match received {
                 Some(Ok(Message::Close(_)) | Err(_)) | None => break,
                 Some(Ok(_)) => {}
             }

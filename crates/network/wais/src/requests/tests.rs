@@ -15,7 +15,7 @@ fn subscription(change: impl Fn(&mut Value)) -> Result<Subscription, InvalidRequ
 }
 
 #[test]
-fn what_is_read_is_written_the_same() {
+fn parsed_requests_serialize_unchanged() {
     let read = subscription(|_| ()).unwrap();
     let written = serde_json::to_vec(&read).unwrap();
     assert_eq!(Subscription::read(&written).unwrap(), read);
@@ -23,7 +23,7 @@ fn what_is_read_is_written_the_same() {
 }
 
 #[test]
-fn mistakes_are_told_with_their_place() {
+fn errors_name_their_place() {
     type Change = fn(&mut Value);
     let changes: [(Change, &str); 12] = [
         (|s| s["subscriptionType"] = json!("Other"), "there is no subscriptionType `Other`"),
@@ -52,12 +52,12 @@ fn mistakes_are_told_with_their_place() {
 }
 
 #[test]
-fn a_measurement_is_exactly_one_and_one_that_can_be_made() {
+fn measurements_must_be_one_of_the_available_kinds() {
     let load = json!({ "operatingClass": 81, "channel": 6 });
     for (info, part) in [
         (json!({}), "exactly one"),
         (json!({ "channelLoadConf": load, "neighborReportConf": {} }), "exactly one"),
-        (json!({ "staStatisticsConf": { "groupIdentity": 0, "triggeredReport": false } }), "does not know"),
+        (json!({ "staStatisticsConf": { "groupIdentity": 0, "triggeredReport": false } }), "does not have"),
         (
             json!({ "channelLoadConf": { "operatingClass": 81, "channel": 6, "reportingCondition": 1 } }),
             "a threshold",
@@ -76,7 +76,7 @@ fn a_measurement_is_exactly_one_and_one_that_can_be_made() {
 }
 
 #[test]
-fn rate_triggers_are_those_of_the_standard() {
+fn rate_triggers_follow_the_standard() {
     let met = |trigger: u8, down: u32, up: u32| {
         let event =
             StaDataRateEvent { trigger, downlink_rate_threshold: Some(10), uplink_rate_threshold: Some(20) };

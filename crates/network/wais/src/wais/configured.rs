@@ -1,12 +1,11 @@
-//! Measurement configurations: measurements whose reports are told with stations' information.
+//! Measurement configurations: measurements whose reports are included in station information.
 
 use std::sync::Arc;
 
 use cotorra_graph::Timestamp;
 
-use super::{MOST, RequestError, Resource, Wais, etag};
+use super::{MOST, RequestError, Resource, Wais, check_unchanged, etag};
 use crate::{
-    conditional::may_change,
     requests::{InvalidRequest, MeasurementConfig, MeasurementConfigLink, MeasurementConfigLinkList},
     types::SelfLink,
 };
@@ -18,7 +17,7 @@ pub(super) struct Configured {
 }
 
 impl Wais {
-    /// Makes a measurement configuration.
+    /// Creates a measurement configuration.
     ///
     /// # Errors
     /// [`RequestError`]; then there is none.
@@ -42,7 +41,7 @@ impl Wais {
     /// Replaces a measurement configuration.
     ///
     /// # Errors
-    /// [`RequestError`]; then it is as it was.
+    /// [`RequestError`]; then nothing has changed.
     pub fn reconfigure(
         &mut self,
         now: Timestamp,
@@ -53,11 +52,9 @@ impl Wais {
     ) -> Result<Resource<MeasurementConfig>, RequestError> {
         self.admit(now)?;
         let (number, configured) = self.find_config(id)?;
-        let etag = etag(number, configured.version);
+        let version = configured.version;
         self.check_config(Some(number), &config)?;
-        if !may_change(if_match, &etag) {
-            return Err(RequestError::Changed(etag));
-        }
+        check_unchanged(if_match, number, version)?;
         let version = self.number();
         self.configured.insert(number, Configured { config, version });
         self.listings.forget_stations();
@@ -82,7 +79,7 @@ impl Wais {
         found.ok_or_else(|| RequestError::NotFound { what: "measurement configuration", id: id.to_owned() })
     }
 
-    /// A measurement configuration.
+    /// Returns a measurement configuration.
     ///
     /// # Errors
     /// [`RequestError::NotFound`].
@@ -94,7 +91,7 @@ impl Wais {
         Ok(Resource { value, href, etag: etag(number, configured.version) })
     }
 
-    /// Links to all measurement configurations.
+    /// Returns links to all measurement configurations.
     pub fn measurements(&self, base: &str) -> MeasurementConfigLinkList {
         let link = |(id, configured): (&u64, &Configured)| MeasurementConfigLink {
             href: format!("{base}/measurements/{id}"),
@@ -118,10 +115,7 @@ impl Wais {
     ) -> Result<(), RequestError> {
         self.admit(now)?;
         let (number, configured) = self.find_config(id)?;
-        let etag = etag(number, configured.version);
-        if !may_change(if_match, &etag) {
-            return Err(RequestError::Changed(etag));
-        }
+        check_unchanged(if_match, number, configured.version)?;
         self.configured.remove(&number);
         self.listings.forget_stations();
         Ok(())

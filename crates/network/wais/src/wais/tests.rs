@@ -1,4 +1,4 @@
-//! The contract of queries, subscriptions and measurements, in virtual time.
+//! Tests queries, subscriptions and measurements in virtual time.
 
 use serde_json::{Value, json};
 
@@ -19,7 +19,7 @@ const EAST: &str = "02:77:00:00:00:06";
 
 type Places<'a> = &'a [(&'a str, Option<&'a str>, f64)];
 
-/// A service and the time that it is.
+/// A service and its current time.
 struct Rig {
     wais: Wais,
     now: f64,
@@ -62,7 +62,7 @@ impl Rig {
         self.wais.configure(self.at(), BASE, config)
     }
 
-    /// What is sent up to a time, each with when; all of it arrives.
+    /// Returns the notifications sent until a time, with their times. All are delivered.
     fn sent(&mut self, until: f64) -> Vec<(f64, Value)> {
         self.sent_with(until, |_| Outcome::Delivered)
     }
@@ -104,7 +104,7 @@ fn macs(stations: &Value) -> Vec<&str> {
 }
 
 #[test]
-fn access_points_are_told_as_the_testbed_knows_them() {
+fn access_points_show_the_testbeds_state() {
     let mut rig = Rig::new(Scope::Testbed);
     let all = rig.query(Kind::AccessPoints, &[]);
     assert_eq!(all.as_array().unwrap().len(), 3);
@@ -117,12 +117,12 @@ fn access_points_are_told_as_the_testbed_knows_them() {
     assert_eq!(west["bssLoad"], json!({ "staCount": 2, "channelUtilization": 64, "availAdmCap": 0 }));
     assert_eq!((&west["channel"], &west["timeStamp"]["seconds"]), (&json!(1), &json!(1000)));
     assert_eq!(west["apLocation"]["geolocation"]["lat"], json!((41.5 * f64::from(1 << 25)) as u64));
-    // Nobody has told what crosses the wire behind it.
+    // Nothing has been reported about the wire behind it.
     assert_eq!(west.get("wanMetrics"), None);
 }
 
 #[test]
-fn stations_are_told_where_they_say_they_are() {
+fn stations_are_where_they_report_to_be() {
     let mut rig = Rig::new(Scope::Testbed);
     let stations = rig.query(Kind::Stations, &[("filter", &format!("(eq,staId/macId,{R2})"))]);
     assert_eq!(
@@ -139,11 +139,11 @@ fn stations_are_told_where_they_say_they_are() {
     rig.see(&[("r1", Some("middle"), 65.0), ("r2", None, 0.0), ("r3", Some("east"), 65.0)]);
     let stations = rig.query(Kind::Stations, &[("fields", "apAssociated/ssid")]);
     let at: Vec<_> = stations.as_array().unwrap().iter().map(|s| &s["apAssociated"]["bssid"]).collect();
-    assert_eq!(at, [MIDDLE, EAST], "one is between two access points, which know nothing of it");
+    assert_eq!(at, [MIDDLE, EAST], "one is between two access points, which do not report it");
 }
 
 #[test]
-fn a_domain_sees_its_own_access_points_and_their_stations() {
+fn domains_see_their_own_access_points_and_stations() {
     let mut rig = Rig::new(Scope::Domain("annex".parse().unwrap()));
     let aps = rig.query(Kind::AccessPoints, &[]);
     assert_eq!((aps.as_array().unwrap().len(), &aps[0]["apId"]["bssid"]), (1, &json!(EAST)));
@@ -157,7 +157,7 @@ fn a_domain_sees_its_own_access_points_and_their_stations() {
 }
 
 #[test]
-fn periodic_notifications_come_at_their_period_and_no_more_after_the_end() {
+fn periodic_notifications_end_with_their_subscription() {
     let mut rig = Rig::new(Scope::Testbed);
     let made = rig.subscribe(&assoc(&json!({ "notificationPeriod": 2 })));
     let sent = rig.sent(7.0);
@@ -165,7 +165,7 @@ fn periodic_notifications_come_at_their_period_and_no_more_after_the_end() {
     let (_, first) = &sent[0];
     assert_eq!(first["notificationType"], "AssocStaNotification");
     assert_eq!((macs(&first["staId"]), &first["apId"]["bssid"]), (vec![R1, R2], &json!(WEST)));
-    // Periods that nobody looked at are not made up for.
+    // Missed periods are skipped.
     rig.now = 20.5;
     assert_eq!(rig.sent(22.0).iter().map(|(at, _)| *at).collect::<Vec<_>>(), [20.5, 22.0]);
     let id = made.href.rsplit('/').next().unwrap();
@@ -174,7 +174,7 @@ fn periodic_notifications_come_at_their_period_and_no_more_after_the_end() {
 }
 
 #[test]
-fn a_threshold_is_told_when_it_is_reached_and_again_only_after_it_was_left() {
+fn thresholds_notify_once_until_left() {
     let mut rig = Rig::new(Scope::Testbed);
     rig.subscribe(&assoc(&json!({ "notificationEvent": { "trigger": 1, "threshold": 3 } })));
     let mut told = Vec::new();
@@ -188,7 +188,7 @@ fn a_threshold_is_told_when_it_is_reached_and_again_only_after_it_was_left() {
 }
 
 #[test]
-fn with_a_period_and_a_threshold_it_is_told_periodically_beyond_the_threshold() {
+fn period_and_threshold_notify_periodically_beyond_it() {
     let mut rig = Rig::new(Scope::Testbed);
     let event = json!({ "trigger": 2, "threshold": 1 });
     rig.subscribe(&assoc(&json!({ "notificationPeriod": 1, "notificationEvent": event })));
@@ -198,7 +198,7 @@ fn with_a_period_and_a_threshold_it_is_told_periodically_beyond_the_threshold() 
 }
 
 #[test]
-fn rates_are_told_of_the_stations_that_newly_meet_the_threshold() {
+fn rates_are_notified_for_stations_newly_meeting_the_threshold() {
     let mut rig = Rig::new(Scope::Testbed);
     rig.subscribe(&json!({
         "subscriptionType": "StaDataRateSubscription",
@@ -213,7 +213,7 @@ fn rates_are_told_of_the_stations_that_newly_meet_the_threshold() {
     assert_eq!(rate[0]["staLastDataDownlinkRate"], 6500);
     rig.see(&[("r1", Some("west"), 5.0), ("r2", Some("west"), 6.5)]);
     let sent = rig.sent(0.0);
-    assert_eq!(sent[0].1["staDataRate"][0]["staId"]["macId"], R1, "the other is no news");
+    assert_eq!(sent[0].1["staDataRate"][0]["staId"]["macId"], R1, "the other met it before");
     assert_eq!(rig.sent(100.0), vec![]);
 }
 
@@ -261,7 +261,7 @@ fn measurements_are_reported_to_subscribers_and_with_stations() {
         .map(|n| n["bssid"].as_str().unwrap())
         .collect();
     assert_eq!(neighbors, [MIDDLE, EAST]);
-    assert_eq!(stations[1].get("channelLoad"), None, "it was not asked for of others");
+    assert_eq!(stations[1].get("channelLoad"), None, "it was not requested for others");
 
     let twice = rig.configure(&config("load", load)).unwrap_err().to_string();
     assert!(twice.contains("another configuration is called `load`"), "{twice}");
@@ -271,7 +271,7 @@ fn measurements_are_reported_to_subscribers_and_with_stations() {
 }
 
 #[test]
-fn the_end_of_a_subscription_is_told_before_and_nothing_after() {
+fn expiry_is_announced_and_nothing_follows_it() {
     let mut rig = Rig::new(Scope::Testbed);
     rig.subscribe(&assoc(&json!({
         "notificationPeriod": 255,
@@ -300,7 +300,7 @@ fn the_end_of_a_subscription_is_told_before_and_nothing_after() {
 }
 
 #[test]
-fn replacing_needs_the_version_that_was_seen() {
+fn replacing_needs_the_current_version() {
     let mut rig = Rig::new(Scope::Testbed);
     let made = rig.subscribe(&assoc(&json!({ "notificationPeriod": 1 })));
     let replace = |rig: &mut Rig, if_match: Option<&str>, body: Value| {
@@ -318,15 +318,15 @@ fn replacing_needs_the_version_that_was_seen() {
         rig.wais.unsubscribe(rig.at(), "1", Some(&made.etag)),
         Err(RequestError::Changed(changed.etag.clone()))
     );
-    assert_eq!(rig.sent(11.0).len(), 2, "the new period counts");
+    assert_eq!(rig.sent(11.0).len(), 2, "the new period applies");
     let other = json!({
         "subscriptionType": "StaDataRateSubscription", "callbackReference": "http://127.0.0.1:9/",
         "staId": [{ "macId": R1 }], "notificationPeriod": 1,
     });
-    assert!(replace(&mut rig, None, other).unwrap_err().to_string().contains("stays one"));
+    assert!(replace(&mut rig, None, other).unwrap_err().to_string().contains("cannot change"));
     let elsewhere =
         assoc(&json!({ "notificationPeriod": 5, "_links": { "self": { "href": "http://x/y" } } }));
-    assert!(replace(&mut rig, None, elsewhere).unwrap_err().to_string().contains("_links.self is"));
+    assert!(replace(&mut rig, None, elsewhere).unwrap_err().to_string().contains("_links.self must be"));
     let itself = assoc(&json!({ "notificationPeriod": 5, "_links": { "self": { "href": made.href } } }));
     assert!(replace(&mut rig, Some("*"), itself).is_ok());
     rig.wais.unsubscribe(rig.at(), "1", None).unwrap();
@@ -334,7 +334,7 @@ fn replacing_needs_the_version_that_was_seen() {
 }
 
 #[test]
-fn a_dead_callback_costs_its_own_notifications_and_is_told() {
+fn dead_callbacks_lose_only_their_notifications_and_are_reported() {
     let mut rig = Rig::new(Scope::Testbed);
     rig.subscribe(&assoc(&json!({ "notificationPeriod": 255, "requestTestNotification": true })));
     let sent = rig.sent_with(100.0, |_| Outcome::Failed("connection refused".to_owned()));
@@ -346,7 +346,7 @@ fn a_dead_callback_costs_its_own_notifications_and_is_told() {
         complaints[0].contains("/subscriptions/1: a notification was dropped after 5 attempts"),
         "{complaints:?}"
     );
-    // One that never answers holds up only itself.
+    // One that never answers delays only itself.
     rig.subscribe(&assoc(&json!({ "notificationPeriod": 1 })));
     rig.subscribe(&assoc(&json!({ "notificationPeriod": 1, "callbackReference": "http://127.0.0.1:8/" })));
     let mut hanging = 0;
@@ -359,13 +359,13 @@ fn a_dead_callback_costs_its_own_notifications_and_is_told() {
             }
         }
     }
-    assert_eq!(hanging, 1, "it is asked once, until it answers");
+    assert_eq!(hanging, 1, "it is called once until it answers");
     let complaints = rig.wais.take_complaints();
     assert!(complaints[0].contains(&format!("{WAITING} notifications wait already")), "{complaints:?}");
 }
 
 #[test]
-fn a_websocket_is_offered_and_gets_what_waited() {
+fn websockets_get_notifications_that_waited() {
     let mut rig = Rig::new(Scope::Testbed);
     let both = json!({
         "notificationPeriod": 1, "requestTestNotification": true,
@@ -373,17 +373,17 @@ fn a_websocket_is_offered_and_gets_what_waited() {
     });
     let made = rig.subscribe(&assoc(&both));
     let notifying = made.value.notifying();
-    assert_eq!(notifying.callback_reference, None, "only what is used is told");
+    assert_eq!(notifying.callback_reference, None, "only the target in use is shown");
     let uri = notifying.websock_notif_config.as_ref().unwrap().websocket_uri.as_deref();
     assert_eq!(uri, Some("ws://wais.lab/wai/v2/subscriptions/1/websocket"));
-    assert_eq!(rig.sent(2.5), vec![], "nobody is there");
+    assert_eq!(rig.sent(2.5), vec![], "no WebSocket is open");
     rig.wais.set_websocket_open(1, true);
     assert_eq!(rig.sent(2.5).len(), 3, "the test and two periods");
     assert!(rig.wais.has_websocket(1) && !rig.wais.has_websocket(2));
 }
 
 #[test]
-fn lists_link_what_is_there_and_there_is_a_limit() {
+fn lists_link_all_resources_up_to_the_limit() {
     let mut rig = Rig::new(Scope::Testbed);
     for _ in 0..MOST {
         rig.subscribe(&assoc(&json!({ "notificationPeriod": 1 })));
@@ -397,9 +397,9 @@ fn lists_link_what_is_there_and_there_is_a_limit() {
     assert!(!refused.is_empty());
 }
 
-/// Every attribute that is told is one that the standard knows, so that filters and selectors can name it.
+/// The standard knows every attribute that is reported, so that filters and selectors can name it.
 #[test]
-fn all_that_is_told_can_be_filtered_by() {
+fn all_reported_attributes_can_be_filtered_by() {
     fn check(value: &Value, of: &'static [crate::attributes::Attribute], path: &str) {
         match value {
             Value::Array(elements) => elements.iter().for_each(|element| check(element, of, path)),
