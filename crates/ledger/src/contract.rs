@@ -1,5 +1,5 @@
-//! The contract's rules as a state machine without a ledger: what the modelled ledger runs in virtual time, and what
-//! the compiled contract is compared with, call by call, in the tests.
+//! The contract's rules as a state machine without a ledger. The modelled ledger runs it in virtual time, and the
+//! tests compare it with the compiled contract, call by call.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use crate::{
     values::{Account, ChainTime, Commitment, Deployment, Price, PublicKey, Salt, ServiceId, Wei},
 };
 
-/// `contracts/Federation.sol`, rule by rule.
+/// The rules of `contracts/Federation.sol`.
 #[derive(Debug, Clone)]
 pub struct Contract {
     deployment: Deployment,
@@ -24,22 +24,22 @@ pub struct Contract {
 struct Service {
     creator: Account,
     terms: Terms,
-    /// Behind it, nobody is chosen any more.
+    /// Deadline for choosing a provider.
     choose_by: ChainTime,
-    /// How often somebody was chosen.
+    /// Number of choices so far.
     choices: u32,
     stage: Stage,
 }
 
-/// A provider has one bid for a service at most, and that is chosen once.
+/// A provider bids at most once for a service, and the bid is chosen at most once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Bid {
     Standing(Commitment),
-    /// It was chosen, or its bond taken back.
+    /// The bid was chosen, or its bond reclaimed.
     Spent,
 }
 
-/// The state of a service, with what it has in it.
+/// The state of a service with its data.
 #[derive(Debug, Clone, Copy)]
 enum Stage {
     Open { deadline: ChainTime },
@@ -55,8 +55,8 @@ struct Winner {
     price: Price,
 }
 
-/// A bid, as its creator opens it.
-struct Opened {
+/// A bid opened by its creator.
+struct OpenedBid {
     provider: Account,
     price: Price,
     salt: Salt,
@@ -89,7 +89,7 @@ impl Stage {
 }
 
 impl Contract {
-    /// A new one, there.
+    /// Makes a contract without any services.
     pub fn new(deployment: Deployment) -> Self {
         Self {
             deployment,
@@ -100,15 +100,14 @@ impl Contract {
         }
     }
 
-    /// Where it is.
     pub fn deployment(&self) -> Deployment {
         self.deployment
     }
 
-    /// A call by `caller` in a block of time `now`.
+    /// Applies a call by `caller` in a block of time `now`.
     ///
     /// # Errors
-    /// The refusal that the contract would revert with; nothing has changed then.
+    /// The error that the contract would revert with; then nothing has changed.
     pub fn apply(&mut self, now: ChainTime, caller: Account, call: &Call) -> Result<Event, ContractError> {
         match call {
             Call::Register { name } => self.register(caller, name),
@@ -119,7 +118,7 @@ impl Contract {
                 self.bid(now, caller, *id, *commitment, sealed, *bond)
             }
             Call::Choose { id, provider, price, salt, deposit } => {
-                let bid = Opened { provider: *provider, price: *price, salt: *salt };
+                let bid = OpenedBid { provider: *provider, price: *price, salt: *salt };
                 self.choose(now, caller, *id, bid, *deposit)
             }
             Call::Deploy { id, sealed } => self.deploy(now, caller, *id, sealed),
@@ -133,18 +132,18 @@ impl Contract {
         }
     }
 
-    /// Where a service stands.
+    /// Returns the state of a service.
     pub fn state(&self, id: ServiceId) -> State {
         self.services.get(&id).map_or(State::None, |service| service.stage.state())
     }
 
-    /// What an operator may withdraw.
+    /// Returns the amount that an operator may withdraw.
     pub fn balance(&self, operator: Account) -> Wei {
         self.balances.get(&operator).copied().unwrap_or_default()
     }
 
-    /// All the money that the contract holds: deposits and bonds of services that have not ended, bonds of bids that stand,
-    /// and balances.
+    /// Returns all the money that the contract holds: deposits and bonds of services that have not ended, bonds of
+    /// standing bids, and balances.
     pub fn holds(&self) -> Wei {
         let deposits = self.services.values().flat_map(|service| [service.deposit(), service.winners_bond()]);
         let bonds = self.bids.iter().map(|((id, _), bid)| match bid {
@@ -210,7 +209,7 @@ impl Contract {
         now: ChainTime,
         caller: Account,
         id: ServiceId,
-        Opened { provider, price, salt }: Opened,
+        OpenedBid { provider, price, salt }: OpenedBid,
         deposit: Wei,
     ) -> Result<Event, ContractError> {
         let bid = self.bids.get(&(id, provider)).copied();
@@ -343,7 +342,7 @@ impl Contract {
         Event::ServiceEnded { id, provider, outcome, charge }
     }
 
-    /// Drops the winner: another can be chosen, unless it is too late for that.
+    /// Drops the winner. Another can be chosen unless the deadline for that has passed.
     fn leave(&mut self, now: ChainTime, id: ServiceId, outcome: Outcome) -> Event {
         if now > self.services[&id].choose_by {
             return self.end(now, id, outcome, Wei(0));
@@ -355,7 +354,7 @@ impl Contract {
         Event::ServiceReopened { id, provider: winner.provider, deadline }
     }
 
-    /// Deposit and bond become the parties' balances. Returns the winner, if there is one. The caller changes the stage.
+    /// Credits deposit and bond to the parties. Returns the winner, if there is one. The caller changes the stage.
     fn settle(&mut self, now: ChainTime, id: ServiceId, charge: Wei) -> Option<Winner> {
         let service = &self.services[&id];
         let winner = service.stage.winner()?;
@@ -383,7 +382,7 @@ impl Contract {
         self.services.get_mut(&id).ok_or(ContractError::WrongState(State::None))
     }
 
-    /// A service that takes bids and the choice now.
+    /// Returns a service that currently accepts bids and the choice.
     fn open(&mut self, now: ChainTime, id: ServiceId) -> Result<&mut Service, ContractError> {
         let service = self.service(id)?;
         let Stage::Open { deadline } = service.stage else {
@@ -395,7 +394,7 @@ impl Contract {
 }
 
 impl Service {
-    /// The winner's bond, as long as it is held.
+    /// Returns the winner's bond while it is held.
     fn winners_bond(&self) -> Wei {
         match self.stage {
             Stage::Closed { .. } => self.terms.bond(),
@@ -403,7 +402,7 @@ impl Service {
         }
     }
 
-    /// What the contract holds for it now.
+    /// Returns the deposit that the contract currently holds for the service.
     fn deposit(&self) -> Wei {
         match self.stage {
             Stage::Open { .. } | Stage::Ended { .. } => Wei(0),
@@ -414,7 +413,7 @@ impl Service {
     }
 }
 
-/// As a commitment, it would be taken for that of a bid that was chosen.
+/// The commitment that marks a bid as chosen; not accepted from bidders.
 const SPENT: Commitment = {
     let mut one = [0; 32];
     one[31] = 1;

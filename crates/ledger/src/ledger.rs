@@ -1,4 +1,4 @@
-//! What a ledger is to one operator: calls go in, and what happened on the chain comes out.
+//! A ledger as one operator sees it: calls go in, and events of the chain come out.
 
 use cotorra_graph::Timestamp;
 
@@ -7,40 +7,40 @@ use crate::{
     values::{Account, ChainTime},
 };
 
-/// Names a call that was submitted.
+/// ID of a submitted call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ticket(pub u64);
 
-/// Why a call comes to nothing.
+/// Reason for which a call has no effect.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CallError {
-    /// The contract's answer.
+    /// The contract's error.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// The node does not take the transaction, such as for want of money for its fee.
-    #[error("the ledger's node does not take the transaction: {0}")]
+    /// The node rejects the transaction, for instance for lack of money for its fee.
+    #[error("the ledger's node rejects the transaction: {0}")]
     Node(String),
 }
 
-/// What a ledger tells.
+/// A notice from a ledger.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
-    /// The chain has a new head, or still the same after the ledger was away. All that was said up to its block comes before it.
+    /// The chain has a new head, or still the same after the ledger was away. All events up to its block precede it.
     Head {
-        /// The block's number.
+        /// Number of the block.
         number: u64,
-        /// The block's time.
+        /// Time of the block.
         time: ChainTime,
     },
-    /// The contract said something.
+    /// The contract emitted an event.
     Event(Event),
-    /// It has not said that after all: the block was reorganised away. The event may come again.
+    /// An event was retracted, because its block was reorganised away. It may come again.
     Retracted(Event),
-    /// A call is in a block. It may be reorganised away; it is then sent again, and told of again.
+    /// A call is in a block. If the block is reorganised away, the call is sent and reported again.
     Included(Ticket),
-    /// A call comes to nothing, and is not sent any more.
+    /// A call failed for good.
     Refused(Ticket, CallError),
-    /// The ledger cannot be reached. What was submitted is kept, and sent once it can be.
+    /// The ledger cannot be reached. Submitted calls are kept until it can be.
     Down(String),
     /// The ledger is reached, for the first time or again.
     Up,
@@ -48,18 +48,18 @@ pub enum Notice {
 
 /// One operator's access to the contract on a ledger.
 ///
-/// Nothing here waits: a ledger that is away keeps what is submitted. Calls of one operator arrive in the order in which
-/// they were submitted.
+/// No method blocks: while the ledger is away, submitted calls are kept. Calls of one operator arrive in the order of
+/// submission.
 pub trait Ledger: Send {
-    /// The operator.
+    /// Returns the operator's address.
     fn account(&self) -> Account;
 
-    /// Has a call sent, as often as it takes until it is in a block or is refused.
+    /// Submits a call. It is sent until it is in a block or fails.
     fn submit(&mut self, now: Timestamp, call: Call) -> Ticket;
 
-    /// What has happened until `now`, oldest first; `None`: nothing more.
+    /// Returns the next notice up to `now`, oldest first; `None` if there is none.
     fn poll(&mut self, now: Timestamp) -> Option<Notice>;
 
-    /// When [`Ledger::poll`] may have something new.
+    /// Returns when [`Ledger::poll`] may have something new.
     fn next_deadline(&self) -> Option<Timestamp>;
 }

@@ -1,8 +1,9 @@
-//! The ledger over which domains that do not trust each other agree on services: what is said to the contract
-//! `contracts/Federation.sol`, and what it says.
+//! The ledger over which domains that do not trust each other agree on services: calls to the contract
+//! `contracts/Federation.sol`, and its events.
 //!
-//! [`negotiation`] has the two roles as state machines, over any [`Ledger`]: [`ModelledLedger`] in virtual time, and with the
-//! feature `ethereum` real ones. [`Secret`] seals what others may not read; [`Contract`] has the contract's rules.
+//! [`negotiation`] has the two roles as state machines over any [`Ledger`]. [`ModelledLedger`] works in virtual time;
+//! the feature `ethereum` adds real ledgers. [`Secret`] seals confidential messages; [`Contract`] has the contract's
+//! rules.
 #![forbid(unsafe_code)]
 
 mod contract;

@@ -1,97 +1,92 @@
-//! What is said to the contract and what it says: calls, events and refusals, as `contracts/Federation.sol` has them.
+//! Calls to the contract, and its events and errors, as in `contracts/Federation.sol`.
 
 use crate::values::{Account, ChainTime, Commitment, Price, PublicKey, Salt, ServiceId, Wei};
 
-/// Longest sealed message, in bytes.
+/// Longest sealed message, bytes.
 pub const MAX_SEALED: usize = 1024;
-/// Longest name of an operator, of a VNF or of a map, in bytes.
+/// Longest name of an operator, a VNF or a map, bytes.
 pub const MAX_NAME: usize = 64;
-/// Longest SSID, in bytes (IEEE 802.11-2020, 9.4.2.2).
+/// Longest SSID, bytes (IEEE 802.11-2020, 9.4.2.2).
 pub const MAX_SSID: usize = 32;
 
-/// What a creator needs, where, and how it is to be reached by radio.
+/// Requirements of a creator: the VNF, its place, and its radio.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Requirements {
-    /// What to deploy, such as `vAP`.
+    /// The VNF to deploy, such as `vAP`.
     pub vnf: String,
-    /// The frame that positions are in.
+    /// The frame of positions.
     pub map: String,
-    /// Where it is needed, millimetres in that frame.
+    /// x of the place, millimetres in that frame.
     pub x_mm: i32,
-    /// Where it is needed, millimetres in that frame.
+    /// y of the place, millimetres in that frame.
     pub y_mm: i32,
-    /// How far around, millimetres.
+    /// Radius to cover around the place, millimetres.
     pub radius_mm: u32,
-    /// The network's name.
+    /// Name of the network.
     pub ssid: String,
-    /// Of fast transition (IEEE 802.11r), as in the beacon.
+    /// Mobility domain of fast transition (IEEE 802.11r), as in the beacon.
     pub mobility_domain: u16,
-    /// Of the channel's centre; 0 leaves it to the provider.
+    /// Frequency of the channel's centre, MHz; 0 leaves it to the provider.
     pub frequency_mhz: u16,
-    /// Of the channel; 0 leaves it to the provider.
+    /// Width of the channel, MHz; 0 leaves it to the provider.
     pub width_mhz: u16,
-    /// At least, where it is needed.
+    /// Least signal at the place, dBm.
     pub signal_dbm: i16,
 }
 
-/// How long each step may take, in seconds of the chain, none of which may be zero; and the bond.
+/// The longest duration of each step, in seconds of the chain, none of them zero; and the bond.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Terms {
-    /// For bids, and for each choice among them.
+    /// Time for bids, and for each choice among them.
     pub open_for: u32,
-    /// From the choice.
+    /// Time from the choice to the deployment.
     pub deploy_within: u32,
-    /// From the deployment.
+    /// Time from the deployment to the acceptance.
     pub accept_within: u32,
-    /// At most, from the deployment; the deposit pays for all of it.
+    /// Longest use from the deployment on; the deposit pays for all of it.
     pub use_for: u32,
-    /// What goes with a bid, wei: whoever is chosen and does not deploy in time loses it to the creator.
+    /// Bond of each bid, wei. A chosen provider that does not deploy in time loses it to the creator.
     pub bond: u64,
 }
 
 impl Terms {
-    /// What goes with a bid.
+    /// Returns the bond of a bid.
     pub fn bond(&self) -> Wei {
         Wei(self.bond.into())
     }
 }
 
-/// A transaction's content.
+/// A call of the contract.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Call {
-    /// The caller becomes an operator.
+    /// Registers the caller as an operator.
     Register {
-        /// What it is called, 1 to [`MAX_NAME`] bytes.
+        /// The operator's name, 1 to [`MAX_NAME`] bytes.
         name: String,
     },
     /// Announces a service, open for bids.
     Announce {
-        /// Makes the service's id.
+        /// Salt of the service's ID.
         salt: Salt,
         /// The one-time key that bids and the attachment are sealed to.
         key: PublicKey,
-        /// What is needed.
         requirements: Requirements,
-        /// How long each step may take.
         terms: Terms,
     },
     /// Bids for a service.
     Bid {
-        /// For which.
         id: ServiceId,
-        /// To the price.
+        /// Commitment to the price.
         commitment: Commitment,
         /// Price, salt and endpoint, sealed.
         sealed: Vec<u8>,
-        /// As the terms say.
+        /// The bond of the terms.
         bond: Wei,
     },
-    /// The creator chooses a bid, and deposits what the longest use would cost. It may choose another when the winner is
-    /// late, or what it deployed cannot be used.
+    /// The creator chooses a bid, and deposits the cost of the longest use. It may choose another if the winner is
+    /// late or its deployment cannot be used.
     Choose {
-        /// For which service.
         id: ServiceId,
-        /// Whose bid.
         provider: Account,
         /// The price that the bid commits to.
         price: Price,
@@ -102,50 +97,31 @@ pub enum Call {
     },
     /// The winner confirms that the service runs.
     Deploy {
-        /// Which.
         id: ServiceId,
-        /// What is needed to attach, sealed.
+        /// The data needed to attach, sealed.
         sealed: Vec<u8>,
     },
-    /// The creator attached, and agrees to pay.
-    Accept {
-        /// To which.
-        id: ServiceId,
-    },
-    /// The creator no longer wants a service that it has not accepted.
-    Cancel {
-        /// Which.
-        id: ServiceId,
-    },
-    /// The winner gives back a service that was not accepted.
-    Decline {
-        /// Which.
-        id: ServiceId,
-    },
-    /// One of the two ends the use of a service; it is charged until then.
-    Release {
-        /// Of which.
-        id: ServiceId,
-    },
+    /// The creator has attached, and agrees to pay.
+    Accept { id: ServiceId },
+    /// The creator cancels a service that it has not accepted.
+    Cancel { id: ServiceId },
+    /// The winner declines a service that was not accepted.
+    Decline { id: ServiceId },
+    /// Either party ends the use of a service, which is charged until then.
+    Release { id: ServiceId },
     /// Anyone ends a service whose deadline has passed.
-    Expire {
-        /// Which.
-        id: ServiceId,
-    },
-    /// A bidder that was not chosen takes its bond back, once nobody can be chosen any more.
-    Reclaim {
-        /// Of which service.
-        id: ServiceId,
-    },
+    Expire { id: ServiceId },
+    /// A bidder that was not chosen reclaims its bond, once nobody can be chosen any more.
+    Reclaim { id: ServiceId },
     /// Pays out the caller's balance.
     Withdraw {
-        /// To which address: a contract that takes no money names another.
+        /// The receiver. A contract that cannot receive money names another address.
         to: Account,
     },
 }
 
 impl Call {
-    /// The money that goes with it.
+    /// Returns the money sent with the call.
     pub fn value(&self) -> Wei {
         match self {
             Self::Choose { deposit, .. } => *deposit,
@@ -155,29 +131,29 @@ impl Call {
     }
 }
 
-/// Where a service stands.
+/// State of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum State {
-    /// Nobody announced it.
+    /// Not announced.
     None,
-    /// Bids are taken.
+    /// Accepts bids.
     Open,
     /// A winner was chosen, and deploys.
     Closed,
-    /// The winner says that it runs.
+    /// The winner has confirmed the deployment.
     Deployed,
-    /// The creator says so, too; use is charged.
+    /// The creator has accepted; use is charged.
     InUse,
-    /// Over, for whatever reason.
+    /// Ended, for whatever reason.
     Ended,
 }
 
-/// How a service ended.
+/// Outcome of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Outcome {
-    /// The creator no longer wanted it.
+    /// The creator cancelled it.
     Cancelled,
-    /// The winner gave it back.
+    /// The winner declined it.
     Declined,
     /// Nobody was chosen in time.
     NoWinner,
@@ -185,123 +161,95 @@ pub enum Outcome {
     NotDeployed,
     /// The creator did not accept in time.
     NotAccepted,
-    /// One of the two ended its use.
+    /// One of the parties ended its use.
     Released,
     /// It was used for as long as was paid.
     Completed,
 }
 
-/// What the contract tells everybody.
+/// A public event of the contract.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// There is a new operator.
-    OperatorRegistered {
-        /// Who.
-        operator: Account,
-        /// What it is called.
-        name: String,
-    },
+    /// A new operator registered.
+    OperatorRegistered { operator: Account, name: String },
     /// A service is open for bids.
     ServiceAnnounced {
-        /// Which.
         id: ServiceId,
-        /// Whose.
         creator: Account,
-        /// What bids and the attachment are to be sealed to.
+        /// The key to seal bids and the attachment to.
         key: PublicKey,
-        /// What is needed.
         requirements: Requirements,
-        /// How long each step may take.
         terms: Terms,
-        /// For bids and the choice.
+        /// Deadline for bids and the choice.
         deadline: ChainTime,
     },
-    /// There is a bid.
+    /// A bid was placed.
     BidPlaced {
-        /// For which service.
         id: ServiceId,
-        /// Whose.
         provider: Account,
-        /// To the price.
+        /// Commitment to the price.
         commitment: Commitment,
         /// Price, salt and endpoint, sealed.
         sealed: Vec<u8>,
     },
     /// A bid was chosen.
     ProviderChosen {
-        /// For which service.
         id: ServiceId,
-        /// Whose.
         provider: Account,
-        /// What it costs.
         price: Price,
-        /// How often somebody was chosen by then.
+        /// Number of choices so far, including this one.
         choice: u32,
-        /// For the deployment.
+        /// Deadline for the deployment.
         deadline: ChainTime,
     },
-    /// The winner says that the service runs.
+    /// The winner confirmed the deployment.
     ServiceDeployed {
-        /// Which.
         id: ServiceId,
         /// The winner.
         provider: Account,
-        /// What is needed to attach, sealed.
+        /// The data needed to attach, sealed.
         sealed: Vec<u8>,
-        /// For the acceptance.
+        /// Deadline for the acceptance.
         deadline: ChainTime,
     },
-    /// The creator says so, too.
+    /// The creator accepted.
     ServiceAccepted {
-        /// Which.
         id: ServiceId,
         /// The winner.
         provider: Account,
-        /// Until when it is paid for.
+        /// End of the paid use.
         deadline: ChainTime,
     },
-    /// The winner gave it back, or was late: another can be chosen.
+    /// The winner declined or was late: another can be chosen.
     ServiceReopened {
-        /// Which.
         id: ServiceId,
-        /// Who was the winner.
+        /// The former winner.
         provider: Account,
-        /// For the choice.
+        /// Deadline for the choice.
         deadline: ChainTime,
     },
-    /// A bidder that was not chosen has its bond again.
-    BondReclaimed {
-        /// Of which service.
-        id: ServiceId,
-        /// Who.
-        provider: Account,
-        /// How much.
-        bond: Wei,
-    },
-    /// A service is over.
+    /// A bidder that was not chosen has reclaimed its bond.
+    BondReclaimed { id: ServiceId, provider: Account, bond: Wei },
+    /// A service has ended.
     ServiceEnded {
-        /// Which.
         id: ServiceId,
         /// The winner; all zero if there was none.
         provider: Account,
-        /// How.
         outcome: Outcome,
-        /// What the provider gets.
+        /// The provider's earnings.
         charge: Wei,
     },
     /// An operator was paid.
     Withdrawn {
-        /// Who.
         operator: Account,
-        /// To whom, as it said.
+        /// The receiver that it named.
         to: Account,
-        /// How much.
         amount: Wei,
     },
 }
 
 impl Event {
-    /// The service that it is about.
+    /// Returns the service that the event belongs to.
     pub fn service(&self) -> Option<ServiceId> {
         match self {
             Self::OperatorRegistered { .. } | Self::Withdrawn { .. } => None,
@@ -317,10 +265,10 @@ impl Event {
     }
 }
 
-/// Why the contract takes a call for nothing.
+/// Reason for which the contract rejects a call.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum ContractError {
-    /// The caller is no operator.
+    /// The caller is not an operator.
     #[error("the caller is not registered as an operator")]
     NotRegistered,
     /// The caller is an operator already.
@@ -329,82 +277,82 @@ pub enum ContractError {
     /// An operator's name is empty or too long.
     #[error("a name has 1 to {MAX_NAME} bytes")]
     BadName,
-    /// Requirements have an empty name, or one that is too long.
-    #[error("a VNF and a map have names of 1 to {MAX_NAME} bytes, a network one of at most {MAX_SSID}")]
+    /// A name in the requirements is empty or too long.
+    #[error("names of VNFs and maps have 1 to {MAX_NAME} bytes, names of networks at most {MAX_SSID}")]
     BadRequirements,
     /// A step has no time.
-    #[error("each step needs a second at least")]
+    #[error("each step needs at least a second")]
     BadTerms,
     /// The key is zero.
-    #[error("zero is no public key")]
+    #[error("a public key must not be zero")]
     BadKey,
     /// A sealed message is empty or too long.
     #[error("a sealed message has 1 to {MAX_SEALED} bytes")]
     BadSealed,
     /// The commitment is zero.
-    #[error("zero is no commitment")]
+    #[error("a commitment must not be zero")]
     BadCommitment,
-    /// Too little or too much money.
-    #[error("the deposit is to be {0}")]
+    /// The amount of money is wrong.
+    #[error("the deposit must be {0}")]
     BadDeposit(
-        /// What is due.
+        /// The amount due.
         Wei,
     ),
-    /// The id is taken.
+    /// The ID is taken.
     #[error("the caller has announced a service with this salt already")]
     AlreadyAnnounced,
-    /// The caller has a bid.
+    /// The caller has a bid already.
     #[error("the caller has a bid for this service already")]
     AlreadyBid,
-    /// The chosen one has no bid.
+    /// The chosen provider has no bid.
     #[error("the chosen provider has no bid for this service")]
     NoSuchBid,
-    /// Price and salt are not those of the bid.
+    /// Price and salt differ from those of the bid.
     #[error("the bid commits to another price or salt")]
     CommitmentDiffers,
-    /// The bid was for nothing.
-    #[error("a price is more than zero")]
+    /// The bid's price is zero.
+    #[error("a price must be more than zero")]
     PriceIsZero,
-    /// The caller's own service.
-    #[error("nobody bids for a service of its own")]
+    /// The caller bids for its own service.
+    #[error("an operator cannot bid for its own service")]
     OwnService,
-    /// Something that only the creator may do.
+    /// Only the creator may do this.
     #[error("only the service's creator may do this")]
     OnlyCreator,
-    /// Something that only the winner may do.
+    /// Only the winner may do this.
     #[error("only the chosen provider may do this")]
     OnlyProvider,
-    /// Something that only the two may do.
+    /// Only the creator and the winner may do this.
     #[error("only the service's creator and its provider may do this")]
     OnlyParties,
-    /// Not what can be done now.
+    /// The service is in another state.
     #[error("this cannot be done while the service is {0:?}")]
     WrongState(
-        /// Where it stands.
+        /// Its state.
         State,
     ),
     /// The deadline has passed.
-    #[error("the time for this was over at {}", .0.0)]
+    #[error("the deadline for this was {}", .0.0)]
     TooLate(
-        /// When it was.
+        /// The deadline.
         ChainTime,
     ),
     /// The deadline has not passed.
-    #[error("there is time until {}", .0.0)]
+    #[error("the deadline {} has not passed", .0.0)]
     TooEarly(
-        /// When it is.
+        /// The deadline.
         ChainTime,
     ),
     /// Somebody may still be chosen.
-    #[error("a bond is bound until nobody can be chosen any more")]
+    #[error("a bond is held until nobody can be chosen any more")]
     BondBound,
-    /// Nobody could have the money there.
-    #[error("nobody has the money that is paid to zero, or to the contract")]
+    /// The receiver is nobody.
+    #[error("money cannot be paid to the zero address or to the contract")]
     BadReceiver,
     /// There is no balance.
     #[error("the caller has nothing to withdraw")]
     NothingToWithdraw,
     /// The caller could not be paid.
-    #[error("the caller does not take the money")]
+    #[error("the receiver did not accept the money")]
     TransferFailed,
 }

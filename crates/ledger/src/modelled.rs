@@ -1,6 +1,7 @@
-//! A ledger for virtual time: the contract's rules, and a block each period. It is a model: no network, no consensus, no
-//! forks but those that are asked for, and no fees; blocks are punctual, have room for everything, and everybody sees
-//! them at once.
+//! A ledger for virtual time: the contract's rules, and a block each period.
+//!
+//! It is a model without network, consensus or fees, and with only those forks that are requested. Blocks are
+//! punctual, have room for everything, and all operators see them at once.
 
 use std::{collections::VecDeque, ops::Range, sync::Arc, time::Duration};
 
@@ -14,7 +15,7 @@ use crate::{
     values::{Account, ChainTime, Deployment},
 };
 
-/// The modelled chain, which operators share.
+/// The modelled chain, shared by operators.
 #[derive(Debug, Clone)]
 pub struct ModelledChain(Arc<Mutex<Chain>>);
 
@@ -22,16 +23,16 @@ pub struct ModelledChain(Arc<Mutex<Chain>>);
 struct Chain {
     contract: Contract,
     period: Duration,
-    /// The chain's time when the run began, nanoseconds since 1970.
+    /// Nanoseconds since 1970 of the run's start, on the chain's clock.
     began_ns: u64,
     next_block: Timestamp,
-    /// The number of the last block.
+    /// Number of the last block.
     number: u64,
-    /// What goes into the next block, in order.
+    /// Calls for the next block, in order.
     pending: Vec<(usize, Ticket, Call)>,
     operators: Vec<Operator>,
-    /// What was told so far, for those who come later.
-    told: Vec<Notice>,
+    /// All notices so far, for operators that come later.
+    reported: Vec<Notice>,
     /// The blocks that have calls, oldest first.
     blocks: Vec<Block>,
 }
@@ -39,7 +40,7 @@ struct Chain {
 #[derive(Debug)]
 struct Block {
     time: ChainTime,
-    /// The calls that it included. Each made an event.
+    /// The included calls. Each made an event.
     calls: Vec<(usize, Ticket, Call)>,
 }
 
@@ -56,24 +57,24 @@ pub struct ModelledLedger {
     chain: ModelledChain,
     index: usize,
     account: Account,
-    /// When it cannot reach the chain, if ever, and whether that was told.
+    /// Time during which it cannot reach the chain, and whether that was reported.
     outage: Option<(Range<Timestamp>, bool)>,
-    /// What was submitted meanwhile.
+    /// Calls submitted during the outage.
     kept: Vec<(Ticket, Call)>,
 }
 
-/// The chain's time when its first run began; any would do.
+/// The chain's time when its first run began; arbitrary.
 const GENESIS: ChainTime = ChainTime(1_600_000_000);
-/// No real chain has this ID: what is made for the model is of use nowhere else.
+/// No real chain has this ID, so that messages for the model are useless elsewhere.
 const DEPLOYMENT: Deployment = Deployment { chain_id: 0, contract: Account([0; 20]) };
 
 impl ModelledChain {
-    /// A chain whose first block comes a `period` into the run.
+    /// Makes a chain whose first block comes one `period` into the run.
     ///
     /// # Panics
     /// If `period` is zero.
     pub fn new(period: Duration) -> Self {
-        assert!(period > Duration::ZERO, "blocks are some time apart");
+        assert!(period > Duration::ZERO, "the block period must be above zero");
         Self(Arc::new(Mutex::new(Chain {
             contract: Contract::new(DEPLOYMENT),
             period,
@@ -82,26 +83,25 @@ impl ModelledChain {
             number: 0,
             pending: Vec::new(),
             operators: Vec::new(),
-            told: Vec::new(),
+            reported: Vec::new(),
             blocks: Vec::new(),
         })))
     }
 
-    /// Where the contract is.
     pub fn deployment(&self) -> Deployment {
         DEPLOYMENT
     }
 
-    /// The access of the operator with that address. It hears first what happened so far.
+    /// Returns the access of the operator with that address. It first receives all past events.
     pub fn ledger(&self, account: Account) -> ModelledLedger {
         let mut chain = self.0.lock();
         let index = chain.operators.len();
-        let notices = std::iter::once(&Notice::Up).chain(&chain.told).cloned().collect();
+        let notices = std::iter::once(&Notice::Up).chain(&chain.reported).cloned().collect();
         chain.operators.push(Operator { account, notices, submitted: 0 });
         ModelledLedger { chain: self.clone(), index, account, outage: None, kept: Vec::new() }
     }
 
-    /// Another run begins, whose time zero is `now` of the run before: the chain goes on, and its operators are new.
+    /// Begins another run, whose time zero is `now` of the run before. The chain continues, with new operators.
     pub fn begin_run(&self, now: Timestamp) {
         let mut chain = self.0.lock();
         chain.advance(now);
@@ -109,9 +109,9 @@ impl ModelledChain {
         chain.next_block = Timestamp::ZERO + chain.next_block.since(now);
     }
 
-    /// Replaces the last blocks by empty ones, from the `depth`th last block that has calls on, as a fork does that
-    /// becomes the longest chain. Their events are taken back, and their calls are in the next block. Returns whether there
-    /// was such a block.
+    /// Replaces the last blocks by empty ones, beginning with the `depth`th last block that has calls, like a fork
+    /// that becomes the longest chain. Their events are retracted, and their calls go into the next block. Returns
+    /// whether there was such a block.
     pub fn reorganise(&self, now: Timestamp, depth: usize) -> bool {
         let mut chain = self.0.lock();
         chain.advance(now);
@@ -121,7 +121,7 @@ impl ModelledChain {
         if calls.is_empty() {
             return false;
         }
-        // The contract is what the remaining calls make of it.
+        // Recompute the contract from the remaining calls.
         let Chain { contract, blocks, operators, .. } = &mut *chain;
         *contract = Contract::new(DEPLOYMENT);
         for Block { time, calls } in blocks {
@@ -131,8 +131,8 @@ impl ModelledChain {
             }
         }
         for _ in &calls {
-            if let Some(Notice::Event(event)) = chain.told.pop() {
-                chain.tell(&Notice::Retracted(event));
+            if let Some(Notice::Event(event)) = chain.reported.pop() {
+                chain.report(&Notice::Retracted(event));
             }
         }
         let later = std::mem::replace(&mut chain.pending, calls);
@@ -140,7 +140,7 @@ impl ModelledChain {
         true
     }
 
-    /// The contract, as of the last block.
+    /// Returns the contract as of the last block.
     pub fn contract(&self) -> Contract {
         self.0.lock().contract.clone()
     }
@@ -158,7 +158,7 @@ impl Chain {
                 match self.contract.apply(time, self.operators[index].account, &call) {
                     Ok(event) => {
                         self.operators[index].notices.push_back(Notice::Included(ticket));
-                        self.tell(&Notice::Event(event));
+                        self.report(&Notice::Event(event));
                         included.push((index, ticket, call));
                     }
                     Err(refusal) => {
@@ -169,14 +169,14 @@ impl Chain {
             if !included.is_empty() {
                 self.blocks.push(Block { time, calls: included });
             }
-            self.tell(&Notice::Head { number: self.number, time });
+            self.report(&Notice::Head { number: self.number, time });
             self.next_block = self.next_block + self.period;
         }
     }
 
-    fn tell(&mut self, notice: &Notice) {
+    fn report(&mut self, notice: &Notice) {
         if let Notice::Event(_) = notice {
-            self.told.push(notice.clone());
+            self.reported.push(notice.clone());
         }
         for operator in &mut self.operators {
             operator.notices.push_back(notice.clone());
@@ -185,9 +185,9 @@ impl Chain {
 }
 
 impl ModelledLedger {
-    /// The same, except that it cannot reach the chain for some time: it hears nothing, and what is submitted is kept.
+    /// Makes the ledger unreachable for some time: it has no notices then, and submitted calls are kept.
     #[must_use]
-    pub fn away(self, outage: Range<Timestamp>) -> Self {
+    pub fn with_outage(self, outage: Range<Timestamp>) -> Self {
         Self { outage: Some((outage, false)), ..self }
     }
 
@@ -220,8 +220,8 @@ impl Ledger for ModelledLedger {
         let mut chain = self.chain.0.lock();
         chain.advance(now);
         match &mut self.outage {
-            Some((outage, told)) if outage.contains(&now) => {
-                let news = !std::mem::replace(told, true);
+            Some((outage, reported)) if outage.contains(&now) => {
+                let news = !std::mem::replace(reported, true);
                 return news.then(|| Notice::Down("the modelled ledger is out of reach".to_owned()));
             }
             Some((outage, true)) if now >= outage.end => {
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_submitted_is_in_the_next_block_for_everybody_at_once() {
+    fn submitted_calls_are_in_the_next_block_for_all_operators() {
         let chain = ModelledChain::new(Duration::from_secs(5));
         let (mut one, mut two) = (chain.ledger(Account([1; 20])), chain.ledger(Account([2; 20])));
         assert_eq!(all(&mut one, seconds(1)), [Notice::Up]);
@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_reorganised_away_is_taken_back_and_included_again() {
+    fn reorganised_calls_are_retracted_and_included_again() {
         let chain = ModelledChain::new(Duration::from_secs(5));
         let (mut one, mut two) = (chain.ledger(Account([1; 20])), chain.ledger(Account([2; 20])));
         let register = |name: &str| Call::Register { name: name.to_owned() };
@@ -305,20 +305,20 @@ mod tests {
         assert!(chain.reorganise(seconds(21), 2));
         let back = [Notice::Retracted(said(2, "two")), Notice::Retracted(said(1, "one"))];
         assert_eq!(all(&mut one, seconds(21)), back);
-        // Who comes meanwhile hears nothing of it.
+        // An operator joining now receives none of it.
         assert_eq!(all(&mut chain.ledger(Account([3; 20])), seconds(21)), [Notice::Up]);
         let head = Notice::Head { number: 5, time: ChainTime(GENESIS.0 + 25) };
         let again =
             [Notice::Included(first), Notice::Event(said(1, "one")), Notice::Event(said(2, "two")), head];
         assert_eq!(all(&mut one, seconds(25)), again);
-        // One that is all that is left.
+        // A single remaining one.
         assert!(chain.reorganise(seconds(26), 9));
         assert!(!chain.reorganise(seconds(26), 9));
         assert_eq!(all(&mut one, seconds(26)).len(), 2);
     }
 
     #[test]
-    fn who_comes_later_hears_what_happened_so_far() {
+    fn later_operators_receive_past_events() {
         let chain = ModelledChain::new(Duration::from_secs(5));
         let mut one = chain.ledger(Account([1; 20]));
         one.submit(seconds(1), Call::Register { name: "one".to_owned() });
@@ -330,9 +330,9 @@ mod tests {
     }
 
     #[test]
-    fn who_is_away_hears_nothing_and_its_calls_wait() {
+    fn calls_wait_during_an_outage() {
         let chain = ModelledChain::new(Duration::from_secs(5));
-        let mut one = chain.ledger(Account([1; 20])).away(seconds(3)..seconds(12));
+        let mut one = chain.ledger(Account([1; 20])).with_outage(seconds(3)..seconds(12));
         assert_eq!(all(&mut one, seconds(2)), [Notice::Up]);
         assert_eq!(one.next_deadline(), Some(seconds(3)));
         assert!(matches!(all(&mut one, seconds(3))[..], [Notice::Down(_)]));
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn the_chain_goes_on_when_another_run_begins() {
+    fn chains_continue_in_the_next_run() {
         let chain = ModelledChain::new(Duration::from_secs(5));
         chain.begin_run(seconds(7));
         let mut one = chain.ledger(Account([1; 20]));

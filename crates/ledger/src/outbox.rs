@@ -1,8 +1,8 @@
-//! The life of an operator's transactions, without a network and without a clock: each gets a nonce, is sent, sent again
-//! while nobody includes it, with a higher fee where that is what holds it up, and again after a reorganisation took it back.
+//! The life of an operator's transactions, without network or clock. Each gets a nonce and is sent. It is sent again
+//! until it is included, with a higher fee if necessary, and again after a reorganisation.
 //!
-//! Sent again, a transaction has the nonce that it had, so that no chain has both. Should the nonce be used by something
-//! else, it gets another: what was done already, the contract refuses, for its ids are unique and its states are passed once.
+//! A repeated transaction keeps its nonce, so that no chain includes both. If something else used the nonce, it gets
+//! another. The contract rejects a call that was already done, because IDs are unique and each state is passed once.
 
 use std::collections::VecDeque;
 
@@ -12,27 +12,27 @@ use crate::{
     values::TransactionHash,
 };
 
-/// So long nobody may include a transaction before it is sent again, in blocks.
+/// Blocks without inclusion after which a transaction is sent again.
 const PATIENCE_BLOCKS: u64 = 3;
 
-/// What is offered for a unit of gas (EIP-1559).
+/// Fees offered per unit of gas (EIP-1559).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Fees {
-    /// With the tip.
+    /// Maximum, including the tip.
     pub(crate) most: u128,
     pub(crate) tip: u128,
 }
 
 impl Fees {
-    /// What to offer where that is the base fee, and that tip usual: enough for a base fee that doubles. What was offered before is
-    /// offered again as long as it is enough. A node that is only slow may include that transaction still, and some (EthereumJS)
-    /// then keep the one that took its place, and include nothing more of the account.
+    /// Computes the offer for a base fee and a usual tip; it suffices even if the base fee doubles. An earlier offer
+    /// is repeated as long as it suffices. A slow node may still include that transaction, and some (EthereumJS) then
+    /// keep its replacement, and include nothing more of the account.
     pub(crate) fn offer(base: u128, tip: u128, before: Option<Self>) -> Self {
         let now = Self { most: 2 * base + tip, tip };
         match before {
             None => now,
             Some(before) if before.most >= base + tip && before.tip >= tip => before,
-            // Nodes take a transaction in place of one with the same nonce if both are a tenth higher.
+            // Nodes replace a transaction of the same nonce if both fees are a tenth higher.
             Some(before) => {
                 let more = |fee: u128| fee + fee / 4 + 1;
                 Self { most: now.most.max(more(before.most)), tip: now.tip.max(more(before.tip)) }
@@ -41,31 +41,31 @@ impl Fees {
     }
 }
 
-/// What is to be done for a transaction.
+/// Action required for a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Action {
-    /// Try the call on the node, and say what gas it takes: [`Outbox::estimated`].
+    /// Estimate the call's gas on the node, and report it by [`Outbox::estimated`].
     Estimate { ticket: Ticket, call: Call },
-    /// Sign it, say [`Outbox::sent`], and send it. `before` is what was offered for it last.
+    /// Sign it, report [`Outbox::sent`], and send it. `before` is the last offer.
     Send { ticket: Ticket, call: Call, nonce: u64, gas: u64, before: Option<Fees> },
-    /// Ask in which block one of these is: [`Outbox::checked`].
+    /// Find the block with one of these, and report it by [`Outbox::checked`].
     Check { ticket: Ticket, hashes: Vec<TransactionHash> },
 }
 
-/// What became of a transaction, by the chain's present head.
+/// State of a transaction as of the chain's current head.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Status {
-    /// No block has it.
+    /// In no block.
     Absent,
-    /// A block has it.
+    /// In a block.
     Included { block: u64 },
-    /// A block has it, and the contract refused it there.
+    /// In a block, where the contract rejected it.
     Reverted(CallError),
 }
 
-/// What the operator is to know.
+/// A report to the operator.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Told {
+pub(crate) enum Report {
     Included(Ticket),
     Refused(Ticket, CallError),
 }
@@ -89,30 +89,30 @@ enum Stage {
 struct Sent {
     gas: u64,
     nonce: u64,
-    /// What was offered for it last.
+    /// Last offer.
     fees: Option<Fees>,
     hashes: Vec<TransactionHash>,
-    /// The head when it was sent last.
+    /// Head when it was last sent.
     at_block: u64,
     is_due: bool,
-    /// The head by which it was looked for last.
+    /// Head when it was last checked.
     checked: Option<u64>,
     included: Option<u64>,
 }
 
-/// An operator's transactions that are not final.
+/// An operator's transactions that are not final yet.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     entries: VecDeque<Entry>,
-    /// How many blocks on top make one final.
+    /// Number of further blocks that make a transaction final.
     depth: u64,
     head: u64,
-    /// How many of the operator's transactions the chain has.
+    /// Number of the operator's transactions on the chain.
     on_chain: Option<u64>,
 }
 
 impl Outbox {
-    /// An empty one. A transaction with `depth` blocks on top of its own is never taken back.
+    /// Makes an empty outbox. A transaction with `depth` further blocks is never retracted.
     pub(crate) fn new(depth: u64) -> Self {
         Self { entries: VecDeque::new(), depth, head: 0, on_chain: None }
     }
@@ -121,12 +121,12 @@ impl Outbox {
         self.entries.push_back(Entry { ticket, call, stage: Stage::Queued });
     }
 
-    /// Whether all that was submitted is final.
+    /// Whether everything submitted is final.
     pub(crate) fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// The chain has a head, and by it that many transactions of the operator.
+    /// Records the chain's head, and the number of the operator's transactions by it.
     pub(crate) fn on_head(&mut self, number: u64, on_chain: u64) {
         self.head = number;
         self.on_chain = Some(on_chain);
@@ -137,20 +137,20 @@ impl Outbox {
         }
     }
 
-    /// The connection is a new one: what the node was asked before is forgotten.
+    /// Records a new connection. Pending requests to the old node are forgotten.
     pub(crate) fn on_connected(&mut self) {
         self.on_chain = None;
         for entry in &mut self.entries {
             match &mut entry.stage {
                 Stage::Estimating => entry.stage = Stage::Queued,
-                // The node may be another one, which never saw it.
+                // The node may be another one, which never received it.
                 Stage::Sent(sent) if sent.included.is_none() => sent.is_due = true,
                 _ => {}
             }
         }
     }
 
-    /// What is to be done next; `None`: to wait for a head.
+    /// Returns the next action; `None` until the next head.
     pub(crate) fn next(&mut self) -> Option<Action> {
         let head = self.head;
         let on_chain = self.on_chain?;
@@ -196,7 +196,7 @@ impl Outbox {
         None
     }
 
-    /// The first nonce that neither the chain nor a transaction under way has.
+    /// Returns the first nonce used neither on the chain nor by a pending transaction.
     fn next_nonce(&self, on_chain: u64) -> u64 {
         let used = |entry: &Entry| match &entry.stage {
             Stage::Sent(sent) => Some(sent.nonce),
@@ -204,12 +204,12 @@ impl Outbox {
         };
         let mut used: Vec<u64> = self.entries.iter().filter_map(used).collect();
         used.sort_unstable();
-        // A nonce that fell free is taken first: nodes include nothing behind a gap.
+        // Fill gaps first: nodes include nothing behind a gap.
         used.into_iter().fold(on_chain, |next, nonce| if nonce == next { next + 1 } else { next })
     }
 
-    /// The node tried a call.
-    pub(crate) fn estimated(&mut self, ticket: Ticket, result: Result<u64, CallError>) -> Option<Told> {
+    /// Records the estimate of a call.
+    pub(crate) fn estimated(&mut self, ticket: Ticket, result: Result<u64, CallError>) -> Option<Report> {
         let entry = self.entries.iter_mut().find(|entry| entry.ticket == ticket)?;
         match result {
             Ok(gas) => {
@@ -218,12 +218,12 @@ impl Outbox {
             }
             Err(rejection) => {
                 self.remove(ticket);
-                Some(Told::Refused(ticket, rejection))
+                Some(Report::Refused(ticket, rejection))
             }
         }
     }
 
-    /// A transaction is being sent: from now on it may be in a block, whatever the connection does.
+    /// Records that a transaction is being sent. It may get into a block even if the connection breaks.
     pub(crate) fn sent(&mut self, ticket: Ticket, hash: TransactionHash, fees: Fees) {
         let Some(sent) = self.sent_mut(ticket) else { return };
         sent.fees = Some(fees);
@@ -232,29 +232,34 @@ impl Outbox {
         }
     }
 
-    /// The node does not take a transaction, for a reason that will not pass.
-    pub(crate) fn not_sent(&mut self, ticket: Ticket, hash: TransactionHash, reason: String) -> Option<Told> {
+    /// Records that the node rejected a transaction for good.
+    pub(crate) fn not_sent(
+        &mut self,
+        ticket: Ticket,
+        hash: TransactionHash,
+        reason: String,
+    ) -> Option<Report> {
         let sent = self.sent_mut(ticket)?;
         sent.hashes.retain(|other| *other != hash);
-        // One that the node took before is still under way.
+        // One that the node accepted before is still pending.
         if !sent.hashes.is_empty() {
             return None;
         }
         self.remove(ticket);
-        Some(Told::Refused(ticket, CallError::Node(reason)))
+        Some(Report::Refused(ticket, CallError::Node(reason)))
     }
 
-    /// The node says that the nonce is used.
+    /// Records that the node reported the nonce as used.
     pub(crate) fn nonce_is_used(&mut self, ticket: Ticket) {
-        // Either this transaction used it, which a check shows, or something else did.
+        // This transaction used it, which a check will show, or something else did.
         match self.sent_mut(ticket) {
             Some(sent) if !sent.hashes.is_empty() => sent.checked = None,
             _ => self.requeue(ticket),
         }
     }
 
-    /// What became of a transaction, by the head.
-    pub(crate) fn checked(&mut self, ticket: Ticket, status: Status) -> Option<Told> {
+    /// Records the state of a transaction as of the head.
+    pub(crate) fn checked(&mut self, ticket: Ticket, status: Status) -> Option<Report> {
         let (head, depth, on_chain) = (self.head, self.depth, self.on_chain);
         let sent = self.sent_mut(ticket)?;
         match status {
@@ -263,14 +268,14 @@ impl Outbox {
                 if head >= block + depth {
                     self.remove(ticket);
                 }
-                is_news.then_some(Told::Included(ticket))
+                is_news.then_some(Report::Included(ticket))
             }
             Status::Reverted(rejection) => {
                 self.remove(ticket);
-                Some(Told::Refused(ticket, rejection))
+                Some(Report::Refused(ticket, rejection))
             }
             Status::Absent => {
-                // Taken back: the node may no longer have it.
+                // Retracted: the node may no longer have it.
                 sent.is_due |= sent.included.take().is_some();
                 if on_chain.is_some_and(|count| count > sent.nonce) {
                     self.requeue(ticket);
@@ -309,10 +314,10 @@ mod tests {
     use super::*;
     use crate::values::ServiceId;
 
-    /// A chain with one operator, whose node loses transactions and whose blocks are taken back.
+    /// A chain with one operator, whose node loses transactions and whose blocks are retracted.
     #[derive(Default)]
     struct Node {
-        /// Transactions that wait, by nonce: hash, fees and what they say.
+        /// Pending transactions by nonce: hash, fees and content.
         pool: HashMap<u64, (TransactionHash, Fees, Call)>,
         base_fee: u128,
         blocks: Vec<Vec<(u64, TransactionHash, Call)>>,
@@ -343,7 +348,7 @@ mod tests {
             self.blocks.push(block);
         }
 
-        fn act(&mut self, outbox: &mut Outbox, action: Action) -> Option<Told> {
+        fn act(&mut self, outbox: &mut Outbox, action: Action) -> Option<Report> {
             match action {
                 Action::Estimate { ticket, .. } => outbox.estimated(ticket, Ok(100_000)),
                 Action::Send { ticket, call, nonce, before, .. } => {
@@ -374,20 +379,20 @@ mod tests {
     }
 
     #[derive(Debug, Clone, Copy)]
-    enum Happening {
+    enum Incident {
         Submit,
         Mine,
-        /// The node forgets what waits.
+        /// The node forgets pending transactions.
         Drop,
-        /// Blocks become dearer than what was offered.
+        /// Fees rise above the offers.
         Dearer,
-        /// The last block is taken back, and what was in it forgotten.
+        /// The last block is retracted, and its transactions forgotten.
         Reorganise,
         Reconnect,
     }
 
-    fn happening() -> impl Strategy<Value = Happening> {
-        use Happening::*;
+    fn incident() -> impl Strategy<Value = Incident> {
+        use Incident::*;
         prop_oneof![3 => Just(Submit), 4 => Just(Mine), 1 => Just(Drop), 1 => Just(Dearer), 1 => Just(Reorganise), 1 => Just(Reconnect)]
     }
 
@@ -399,29 +404,29 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_gets_lost_every_call_is_on_the_chain_once(
-            happenings in prop::collection::vec(happening(), 1..60),
+        fn every_call_is_on_the_chain_exactly_once(
+            happenings in prop::collection::vec(incident(), 1..60),
         ) {
             let (mut node, mut outbox) = (Node::default(), Outbox::new(3));
             let mut submitted = 0;
-            let after = vec![Happening::Mine; 40];
-            for happening in happenings.into_iter().chain(after) {
-                match happening {
-                    Happening::Submit => {
+            let after = vec![Incident::Mine; 40];
+            for incident in happenings.into_iter().chain(after) {
+                match incident {
+                    Incident::Submit => {
                         submitted += 1;
                         outbox.submit(Ticket(submitted), call(submitted));
                     }
-                    Happening::Mine => node.mine(),
-                    Happening::Drop => node.pool.clear(),
-                    Happening::Dearer => node.base_fee = 3 * node.base_fee + 10,
-                    Happening::Reorganise => {
-                        // No deeper than what the outbox is told is possible: the block that replaces it comes at once.
+                    Incident::Mine => node.mine(),
+                    Incident::Drop => node.pool.clear(),
+                    Incident::Dearer => node.base_fee = 3 * node.base_fee + 10,
+                    Incident::Reorganise => {
+                        // No deeper than the outbox's depth: the replacing block follows at once.
                         if node.blocks.pop().is_some() {
                             node.pool.clear();
                             node.blocks.push(Vec::new());
                         }
                     }
-                    Happening::Reconnect => outbox.on_connected(),
+                    Incident::Reconnect => outbox.on_connected(),
                 }
                 outbox.on_head(node.blocks.len() as u64, node.count());
                 for _ in 0..1000 {
@@ -439,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_node_refuses_is_told_and_uses_no_nonce() {
+    fn rejected_calls_are_reported_and_use_no_nonce() {
         let mut outbox = Outbox::new(0);
         outbox.on_head(1, 5);
         outbox.submit(Ticket(1), call(1));
@@ -449,7 +454,7 @@ mod tests {
         let rejection = CallError::from(crate::ContractError::OnlyCreator);
         assert_eq!(
             outbox.estimated(Ticket(1), Err(rejection.clone())),
-            Some(Told::Refused(Ticket(1), rejection))
+            Some(Report::Refused(Ticket(1), rejection))
         );
         outbox.next();
         outbox.estimated(Ticket(2), Ok(7));
@@ -458,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_slow_node_has_not_included_yet_is_offered_again_as_it_was() {
+    fn sufficient_offers_are_repeated_unchanged() {
         let before = Fees::offer(7, 1, None);
         assert_eq!(before, Fees { most: 15, tip: 1 });
         assert_eq!(Fees::offer(7, 1, Some(before)), before);

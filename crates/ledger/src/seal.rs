@@ -1,8 +1,9 @@
-//! What others may not read, although everybody can see it: bids, and what is needed to attach, encrypted to the
-//! one-time key of an announcement by hybrid public-key encryption (RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305).
+//! Encryption of confidential messages on the public chain: bids, and the data needed to attach. They are sealed to
+//! the one-time key of an announcement by hybrid public-key encryption (RFC 9180: X25519, HKDF-SHA256,
+//! ChaCha20-Poly1305).
 //!
-//! All randomness is derived from the operator's secret and from what it is for, as deterministic signatures do
-//! (RFC 6979): an operator that is restarted has its keys again, says again what it said, and keeps nothing on disk.
+//! All randomness derives from the operator's secret and its purpose, as in deterministic signatures (RFC 6979). A
+//! restarted operator therefore has the same keys and repeats the same messages, without keeping anything on disk.
 
 use std::fmt;
 
@@ -21,32 +22,32 @@ use crate::{
 
 type Kem = X25519HkdfSha256;
 
-/// Bytes in front of a sealed message: the sender's one-time public key.
+/// Bytes before a sealed message: the sender's one-time public key.
 const HEAD: usize = 32;
-/// Bytes behind it: the authentication tag.
+/// Bytes after it: the authentication tag.
 const TAG: usize = 16;
-/// Messages are filled up to a multiple of this, so that their length says nothing.
+/// Messages are padded to a multiple of this, to hide their length.
 const BLOCK: usize = 256;
 
 /// A message that cannot be sealed or opened.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SealError {
-    /// The key is no point that can be encrypted to.
+    /// The key is not a point that can be encrypted to.
     #[error("{0} is no X25519 public key")]
     Key(PublicKey),
-    /// There is too much to say.
+    /// The message is too long.
     #[error("a message of {0} bytes does not fit: sealed messages have at most {MAX_SEALED}")]
     TooLong(usize),
     /// It was sealed to another key, for another service or purpose, or by another sender; or it was changed.
     #[error("the message was not sealed to this key by this sender for this service")]
     Broken,
-    /// What was sealed is not what it should be.
+    /// The decrypted message is invalid.
     #[error("the sealed message says something else than it should: {0}")]
     Content(String),
 }
 
-/// An operator's secret with one contract on one chain: all its keys and salts there come from it, and with another
-/// contract it has others.
+/// An operator's secret with one contract on one chain, from which all its keys and salts there derive. With other
+/// contracts they differ.
 #[derive(Clone)]
 pub struct Secret {
     bytes: [u8; 32],
@@ -59,35 +60,35 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// What can be sealed.
+/// A message that can be sealed.
 pub trait Sealable: Serialize + DeserializeOwned {
-    /// Keeps a message of one kind from being taken for another.
+    /// Distinguishes kinds of messages.
     const PURPOSE: &'static str;
 }
 
-/// What a provider says to the creator alone.
+/// A provider's confidential bid to the creator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bid {
-    /// Of the commitment.
+    /// Price of the commitment.
     price: u128,
-    /// Of the commitment.
+    /// Salt of the commitment.
     salt: [u8; 32],
-    /// Where the provider's orchestrator is reached.
+    /// Address of the provider's orchestrator.
     pub endpoint: String,
 }
 
 impl Bid {
-    /// A bid; `salt` comes from [`Secret::bid_salt`].
+    /// Makes a bid; `salt` comes from [`Secret::bid_salt`].
     pub fn new(price: Price, salt: Salt, endpoint: String) -> Self {
         Self { price: price.get(), salt: salt.0, endpoint }
     }
 
-    /// The price; `None` if it is higher than any can be.
+    /// Returns the price; `None` if it is above the maximum.
     pub fn price(&self) -> Option<Price> {
         Price::new(self.price)
     }
 
-    /// What the commitment was made with.
+    /// Returns the salt of the commitment.
     pub fn salt(&self) -> Salt {
         Salt(self.salt)
     }
@@ -97,16 +98,16 @@ impl Sealable for Bid {
     const PURPOSE: &'static str = "bid";
 }
 
-/// What is needed to attach to a deployed virtual access point.
+/// The data needed to attach to a deployed virtual access point.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attachment {
-    /// The radio unit that it runs on, as its domain calls it.
+    /// Radio unit that it runs on, in its domain's terms.
     pub radio_unit: String,
-    /// The network's name.
+    /// Name of the network.
     pub ssid: String,
-    /// The access point's address, six bytes.
+    /// MAC address of the access point.
     pub bssid: [u8; 6],
-    /// Of the channel's centre.
+    /// Frequency of the channel's centre, MHz.
     pub frequency_mhz: u16,
     /// The pairwise master key of fast transition (IEEE 802.11-2020, 12.7.1.6.4: PMK-R1), for this robot and access
     /// point alone.
@@ -125,40 +126,39 @@ impl Sealable for Attachment {
 }
 
 impl Secret {
-    /// From 32 bytes that nobody else knows, for that contract.
+    /// Makes a secret from 32 confidential bytes, for that contract.
     pub fn new(bytes: [u8; 32], deployment: Deployment) -> Self {
         Self { bytes, deployment }
     }
 
-    /// What it is for.
     pub fn deployment(&self) -> Deployment {
         self.deployment
     }
 
-    /// The public half of the one-time key of the service that is announced with `salt`.
+    /// Returns the public one-time key of the service announced with `salt`.
     pub fn public_key(&self, salt: Salt) -> PublicKey {
         PublicKey(Kem::derive_keypair(&self.derive("one-time key", &[&salt.0])).1.to_bytes().into())
     }
 
-    /// The salt of the operator's `number`th announcement.
+    /// Returns the salt of the operator's `number`th announcement.
     pub fn announcement_salt(&self, number: u64) -> Salt {
         Salt(self.derive("announcement", &[&number.to_be_bytes()]))
     }
 
-    /// The salt of the operator's bid for a service.
+    /// Returns the salt of the operator's bid for a service.
     pub fn bid_salt(&self, id: ServiceId) -> Salt {
         Salt(self.derive("bid", &[&id.0]))
     }
 
-    /// The key of fast transition for a service that the operator provides: of one robot and one access point.
+    /// Returns the fast-transition key of a service that the operator provides, for one robot and one access point.
     pub fn ft_key(&self, id: ServiceId) -> [u8; 32] {
         self.derive("fast transition", &[&id.0])
     }
 
-    /// Seals what this operator, `sender`, says of a service to the holder of `key`.
+    /// Seals a message about a service from this operator, `sender`, to the holder of `key`.
     ///
     /// # Errors
-    /// [`SealError::Key`] if `key` is none; [`SealError::TooLong`].
+    /// [`SealError::Key`] if `key` is invalid; [`SealError::TooLong`].
     pub fn seal<T: Sealable>(
         &self,
         key: PublicKey,
@@ -168,7 +168,7 @@ impl Secret {
     ) -> Result<Vec<u8>, SealError> {
         let to = <Kem as hpke::Kem>::PublicKey::from_bytes(&key.0).map_err(|_| SealError::Key(key))?;
         let mut text = serde_json::to_vec(message).expect("it has strings for keys");
-        // JSON ends by itself: blanks behind it change nothing.
+        // JSON is self-delimiting, so trailing blanks change nothing.
         text.resize(text.len().next_multiple_of(BLOCK), b' ');
         let length = HEAD + text.len() + TAG;
         if length > MAX_SEALED {
@@ -187,7 +187,7 @@ impl Secret {
         Ok([&head.to_bytes()[..], &body].concat())
     }
 
-    /// Opens what `sender` sealed for the service that this operator announced with `salt`.
+    /// Opens a message from `sender` about the service that this operator announced with `salt`.
     ///
     /// # Errors
     /// [`SealError::Broken`] or [`SealError::Content`].
@@ -213,8 +213,8 @@ impl Secret {
         serde_json::from_slice(&text).map_err(|reason| SealError::Content(reason.to_string()))
     }
 
-    /// Keccak-256 of the secret, the contract, a label and parts, each with its length: a sponge with its key in front is a
-    /// pseudo-random function (Bertoni and others, "Cryptographic sponge functions", 2011).
+    /// Returns Keccak-256 of the secret, the contract, a label and parts, each with its length. A sponge with a
+    /// prepended key is a pseudo-random function (Bertoni and others, "Cryptographic sponge functions", 2011).
     fn derive(&self, label: &str, parts: &[&[u8]]) -> [u8; 32] {
         let Deployment { chain_id, contract } = self.deployment;
         let mut hash = Keccak256::new().chain_update(self.bytes);
@@ -226,7 +226,7 @@ impl Secret {
     }
 }
 
-/// What a message is bound to: a copy for another service, or by another sender, does not open.
+/// Returns the context that a message is bound to: a copy for another service or by another sender does not open.
 fn info<T: Sealable>(id: ServiceId, sender: Account) -> Vec<u8> {
     [b"cotorra federation ", T::PURPOSE.as_bytes(), b"\0", &id.0, &sender.0].concat()
 }
@@ -259,13 +259,13 @@ mod tests {
     }
 
     #[test]
-    fn the_holder_of_the_key_alone_reads_it() {
+    fn only_the_key_holder_can_open() {
         assert_eq!(creator().open(SALT, ID, SENDER, &sealed()), Ok(bid()));
         assert_eq!(provider().open::<Bid>(SALT, ID, SENDER, &sealed()), Err(SealError::Broken));
     }
 
     #[test]
-    fn a_copy_for_another_service_key_purpose_or_sender_does_not_open() {
+    fn copies_for_another_context_do_not_open() {
         let creator = creator();
         assert_eq!(creator.open::<Bid>(SALT, ServiceId([9; 32]), SENDER, &sealed()), Err(SealError::Broken));
         assert_eq!(creator.open::<Bid>(SALT, ID, Account([9; 20]), &sealed()), Err(SealError::Broken));
@@ -274,14 +274,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_an_operator_makes_repeats_with_another_contract_or_on_another_chain() {
+    fn keys_and_salts_differ_between_contracts_and_chains() {
         let redeployed = Deployment { contract: Account([7; 20]), ..HERE };
         let elsewhere = Deployment { chain_id: 2, ..HERE };
         let made = |deployment| {
             let secret = Secret::new([1; 32], deployment);
             let salt = secret.announcement_salt(1);
             let id = ServiceId::of(deployment, SENDER, salt);
-            // The salts and ids of one contract, as far as somebody replays them with another.
+            // Salts and IDs of one contract, replayed with another.
             let again = ServiceId::of(deployment, SENDER, SALT);
             let sealed = secret.seal(creator().public_key(SALT), ID, SENDER, &bid()).unwrap();
             let keys = [secret.public_key(SALT).0, secret.ft_key(ID), secret.bid_salt(ID).0];
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn the_length_says_nothing_of_the_endpoint() {
+    fn the_length_does_not_reveal_the_endpoint() {
         let length = |endpoint: &str| {
             let bid = Bid::new(Price::MAX, Salt([7; 32]), endpoint.to_owned());
             provider().seal(creator().public_key(SALT), ID, SENDER, &bid).unwrap().len()
@@ -302,17 +302,17 @@ mod tests {
     }
 
     #[test]
-    fn too_much_is_refused_and_so_is_what_is_no_key() {
+    fn long_messages_and_invalid_keys_are_rejected() {
         let bid = Bid::new(Price::MAX, SALT, "x".repeat(1000));
         let key = creator().public_key(SALT);
         assert!(matches!(provider().seal(key, ID, SENDER, &bid), Err(SealError::TooLong(_))));
-        // Of low order: whatever it is multiplied with, the shared secret is known (RFC 7748, 6.1).
+        // Of low order: any multiple gives a known shared secret (RFC 7748, 6.1).
         let key = PublicKey([0; 32]);
         assert_eq!(provider().seal(key, ID, SENDER, &self::bid()), Err(SealError::Key(key)));
     }
 
     #[test]
-    fn what_is_said_again_is_said_the_same_way_and_nothing_else_is() {
+    fn sealing_is_deterministic() {
         assert_eq!(sealed(), sealed());
         let other = Bid::new(Price::new(1).unwrap(), Salt([7; 32]), bid().endpoint);
         let other = provider().seal(creator().public_key(SALT), ID, SENDER, &other).unwrap();
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_secret_is_printed() {
+    fn secrets_are_not_printed() {
         assert_eq!(format!("{:?}", Secret::new([0xab; 32], HERE)), "Secret(…)");
         let attachment = Attachment {
             radio_unit: "R4".to_owned(),
@@ -339,15 +339,16 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn nothing_that_was_changed_opens(at in any::<prop::sample::Index>(), bit in 0..8u8) {
+        fn modified_messages_do_not_open(at in any::<prop::sample::Index>(), bit in 0..8u8) {
             let mut sealed = sealed();
-            // Even the highest bit of the public key, which X25519 ignores (RFC 7748, 5): the key schedule does not.
+            // Including the highest bit of the public key, which X25519 ignores (RFC 7748, 5) but the key schedule
+            // does not.
             *at.get_mut(&mut sealed) ^= 1u8 << bit;
             prop_assert_eq!(creator().open::<Bid>(SALT, ID, SENDER, &sealed), Err(SealError::Broken));
         }
 
         #[test]
-        fn whatever_comes_is_opened_or_refused(sealed in prop::collection::vec(any::<u8>(), 0..400)) {
+        fn arbitrary_messages_never_panic(sealed in prop::collection::vec(any::<u8>(), 0..400)) {
             prop_assert!(creator().open::<Bid>(SALT, ID, SENDER, &sealed).is_err());
         }
     }

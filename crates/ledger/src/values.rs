@@ -1,12 +1,12 @@
-//! Addresses, ids and amounts as types, so that none is taken for another.
+//! Addresses, IDs and amounts as distinct types.
 
 use std::{fmt, str::FromStr};
 
 use sha3::{Digest, Keccak256};
 
-/// Text that is no hexadecimal value of the wanted length.
+/// A text that is not a hexadecimal value of the required length.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("`{text}` is no {what}: that is `0x` and {digits} hexadecimal digits")]
+#[error("`{text}` is not a valid {what}: write `0x` and {digits} hexadecimal digits")]
 pub struct ParseHexError {
     text: String,
     what: &'static str,
@@ -51,25 +51,19 @@ bytes!(
     Account, 20, "address"
 );
 bytes!(
-    /// What a service is known by: [`ServiceId::of`] its creator and salt.
+    /// ID of a service; see [`ServiceId::of`].
     ServiceId, 32, "service id"
 );
 bytes!(
-    /// What makes an id new, or a commitment impossible to guess.
+    /// Makes an ID unique, or a commitment impossible to guess.
     Salt, 32, "salt"
 );
 bytes!(
-    /// What a bid shows of its price: [`Commitment::to`] it.
+    /// Commitment of a bid to its price; see [`Commitment::to`].
     Commitment, 32, "commitment"
 );
-bytes!(
-    /// A transaction's hash.
-    TransactionHash, 32, "transaction hash"
-);
-bytes!(
-    /// A block's hash.
-    BlockHash, 32, "block hash"
-);
+bytes!(TransactionHash, 32, "transaction hash");
+bytes!(BlockHash, 32, "block hash");
 bytes!(
     /// An X25519 public key (RFC 7748).
     PublicKey, 32, "public key"
@@ -87,30 +81,30 @@ fn decode(text: &str, bytes: &mut [u8]) -> Option<()> {
     Some(())
 }
 
-/// Keccak-256 of the ABI encoding of words: how the contract hashes.
+/// Returns Keccak-256 of the ABI encoding of words, as the contract computes it.
 fn keccak(words: &[[u8; 32]]) -> [u8; 32] {
     Keccak256::digest(words.as_flattened()).into()
 }
 
-/// `bytes` as an ABI word, right-aligned.
+/// Returns `bytes` as an ABI word, right-aligned.
 fn word(bytes: &[u8]) -> [u8; 32] {
     let mut word = [0; 32];
     word[32 - bytes.len()..].copy_from_slice(bytes);
     word
 }
 
-/// A contract on a chain: what ids, salts and keys are bound to, so that none repeats on another chain, or with another
+/// A contract on a chain. IDs, salts and keys are bound to it, so that none repeats on another chain or with another
 /// contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct Deployment {
-    /// The chain's ID (EIP-155).
+    /// Chain ID (EIP-155).
     pub chain_id: u64,
-    /// The contract's address there.
+    /// Address of the contract.
     pub contract: Account,
 }
 
 impl ServiceId {
-    /// The id of the service that `creator` announces with `salt`: the contract's `idOf`.
+    /// Returns the ID of the service that `creator` announces with `salt`: the contract's `idOf`.
     pub fn of(deployment: Deployment, creator: Account, salt: Salt) -> Self {
         let Deployment { chain_id, contract } = deployment;
         let purpose = Keccak256::digest("cotorra federation").into();
@@ -120,7 +114,7 @@ impl ServiceId {
 }
 
 impl Commitment {
-    /// What `provider` commits to by bidding `price` for a service: the contract's `commitmentOf`.
+    /// Returns the commitment of `provider` to `price` for a service: the contract's `commitmentOf`.
     pub fn to(id: ServiceId, provider: Account, price: Price, salt: Salt) -> Self {
         Self(keccak(&[id.0, word(&provider.0), word(&price.0.to_be_bytes()), salt.0]))
     }
@@ -136,25 +130,25 @@ impl fmt::Display for Wei {
     }
 }
 
-/// What a second of a service costs, in wei. At most 2⁹⁶ - 1, so that no deposit overflows.
+/// Price of a service per second, in wei. At most 2⁹⁶ - 1, so that no deposit overflows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Price(u128);
 
 impl Price {
-    /// The highest that can be bid.
+    /// The highest price.
     pub const MAX: Self = Self((1 << 96) - 1);
 
-    /// `None` if it is more than [`Price::MAX`].
+    /// Makes a price; `None` above [`Price::MAX`].
     pub const fn new(wei_per_second: u128) -> Option<Self> {
         if wei_per_second <= Self::MAX.0 { Some(Self(wei_per_second)) } else { None }
     }
 
-    /// In wei for a second.
+    /// Returns the wei per second.
     pub const fn get(self) -> u128 {
         self.0
     }
 
-    /// What that many seconds cost.
+    /// Returns the cost of `seconds` seconds.
     pub fn times(self, seconds: u32) -> Wei {
         Wei(self.0 * u128::from(seconds))
     }
@@ -166,12 +160,12 @@ impl fmt::Display for Price {
     }
 }
 
-/// A time of the chain: `block.timestamp`, seconds since 1970 by the clocks of those who make blocks.
+/// A time of the chain: `block.timestamp`, seconds since 1970 by the clocks of block makers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct ChainTime(pub u64);
 
 impl ChainTime {
-    /// That many seconds later.
+    /// Returns the time `seconds` later.
     #[must_use]
     pub fn after(self, seconds: u32) -> Self {
         Self(self.0 + u64::from(seconds))

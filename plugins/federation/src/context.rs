@@ -1,4 +1,4 @@
-//! The state of a domain that both roles read and change, as creator and as provider.
+//! State of a domain that both roles use, as creator and as provider.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,27 +18,27 @@ pub(crate) struct Unit {
     pub(crate) ssid: String,
     pub(crate) mobility_domain: u16,
     pub(crate) frequency_mhz: u16,
-    /// Whether it serves.
+    /// Whether it is serving.
     pub(crate) on: bool,
 }
 
-/// What both roles have at hand while they decide.
+/// The domain's state, passed to both roles while they decide.
 pub(crate) struct DomainContext<'a> {
     pub(crate) now: Timestamp,
     pub(crate) settings: &'a Settings,
     pub(crate) secret: &'a Secret,
     pub(crate) coverage: &'a Coverage,
     pub(crate) units: &'a mut BTreeMap<NodeId, Unit>,
-    /// Services that are to end.
+    /// Services to be ended.
     pub(crate) closing: &'a mut Vec<Creator>,
-    /// What was noted before this orchestrator was started again.
+    /// Notes from before this orchestrator was restarted.
     pub(crate) noted: &'a BTreeSet<Noted>,
     pub(crate) actions: &'a mut Actions,
 }
 
 impl DomainContext<'_> {
-    /// Keeps in the history that a step was reached, unless a run before this one did: what is heard anew from the chain, or
-    /// done again to a network that began anew, is no new step.
+    /// Notes a step in the history, unless an earlier run of this orchestrator did. Events received again from the
+    /// chain, or repeated to a restarted network, are not new steps.
     pub(crate) fn note(&mut self, id: ServiceId, step: Step, detail: impl Into<String>) {
         let detail = detail.into();
         let reason = (!detail.is_empty()).then_some(detail);

@@ -1,21 +1,22 @@
-//! Where a domain's radio units are heard, and when a robot leaves that: from its position, its covariance and its walk.
+//! Coverage of a domain's radio units, and predictions of when a robot leaves it, from its position, covariance and
+//! walk.
 //!
-//! The signal is what the path-loss model says, without shadowing, which nobody knows beforehand.
+//! Signals follow the path-loss model without shadowing, which is unknown in advance.
 
 use std::time::Duration;
 
 use cotorra_graph::{Dbm, HardwareGraph, NodeId, PathLoss, Pose, Position, Walk};
 
-/// A walk is looked at this often, metres.
+/// Distance between checked points of a walk, metres.
 const STEP_M: f64 = 0.1;
-/// A robot is taken to be anywhere within so many standard deviations of where localization says it is.
+/// A robot may be anywhere within this many standard deviations of its estimated position.
 const DEVIATIONS: f64 = 2.0;
 
-/// The coverage of radio units.
+/// Coverage of a set of radio units.
 #[derive(Debug, Clone)]
 pub struct Coverage {
     cells: Vec<Cell>,
-    /// Weaker is no coverage.
+    /// Weakest signal that counts as coverage.
     edge: Dbm,
 }
 
@@ -28,25 +29,25 @@ struct Cell {
     frequency_mhz: u16,
 }
 
-/// Where a walk leaves the coverage.
+/// Point where a walk leaves the coverage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Edge {
     /// The last place that is covered.
     pub place: Position,
-    /// How far that is along the walk, metres, less what the position is uncertain by.
+    /// Distance to it along the walk, metres, minus the uncertainty of the position.
     pub distance_m: f64,
 }
 
 impl Edge {
-    /// When the robot is there at the earliest.
+    /// Returns the earliest time until the robot reaches the edge.
     pub fn within(&self, speed: f64) -> Duration {
-        // A walk's speed limit is above zero; what it is not says that there is no hurry.
+        // A walk's speed limit is above zero. Any other value means that there is no hurry.
         Duration::try_from_secs_f64(self.distance_m / speed).unwrap_or(Duration::MAX)
     }
 }
 
 impl Coverage {
-    /// That of all radio units of a graph.
+    /// Computes the coverage of a graph's radio units.
     pub fn of(graph: &HardwareGraph, edge: Dbm) -> Self {
         let cells = graph.radio_units().filter_map(|(node, unit)| {
             let network = graph.wireless.get(&unit.network)?;
@@ -61,14 +62,14 @@ impl Coverage {
         Self { cells: cells.collect(), edge }
     }
 
-    /// The radio unit that is strongest at a place, and how strong it is there.
+    /// Returns the strongest radio unit at a place, with its signal there.
     pub fn strongest(&self, at: Position) -> Option<(&NodeId, Dbm)> {
         let signals =
             self.cells.iter().map(|cell| (&cell.radio_unit, cell.signal(cell.position.distance(at))));
         signals.max_by(|(_, a), (_, b)| a.0.total_cmp(&b.0))
     }
 
-    /// How strong a radio unit is at least within `radius` metres around a place.
+    /// Returns a radio unit's weakest signal within `radius_m` metres of a place.
     pub fn weakest_around(&self, radio_unit: &NodeId, at: Position, radius_m: f64) -> Option<Dbm> {
         let cell = self.cells.iter().find(|cell| cell.radio_unit == *radio_unit)?;
         Some(cell.signal(cell.position.distance(at) + radius_m))
@@ -79,8 +80,8 @@ impl Coverage {
         self.strongest(at).is_some_and(|(_, signal)| signal >= self.edge)
     }
 
-    /// Where a robot leaves the coverage that goes on along its walk to the waypoint that is next, and from there; `None`
-    /// if it does not, or not within `horizon` metres.
+    /// Returns where a robot, on its walk from `pose` by the waypoint `waypoint`, leaves the coverage. Returns `None`
+    /// if it does not, or not within `horizon_m` metres.
     pub fn edge(&self, pose: &Pose, walk: &Walk, waypoint: u32, horizon_m: f64) -> Option<Edge> {
         let uncertain = DEVIATIONS * deviation_m(pose);
         let (mut at, mut walked) = (pose.position(), 0.0);
@@ -118,7 +119,7 @@ impl Cell {
     }
 }
 
-/// The standard deviation of a position along the direction in which it is known worst, metres: the root of the larger
+/// Returns the standard deviation of a position along its least certain direction, metres: the root of the larger
 /// eigenvalue of its covariance.
 fn deviation_m(pose: &Pose) -> f64 {
     let [xx, xy, _, _, yy, ..] = pose.covariance;
@@ -160,7 +161,7 @@ walks:
     }
 
     #[test]
-    fn the_edge_is_where_the_signal_falls_below_what_is_wanted() {
+    fn edge_is_where_the_signal_becomes_too_weak() {
         let (coverage, walk) = coverage();
         let edge = coverage.edge(&pose(5.0, 0.0), &walk, 1, 100.0).unwrap();
         assert!((edge.place.x - 21.4).abs() < 0.2, "{edge:?}");
@@ -172,19 +173,19 @@ walks:
         assert_eq!(
             coverage.edge(&pose(30.0, 0.0), &walk, 3, 100.0).unwrap().distance_m,
             0.0,
-            "it is outside"
+            "the robot is outside"
         );
     }
 
     #[test]
-    fn who_knows_less_where_it_is_comes_sooner_to_the_edge() {
+    fn uncertain_robots_reach_the_edge_sooner() {
         let (coverage, walk) = coverage();
         let [sure, unsure] = [0.0, 0.5].map(|d| coverage.edge(&pose(5.0, d), &walk, 1, 100.0).unwrap());
         assert!((sure.distance_m - unsure.distance_m - 1.0).abs() < 1e-9);
     }
 
     #[test]
-    fn deviations_are_those_of_the_worst_direction() {
+    fn deviations_are_of_the_least_certain_direction() {
         let mut tilted = pose(0.0, 0.0);
         // Deviations 2 and 1 along axes turned by 45 degrees.
         (tilted.covariance[0], tilted.covariance[4]) = (2.5, 2.5);
@@ -195,7 +196,7 @@ walks:
 
     proptest! {
         #[test]
-        fn the_edge_is_covered_and_never_behind(x in -50.0..50.0f64, waypoint in 0..5u32, deviation in 0.0..5.0f64) {
+        fn edge_is_covered_and_never_behind(x in -50.0..50.0f64, waypoint in 0..5u32, deviation in 0.0..5.0f64) {
             let (coverage, walk) = coverage();
             if let Some(edge) = coverage.edge(&pose(x, deviation), &walk, waypoint, 1000.0) {
                 prop_assert!(edge.distance_m >= 0.0);

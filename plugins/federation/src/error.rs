@@ -1,27 +1,27 @@
-//! The error of everything that opens a ledger.
+//! Error of opening a ledger or joining its network.
 
 use std::time::Duration;
 
 /// A ledger that cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum LedgerError {
-    /// Real ledgers are left out of this build.
+    /// Real ledgers are not part of this build.
     #[error(
         "this cotorra knows only the modelled ledger: build it with `--features ethereum` for anvil and for Ethereum \
          networks"
     )]
     LeftOut,
-    /// Real ledgers have real time.
+    /// Virtual time supports only the modelled ledger.
     #[error("virtual time has only a modelled ledger: set `ledger: modelled`, or run it in real time")]
     VirtualTime,
-    /// A ledger with two periods.
+    /// Domains set different block periods for one ledger.
     #[error(
         "a ledger has one block period: another domain's is {other:?}, this one's {this:?}; give all domains the same"
     )]
     Periods {
-        /// Of the domain that came first.
+        /// Period of the domain that came first.
         other: Duration,
-        /// Of this one.
+        /// Period of this domain.
         this: Duration,
     },
     /// A real ledger cannot be used.

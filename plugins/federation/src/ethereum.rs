@@ -1,4 +1,4 @@
-//! Real ledgers: an anvil node that is started with the run, and any Ethereum network.
+//! Real ledgers: an anvil node started with the run, or any Ethereum network.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -9,7 +9,7 @@ use cotorra_ledger::{
 
 use crate::{error::LedgerError, settings::Joining};
 
-/// The keys of anvil's accounts, which are the same on each such node, have its money, and are known to everybody.
+/// The well-known keys of anvil's accounts, which have money on every anvil node.
 const KEYS: [&str; 10] = [
     "ac0974bec39a17e36ba4a6b4d238ff944bacb478cbed5efcae784d7bf4f2ff80",
     "59c6995e998f97a5a0044966f0945389dc9e86dae88c7a8412f4603b6b78690d",
@@ -23,20 +23,20 @@ const KEYS: [&str; 10] = [
     "2a871d0798f97d79848a013d4936a73bf4cc922c825d33c1cf7073dff6d409c6",
 ];
 
-/// An anvil node with the contract on it. It ends when this is dropped.
+/// An anvil node with the contract on it. Dropping it ends the node.
 #[derive(Debug)]
 pub(crate) struct Node {
     block_period: Duration,
     url: String,
     deployment: Deployment,
     from_block: u64,
-    /// Of its accounts, how many are taken.
+    /// Number of its accounts in use.
     taken: usize,
     _anvil: anvil::Anvil,
 }
 
 impl Node {
-    /// Starts a node, and has the contract in its first block.
+    /// Starts a node, and deploys the contract in its first block.
     pub(crate) fn start(block_period: Duration, program: Option<PathBuf>) -> Result<Self, LedgerError> {
         let settings =
             anvil::Settings { program, block_period: Some(block_period), ..anvil::Settings::default() };
@@ -50,7 +50,7 @@ impl Node {
         self.block_period
     }
 
-    /// The access of another domain.
+    /// Opens the access of another domain.
     pub(crate) fn open(&mut self) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
         let key = KEYS.get(self.taken).map(|text| key(text)).ok_or_else(|| {
             LedgerError::real(format!(
@@ -63,7 +63,7 @@ impl Node {
     }
 }
 
-/// A domain's access to a network.
+/// Opens a domain's access to a network.
 pub(crate) fn open(network: &Joining) -> Result<(Box<dyn Ledger>, Secret), LedgerError> {
     let password = match &network.password_file {
         Some(path) => Password::File(path.clone()),

@@ -1,5 +1,5 @@
-//! The provider's side: answers announcements that one of the domain's radio units can serve, deploys the vAP that was
-//! won, and takes it down when the service is over.
+//! The provider's role: answers announcements that one of the domain's radio units can serve, deploys the vAP of a
+//! won service, and takes it down at the end.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use cotorra_graph::{
     AccessPoint, Decision, Event, FtKey, Instruction, NodeId, Position, Timestamp, VnfState,
 };
 use cotorra_ledger::{
-    Account, Attachment, Call, Event as Said, Ledger, Notice, Requirements, Secret, ServiceId, Wei,
+    Account, Attachment, Call, Event as LedgerEvent, Ledger, Notice, Requirements, Secret, ServiceId, Wei,
     negotiation::{Offer, Provider, ProviderStep},
 };
 
@@ -18,7 +18,7 @@ use crate::{
     steps::Step,
 };
 
-/// All services that the domain bids for or provides.
+/// The services that the domain bids for or provides.
 #[derive(Debug, Default)]
 pub(crate) struct Hosting {
     services: Vec<Service>,
@@ -27,13 +27,13 @@ pub(crate) struct Hosting {
 #[derive(Debug)]
 struct Service {
     provider: Provider,
-    /// The radio unit for it.
+    /// Radio unit for the service.
     unit: NodeId,
     frequency_mhz: u16,
     ssid: String,
     mobility_domain: u16,
     vap: Vap,
-    /// Whether it was noted that it was heard of.
+    /// Whether the announcement was noted.
     noted: bool,
 }
 
@@ -45,11 +45,11 @@ enum Vap {
 }
 
 impl Hosting {
-    /// A service was announced.
-    #[allow(clippy::too_many_arguments, reason = "what decides on a bid is spread over the whole domain")]
+    /// Bids for an announced service if a radio unit can serve it.
+    #[allow(clippy::too_many_arguments, reason = "a bid depends on state from the whole domain")]
     pub(crate) fn consider(
         &mut self,
-        announced: &Said,
+        announced: &LedgerEvent,
         account: Account,
         secret: &Secret,
         settings: &Settings,
@@ -57,7 +57,7 @@ impl Hosting {
         units: &BTreeMap<NodeId, Unit>,
         coverage: &Coverage,
     ) {
-        let Said::ServiceAnnounced { id, requirements, .. } = announced else { return };
+        let LedgerEvent::ServiceAnnounced { id, requirements, .. } = announced else { return };
         let Some(price) = settings.price.filter(|_| settings.behaviour != Behaviour::Silent) else { return };
         if self.services.iter().any(|service| service.provider.id() == *id) || requirements.map != map {
             return;
@@ -65,7 +65,7 @@ impl Hosting {
         let Some((unit, serves)) = self.unit_for(requirements, units, coverage) else { return };
         let (endpoint, deploys_within) = (settings.endpoint.clone(), settings.deploy_within());
         let offer = Offer { price, endpoint, deploys_within };
-        // A key that cannot be encrypted to is the creator's mistake: there is nobody to tell.
+        // A key that cannot be encrypted to is the creator's mistake, which nobody can be told about.
         let Ok(Some(provider)) = Provider::new(account, secret.clone(), announced, offer) else { return };
         self.services.push(Service {
             provider,
@@ -78,7 +78,7 @@ impl Hosting {
         });
     }
 
-    /// The radio unit that serves these requirements best, of those that are off and promised to nobody.
+    /// Returns the radio unit that serves these requirements best, among those that are off and not promised.
     fn unit_for<'a>(
         &self,
         wanted: &Requirements,
@@ -101,8 +101,8 @@ impl Hosting {
         strong.max_by(|(a, ..), (b, ..)| a.total_cmp(b)).map(|(_, id, unit)| (id, unit))
     }
 
-    /// The ledger said something.
-    pub(crate) fn hear(&mut self, now: Timestamp, notice: &Notice) {
+    /// Handles a notice from the ledger.
+    pub(crate) fn handle_notice(&mut self, now: Timestamp, notice: &Notice) {
         self.services.iter_mut().for_each(|service| service.provider.handle(now, notice));
     }
 
@@ -110,7 +110,7 @@ impl Hosting {
         self.services.iter().filter_map(|service| service.provider.next_deadline()).min()
     }
 
-    /// Something happened in the domain.
+    /// Handles an event of the domain.
     pub(crate) fn observe(&mut self, event: &Event, domain_context: &mut DomainContext<'_>) {
         match event {
             Event::Vnf(life) => {
@@ -141,7 +141,7 @@ impl Hosting {
         }
     }
 
-    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    /// Submits pending calls and handles the steps that were reached. Returns whether there were any.
     pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, domain_context: &mut DomainContext<'_>) -> bool {
         let mut worked = false;
         let mut taken: Vec<NodeId> =
@@ -171,7 +171,7 @@ impl Service {
         if self.provider.next_deadline().is_some_and(|deadline| deadline <= domain_context.now) {
             self.provider.expire(domain_context.now);
         }
-        // What cannot be sealed is given back by itself.
+        // A service whose attachment cannot be sealed is given back automatically.
         let _ = self.provider.submit(domain_context.now, ledger);
         let mut worked = false;
         while let Some(step) = self.provider.poll_step() {
@@ -208,7 +208,7 @@ impl Service {
     }
 
     fn won(&mut self, taken: &mut Vec<NodeId>, domain_context: &mut DomainContext<'_>) {
-        // The chain took its choice back, and made it again.
+        // The chain retracted its choice and made it again.
         if self.vap != Vap::None {
             return;
         }
@@ -244,16 +244,16 @@ impl Service {
         self.provider.deployed(Attachment {
             radio_unit: self.unit.to_string(),
             ssid: self.ssid.clone(),
-            // A virtual access point has an address of its own: locally administered, and one for each service.
+            // A virtual access point has its own address: locally administered, and one for each service.
             bssid: [0x02, a, b, c, d, e],
             frequency_mhz: self.frequency_mhz,
             pmk_r1: key,
         });
     }
 
-    fn failed(&mut self, why: &str, domain_context: &mut DomainContext<'_>) {
+    fn failed(&mut self, reason: &str, domain_context: &mut DomainContext<'_>) {
         self.vap = Vap::None;
-        domain_context.note(self.id(), Step::DeploymentFailed, why);
+        domain_context.note(self.id(), Step::DeploymentFailed, reason);
         self.provider.give_back();
     }
 

@@ -1,5 +1,5 @@
-//! The creator's side: one robot, from its own domain's radio units to another domain's vAP and back. A robot that nobody
-//! serves is halted before it leaves coverage, and everything stays as it was.
+//! The creator's role for one robot: from its own domain's radio units to another domain's vAP and back. A robot that
+//! nobody would serve is halted before it leaves coverage, and its attachment stays unchanged.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use cotorra_ledger::{
 
 use crate::{context::DomainContext, coverage::Edge, steps::Step};
 
-/// Between two attempts to attach.
+/// Pause between attempts to attach.
 const RETRY: Duration = Duration::from_millis(500);
 
 /// A robot of the domain.
@@ -22,9 +22,9 @@ pub(crate) struct Journey {
     mobility_domain: u16,
     stage: Stage,
     attached_to: Option<NodeId>,
-    /// The radio unit of its own domain that it was attached to last.
+    /// Radio unit of its own domain that it was last attached to.
     own: Option<NodeId>,
-    /// Since when it is halted, if it is.
+    /// Time of its halt, if it is halted.
     halted: Option<Timestamp>,
     edge: Option<Edge>,
     known: bool,
@@ -32,24 +32,24 @@ pub(crate) struct Journey {
 
 #[derive(Debug)]
 enum Stage {
-    /// Its own domain serves it.
+    /// Served by its own domain.
     Home,
-    /// A service is needed, and about to be announced.
+    /// Needs a service, which is about to be announced.
     Wanting(Requirements),
     Negotiating(Box<Creator>),
-    /// A vAP is deployed, or so its provider says.
+    /// A vAP is deployed, according to its provider.
     Attaching {
         creator: Box<Creator>,
         attachment: Attachment,
         since: Timestamp,
         next_try: Timestamp,
     },
-    /// Another domain serves it.
+    /// Served by another domain.
     Away {
         creator: Box<Creator>,
         radio_unit: NodeId,
     },
-    /// It is to be served by its own domain again; what it used meanwhile is released then.
+    /// Returns to its own domain. The service used meanwhile is released then.
     Returning {
         creator: Option<Box<Creator>>,
         to: NodeId,
@@ -78,7 +78,7 @@ impl Journey {
         self.attached_to.as_ref()
     }
 
-    /// Whether it was heard of since the orchestrator was started.
+    /// Whether it has reported since the orchestrator was started.
     pub(crate) fn is_known(&self) -> bool {
         self.known
     }
@@ -88,20 +88,20 @@ impl Journey {
         self.known && (matches!(self.stage, Stage::Wanting(_)) || self.is_stranded())
     }
 
-    /// Whether another domain serves it, and nobody knows for what service.
+    /// Whether another domain serves it by an unknown service.
     fn is_stranded(&self) -> bool {
         matches!(self.stage, Stage::Home) && self.attached_to.is_some() && self.attached_to != self.own
     }
 
-    /// What is to be announced for it.
-    pub(crate) fn wanted(&self) -> Option<Requirements> {
+    /// Returns the requirements to announce for it.
+    pub(crate) fn wanted_requirements(&self) -> Option<Requirements> {
         match &self.stage {
             Stage::Wanting(requirements) => Some(requirements.clone()),
             _ => None,
         }
     }
 
-    /// Its service was announced before the orchestrator was started again.
+    /// Resumes a service that was announced before the orchestrator was restarted.
     pub(crate) fn resume(&mut self, mut creator: Creator) {
         match self.attached_to.clone().filter(|_| self.is_stranded()) {
             Some(radio_unit) => {
@@ -112,7 +112,7 @@ impl Journey {
         }
     }
 
-    /// Its service is negotiated.
+    /// Begins the negotiation of its service.
     pub(crate) fn begin(&mut self, creator: Creator) {
         self.stage = Stage::Negotiating(Box::new(creator));
     }
@@ -139,7 +139,7 @@ impl Journey {
         }
     }
 
-    /// Something happened in the domain. `others` are the domain's robots and where they are attached.
+    /// Handles an event of the domain. `others` are the domain's robots with their radio units.
     pub(crate) fn observe(
         &mut self,
         robot: &NodeId,
@@ -175,7 +175,7 @@ impl Journey {
         }
     }
 
-    /// Looks where the walk leads, and does what is due before the edge.
+    /// Predicts where the walk leaves coverage, and acts before the edge.
     fn foresee(&mut self, context: &RobotContext, domain_context: &mut DomainContext<'_>) {
         let (pose, robot) = (&context.sensors.pose, &context.robot);
         let speed = self.walk.speed_limit.max(context.sensors.velocity.linear);
@@ -234,7 +234,7 @@ impl Journey {
         }
     }
 
-    /// Sees whether it is attached where it is to be.
+    /// Checks whether it is attached where it should be.
     fn arrived(
         &mut self,
         robot: &NodeId,
@@ -262,7 +262,7 @@ impl Journey {
         }
     }
 
-    /// The domain's radio units that nobody needs any more are off: a(R) = {}.
+    /// Turns off the domain's radio unit that nobody needs any more: a(R) = {}.
     fn release_own(
         &mut self,
         robot: &NodeId,
@@ -283,7 +283,7 @@ impl Journey {
         domain_context.note(id, Step::OwnRadioUnitReleased, format!("a({last}) = {{}}"));
     }
 
-    /// The walk stays in the domain's coverage again.
+    /// Returns the robot to its own domain, because the walk stays in that domain's coverage again.
     fn turn_back(&mut self, at: cotorra_graph::Position, domain_context: &mut DomainContext<'_>) {
         let Some((to, _)) = domain_context.coverage.strongest(at) else { return };
         let to = to.clone();
@@ -295,14 +295,14 @@ impl Journey {
         self.stage = Stage::Returning { creator, to, next_try: domain_context.now };
     }
 
-    /// The vAP is gone, or its provider ended the service: the robot stops where it is, and its own domain serves it
-    /// again if it can.
-    fn abandoned(&mut self, robot: &NodeId, domain_context: &mut DomainContext<'_>, why: &str) {
+    /// Handles a lost vAP, or a service ended by its provider. The robot halts, and its own domain serves it again if
+    /// it can.
+    fn abandoned(&mut self, robot: &NodeId, domain_context: &mut DomainContext<'_>, reason: &str) {
         let (mut creator, radio_unit) = match std::mem::replace(&mut self.stage, Stage::GivenUp) {
             Stage::Away { creator, radio_unit } => (creator, radio_unit),
             other => return self.stage = other,
         };
-        domain_context.note(creator.id(), Step::Failed, why);
+        domain_context.note(creator.id(), Step::Failed, reason);
         self.halted = Some(domain_context.now);
         let halt = Instruction::Halt { robot: robot.clone() };
         domain_context.actions.instruct_because(halt, format!("`{radio_unit}` serves it no longer"));
@@ -313,12 +313,12 @@ impl Journey {
         self.stage = Stage::Returning { creator: None, to, next_try: domain_context.now };
     }
 
-    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    /// Submits pending calls and handles the steps that were reached. Returns whether there were any.
     pub(crate) fn work(&mut self, ledger: &mut dyn Ledger, domain_context: &mut DomainContext<'_>) -> bool {
         self.attach(domain_context);
         let Some(creator) = self.creator() else { return false };
         let id = creator.id();
-        let reached = steps(creator, ledger, domain_context.now);
+        let reached = creator_steps(creator, ledger, domain_context.now);
         let worked = !reached.is_empty();
         for step in reached {
             match step {
@@ -357,9 +357,9 @@ impl Journey {
         worked
     }
 
-    /// The winner says how to attach.
+    /// Handles the winner's data for attaching.
     fn deployed(&mut self, attachment: Attachment, domain_context: &mut DomainContext<'_>) {
-        // Also of another provider, in place of one that could not be attached to.
+        // Also from another provider, after one that could not be attached to.
         let (Stage::Negotiating(creator) | Stage::Attaching { creator, .. }) =
             std::mem::replace(&mut self.stage, Stage::Home)
         else {
@@ -380,8 +380,8 @@ impl Journey {
         self.attach(domain_context);
     }
 
-    /// Tries to attach to where it is to be attached. A vAP that is not in reach yet may be later: it is given up only
-    /// once the robot has to wait for it.
+    /// Tries to attach to the target. A vAP out of reach may come into reach later: it is given up only once the
+    /// robot has to wait for it.
     fn attach(&mut self, domain_context: &mut DomainContext<'_>) {
         let robot = self.walk.robot.clone();
         if let (Stage::Attaching { since, .. }, Some(halted)) = (&self.stage, self.halted)
@@ -408,7 +408,7 @@ impl Journey {
     }
 }
 
-/// Has one of the domain's own radio units serve its robots.
+/// Makes one of the domain's own radio units serve its robots.
 fn switch_on(radio_unit: &NodeId, domain_context: &mut DomainContext<'_>) {
     let Some(unit) = domain_context.units.get(radio_unit).filter(|unit| !unit.on) else { return };
     let access_point =
@@ -416,8 +416,12 @@ fn switch_on(radio_unit: &NodeId, domain_context: &mut DomainContext<'_>) {
     domain_context.actions.instruct(Instruction::Deploy { radio_unit: radio_unit.clone(), access_point });
 }
 
-/// Lets a creator do what is due, and gives the steps that it reached.
-pub(crate) fn steps(creator: &mut Creator, ledger: &mut dyn Ledger, now: Timestamp) -> Vec<CreatorStep> {
+/// Lets a creator do what is due, and returns the steps that it reached.
+pub(crate) fn creator_steps(
+    creator: &mut Creator,
+    ledger: &mut dyn Ledger,
+    now: Timestamp,
+) -> Vec<CreatorStep> {
     if creator.next_deadline().is_some_and(|deadline| deadline <= now) {
         creator.expire(now);
     }

@@ -1,4 +1,4 @@
-//! The ledgers of a run: what domains share is made once, and ends with the run.
+//! The ledgers of a run. State that domains share is created once, and ends with the run.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use sha3::{Digest, Keccak256};
 
 use crate::{error::LedgerError, settings::LedgerChoice};
 
-/// The ledgers of a run. It is to outlive the run's orchestrators.
+/// The ledgers of a run. It must outlive the run's orchestrators.
 #[derive(Debug, Default)]
 pub struct Ledgers {
     modelled: Option<(Duration, ModelledChain)>,
@@ -18,12 +18,12 @@ pub struct Ledgers {
 }
 
 impl Ledgers {
-    /// Those of a run in virtual time, where only models are.
+    /// Makes the ledgers of a run in virtual time, which has only modelled ones.
     pub fn in_virtual_time() -> Self {
         Self { virtual_time: true, ..Self::default() }
     }
 
-    /// A domain's access to a ledger, and the secret that its keys come from.
+    /// Opens a domain's access to a ledger, and returns it with the secret that its keys derive from.
     ///
     /// # Errors
     /// [`LedgerError`].
@@ -39,7 +39,9 @@ impl Ledgers {
                 let secret = modelled_secret(domain, seed, chain.deployment());
                 let ledger = chain.ledger(account(domain));
                 let ledger = match outage {
-                    Some([from, until]) => ledger.away(Timestamp::ZERO + *from..Timestamp::ZERO + *until),
+                    Some([from, until]) => {
+                        ledger.with_outage(Timestamp::ZERO + *from..Timestamp::ZERO + *until)
+                    }
                     None => ledger,
                 };
                 Ok((Box::new(ledger), secret))
@@ -68,7 +70,7 @@ impl Ledgers {
         Ok(chain)
     }
 
-    /// The modelled chain, if a domain uses one.
+    /// Returns the modelled chain, if a domain uses one.
     pub fn chain(&self) -> Option<&ModelledChain> {
         self.modelled.as_ref().map(|(_, chain)| chain)
     }
@@ -78,7 +80,7 @@ fn check_periods(other: Duration, this: Duration) -> Result<(), LedgerError> {
     if other == this { Ok(()) } else { Err(LedgerError::Periods { other, this }) }
 }
 
-/// A domain's address on the modelled ledger.
+/// Returns a domain's address on the modelled ledger.
 fn account(domain: &DomainId) -> Account {
     let hash: [u8; 32] = Keccak256::digest(domain.as_str()).into();
     let mut account = Account::default();
@@ -86,7 +88,7 @@ fn account(domain: &DomainId) -> Account {
     account
 }
 
-/// A domain's secret on the modelled ledger: nobody is there who could look.
+/// Returns a domain's secret on the modelled ledger. It need not be secret, because the model has no outsiders.
 fn modelled_secret(domain: &DomainId, seed: u64, deployment: Deployment) -> Secret {
     let hash = Keccak256::new().chain_update(seed.to_be_bytes()).chain_update(domain.as_str());
     Secret::new(hash.finalize().into(), deployment)

@@ -1,9 +1,8 @@
-//! The orchestrator of one administrative domain, and its ledger client: where a robot is about to leave the domain's
-//! coverage it asks other domains for a virtual access point, and it offers its own radio units to others.
+//! The orchestrator of one administrative domain, with its ledger client. When a robot is about to leave the domain's
+//! coverage, it asks other domains for a virtual access point. It also offers its own radio units to others.
 //!
-//! [`Federation`] is the plug-in, one a domain. What it negotiates, and how, is `cotorra_ledger`'s; when it needs a
-//! service is [`Coverage`]'s to foresee. The published system is the COTORRA letter's second validation
-//! (arXiv 2101.07676).
+//! [`Federation`] is the plug-in, one per domain. `cotorra_ledger` negotiates services; [`Coverage`] predicts when
+//! one is needed. The published system is the COTORRA letter's second validation (arXiv 2101.07676).
 #![forbid(unsafe_code)]
 
 mod context;

@@ -1,5 +1,5 @@
-//! A network that is there already: looked at before a run begins, so that a wrong URL, another chain, a key store that does not
-//! open or an account without money is told before anything is done.
+//! Existing Ethereum networks. A network is checked before a run begins, so that a wrong URL or chain, an unreadable
+//! key store, or an account without money is reported before anything else happens.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -8,42 +8,42 @@ use cotorra_ledger::Account;
 
 use crate::error::LedgerError;
 
-/// How a domain gets to a network.
+/// A domain's access to a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Access {
-    /// The domain.
     pub domain: DomainId,
-    /// Its node's WebSocket.
+    /// WebSocket of its node.
     pub url: String,
-    /// The file with its key (Web3 Secret Storage, version 3), whose password is in [`PASSWORD`].
+    /// File with its key (Web3 Secret Storage, version 3). The password is in [`PASSWORD`].
     pub key_store: PathBuf,
 }
 
-/// The environment variable with the password of key stores, unless settings name another.
+/// Environment variable with the password of key stores, unless settings name another.
 pub const PASSWORD: &str = "COTORRA_LEDGER_PASSWORD";
 
-/// A network that all these domains can use.
+/// A network that all of its domains can use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Network {
-    /// How they get there.
+    /// The domains' accesses.
     pub accesses: Vec<Access>,
-    /// The network's chain ID (EIP-155).
+    /// Chain ID (EIP-155).
     pub chain_id: u64,
-    /// The programs of their nodes, as these call themselves, each once.
+    /// Distinct programs of the domains' nodes, by their own names.
     pub clients: Vec<String>,
-    /// Where the contract is.
+    /// Address of the contract.
     pub contract: Account,
-    /// The block that it was deployed in, or any before.
+    /// Block of the contract's deployment, or any earlier one.
     pub from_block: u64,
-    /// How many blocks make a transaction final: 0 where consensus is final at once.
+    /// Number of further blocks that make a transaction final: 0 if consensus is final at once.
     pub depth: u64,
-    /// From block to block.
+    /// Time between blocks.
     pub block_period: Duration,
 }
 
 impl Network {
-    /// Looks at a network: whether the nodes are of one chain, each domain has a key and money, and the contract is there. Without
-    /// `contract`, an address and a block, the first domain deploys it anew. Without `block_period` three blocks are timed.
+    /// Checks a network: all nodes must be of one chain, each domain needs a key and money, and the contract must
+    /// exist. Without `contract`, an address and a block, the first domain deploys a new one. Without `block_period`,
+    /// three blocks are timed.
     ///
     /// # Errors
     /// [`LedgerError`].
@@ -121,7 +121,7 @@ fn join(
     };
     let block_period = match block_period {
         Some(period) => period,
-        // To the hundredth: nobody sets it finer, and three blocks say no more.
+        // Rounded to a hundredth: three blocks are no more precise.
         None => {
             let timed = ethereum::block_period(&access.url).map_err(LedgerError::real)?.as_secs_f64();
             Duration::from_secs_f64((timed * 100.0).round().max(1.0) / 100.0)

@@ -1,5 +1,5 @@
-//! The plug-in: what happens in its domain and what the ledger says goes to the journeys of its robots and to the radio
-//! units that it hosts others on; what they want goes back.
+//! The plug-in. It passes the domain's events and the ledger's notices to the journeys of its robots and to the
+//! services that it hosts, and carries out their decisions.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -8,7 +8,7 @@ use std::{
 
 use cotorra_graph::{AccessPoint, DomainId, Event, NodeId, Testbed, Timestamp, VnfState};
 use cotorra_ledger::{
-    Call, Event as Said, Ledger, Notice, Secret, ServiceId,
+    Call, Event as LedgerEvent, Ledger, Notice, Secret, ServiceId,
     negotiation::{Creator, CreatorStep, Policy, Record, Request},
 };
 use cotorra_plugin::{Actions, Noted, Plugin};
@@ -18,25 +18,25 @@ use crate::{
     coverage::Coverage,
     error::LedgerError,
     hosting::Hosting,
-    journey::{Journey, steps},
+    journey::{Journey, creator_steps},
     ledgers::Ledgers,
     settings::{InvalidSettings, Settings},
     steps::Step,
 };
 
-/// Announcements of an operator are looked for among so many numbers after the last that is known.
+/// Most announcement numbers to try, after the last known one, to recognise an own announcement.
 const UNKNOWN: u64 = 1000;
 
-/// Why a domain has no orchestrator.
+/// An orchestrator that cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum FederationError {
-    /// Its settings are wrong.
+    /// The settings are invalid.
     #[error(transparent)]
     Settings(#[from] InvalidSettings),
-    /// It has no ledger.
+    /// The ledger cannot be opened.
     #[error(transparent)]
     Ledger(#[from] LedgerError),
-    /// It is bound to no domain.
+    /// The plug-in is bound to no domain.
     #[error("it orchestrates one domain: add `domain:` with its name")]
     NoDomain,
 }
@@ -46,24 +46,24 @@ pub struct Federation {
     settings: Settings,
     ledger: Box<dyn Ledger>,
     secret: Secret,
-    /// The domain's name, by which it registers.
+    /// The domain's name, under which it registers.
     name: String,
-    /// The frame that positions are in, for which all domains of a testbed have one name.
+    /// The frame of positions. All domains of a testbed use one name for it.
     map: String,
     coverage: Coverage,
     units: BTreeMap<NodeId, Unit>,
     journeys: BTreeMap<NodeId, Journey>,
     hosting: Hosting,
     closing: Vec<Creator>,
-    /// Own services that the chain knows from before this orchestrator was started.
+    /// Own services on the chain from before this orchestrator was restarted.
     resumed: Vec<Creator>,
-    /// What was noted before it was started again.
+    /// Notes from before it was restarted.
     noted: BTreeSet<Noted>,
-    /// How others served its robots.
+    /// Record of how others served its robots.
     record: Record,
-    /// How many services were announced.
+    /// Number of services announced.
     announced: u64,
-    /// Whether all was heard that the chain has said so far.
+    /// Whether all past events of the chain have been received.
     caught_up: bool,
 }
 
@@ -84,7 +84,7 @@ impl Federation {
         Ok(Self::new(settings, domain, ledger, secret))
     }
 
-    /// The orchestrator of a domain on a ledger.
+    /// Makes the orchestrator of a domain on a ledger.
     pub fn new(settings: Settings, domain: &DomainId, ledger: Box<dyn Ledger>, secret: Secret) -> Self {
         Self {
             coverage: Coverage::of(&empty(), settings.edge),
@@ -105,7 +105,7 @@ impl Federation {
         }
     }
 
-    /// Calls a role with what it needs.
+    /// Calls a role with its state.
     fn with<R>(
         &mut self,
         now: Timestamp,
@@ -130,10 +130,10 @@ impl Federation {
         call(&mut self.journeys, &mut self.hosting, &mut *self.ledger, &mut domain_context)
     }
 
-    /// Hears what the ledger has to say, and does what follows.
+    /// Handles the ledger's notices and acts on them.
     fn turn(&mut self, now: Timestamp, actions: &mut Actions) {
         while let Some(notice) = self.ledger.poll(now) {
-            self.hear(now, &notice);
+            self.handle_notice(now, &notice);
         }
         if !self.caught_up {
             return;
@@ -143,18 +143,18 @@ impl Federation {
         self.closing.retain(|creator| !creator.is_over());
     }
 
-    fn hear(&mut self, now: Timestamp, notice: &Notice) {
+    fn handle_notice(&mut self, now: Timestamp, notice: &Notice) {
         self.record.handle(notice);
         match notice {
             Notice::Head { .. } => self.caught_up = true,
-            Notice::Event(said @ Said::ServiceAnnounced { creator, .. }) => {
+            Notice::Event(announced @ LedgerEvent::ServiceAnnounced { creator, .. }) => {
                 if *creator == self.ledger.account() {
-                    self.resume(now, said);
+                    self.resume(now, announced);
                 } else {
                     let account = self.ledger.account();
                     let (units, coverage) = (&self.units, &self.coverage);
                     self.hosting.consider(
-                        said,
+                        announced,
                         account,
                         &self.secret,
                         &self.settings,
@@ -170,14 +170,14 @@ impl Federation {
         for creator in journeys.chain(&mut self.closing).chain(&mut self.resumed) {
             creator.handle(now, notice);
         }
-        self.hosting.hear(now, notice);
+        self.hosting.handle_notice(now, notice);
     }
 
-    /// One of its own services that it does not know is one from before it was started again.
-    fn resume(&mut self, now: Timestamp, said: &Said) {
-        let Said::ServiceAnnounced { id, requirements, terms, .. } = said else { return };
+    /// Resumes an own service from before a restart, recognised by being unknown.
+    fn resume(&mut self, now: Timestamp, announced: &LedgerEvent) {
+        let LedgerEvent::ServiceAnnounced { id, requirements, terms, .. } = announced else { return };
         let journeys = self.journeys.values_mut().filter_map(Journey::creator).map(|creator| &*creator);
-        // To look for the number of one that is known takes a thousand hashes and finds none.
+        // Searching for the number of a known service would compute a thousand hashes in vain.
         if journeys.chain(&self.closing).chain(&self.resumed).any(|creator| creator.id() == *id) {
             return;
         }
@@ -202,10 +202,10 @@ impl Federation {
         }
     }
 
-    /// Announces what robots need.
+    /// Announces the services that robots need.
     fn announce(&mut self, now: Timestamp) {
         self.resumed.retain(|creator| !creator.is_over());
-        // Services from before go to the robots that need them, and end where there is none.
+        // Assign resumed services to the robots that need them, and end the others.
         let all_known = self.journeys.values().all(Journey::is_known);
         for mut creator in mem::take(&mut self.resumed) {
             match self.journeys.values_mut().find(|journey| journey.is_lost()) {
@@ -219,7 +219,7 @@ impl Federation {
         }
         let policy = self.policy();
         for journey in self.journeys.values_mut() {
-            let Some(mut requirements) = journey.wanted() else { continue };
+            let Some(mut requirements) = journey.wanted_requirements() else { continue };
             requirements.map.clone_from(&self.map);
             let salt = self.secret.announcement_salt(self.announced);
             self.announced += 1;
@@ -230,7 +230,7 @@ impl Federation {
         }
     }
 
-    /// Submits what is wanted, and takes the steps that were reached; whether there were any.
+    /// Submits pending calls and handles the steps that were reached. Returns whether there were any.
     fn work(&mut self, now: Timestamp, actions: &mut Actions) -> bool {
         let mut closing = mem::take(&mut self.closing);
         let worked = self.with(now, actions, |journeys, hosting, ledger, domain_context| {
@@ -239,11 +239,11 @@ impl Federation {
                 worked |= journey.work(ledger, domain_context);
             }
             for creator in &mut closing {
-                for step in steps(creator, ledger, domain_context.now) {
+                for step in creator_steps(creator, ledger, domain_context.now) {
                     worked = true;
                     if let CreatorStep::Ended(outcome) = step {
                         domain_context.note(creator.id(), Step::Ended, format!("{outcome:?}"));
-                        // What was deposited and not charged.
+                        // The deposit that was not charged.
                         ledger.submit(domain_context.now, Call::Withdraw { to: ledger.account() });
                     }
                 }

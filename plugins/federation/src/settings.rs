@@ -9,57 +9,56 @@ use serde_json::{Map, Value};
 
 use crate::network::PASSWORD;
 
-/// What can be set.
+/// Settings of the orchestrator of a domain.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// The ledger.
     #[serde(deserialize_with = "ledger")]
     pub ledger: LedgerChoice,
-    /// Where its orchestrator is reached, as its bids say.
+    /// Address of its orchestrator, stated in its bids.
     pub endpoint: String,
-    /// What it asks for a second of a vAP, wei; without one it offers none.
+    /// Price of a vAP, wei per second. Without it, the domain offers none.
     #[serde(deserialize_with = "price")]
     pub price: Option<Price>,
-    /// The most that it pays for a second, wei; without one it asks for none.
+    /// Highest price that it pays, wei per second. Without it, the domain requests none.
     #[serde(deserialize_with = "price")]
     pub highest_price: Option<Price>,
-    /// Where the signal of its own radio units is weaker, it has no coverage.
+    /// Weakest signal of its own radio units that counts as coverage.
     #[serde(deserialize_with = "signal")]
     pub edge: Dbm,
-    /// So long before a robot leaves coverage a service is announced.
+    /// Time before a robot leaves coverage at which a service is announced.
     #[serde(deserialize_with = "duration")]
     pub lead: Duration,
-    /// So long before it leaves coverage a robot is halted that is attached to nobody else.
+    /// Time before a robot leaves coverage at which it is halted if nobody else serves it.
     #[serde(deserialize_with = "duration")]
     pub stop: Duration,
-    /// Bids are collected for so long from when the announcement was heard; without it for one and a quarter block
-    /// periods, and 15 s where that is not known.
+    /// Time for collecting bids after the announcement was received. Defaults to one and a quarter block periods, or
+    /// 15 s if the period is unknown.
     #[serde(deserialize_with = "optional_duration")]
     pub collect: Option<Duration>,
-    /// What goes with each bid for its services, wei: whoever wins and does not deploy in time loses it to this domain.
-    /// Without it a tenth of what the longest use costs at the highest price.
+    /// Bond of each bid for its services, wei: a winner that does not deploy in time loses it to this domain.
+    /// Defaults to a tenth of the cost of the longest use at the highest price.
     pub bond: Option<u64>,
-    /// The longest time from the choice to the confirmation on the chain: what it grants others, and what it needs itself.
-    /// Without it two block periods, 2 s at least, and 30 s where that is not known.
+    /// Longest time from the choice to the confirmation on the chain, both granted to others and needed by this
+    /// domain. Defaults to two block periods, at least 2 s, or 30 s if the period is unknown.
     #[serde(deserialize_with = "optional_duration")]
     pub deploy_within: Option<Duration>,
-    /// With so many bids there is no more waiting.
+    /// Number of bids that ends the collection early.
     pub enough: usize,
-    /// So long after the announcement a negotiation is given up.
+    /// Time after the announcement at which a negotiation is given up.
     #[serde(deserialize_with = "duration")]
     pub patience: Duration,
-    /// How long is tried to attach to a vAP, once it is deployed and the robot would have to wait for it.
+    /// Time for attaching to a vAP once it is deployed and the robot would have to wait for it.
     #[serde(deserialize_with = "duration")]
     pub attach_within: Duration,
-    /// How far around the edge the vAP is to reach, metres.
+    /// Distance around the edge that the vAP must cover, metres.
     pub radius_m: f64,
-    /// The longest use, which the deposit pays for.
+    /// Longest use, paid for by the deposit.
     #[serde(deserialize_with = "duration")]
     pub use_for: Duration,
-    /// Whether its own radio unit is taken down that a robot left, if nobody else needs it.
+    /// Whether its own radio unit is taken down when the last robot leaves it.
     pub release: bool,
-    /// How it behaves as a provider: other than honestly, to try what others do about it.
+    /// Behaviour as a provider. Dishonest ones exist to test how others react.
     pub behaviour: Behaviour,
 }
 
@@ -67,21 +66,21 @@ pub struct Settings {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum LedgerChoice {
-    /// A model in virtual or real time: no network, no consensus, no fees.
+    /// A model in virtual or real time, without network, consensus or fees.
     Modelled {
-        /// Between blocks.
+        /// Time between blocks.
         #[serde(default = "published", deserialize_with = "duration")]
         block_period: Duration,
-        /// From when to when the domain cannot reach it.
+        /// Span during which the domain cannot reach it.
         #[serde(default, deserialize_with = "range")]
         outage: Option<[Duration; 2]>,
     },
-    /// An anvil node that is started with the run: one node, without consensus.
+    /// An anvil node started with the run: one node, without consensus.
     Anvil {
-        /// Between blocks.
+        /// Time between blocks.
         #[serde(default = "published", deserialize_with = "duration")]
         block_period: Duration,
-        /// The program; without it what `COTORRA_ANVIL` says, or `anvil` on the path.
+        /// The program; by default the value of `COTORRA_ANVIL`, or `anvil` on the path.
         #[serde(default)]
         program: Option<PathBuf>,
     },
@@ -89,47 +88,47 @@ pub enum LedgerChoice {
     Ethereum(Joining),
 }
 
-/// How an Ethereum network is reached.
+/// Access to an Ethereum network.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Joining {
-    /// A node's WebSocket.
+    /// WebSocket of a node.
     pub url: String,
-    /// The chain's ID (EIP-155). A node of another chain is none: ids and keys are of one chain.
+    /// Chain ID (EIP-155). Nodes of other chains are rejected, because IDs and keys are bound to one chain.
     pub chain_id: u64,
-    /// Where the contract is.
+    /// Address of the contract.
     pub contract: String,
-    /// The block that it was deployed in, or any before.
+    /// Block of the contract's deployment, or any earlier one.
     #[serde(default)]
     pub from_block: u64,
-    /// How many blocks make a transaction final.
+    /// Number of further blocks that make a transaction final.
     #[serde(default)]
     pub depth: u64,
-    /// The file with the domain's key (Web3 Secret Storage, version 3).
+    /// File with the domain's key (Web3 Secret Storage, version 3).
     pub key_store: PathBuf,
-    /// The file with its password; else it is in the environment variable `password_variable`.
+    /// File with its password. Without it, the password is in the environment variable `password_variable`.
     #[serde(default)]
     pub password_file: Option<PathBuf>,
-    /// The environment variable with its password.
+    /// Environment variable with its password.
     #[serde(default = "variable")]
     pub password_variable: String,
 }
 
-/// What a provider does.
+/// Behaviour of a provider.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Behaviour {
-    /// What it says.
+    /// Keeps its promises.
     Honest,
-    /// It never answers.
+    /// Never answers.
     Silent,
-    /// It bids, and does not deploy what it won.
+    /// Bids, but does not deploy what it won.
     Idle,
-    /// It says that it deployed what it did not.
+    /// Confirms deployments that it did not make.
     Lying,
 }
 
-/// As published: a block each 5 s.
+/// The published period: a block every 5 s.
 const fn published() -> Duration {
     Duration::from_secs(5)
 }
@@ -162,11 +161,11 @@ impl Default for Settings {
     }
 }
 
-/// Why settings cannot be used.
+/// Settings that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{path}{reason}")]
 pub struct InvalidSettings {
-    /// Where, and a colon.
+    /// Path of the setting with a colon, or nothing.
     path: String,
     reason: String,
 }
@@ -186,17 +185,16 @@ impl Settings {
             Err(error) => return invalid(&error.path().to_string(), error.inner().to_string()),
         };
         if !(0.0..=1000.0).contains(&decoded.radius_m) {
-            return invalid("radius_m", format!("{} is no radius from 0 to 1000 m", decoded.radius_m));
+            return invalid("radius_m", format!("{} is not a radius from 0 to 1000 m", decoded.radius_m));
         }
         if decoded.stop >= decoded.lead {
-            let reason =
-                "a robot is halted after the service was announced: `stop` is to be less than `lead`";
+            let reason = "a robot is halted after the announcement: `stop` must be less than `lead`";
             return invalid("stop", reason.to_owned());
         }
         Ok(decoded)
     }
 
-    /// How long each step may take on the chain.
+    /// Returns the longest duration of each step on the chain.
     pub(crate) fn terms(&self) -> Terms {
         let seconds = |time: Duration| u32::try_from(time.as_secs()).unwrap_or(u32::MAX).max(1);
         Terms {
@@ -212,7 +210,7 @@ impl Settings {
         }
     }
 
-    /// How long a deployment takes at most, seconds.
+    /// Returns the longest duration of a deployment, seconds.
     pub(crate) fn deploy_within(&self) -> u32 {
         let within = self.deploy_within.unwrap_or(match self.ledger {
             LedgerChoice::Modelled { block_period, .. } | LedgerChoice::Anvil { block_period, .. } => {
@@ -224,7 +222,7 @@ impl Settings {
         within.as_secs_f64().ceil() as u32
     }
 
-    /// How long bids are collected.
+    /// Returns the time for collecting bids.
     pub(crate) fn collect(&self) -> Duration {
         self.collect.unwrap_or(match self.ledger {
             LedgerChoice::Modelled { block_period, .. } | LedgerChoice::Anvil { block_period, .. } => {
@@ -235,7 +233,7 @@ impl Settings {
     }
 }
 
-/// A kind alone, or a mapping with more.
+/// Reads a kind alone, or a mapping with more settings.
 fn ledger<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LedgerChoice, D::Error> {
     let value = match Value::deserialize(deserializer)? {
         Value::String(kind) => serde_json::json!({ "kind": kind }),
@@ -247,7 +245,7 @@ fn ledger<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LedgerChoice, D:
 fn duration<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
     let value = Value::deserialize(deserializer)?;
     parse_duration(&value).ok_or_else(|| {
-        D::Error::custom(format!("{value} is no time from 1 ms to 1 day; write it like `30 s`"))
+        D::Error::custom(format!("{value} is not a time from 1 ms to 1 day; write it like `30 s`"))
     })
 }
 
@@ -262,7 +260,7 @@ fn range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[Duration;
         let [from, until] = [parse_duration(from)?, parse_duration(until)?];
         (from < until).then_some([from, until])
     });
-    let wrong = || D::Error::custom(format!("{value} is no span of time; write it like `[40 s, 60 s]`"));
+    let wrong = || D::Error::custom(format!("{value} is not a time span; write it like `[40 s, 60 s]`"));
     bounds.map(Some).ok_or_else(wrong)
 }
 
@@ -278,7 +276,9 @@ fn parse_duration(value: &Value) -> Option<Duration> {
 fn price<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Price>, D::Error> {
     let value = Value::deserialize(deserializer)?;
     let price = value.as_u64().filter(|wei| *wei > 0).and_then(|wei| Price::new(wei.into()));
-    price.map(Some).ok_or_else(|| D::Error::custom(format!("{value} is no price; write whole wei above 0")))
+    price
+        .map(Some)
+        .ok_or_else(|| D::Error::custom(format!("{value} is not a price; write whole wei above 0")))
 }
 
 fn signal<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Dbm, D::Error> {
@@ -286,7 +286,7 @@ fn signal<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Dbm, D::Error> {
     let figure = value.as_str().and_then(|text| text.strip_suffix("dBm")?.trim_end().parse().ok());
     let signal = figure.filter(|dbm: &f64| (-120.0..=0.0).contains(dbm));
     signal.map(Dbm).ok_or_else(|| {
-        D::Error::custom(format!("{value} is no signal from -120 dBm to 0 dBm; write it like `-70 dBm`"))
+        D::Error::custom(format!("{value} is not a signal from -120 dBm to 0 dBm; write it like `-70 dBm`"))
     })
 }
 
@@ -301,14 +301,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_set_is_a_modelled_ledger_with_the_published_blocks() {
+    fn default_is_a_modelled_ledger_with_the_published_period() {
         let settings = decode(json!({})).unwrap();
         assert_eq!(settings, Settings::default());
         assert_eq!(settings.collect(), Duration::from_millis(6250));
     }
 
     #[test]
-    fn reads_what_a_testbed_file_says() {
+    fn settings_of_a_testbed_file_are_read() {
         let settings = decode(json!({
             "ledger": { "kind": "anvil", "block_period": "500 ms" }, "price": 100, "edge": "-65 dBm",
             "lead": "1 min", "behaviour": "lying",
@@ -331,20 +331,23 @@ mod tests {
     }
 
     #[test]
-    fn says_where_something_is_wrong_and_what_would_be_right() {
-        let said = |settings| decode(settings).unwrap_err();
+    fn errors_name_the_place_and_the_remedy() {
+        let error_of = |settings| decode(settings).unwrap_err();
         assert!(
-            said(json!({ "pirce": 1 })).starts_with("pirce: unknown field `pirce`, expected one of `ledger`")
+            error_of(json!({ "pirce": 1 }))
+                .starts_with("pirce: unknown field `pirce`, expected one of `ledger`")
         );
         assert_eq!(
-            said(json!({ "lead": "soon" })),
-            "lead: \"soon\" is no time from 1 ms to 1 day; write it like `30 s`"
+            error_of(json!({ "lead": "soon" })),
+            "lead: \"soon\" is not a time from 1 ms to 1 day; write it like `30 s`"
         );
-        assert_eq!(said(json!({ "price": 0 })), "price: 0 is no price; write whole wei above 0");
-        assert!(said(json!({ "edge": -70 })).contains("write it like `-70 dBm`"));
-        assert!(said(json!({ "lead": "2 s", "stop": "2 s" })).starts_with("stop: a robot is halted after"));
-        assert!(said(json!({ "radius_m": -1 })).contains("no radius"));
-        assert!(said(json!({ "ledger": "paper" })).contains("unknown variant `paper`"));
-        assert!(said(json!({ "ledger": { "kind": "ethereum" } })).contains("missing field `url`"));
+        assert_eq!(error_of(json!({ "price": 0 })), "price: 0 is not a price; write whole wei above 0");
+        assert!(error_of(json!({ "edge": -70 })).contains("write it like `-70 dBm`"));
+        assert!(
+            error_of(json!({ "lead": "2 s", "stop": "2 s" })).starts_with("stop: a robot is halted after")
+        );
+        assert!(error_of(json!({ "radius_m": -1 })).contains("not a radius"));
+        assert!(error_of(json!({ "ledger": "paper" })).contains("unknown variant `paper`"));
+        assert!(error_of(json!({ "ledger": { "kind": "ethereum" } })).contains("missing field `url`"));
     }
 }

@@ -1,4 +1,4 @@
-//! The steps of a federation, as they are noted in the history, by both domains under the service's name.
+//! The steps of a federation, which both domains note in the history under the service's name.
 
 use std::fmt;
 
@@ -11,10 +11,10 @@ macro_rules! steps {
         pub enum Step { $($(#[$doc])* $step,)* }
 
         impl Step {
-            /// All of them, in the order in which they come where nothing goes wrong.
+            /// All steps, in their order without failures.
             pub const ALL: [Self; [$(Self::$step),*].len()] = [$(Self::$step),*];
 
-            /// Its name in notes.
+            /// Returns its name in notes.
             pub const fn as_str(self) -> &'static str {
                 match self { $(Self::$step => $name),* }
             }
@@ -25,27 +25,27 @@ macro_rules! steps {
 steps! {
     /// The creator handed the announcement to the ledger.
     Announced = "announced",
-    /// A provider heard it that can serve it.
+    /// A provider that can serve the announcement received it.
     AnnouncementReceived = "announcement received",
     /// The provider handed its bid to the ledger.
     BidSent = "bid sent",
-    /// The creator heard a bid that can be chosen.
+    /// The creator received an eligible bid.
     BidReceived = "bid received",
-    /// The creator heard a bid that cannot be chosen.
+    /// The creator received an ineligible bid.
     BidRejected = "bid rejected",
     /// The creator handed its choice to the ledger.
     WinnerChosen = "winner chosen",
-    /// The provider heard that it won.
+    /// The provider was notified that it won.
     WinnerReceived = "winner received",
     /// The provider began to deploy the vAP.
     DeploymentStarted = "deployment started",
-    /// The vAP beacons.
+    /// The vAP sends beacons.
     DeploymentFinished = "deployment finished",
     /// The vAP could not be deployed.
     DeploymentFailed = "deployment failed",
     /// The provider handed the confirmation to the ledger.
     ConfirmationSent = "confirmation sent",
-    /// The creator heard it, with what is needed to attach.
+    /// The creator received the confirmation, with the data needed to attach.
     ConfirmationReceived = "confirmation received",
     /// The robot is attached to the vAP.
     Attached = "attached",
@@ -55,24 +55,24 @@ steps! {
     InUse = "in use",
     /// The robot is attached to its own domain again.
     Returned = "returned",
-    /// It came to nothing.
+    /// The service failed.
     Failed = "failed",
-    /// The robot was halted, before it leaves coverage.
+    /// The robot was halted before leaving coverage.
     Halted = "halted",
-    /// The robot goes on.
+    /// The robot continues.
     WentOn = "went on",
-    /// The service is over on the chain.
+    /// The service has ended on the chain.
     Ended = "ended",
-    /// The creator chose another in the provider's place, for it was late or could not be attached to.
+    /// The creator chose another provider, because the first was late or could not be attached to.
     Replaced = "replaced",
     /// The provider took the vAP down: a(R) = {}.
     TakenDown = "taken down",
-    /// The provider heard what the use is paid with.
+    /// The provider learned the payment for the use.
     Paid = "paid",
 }
 
 impl Step {
-    /// Whether a service has it once with the same detail, however often its orchestrator is started.
+    /// Whether a service has this step once with the same detail, however often its orchestrator is restarted.
     pub(crate) const fn is_reached_once(self) -> bool {
         !matches!(self, Self::Halted | Self::WentOn)
     }
@@ -84,7 +84,7 @@ impl fmt::Display for Step {
     }
 }
 
-/// What a service is called in notes: `service-` and its id's first eight bytes.
+/// Returns the name of a service in notes: `service-` and the first eight bytes of its ID.
 pub(crate) fn process(id: ServiceId) -> String {
     id.0[..8].iter().fold("service-".to_owned(), |name, byte| name + &format!("{byte:02x}"))
 }

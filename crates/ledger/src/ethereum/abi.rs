@@ -1,4 +1,4 @@
-//! Calls, events and refusals in the contract's binary interface, read from the contract's own text.
+//! Calls, events and errors in the contract's binary interface, generated from the contract's source.
 
 use alloy::{
     primitives::{B256, Bytes, U256, aliases::U96, hex},
@@ -15,12 +15,13 @@ mod generated {
 }
 use generated::Federation::{self, FederationErrors, FederationEvents};
 
-/// Bytes that the contract cannot have said.
+/// Data that the contract cannot have produced.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("this is nothing that the federation contract says: {0}")]
+#[error("not an answer of the federation contract: {0}")]
 pub struct DecodeError(String);
 
-/// What deploys the contract: the bytecode in `contracts/Federation.json`, which `contracts/compile.mjs` makes.
+/// Returns the bytecode that deploys the contract, from `contracts/Federation.json`, which `contracts/compile.mjs`
+/// makes.
 pub fn bytecode() -> Vec<u8> {
     #[derive(serde::Deserialize)]
     struct Artefact<'a> {
@@ -31,7 +32,7 @@ pub fn bytecode() -> Vec<u8> {
     hex::decode(artefact.bytecode).expect("solc writes hexadecimal")
 }
 
-/// A call as a transaction's input.
+/// Encodes a call as a transaction's input.
 pub fn encode(call: &Call) -> Vec<u8> {
     let id = |id: &ServiceId| B256::from(id.0);
     match call {
@@ -87,7 +88,7 @@ pub fn encode(call: &Call) -> Vec<u8> {
     }
 }
 
-/// An event from a log of the contract.
+/// Decodes an event from a log of the contract.
 ///
 /// # Errors
 /// [`DecodeError`] if the contract cannot have written it.
@@ -170,11 +171,11 @@ pub fn decode_event(topics: &[[u8; 32]], data: &[u8]) -> Result<Event, DecodeErr
     })
 }
 
-/// Why a call was reverted, from what the ledger returned of it.
+/// Decodes the reason for which a call was reverted.
 ///
 /// # Errors
-/// [`DecodeError`] if the contract does not revert so.
-pub fn decode_refusal(data: &[u8]) -> Result<ContractError, DecodeError> {
+/// [`DecodeError`] if the contract has no such error.
+pub fn decode_error(data: &[u8]) -> Result<ContractError, DecodeError> {
     let error = FederationErrors::abi_decode(data).map_err(|e| DecodeError(e.to_string()))?;
     Ok(match error {
         FederationErrors::NotRegistered(_) => ContractError::NotRegistered,
@@ -208,7 +209,7 @@ pub fn decode_refusal(data: &[u8]) -> Result<ContractError, DecodeError> {
 fn wei(amount: U256) -> Result<Wei, DecodeError> {
     u128::try_from(amount)
         .map(Wei)
-        .map_err(|_| DecodeError(format!("{amount} wei are more than there can be")))
+        .map_err(|_| DecodeError(format!("{amount} wei exceed the possible amount")))
 }
 
 fn state(state: Federation::State) -> Result<message::State, DecodeError> {
@@ -247,7 +248,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_a_node_says_is_read_or_refused(
+        fn arbitrary_node_answers_never_panic(
             kind in 0..11usize,
             mut topics in prop::collection::vec(any::<[u8; 32]>(), 0..4),
             mut data in prop::collection::vec(any::<u8>(), 0..600),
@@ -272,17 +273,17 @@ mod tests {
             if let Some(head) = data.get_mut(..4) {
                 head.copy_from_slice(&Federation::WrongState::SELECTOR);
             }
-            let _ = decode_refusal(&data);
+            let _ = decode_error(&data);
         }
     }
 
     #[test]
-    fn amounts_and_states_that_cannot_be_are_refused() {
+    fn impossible_amounts_and_states_are_rejected() {
         let due = Federation::BadDeposit { due: U256::MAX }.abi_encode();
-        assert!(decode_refusal(&due).unwrap_err().to_string().contains("more than there can be"));
+        assert!(decode_error(&due).unwrap_err().to_string().contains("exceed the possible amount"));
         let mut state = Federation::WrongState { state: Federation::State::Ended }.abi_encode();
-        assert_eq!(decode_refusal(&state), Ok(ContractError::WrongState(message::State::Ended)));
+        assert_eq!(decode_error(&state), Ok(ContractError::WrongState(message::State::Ended)));
         *state.last_mut().unwrap() = 77;
-        assert!(decode_refusal(&state).is_err());
+        assert!(decode_error(&state).is_err());
     }
 }

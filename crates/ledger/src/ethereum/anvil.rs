@@ -1,4 +1,4 @@
-//! An anvil node of our own: a ledger for one machine. It is one node, and makes blocks alone: there is no consensus.
+//! A local anvil node: a ledger for one machine. It is a single node that makes its own blocks, without consensus.
 
 use std::{
     env,
@@ -11,55 +11,46 @@ use std::{
     time::Duration,
 };
 
-/// The environment variable that says which program to start.
+/// Environment variable with the program to start.
 pub const PROGRAM: &str = "COTORRA_ANVIL";
 
-/// How a node is started.
+/// Settings of a node.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
-    /// The program; without it what `COTORRA_ANVIL` says, or `anvil` on the path.
+    /// The program; by default the value of `COTORRA_ANVIL`, or `anvil` on the path.
     pub program: Option<PathBuf>,
-    /// Between blocks; without it there is one for each transaction, at once.
+    /// Time between blocks; by default each transaction gets a block at once.
     pub block_period: Option<Duration>,
-    /// Where the chain is kept; without it the chain ends with the node.
+    /// File that keeps the chain; by default the chain ends with the node.
     pub state: Option<PathBuf>,
-    /// The port of 127.0.0.1; 0 takes a free one.
+    /// Port of 127.0.0.1; 0 chooses a free one.
     pub port: u16,
 }
 
-/// Why there is no node.
+/// A node that could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum AnvilError {
-    /// There is no such program.
+    /// The program is not installed.
     #[error(
         "there is no program `{}`: anvil comes with `npm install @foundry-rs/anvil` (the program is then \
          node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil) or with Foundry; put it on the path, or name it in \
          {PROGRAM}",
         program.display()
     )]
-    Missing {
-        /// What was looked for.
-        program: PathBuf,
-    },
-    /// The program cannot be run.
+    Missing { program: PathBuf },
+    /// The program could not be run.
     #[error("`{}` does not start: {reason}", program.display())]
-    Start {
-        /// What was run.
-        program: PathBuf,
-        /// Why not.
-        reason: io::Error,
-    },
+    Start { program: PathBuf, reason: io::Error },
     /// The program ended.
-    #[error("`{}` ended before it listened; it said:\n{output}", program.display())]
+    #[error("`{}` ended before it listened, with the output:\n{output}", program.display())]
     Ended {
-        /// What was run.
         program: PathBuf,
-        /// What it printed.
+        /// Its output.
         output: String,
     },
 }
 
-/// A running node; it ends when this is dropped.
+/// A running node. Dropping it ends the node.
 #[derive(Debug)]
 pub struct Anvil {
     child: Child,
@@ -76,7 +67,7 @@ impl Anvil {
         let mut command = Command::new(&program);
         command.args(["--host", "127.0.0.1", "--port", &settings.port.to_string()]);
         if let Some(period) = settings.block_period {
-            // With slots of one block, what was mined is finalized two blocks later.
+            // With one-block slots, a block is finalized two blocks later.
             command.args(["--slots-in-an-epoch", "1", "--block-time", &period.as_secs_f64().to_string()]);
         }
         if let Some(state) = &settings.state {
@@ -100,26 +91,26 @@ impl Anvil {
             let _ = child.wait();
             return Err(AnvilError::Ended { program, output });
         };
-        // It goes on to print, and would stand still were nobody to read.
+        // The node keeps printing, and would block if nobody read.
         thread::spawn(move || lines.for_each(drop));
         Ok(Self { child, address })
     }
 
-    /// What is started where nothing is set.
+    /// Returns the default program.
     fn program() -> PathBuf {
         env::var_os(PROGRAM).map_or_else(|| Path::new("anvil").to_owned(), |name: OsString| name.into())
     }
 
-    /// Ends the node, and lets it write its state first.
+    /// Ends the node after it has written its state.
     pub fn stop(mut self) {
-        // Its own way to end is an interrupt; whoever cannot send one loses what came since it was last written.
+        // An interrupt makes it write its state. Without one, it loses what came since the last write.
         let interrupt = ["-s", "INT", &self.child.id().to_string()];
         if Command::new("kill").args(interrupt).status().is_ok_and(|status| status.success()) {
             let _ = self.child.wait();
         }
     }
 
-    /// Where it listens, for both HTTP and WebSocket.
+    /// Returns the address where it listens for both HTTP and WebSocket.
     pub fn address(&self) -> SocketAddr {
         self.address
     }

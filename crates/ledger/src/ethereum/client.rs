@@ -16,36 +16,37 @@ use super::{
     abi,
     blocks::{Block, Blocks, DEEPEST},
     key::Key,
-    node::{self, ANSWER, EthereumError, Failed, Heads},
+    node::{self, ANSWER, EthereumError, Heads, RpcFailure},
 };
 use crate::{
     ledger::{CallError, Ledger, Notice, Ticket},
     message::{Call, Event},
-    outbox::{Action, Fees, Outbox, Status, Told},
+    outbox::{Action, Fees, Outbox, Report, Status},
     values::{Account, BlockHash, ChainTime, Deployment, TransactionHash},
 };
 
-/// How a network is reached.
+/// Access to a network.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// A node's WebSocket, `ws://…` or `wss://…`.
+    /// WebSocket of a node, `ws://…` or `wss://…`.
     pub url: String,
-    /// The chain, and where the contract is there. A node of another chain is none.
+    /// The chain and the contract's address. Nodes of other chains are rejected.
     pub deployment: Deployment,
-    /// The block that it was deployed in, or any before: events are heard from there on.
+    /// Block of the contract's deployment, or any earlier one: events are read from there on.
     pub from_block: u64,
-    /// How many blocks on top of its own make a transaction final: 0 where consensus is final at once.
+    /// Number of further blocks that make a transaction final: 0 if consensus is final at once.
     pub depth: u64,
 }
 
-/// How often [`Ledger::poll`] is worth it: what a step of a negotiation waits at most for being heard.
+/// Interval of [`Ledger::poll`]: the longest delay of a negotiation step.
 const POLL: Duration = Duration::from_millis(5);
-/// Between two attempts to connect.
+/// Pause between attempts to connect.
 const RECONNECT: Duration = Duration::from_millis(500);
-/// Nodes answer for so many blocks at once.
+/// Most blocks in one query for logs.
 const RANGE: u64 = 1000;
-/// What a call may take more than when it was tried, in percent and on top: what it writes depends on the time of its block, as with
-/// a charge that is still zero when it is tried. What is not used is not paid.
+/// Gas limit of a call relative to its estimate, in percent plus a constant. The call may write more than when it was
+/// estimated, because that depends on the time of its block; a charge, for instance, is still zero then. Unused gas
+/// is not paid.
 const GAS_PERCENT: u64 = 130;
 const GAS_ON_TOP: u64 = 50_000;
 
@@ -60,7 +61,8 @@ pub struct EthereumLedger {
 }
 
 impl EthereumLedger {
-    /// Connects in the background, and again whenever the connection breaks; [`Notice::Up`] and [`Notice::Down`] tell.
+    /// Connects in the background, and reconnects whenever the connection breaks. [`Notice::Up`] and [`Notice::Down`]
+    /// report it.
     ///
     /// # Errors
     /// [`EthereumError::Thread`].
@@ -86,12 +88,12 @@ impl EthereumLedger {
         Ok(Self { account, submitted: 0, polled: Timestamp::ZERO, calls, notices })
     }
 
-    /// Waits for what happens next, as [`Ledger::poll`] does not.
+    /// Waits for the next notice; [`Ledger::poll`] does not wait.
     ///
     /// # Panics
     /// If the client's thread panicked.
     pub fn wait(&mut self) -> Notice {
-        self.notices.recv().expect("the client tells as long as this is there")
+        self.notices.recv().expect("the client lives as long as this")
     }
 }
 
@@ -103,7 +105,7 @@ impl Ledger for EthereumLedger {
     fn submit(&mut self, _now: Timestamp, call: Call) -> Ticket {
         self.submitted += 1;
         let ticket = Ticket(self.submitted);
-        self.calls.send((ticket, call)).expect("the client ends when this does");
+        self.calls.send((ticket, call)).expect("the client lives as long as this");
         ticket
     }
 
@@ -117,7 +119,7 @@ impl Ledger for EthereumLedger {
     }
 }
 
-/// What runs in the thread.
+/// State of the client's thread.
 struct Client {
     settings: Settings,
     key: Key,
@@ -125,21 +127,21 @@ struct Client {
     tell: std_mpsc::Sender<Notice>,
     outbox: Outbox,
     blocks: Blocks,
-    /// The first block that was not heard.
+    /// The first block that was not read yet.
     next_block: Option<u64>,
-    /// Whether the transactions have heard of a head since the connection was made.
+    /// Whether the outbox has received a head since the connection was made.
     is_connected: bool,
 }
 
-/// Why a session with a node is over.
-enum Over {
-    /// Nobody listens any more.
+/// Reason for the end of a session with a node.
+enum SessionEnd {
+    /// The ledger was dropped.
     Ledger,
     Connection(String),
 }
 
-impl From<Failed> for Over {
-    fn from(reason: Failed) -> Self {
+impl From<RpcFailure> for SessionEnd {
+    fn from(reason: RpcFailure) -> Self {
         Self::Connection(reason.to_string())
     }
 }
@@ -149,14 +151,14 @@ impl Client {
         let mut was_up = true;
         loop {
             match self.session(&mut was_up).await {
-                Err(Over::Ledger) => return,
-                Err(Over::Connection(reason)) if was_up => {
+                Err(SessionEnd::Ledger) => return,
+                Err(SessionEnd::Connection(reason)) if was_up => {
                     was_up = false;
                     if self.tell(Notice::Down(reason)).is_err() {
                         return;
                     }
                 }
-                Ok(()) | Err(Over::Connection(_)) => {}
+                Ok(()) | Err(SessionEnd::Connection(_)) => {}
             }
             // Calls are kept while there is no node.
             let until = tokio::time::Instant::now() + RECONNECT;
@@ -169,13 +171,14 @@ impl Client {
         }
     }
 
-    fn tell(&self, notice: Notice) -> Result<(), Over> {
-        self.tell.send(notice).map_err(|_| Over::Ledger)
+    fn tell(&self, notice: Notice) -> Result<(), SessionEnd> {
+        self.tell.send(notice).map_err(|_| SessionEnd::Ledger)
     }
 
-    /// From a connection to its end.
-    async fn session(&mut self, was_up: &mut bool) -> Result<(), Over> {
-        let late = |_| Over::Connection(format!("{} did not answer within {ANSWER:?}", self.settings.url));
+    /// Runs a connection until it ends.
+    async fn session(&mut self, was_up: &mut bool) -> Result<(), SessionEnd> {
+        let late =
+            |_| SessionEnd::Connection(format!("{} did not answer within {ANSWER:?}", self.settings.url));
         let provider =
             tokio::time::timeout(ANSWER, node::connect(&self.settings.url)).await.map_err(late)??;
         let chain = provider.get_chain_id().await?;
@@ -183,18 +186,18 @@ impl Client {
         if chain != wanted {
             let url = &self.settings.url;
             let reason = format!(
-                "the node at {url} is of the chain {chain}, not {wanted}: set `chain_id` or another node"
+                "the node at {url} is on chain {chain}, not {wanted}: correct `chain_id` or use another node"
             );
-            return Err(Over::Connection(reason));
+            return Err(SessionEnd::Connection(reason));
         }
         let contract = Address::from(self.settings.deployment.contract.0);
         if provider.get_code_at(contract).await?.is_empty() {
-            let reason = format!("there is no contract at {contract} on the chain {chain}");
-            return Err(Over::Connection(reason));
+            let reason = format!("there is no contract at {contract} on chain {chain}");
+            return Err(SessionEnd::Connection(reason));
         }
         let mut heads = Heads::of(&provider).await?;
         let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
-        let head = head.ok_or_else(|| Over::Connection("the node has no block".to_owned()))?.header;
+        let head = head.ok_or_else(|| SessionEnd::Connection("the node has no block".to_owned()))?.header;
         self.tell(Notice::Up)?;
         *was_up = true;
         self.outbox.on_connected();
@@ -204,43 +207,44 @@ impl Client {
             self.act(&provider, chain).await?;
             tokio::select! {
                 head = heads.next(&provider) => {
-                    let head = head?.ok_or_else(|| Over::Connection("the connection broke".to_owned()))?;
+                    let head = head?.ok_or_else(|| SessionEnd::Connection("the connection broke".to_owned()))?;
                     self.on_head(&provider, head).await?;
                 }
                 call = self.calls.recv() => {
-                    let (ticket, call) = call.ok_or(Over::Ledger)?;
+                    let (ticket, call) = call.ok_or(SessionEnd::Ledger)?;
                     self.outbox.submit(ticket, call);
                 }
             }
         }
     }
 
-    /// Tells what a new head adds, and what it takes back.
-    async fn on_head(&mut self, provider: &RootProvider, head: Header) -> Result<(), Over> {
+    /// Reports what a new head adds and retracts.
+    async fn on_head(&mut self, provider: &RootProvider, head: Header) -> Result<(), SessionEnd> {
         let hash = BlockHash(head.hash.0);
         if !self.blocks.knows(hash) {
             self.take_in(provider, head).await?;
         } else if self.is_connected {
             return Ok(());
         } else if self.blocks.head().is_some_and(|latest| latest.hash == hash) {
-            // Nothing was said while the node was away. Whoever waits to hear that might wait long for another block.
+            // Nothing happened while the node was away. Report that now, because the next block may take long.
             self.tell(Notice::Head { number: head.number, time: ChainTime(head.timestamp) })?;
         }
         self.is_connected = true;
         let Some(&Block { number, hash, .. }) = self.blocks.head() else { return Ok(()) };
         if !self.outbox.is_empty() {
-            // Without its receipts, what is on the chain would be taken for what is not.
+            // Without its receipts, included transactions would be taken for absent ones.
             node::await_receipts(provider, hash.0.into()).await?;
         }
-        // By the head that was heard: the node may have another one already.
+        // Query by the head that was read: the node may have a newer one already.
         let mined = provider.get_transaction_count(self.key.signer.address()).number(number).await?;
         self.outbox.on_head(number, mined);
         Ok(())
     }
 
-    async fn take_in(&mut self, provider: &RootProvider, head: Header) -> Result<(), Over> {
+    async fn take_in(&mut self, provider: &RootProvider, head: Header) -> Result<(), SessionEnd> {
         self.catch_up(provider, head.number).await?;
-        // From the head back to a block that is known: usually its parent. At the start, back to the first to be heard.
+        // Go from the head back to a known block, usually its parent. At the start, go back to the first block to
+        // read.
         let first = self.next_block.unwrap_or(self.settings.from_block);
         let mut news = vec![head];
         loop {
@@ -250,11 +254,11 @@ impl Client {
                 break;
             }
             if news.len() == DEEPEST || oldest.number == 0 {
-                let reason = "the node is on another chain than before".to_owned();
-                return Err(Over::Connection(reason));
+                let reason = "the node has switched to another chain".to_owned();
+                return Err(SessionEnd::Connection(reason));
             }
             let parent = provider.get_block_by_hash(oldest.parent_hash).await?;
-            let parent = parent.ok_or_else(|| Over::Connection("a block is gone".to_owned()))?;
+            let parent = parent.ok_or_else(|| SessionEnd::Connection("a block is gone".to_owned()))?;
             news.push(parent.header);
         }
         let head = news.first().expect("it begins with the head");
@@ -271,15 +275,15 @@ impl Client {
             self.next_block = Some(header.number + 1);
             self.blocks.push(Block { number: header.number, hash: BlockHash(header.hash.0), events });
         }
-        // Only now: whoever hears of a head takes what was said until then for the whole truth, and acts on it.
+        // Only now: the receiver of a head acts on everything reported before it.
         self.tell(head)
     }
 
-    /// Tells what was said before the blocks that can be taken back.
-    async fn catch_up(&mut self, provider: &RootProvider, head: u64) -> Result<(), Over> {
+    /// Reports the events of blocks too old to be retracted.
+    async fn catch_up(&mut self, provider: &RootProvider, head: u64) -> Result<(), SessionEnd> {
         let contract = Address::from(self.settings.deployment.contract.0);
         let mut from = self.next_block.unwrap_or(self.settings.from_block);
-        // The last ones are heard block by block. Behind a gap deeper than that, nothing that is known can be compared.
+        // The last blocks are read one by one. Behind a deeper gap, no known block can be compared.
         let until = head.saturating_sub(DEEPEST as u64 / 2);
         if from >= until {
             return Ok(());
@@ -297,10 +301,10 @@ impl Client {
         Ok(())
     }
 
-    /// What the contract said in a block.
-    async fn events_in(&self, provider: &RootProvider, header: &Header) -> Result<Vec<Event>, Over> {
+    /// Returns the contract's events in a block.
+    async fn events_in(&self, provider: &RootProvider, header: &Header) -> Result<Vec<Event>, SessionEnd> {
         let contract = Address::from(self.settings.deployment.contract.0);
-        // The header says already whether it may have said anything.
+        // The header's bloom filter shows whether there may be any.
         if !header.logs_bloom.contains_input(BloomInput::Raw(contract.as_slice())) {
             return Ok(Vec::new());
         }
@@ -309,28 +313,28 @@ impl Client {
         if !events.is_empty() {
             return Ok(events);
         }
-        // Some nodes have a block before they have its receipts, and find no logs in it until then.
+        // Some nodes have a block before its receipts, and until then find no logs in it.
         node::await_receipts(provider, header.hash).await?;
         self.events(provider, &filter).await
     }
 
-    async fn events(&self, provider: &RootProvider, filter: &Filter) -> Result<Vec<Event>, Over> {
+    async fn events(&self, provider: &RootProvider, filter: &Filter) -> Result<Vec<Event>, SessionEnd> {
         let logs = provider.get_logs(filter).await?;
         let decode = |log: &Log| {
             let topics: Vec<[u8; 32]> = log.topics().iter().map(|topic| topic.0).collect();
             abi::decode_event(&topics, &log.data().data)
         };
-        // Another contract at the address, or a node that lies: it is as good as none.
+        // Another contract at the address, or a lying node, is as good as no node.
         logs.iter()
             .map(decode)
             .collect::<Result<_, _>>()
-            .map_err(|reason| Over::Connection(reason.to_string()))
+            .map_err(|reason| SessionEnd::Connection(reason.to_string()))
     }
 
-    /// Does what the transactions need.
-    async fn act(&mut self, provider: &RootProvider, chain: u64) -> Result<(), Over> {
+    /// Executes the actions that the outbox requests.
+    async fn act(&mut self, provider: &RootProvider, chain: u64) -> Result<(), SessionEnd> {
         while let Some(action) = self.outbox.next() {
-            let told = match action {
+            let report = match action {
                 Action::Estimate { ticket, call } => {
                     let result = match node::estimate(provider, self.request(&call)).await {
                         Ok(gas) => Ok(gas * GAS_PERCENT / 100 + GAS_ON_TOP),
@@ -346,9 +350,9 @@ impl Client {
                     self.outbox.checked(ticket, status)
                 }
             };
-            match told {
-                Some(Told::Included(ticket)) => self.tell(Notice::Included(ticket))?,
-                Some(Told::Refused(ticket, rejection)) => self.tell(Notice::Refused(ticket, rejection))?,
+            match report {
+                Some(Report::Included(ticket)) => self.tell(Notice::Included(ticket))?,
+                Some(Report::Refused(ticket, rejection)) => self.tell(Notice::Refused(ticket, rejection))?,
                 None => {}
             }
         }
@@ -362,8 +366,8 @@ impl Client {
         ticket: Ticket,
         call: &Call,
         (nonce, gas, before): (u64, u64, Option<Fees>),
-    ) -> Result<Option<Told>, Over> {
-        let (base, tip) = node::asked(provider).await?;
+    ) -> Result<Option<Report>, SessionEnd> {
+        let (base, tip) = node::current_fees(provider).await?;
         let fees = Fees::offer(base, tip, before);
         let transaction = self.key.sign(TxEip1559 {
             chain_id: chain,
@@ -392,14 +396,18 @@ impl Client {
         }
     }
 
-    async fn status(&self, provider: &RootProvider, hashes: Vec<TransactionHash>) -> Result<Status, Over> {
+    async fn status(
+        &self,
+        provider: &RootProvider,
+        hashes: Vec<TransactionHash>,
+    ) -> Result<Status, SessionEnd> {
         for hash in hashes {
             let Some(receipt) = provider.get_transaction_receipt(hash.0.into()).await? else { continue };
             let Some(block) = receipt.block_number else { continue };
             if receipt.status() {
                 return Ok(Status::Included { block });
             }
-            // What the contract said of it: the same call, in the block's state.
+            // Repeats the call in the block's state to get the contract's error.
             let transaction = provider.get_transaction_by_hash(hash.0.into()).await?;
             let answer = match transaction.map(|t| TransactionRequest::from_recovered_transaction(t.inner)) {
                 Some(TransactionRequest { from, to, value, input, .. }) => {
@@ -428,18 +436,18 @@ impl Client {
     }
 }
 
-/// Why a node does not take a transaction.
+/// Reason for which a node rejects a transaction.
 #[derive(Debug, PartialEq, Eq)]
 enum Objection {
-    /// It has that one already, or another with its nonce.
+    /// It already has this transaction, or another with its nonce.
     Waits,
     NonceIsUsed,
-    /// What will not pass.
+    /// A permanent reason.
     Other,
 }
 
 impl Objection {
-    /// Nodes have no codes for these, only words.
+    /// Classifies a node's message. Nodes have no error codes for these.
     fn of(message: &str) -> Self {
         let message = message.to_lowercase();
         let says = |words: &[&str]| words.iter().any(|words| message.contains(words));
@@ -459,11 +467,11 @@ impl Objection {
     }
 }
 
-/// Why a node does not do a call; an error of the connection is passed on.
-fn rejection(error: Failed) -> Result<CallError, Over> {
+/// Converts the error of a call. Errors of the connection are passed on.
+fn rejection(error: RpcFailure) -> Result<CallError, SessionEnd> {
     let Some(payload) = error.as_error_resp() else { return Err(error.into()) };
-    let refusal = payload.as_revert_data().and_then(|data| abi::decode_refusal(&data).ok());
-    Ok(refusal.map_or_else(|| CallError::Node(payload.message.to_string()), CallError::Contract))
+    let contract_error = payload.as_revert_data().and_then(|data| abi::decode_error(&data).ok());
+    Ok(contract_error.map_or_else(|| CallError::Node(payload.message.to_string()), CallError::Contract))
 }
 
 #[cfg(test)]
@@ -471,7 +479,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_transaction_that_waits_is_not_taken_for_one_that_is_refused() {
+    fn waiting_transactions_are_not_mistaken_for_rejected_ones() {
         for (said, means) in [
             // geth, anvil
             ("already known", Objection::Waits),

@@ -1,4 +1,4 @@
-//! An operator's key: kept encrypted in a key store (Web3 Secret Storage, version 3), never in a testbed file.
+//! An operator's key. It is kept encrypted in a key store (Web3 Secret Storage, version 3), never in a testbed file.
 
 use std::{
     env, fmt, fs, io,
@@ -17,7 +17,7 @@ use crate::{
     values::{Account, Deployment},
 };
 
-/// Where a key store's password comes from.
+/// Source of a key store's password.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Password {
     /// The environment variable with this name.
@@ -26,35 +26,25 @@ pub enum Password {
     File(PathBuf),
 }
 
-/// Why there is no key.
+/// A key that could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
-    /// The environment has no password.
-    #[error("the password of the key store is to be in the environment variable {0}, which is not set")]
+    /// The environment variable is not set.
+    #[error("the environment variable {0}, which is not set, must have the key store's password")]
     NoVariable(String),
-    /// The file with the password cannot be read.
-    #[error("the file with the key store's password, {}, cannot be read: {reason}", path.display())]
-    NoFile {
-        /// The file.
-        path: PathBuf,
-        /// Why not.
-        reason: io::Error,
-    },
+    /// The password file cannot be read.
+    #[error("cannot read the key store's password from {}: {reason}", path.display())]
+    NoFile { path: PathBuf, reason: io::Error },
     /// The key store cannot be read or decrypted.
     #[error(
-        "the key store {} cannot be opened: {reason}; it is to be a Web3 Secret Storage file (version 3), and the \
-         password its own",
+        "the key store {} cannot be opened: {reason}; it must be a Web3 Secret Storage file (version 3) with its \
+         own password",
         path.display()
     )]
-    Store {
-        /// The file.
-        path: PathBuf,
-        /// Why not.
-        reason: String,
-    },
+    Store { path: PathBuf, reason: String },
 }
 
-/// An operator's key, and with it all its secrets.
+/// An operator's key, from which all its secrets derive.
 #[derive(Clone)]
 pub struct Key {
     pub(super) signer: PrivateKeySigner,
@@ -83,14 +73,14 @@ impl Key {
     /// Opens a key store.
     ///
     /// # Errors
-    /// [`KeyError`] if it cannot be read, or the password is another.
+    /// [`KeyError`] if it cannot be read or the password is wrong.
     pub fn open(path: &Path, password: &Password) -> Result<Self, KeyError> {
         let signer = PrivateKeySigner::decrypt_keystore(path, password.read()?)
             .map_err(|reason| KeyError::Store { path: path.to_owned(), reason: reason.to_string() })?;
         Ok(Self { signer })
     }
 
-    /// A key from 32 bytes that nobody else knows; `None` for zero, and for more than the curve's order.
+    /// Makes a key from 32 secret bytes; `None` for zero, and beyond the curve's order.
     pub fn from_bytes(bytes: [u8; 32]) -> Option<Self> {
         PrivateKeySigner::from_slice(&bytes).ok().map(|signer| Self { signer })
     }
@@ -100,14 +90,14 @@ impl Key {
         transaction.into_signed(signature).into()
     }
 
-    /// The operator's address.
+    /// Returns the operator's address.
     pub fn account(&self) -> Account {
         Account(self.signer.address().into())
     }
 
-    /// The secret that the operator's other keys and salts with a contract come from.
+    /// Returns the secret from which the operator's keys and salts with a contract derive.
     pub fn secret(&self, deployment: Deployment) -> Secret {
-        // Apart from the key itself, which signs: neither says anything of the other.
+        // Distinct from the signing key: neither reveals anything about the other.
         let key = self.signer.to_bytes();
         let bytes = Keccak256::new().chain_update(key).chain_update(b"cotorra federation secret");
         Secret::new(bytes.finalize().into(), deployment)
@@ -118,7 +108,7 @@ impl Key {
 mod tests {
     use super::*;
 
-    /// The test vector of the Web3 Secret Storage definition with PBKDF2.
+    /// Test vector of the Web3 Secret Storage definition with PBKDF2.
     const STORE: &str = r#"{
         "crypto": {
             "cipher": "aes-128-ctr",
@@ -138,7 +128,7 @@ mod tests {
     }"#;
 
     #[test]
-    fn a_key_store_is_opened_with_its_password_and_with_no_other() {
+    fn key_stores_open_only_with_their_password() {
         let folder = tempfile::tempdir().unwrap();
         let (store, password) = (folder.path().join("store.json"), folder.path().join("password"));
         fs::write(&store, STORE).unwrap();

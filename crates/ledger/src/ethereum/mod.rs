@@ -9,7 +9,7 @@ mod node;
 mod socket;
 mod survey;
 
-pub use abi::{DecodeError, bytecode, decode_event, decode_refusal, encode};
+pub use abi::{DecodeError, bytecode, decode_error, decode_event, encode};
 pub use client::{EthereumLedger, Settings};
 pub use key::{Key, KeyError, Password};
 pub use node::{EthereumError, deploy};

@@ -1,4 +1,4 @@
-//! What is asked of an Ethereum node, whoever asks: a connection, fees, and a place for the contract.
+//! Requests to an Ethereum node: connection, fees, and deployment of the contract.
 
 use std::time::Duration;
 
@@ -16,34 +16,29 @@ use tokio::{
     time::{Interval, MissedTickBehavior},
 };
 
-use super::{abi, key::Key, socket::AtOnce};
+use super::{abi, key::Key, socket::NoDelay};
 use crate::{
     outbox::Fees,
     values::{Account, Deployment},
 };
 
-/// Why a network cannot be used.
+/// A network that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EthereumError {
     /// The node does not answer, or answers with an error.
-    #[error("the ledger's node at {url} does not do as asked: {reason}")]
-    Node {
-        /// The node.
-        url: String,
-        /// Why not.
-        reason: String,
-    },
-    /// No thread for it.
-    #[error("there is no thread for the ledger's client: {0}")]
+    #[error("the ledger's node at {url} failed: {reason}")]
+    Node { url: String, reason: String },
+    /// No thread could be started.
+    #[error("cannot start a thread for the ledger's client: {0}")]
     Thread(std::io::Error),
 }
 
-/// So long a node may take for an answer.
+/// Deadline of a node's answer.
 pub(super) const ANSWER: Duration = Duration::from_secs(10);
 
-pub(super) type Failed = RpcError<TransportErrorKind>;
+pub(super) type RpcFailure = RpcError<TransportErrorKind>;
 
-/// Deploys the contract, and waits until it is in a block. Returns where it is, and the block.
+/// Deploys the contract, and waits until it is in a block. Returns its deployment and the block.
 ///
 /// # Errors
 /// [`EthereumError`].
@@ -59,14 +54,14 @@ pub fn deploy(url: &str, key: &Key) -> Result<(Deployment, u64), EthereumError> 
     }
 }
 
-async fn create(url: &str, key: &Key) -> Result<(u64, TransactionReceipt), Failed> {
+async fn create(url: &str, key: &Key) -> Result<(u64, TransactionReceipt), RpcFailure> {
     let provider = connect(url).await?;
     let from = key.signer.address();
     let input = Bytes::from(abi::bytecode());
-    // By both names: nodes know the one or the other.
+    // Under both names: nodes know one or the other.
     let input_of = TransactionInput::both(input.clone());
     let request = TransactionRequest { from: Some(from), input: input_of, ..Default::default() };
-    let (base, tip) = asked(&provider).await?;
+    let (base, tip) = current_fees(&provider).await?;
     let fees = Fees::offer(base, tip, None);
     let chain_id = provider.get_chain_id().await?;
     let transaction = key.sign(TxEip1559 {
@@ -96,20 +91,20 @@ pub(super) fn runtime() -> Result<Runtime, EthereumError> {
     Builder::new_current_thread().enable_all().build().map_err(EthereumError::Thread)
 }
 
-pub(super) async fn connect(url: &str) -> Result<RootProvider, Failed> {
-    ProviderBuilder::default().connect_pubsub_with(AtOnce::new(url)).await
+pub(super) async fn connect(url: &str) -> Result<RootProvider, RpcFailure> {
+    ProviderBuilder::default().connect_pubsub_with(NoDelay::new(url)).await
 }
 
-/// So long a network may take to have the contract in a block.
+/// Deadline for the contract to be in a block.
 const DEPLOYMENT: Duration = Duration::from_secs(120);
-/// Where a node cannot say what tip is usual: 1 Gwei.
+/// Tip if a node cannot suggest one: 1 Gwei.
 const TIP: u128 = 1_000_000_000;
 
-/// The base fee of the last block, and the tip that is usual.
-pub(super) async fn asked(provider: &RootProvider) -> Result<(u128, u128), Failed> {
+/// Returns the base fee of the last block and the usual tip.
+pub(super) async fn current_fees(provider: &RootProvider) -> Result<(u128, u128), RpcFailure> {
     let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
     let base = head.and_then(|block| block.header.base_fee_per_gas).unwrap_or_default();
-    // Not all nodes have this one.
+    // Not all nodes have this method.
     let tip = match provider.get_max_priority_fee_per_gas().await {
         Err(error) if error.as_error_resp().is_some() => TIP,
         tip => tip?.max(1),
@@ -117,8 +112,11 @@ pub(super) async fn asked(provider: &RootProvider) -> Result<(u128, u128), Faile
     Ok((base.into(), tip))
 }
 
-/// The gas that a call takes, behind those that wait, where the node knows of such.
-pub(super) async fn estimate(provider: &RootProvider, request: TransactionRequest) -> Result<u64, Failed> {
+/// Estimates the gas of a call after those pending, if the node knows of pending ones.
+pub(super) async fn estimate(
+    provider: &RootProvider,
+    request: TransactionRequest,
+) -> Result<u64, RpcFailure> {
     match provider.estimate_gas(request.clone()).pending().await {
         Err(error) if error.as_error_resp().is_some_and(|e| e.message.contains("not yet supported")) => {
             provider.estimate_gas(request).block(BlockId::latest()).await
@@ -127,13 +125,13 @@ pub(super) async fn estimate(provider: &RootProvider, request: TransactionReques
     }
 }
 
-/// Between two attempts to have a block's receipts, and how many there are.
+/// Pause between attempts to read a block's receipts, and their number.
 const RECEIPTS: (Duration, u32) = (Duration::from_millis(20), 500);
 
-/// Waits until a node has all receipts of a block: some have the block before them.
-pub(super) async fn await_receipts(provider: &RootProvider, block: B256) -> Result<(), Failed> {
+/// Waits until a node has all receipts of a block. Some have the block before them.
+pub(super) async fn await_receipts(provider: &RootProvider, block: B256) -> Result<(), RpcFailure> {
     for _ in 0..RECEIPTS.1 {
-        // One that does not know the block any more has nothing of it to wait for.
+        // A node that no longer knows the block has no receipts to wait for.
         let Some(block) = provider.get_block_by_hash(block).await? else { return Ok(()) };
         let Some(last) = block.transactions.hashes().last() else { return Ok(()) };
         if provider.get_transaction_receipt(last).await?.is_some() {
@@ -144,37 +142,38 @@ pub(super) async fn await_receipts(provider: &RootProvider, block: B256) -> Resu
     Err(TransportErrorKind::custom_str(&format!("the node has the block {block}, but not its receipts")))
 }
 
-/// The heads of the chain as they come.
+/// The heads of the chain as they arrive.
 pub(super) enum Heads {
-    /// The node tells.
-    Told(Subscription<Header>),
-    /// The node has no subscriptions, and is asked.
-    Asked(Interval),
+    /// The node announces them.
+    Announced(Subscription<Header>),
+    /// The node has no subscriptions, and is polled.
+    Polled(Interval),
 }
 
-/// Between two questions for the head.
+/// Interval of polling the head.
 const ASK: Duration = Duration::from_millis(50);
 
 impl Heads {
-    pub(super) async fn of(provider: &RootProvider) -> Result<Self, Failed> {
+    pub(super) async fn of(provider: &RootProvider) -> Result<Self, RpcFailure> {
         /// JSON-RPC 2.0, 5.1.
         const METHOD_NOT_FOUND: i64 = -32601;
         match provider.subscribe_blocks().await {
             Err(error) if error.as_error_resp().is_some_and(|e| e.code == METHOD_NOT_FOUND) => {
                 let mut interval = tokio::time::interval(ASK);
-                // A node that is slow is not asked all the more.
+                // Does not poll a slow node faster.
                 interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
-                Ok(Self::Asked(interval))
+                Ok(Self::Polled(interval))
             }
-            heads => heads.map(Self::Told),
+            heads => heads.map(Self::Announced),
         }
     }
 
-    /// The next head, or the same again; `None`: the connection is broken. Can be dropped and asked anew at any time.
-    pub(super) async fn next(&mut self, provider: &RootProvider) -> Result<Option<Header>, Failed> {
+    /// Returns the next head, or the same again; `None` if the connection broke. May be dropped and called anew at
+    /// any time.
+    pub(super) async fn next(&mut self, provider: &RootProvider) -> Result<Option<Header>, RpcFailure> {
         match self {
-            Self::Told(heads) => Ok(heads.recv().await.ok()),
-            Self::Asked(interval) => {
+            Self::Announced(heads) => Ok(heads.recv().await.ok()),
+            Self::Polled(interval) => {
                 interval.tick().await;
                 let head = provider.get_block_by_number(BlockNumberOrTag::Latest).await?;
                 Ok(head.map(|block| block.header))

@@ -1,28 +1,28 @@
-//! What there is to know of a network before anybody takes part in it: a mistake in how it is reached is told at once, and not
-//! by a negotiation that never begins.
-#![allow(clippy::disallowed_types, reason = "the shell that owns the clock: blocks are timed as they come")]
+//! Surveys a network before a run takes part in it, so that wrong settings are reported at once instead of by a
+//! negotiation that never begins.
+#![allow(clippy::disallowed_types, reason = "measures the time between blocks")]
 
 use std::time::{Duration, Instant};
 
 use alloy::{primitives::Address, providers::Provider};
 
-use super::node::{self, ANSWER, EthereumError, Failed, Heads};
+use super::node::{self, ANSWER, EthereumError, Heads, RpcFailure};
 use crate::values::{Account, Wei};
 
-/// What a node says of its network and of an account there.
+/// A node's answers about its network and an account.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Survey {
-    /// The network's chain ID (EIP-155).
+    /// Chain ID (EIP-155).
     pub chain_id: u64,
-    /// The node's program, as it calls itself.
+    /// Name of the node's program.
     pub client: String,
-    /// What the account has.
+    /// Balance of the account.
     pub balance: Wei,
-    /// Whether there is a contract where one was asked for.
+    /// Whether there is a contract at the requested address.
     pub has_contract: bool,
 }
 
-/// Asks a node.
+/// Surveys a network through a node.
 ///
 /// # Errors
 /// [`EthereumError`].
@@ -37,34 +37,34 @@ pub fn survey(url: &str, account: Account, contract: Option<Account>) -> Result<
         Ok(Survey {
             chain_id: provider.get_chain_id().await?,
             client: provider.get_client_version().await?,
-            // More than all the money there is would be as much as fits.
+            // Saturates at more than all the money there is.
             balance: Wei(balance.saturating_to()),
             has_contract,
         })
     })
 }
 
-/// Blocks that are timed.
+/// Number of blocks to time.
 const TIMED: u32 = 3;
-/// The longest period for which that is waited for.
+/// Longest block period to wait for.
 const LONGEST: Duration = Duration::from_secs(60);
 
-/// How long a network takes from one block to the next, in the mean of the next three, as they come.
+/// Measures the mean time between the next three blocks.
 ///
 /// # Errors
-/// [`EthereumError`]; also when blocks are more than a minute apart.
+/// [`EthereumError`], also if blocks are more than a minute apart.
 pub fn block_period(url: &str) -> Result<Duration, EthereumError> {
     ask(url, ANSWER + LONGEST * (TIMED + 1), async {
         let provider = node::connect(url).await?;
         let mut heads = Heads::of(&provider).await?;
-        let mut heard: Option<(u64, u64)> = None;
+        let mut received: Option<(u64, u64)> = None;
         let mut began = Instant::now();
         while let Some(head) = heads.next(&provider).await? {
-            match heard {
-                // The first may be any age.
-                None => heard = Some((head.number, 0)),
+            match received {
+                // The first may be of any age.
+                None => received = Some((head.number, 0)),
                 Some((known, 0)) if head.number > known => {
-                    (heard, began) = (Some((head.number, head.number)), Instant::now());
+                    (received, began) = (Some((head.number, head.number)), Instant::now());
                 }
                 Some((_, first)) if first > 0 && head.number >= first + u64::from(TIMED) => {
                     let blocks = u32::try_from(head.number - first).unwrap_or(u32::MAX);
@@ -77,11 +77,11 @@ pub fn block_period(url: &str) -> Result<Duration, EthereumError> {
     })
 }
 
-/// Waits for an answer, but not for ever.
+/// Waits for an answer within a deadline.
 fn ask<T>(
     url: &str,
     patience: Duration,
-    answer: impl Future<Output = Result<T, Failed>>,
+    answer: impl Future<Output = Result<T, RpcFailure>>,
 ) -> Result<T, EthereumError> {
     let node = |reason: String| EthereumError::Node { url: url.to_owned(), reason };
     let answer = async { tokio::time::timeout(patience, answer).await };

@@ -1,10 +1,10 @@
-//! The creator's side: announce, collect bids, choose, attach once it is deployed, accept, release.
+//! The creator's role: announce, collect bids, choose, attach after the deployment, accept, release.
 
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::Timestamp;
 
-use super::{Calls, Heard, Record, Seen, Standing};
+use super::{Calls, Phase, Record, ServiceLog, Standing};
 use crate::{
     ledger::{Ledger, Notice},
     message::{Call, Event, Outcome, Requirements, Terms},
@@ -12,118 +12,106 @@ use crate::{
     values::{Account, Commitment, Price, PublicKey, Salt, ServiceId},
 };
 
-/// What is asked for.
+/// A request for a service.
 #[derive(Debug, Clone)]
 pub struct Request {
-    /// What is needed.
     pub requirements: Requirements,
-    /// How long each step may take on the chain.
+    /// Longest duration of each step on the chain.
     pub terms: Terms,
-    /// How a bid is chosen, and how long all of it may take.
+    /// Choice of a bid, and patience.
     pub policy: Policy,
-    /// What is remembered of those who may bid.
+    /// Record of those who may bid.
     pub record: Record,
 }
 
-/// How a bid is chosen: the cheapest that is not too dear, of those who served before; else of those who never failed; else
-/// of the others. When its provider fails, the next one is chosen in the same way.
+/// Rules for choosing a bid. Among affordable bids, those of providers that served before come first, then those of
+/// unknown ones, then those of providers that failed. Within a group the cheapest wins. If its provider fails, the
+/// next one is chosen by the same rules.
 #[derive(Debug, Clone, Copy)]
 pub struct Policy {
-    /// More is not paid.
+    /// Highest acceptable price.
     pub highest: Price,
-    /// Whoever bids while this has not passed since the announcement was heard is considered.
+    /// Duration from the announcement during which bids are collected.
     pub collect: Duration,
-    /// With so many bids that can be chosen, of providers that never failed, there is no more waiting.
+    /// Number of eligible bids, of providers that never failed, that ends the collection early.
     pub enough: usize,
-    /// So long after the start the attachment must be known; otherwise the negotiation is given up.
+    /// Time from the start after which the negotiation is given up without an attachment.
     pub patience: Duration,
 }
 
-/// A step that was reached. One that the chain took back is told again when it is reached again.
+/// A step of the negotiation. A step that the chain retracted is reported again when reached again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CreatorStep {
     /// The announcement was handed to the ledger.
     Announcing,
-    /// It is on the chain.
+    /// The announcement is on the chain.
     Announced,
-    /// There is a bid that can be chosen.
+    /// An eligible bid arrived.
     BidReceived {
-        /// Whose.
         provider: Account,
-        /// For how much.
         price: Price,
-        /// Where the provider is reached.
+        /// Address of the provider's orchestrator.
         endpoint: String,
     },
-    /// There is a bid that cannot be chosen.
-    BidRejected {
-        /// Whose.
-        provider: Account,
-        /// Why not.
-        reason: String,
-    },
-    /// The choice was made, and handed to the ledger.
-    Choosing {
-        /// Whose bid.
-        provider: Account,
-        /// For how much.
-        price: Price,
-    },
-    /// It is on the chain.
+    /// An ineligible bid arrived.
+    BidRejected { provider: Account, reason: String },
+    /// The choice was made and handed to the ledger.
+    Choosing { provider: Account, price: Price },
+    /// The choice is on the chain.
     Chosen,
-    /// The winner says that it deployed, and this is how to attach. Answer by [`Creator::attached`] or
+    /// The winner confirmed the deployment, with the data needed to attach. Answer by [`Creator::attached`] or
     /// [`Creator::unusable`].
     Deployed(Attachment),
     /// The acceptance is on the chain: use is charged.
     InUse,
-    /// The service is over.
+    /// The service has ended.
     Ended(Outcome),
-    /// It came to nothing. What is on the chain is being ended.
+    /// The negotiation failed. The service on the chain is being ended.
     Failed(Failure),
 }
 
-/// Why a negotiation came to nothing.
+/// Reason for which a negotiation failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
-    /// Nobody bid.
+    /// There were no bids.
     #[error("nobody bid")]
     NoBid,
-    /// There were bids, none of which can be chosen.
+    /// No bid was eligible.
     #[error("no bid could be chosen: all were too dear, or could not be opened")]
     NoGoodBid,
-    /// The winner did not deploy, or gave the service back; of several, the last.
+    /// The winner did not deploy or declined; of several winners, the last.
     #[error("the chosen provider did not deploy")]
     NotDeployed,
-    /// What the winner said cannot be opened, or nobody could attach.
+    /// The attachment cannot be opened, or the robot could not attach.
     #[error("the provider said that it deployed, but its access point cannot be used")]
     Unusable,
-    /// The ledger did not take part in time.
+    /// The ledger did not answer in time.
     #[error("the ledger did not answer in time, or refused what was asked")]
     Ledger,
-    /// The caller no longer wanted it.
+    /// The caller cancelled it.
     #[error("it was cancelled")]
     Cancelled,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Want {
-    /// A provider, and to attach.
+enum Goal {
+    /// A provider, and its attachment.
     Service,
-    /// To use what it attached to.
+    /// Use of the attached service.
     Use,
-    /// That it be over.
-    Over,
+    /// The end of the service.
+    End,
 }
 
-/// A bid that can be chosen.
+/// An eligible bid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Good {
+struct EligibleBid {
     provider: Account,
     price: Price,
     salt: Salt,
 }
 
-/// One service, from its announcement to its end, on its creator's side.
+/// One service on its creator's side, from its announcement to its end.
 #[derive(Debug)]
 pub struct Creator {
     secret: Secret,
@@ -131,25 +119,25 @@ pub struct Creator {
     key: PublicKey,
     pub(super) request: Request,
     started: Timestamp,
-    /// When the announcement was heard first.
+    /// Time when the announcement was first received.
     announced: Option<Timestamp>,
-    /// The ledger is away, or was and has not told yet what happened meanwhile: bids may be there that were not heard.
+    /// Whether the ledger is away, or has not yet reported what happened meanwhile. There may be unknown bids.
     is_behind: bool,
-    pub(super) heard: Heard,
+    pub(super) log: ServiceLog,
     calls: Calls,
-    want: Want,
-    bids: Vec<Good>,
-    choice: Option<Good>,
+    goal: Goal,
+    bids: Vec<EligibleBid>,
+    choice: Option<EligibleBid>,
     steps: VecDeque<CreatorStep>,
 }
 
 impl Creator {
-    /// Asks for a service, as `account`'s announcement with a salt that [`Secret::announcement_salt`] made. To resume
-    /// after a restart, it is given the same salt, and then all that the chain said of the service.
+    /// Requests a service, as `account`'s announcement with a salt from [`Secret::announcement_salt`]. To resume
+    /// after a restart, pass the same salt, and then all events of the service.
     pub fn new(now: Timestamp, account: Account, secret: Secret, salt: Salt, request: Request) -> Self {
         Self {
             key: secret.public_key(salt),
-            heard: Heard::new(ServiceId::of(secret.deployment(), account, salt)),
+            log: ServiceLog::new(ServiceId::of(secret.deployment(), account, salt)),
             secret,
             salt,
             request,
@@ -157,78 +145,79 @@ impl Creator {
             announced: None,
             is_behind: false,
             calls: Calls::default(),
-            want: Want::Service,
+            goal: Goal::Service,
             bids: Vec::new(),
             choice: None,
             steps: VecDeque::new(),
         }
     }
 
-    /// The service.
+    /// Returns the ID of the service.
     pub fn id(&self) -> ServiceId {
-        self.heard.id
+        self.log.id
     }
 
-    /// A step that was reached, oldest first.
+    /// Returns the next step that was reached, oldest first.
     pub fn poll_step(&mut self) -> Option<CreatorStep> {
         self.steps.pop_front()
     }
 
-    /// Whether there is nothing more to do: it is over on the chain, or will never be there.
+    /// Whether nothing remains to be done: the service ended on the chain, or will never be there.
     pub fn is_over(&self) -> bool {
-        match self.heard.seen() {
-            Seen::Ended(_) => true,
-            Seen::Nothing => self.want == Want::Over && self.calls.in_flight.is_empty(),
+        match self.log.phase() {
+            Phase::Ended(_) => true,
+            Phase::Nothing => self.goal == Goal::End && self.calls.in_flight.is_empty(),
             _ => false,
         }
     }
 
-    /// When [`Creator::expire`] wants to be called.
+    /// Returns when to call [`Creator::expire`].
     pub fn next_deadline(&self) -> Option<Timestamp> {
-        if self.want != Want::Service {
+        if self.goal != Goal::Service {
             return None;
         }
         let patience = self.started + self.request.policy.patience;
         Some(self.choice_due().map_or(patience, |due| due.min(patience)))
     }
 
-    /// The deadline has come.
+    /// Handles a deadline.
     pub fn expire(&mut self, now: Timestamp) {
-        if self.want != Want::Service {
+        if self.goal != Goal::Service {
             return;
         }
         if self.choice_due().is_some_and(|due| now >= due) {
             self.choose();
         }
         if now >= self.started + self.request.policy.patience {
-            let failure = match self.heard.seen() {
-                Seen::Closed { .. } => Failure::NotDeployed,
-                Seen::Deployed { .. } => Failure::Unusable,
+            let failure = match self.log.phase() {
+                Phase::Closed { .. } => Failure::NotDeployed,
+                Phase::Deployed { .. } => Failure::Unusable,
                 _ => Failure::Ledger,
             };
             self.fail(failure);
         }
     }
 
-    /// The robot attached: the service is accepted.
+    /// Records that the robot attached. The service is accepted.
     pub fn attached(&mut self) {
-        if self.want == Want::Service {
-            self.want = Want::Use;
+        if self.goal == Goal::Service {
+            self.goal = Goal::Use;
         }
     }
 
-    /// The robot could not attach: the service is not accepted, nothing is paid, and the next bid is chosen if there is one.
+    /// Records that the robot could not attach. The service is not accepted, nothing is paid, and the next bid is
+    /// chosen if there is one.
     pub fn unusable(&mut self) {
         self.next_best(Failure::Unusable);
     }
 
-    /// The service is no longer needed: it is cancelled, or, once it was accepted, released and paid.
+    /// Ends the service when it is no longer needed: cancels it, or releases and pays it if it was accepted.
     pub fn release(&mut self) {
         self.fail(Failure::Cancelled);
-        self.want = Want::Over;
+        self.goal = Goal::End;
     }
 
-    /// The ledger said something.
+    /// Handles a notice from the ledger.
     pub fn handle(&mut self, now: Timestamp, notice: &Notice) {
         self.calls.take(notice);
         match notice {
@@ -236,7 +225,7 @@ impl Creator {
             Notice::Head { .. } => self.is_behind = false,
             _ => {}
         }
-        if let Some(event) = self.heard.take(notice) {
+        if let Some(event) = self.log.take(notice) {
             self.on_event(now, event);
         }
         if let Notice::Retracted(Event::BidPlaced { id, provider, .. }) = notice
@@ -244,36 +233,36 @@ impl Creator {
         {
             self.bids.retain(|bid| bid.provider != *provider);
         }
-        // What the contract no longer allows is not waited for.
-        let late = match self.heard.seen() {
-            Seen::Open { deadline } => (deadline < self.heard.time).then_some(Failure::Ledger),
-            // The next block is behind it.
-            Seen::Closed { deadline, .. } => (deadline <= self.heard.time).then_some(Failure::NotDeployed),
-            Seen::Deployed { deadline, .. } => (deadline < self.heard.time).then_some(Failure::Unusable),
-            Seen::InUse { deadline, .. } if deadline < self.heard.time => {
-                self.want = Want::Over;
+        // Do not wait for what the contract no longer allows.
+        let late = match self.log.phase() {
+            Phase::Open { deadline } => (deadline < self.log.time).then_some(Failure::Ledger),
+            // The next block is past the deadline.
+            Phase::Closed { deadline, .. } => (deadline <= self.log.time).then_some(Failure::NotDeployed),
+            Phase::Deployed { deadline, .. } => (deadline < self.log.time).then_some(Failure::Unusable),
+            Phase::InUse { deadline, .. } if deadline < self.log.time => {
+                self.goal = Goal::End;
                 None
             }
             _ => None,
         };
         if let Some(failure) = late {
-            match (self.want, self.heard.seen().winner()) {
-                (Want::Service, Some(winner)) => {
+            match (self.goal, self.log.phase().winner()) {
+                (Goal::Service, Some(winner)) => {
                     if self.choice.is_none_or(|choice| choice.provider == winner) {
                         self.next_best(failure);
                     }
                 }
                 _ => {
                     self.fail(failure);
-                    self.want = Want::Over;
+                    self.goal = Goal::End;
                 }
             }
         }
     }
 
-    /// Submits the call that leads from where the service stands to what is wanted.
+    /// Submits the call that leads from the service's state to the goal.
     pub fn submit(&mut self, now: Timestamp, ledger: &mut dyn Ledger) {
-        let Some(call) = self.wanted() else { return };
+        let Some(call) = self.next_call() else { return };
         let step = match &call {
             Call::Announce { .. } => Some(CreatorStep::Announcing),
             Call::Choose { provider, price, .. } => {
@@ -286,37 +275,37 @@ impl Creator {
         }
     }
 
-    fn wanted(&self) -> Option<Call> {
+    fn next_call(&self) -> Option<Call> {
         let id = self.id();
-        let choose = |Good { provider, price, salt }| {
+        let choose = |EligibleBid { provider, price, salt }| {
             let deposit = price.times(self.request.terms.use_for);
             Call::Choose { id, provider, price, salt, deposit }
         };
-        match (self.heard.seen(), self.want) {
-            // Also after the chain took back what it had said of a service that is used already.
-            (Seen::Nothing, Want::Service | Want::Use) => Some(Call::Announce {
+        match (self.log.phase(), self.goal) {
+            // Also after the chain retracted the events of a service in use.
+            (Phase::Nothing, Goal::Service | Goal::Use) => Some(Call::Announce {
                 salt: self.salt,
                 key: self.key,
                 requirements: self.request.requirements.clone(),
                 terms: self.request.terms,
             }),
-            (Seen::Open { .. }, Want::Service | Want::Use) => self.choice.map(choose),
-            // The winner has failed, and another is to be chosen in its place.
-            (Seen::Closed { provider, .. } | Seen::Deployed { provider, .. }, Want::Service)
+            (Phase::Open { .. }, Goal::Service | Goal::Use) => self.choice.map(choose),
+            // The winner has failed, and another must be chosen.
+            (Phase::Closed { provider, .. } | Phase::Deployed { provider, .. }, Goal::Service)
                 if self.choice.is_some_and(|choice| choice.provider != provider) =>
             {
                 self.choice.map(choose)
             }
-            (Seen::Deployed { .. }, Want::Use) => Some(Call::Accept { id }),
-            (Seen::Open { .. } | Seen::Closed { .. } | Seen::Deployed { .. }, Want::Over) => {
+            (Phase::Deployed { .. }, Goal::Use) => Some(Call::Accept { id }),
+            (Phase::Open { .. } | Phase::Closed { .. } | Phase::Deployed { .. }, Goal::End) => {
                 Some(Call::Cancel { id })
             }
-            (Seen::InUse { .. }, Want::Over) => Some(Call::Release { id }),
-            (Seen::Closed { .. }, Want::Service | Want::Use)
-            | (Seen::Deployed { .. }, Want::Service)
-            | (Seen::InUse { .. }, Want::Service | Want::Use)
-            | (Seen::Nothing, Want::Over)
-            | (Seen::Ended(_), _) => None,
+            (Phase::InUse { .. }, Goal::End) => Some(Call::Release { id }),
+            (Phase::Closed { .. }, Goal::Service | Goal::Use)
+            | (Phase::Deployed { .. }, Goal::Service)
+            | (Phase::InUse { .. }, Goal::Service | Goal::Use)
+            | (Phase::Nothing, Goal::End)
+            | (Phase::Ended(_), _) => None,
         }
     }
 
@@ -331,7 +320,7 @@ impl Creator {
             }
             Event::ProviderChosen { .. } => self.steps.push_back(CreatorStep::Chosen),
             Event::ServiceDeployed { provider, sealed, .. }
-                if self.want == Want::Service && self.is_current(*provider) =>
+                if self.goal == Goal::Service && self.is_current(*provider) =>
             {
                 match self.secret.open(self.salt, self.id(), *provider, sealed) {
                     Ok(attachment) => self.steps.push_back(CreatorStep::Deployed(attachment)),
@@ -340,8 +329,8 @@ impl Creator {
             }
             Event::ServiceAccepted { .. } => {
                 // Also after a restart, which does not know that the robot attached.
-                if self.want == Want::Service {
-                    self.want = Want::Use;
+                if self.goal == Goal::Service {
+                    self.goal = Goal::Use;
                 }
                 self.steps.push_back(CreatorStep::InUse);
             }
@@ -349,10 +338,10 @@ impl Creator {
                 self.next_best(Failure::NotDeployed);
             }
             Event::ServiceEnded { outcome, .. } => {
-                if self.want == Want::Service {
+                if self.goal == Goal::Service {
                     self.fail(Failure::NotDeployed);
                 }
-                self.want = Want::Over;
+                self.goal = Goal::End;
                 self.steps.push_back(CreatorStep::Ended(*outcome));
             }
             _ => {}
@@ -363,11 +352,11 @@ impl Creator {
         match self.judge(provider, commitment, sealed) {
             Ok((bid, endpoint)) => {
                 self.bids.push(bid);
-                let Good { provider, price, .. } = bid;
+                let EligibleBid { provider, price, .. } = bid;
                 self.steps.push_back(CreatorStep::BidReceived { provider, price, endpoint });
                 let record = &self.request.record;
                 let sound = self.bids.iter().filter(|bid| record.standing(bid.provider) != Standing::Failed);
-                if sound.count() >= self.request.policy.enough && self.want == Want::Service {
+                if sound.count() >= self.request.policy.enough && self.goal == Goal::Service {
                     self.choose();
                 }
             }
@@ -380,7 +369,7 @@ impl Creator {
         provider: Account,
         commitment: Commitment,
         sealed: &[u8],
-    ) -> Result<(Good, String), String> {
+    ) -> Result<(EligibleBid, String), String> {
         let bid: Bid =
             self.secret.open(self.salt, self.id(), provider, sealed).map_err(|reason| reason.to_string())?;
         let price = bid.price().ok_or("no price is so high")?;
@@ -390,27 +379,27 @@ impl Creator {
         if price > self.request.policy.highest {
             return Err(format!("{price} are more than {}", self.request.policy.highest));
         }
-        // The contract would refuse the choice.
+        // The contract would reject the choice.
         if commitment != Commitment::to(self.id(), provider, price, bid.salt()) {
             return Err("it commits to another price than it names".to_owned());
         }
-        Ok((Good { provider, price, salt: bid.salt() }, bid.endpoint))
+        Ok((EligibleBid { provider, price, salt: bid.salt() }, bid.endpoint))
     }
 
-    /// When the choice is to be made, if it is to be made.
+    /// Returns when the choice is due, if it is still to be made.
     fn choice_due(&self) -> Option<Timestamp> {
         let since = self.announced.filter(|_| self.choice.is_none() && !self.is_behind)?;
-        matches!(self.heard.seen(), Seen::Open { .. }).then(|| since + self.request.policy.collect)
+        matches!(self.log.phase(), Phase::Open { .. }).then(|| since + self.request.policy.collect)
     }
 
-    /// Whether a provider is the one that was chosen last, as far as that is known.
+    /// Whether a provider is the last chosen one, as far as known.
     fn is_current(&self, provider: Account) -> bool {
         self.choice.is_none_or(|choice| choice.provider == provider)
     }
 
-    /// The winner has failed: the next bid is chosen, and the negotiation has failed if there is none.
+    /// Chooses the next bid after the winner failed. Fails if there is none.
     fn next_best(&mut self, failure: Failure) {
-        if self.want != Want::Service {
+        if self.goal != Goal::Service {
             return;
         }
         match self.best() {
@@ -419,13 +408,13 @@ impl Creator {
         }
     }
 
-    /// The best bid that was not chosen yet; of equals, the one that came first.
-    fn best(&self) -> Option<Good> {
-        let is_new = |bid: &&Good| {
-            self.heard.choice_of(bid.provider) == 0
+    /// Returns the best bid that was not chosen yet; of equal ones, the first.
+    fn best(&self) -> Option<EligibleBid> {
+        let is_new = |bid: &&EligibleBid| {
+            self.log.choice_of(bid.provider) == 0
                 && self.choice.is_none_or(|choice| choice.provider != bid.provider)
         };
-        let by = |bid: &&Good| (self.request.record.standing(bid.provider), bid.price);
+        let by = |bid: &&EligibleBid| (self.request.record.standing(bid.provider), bid.price);
         self.bids.iter().filter(is_new).min_by_key(by).copied()
     }
 
@@ -436,14 +425,14 @@ impl Creator {
         self.choice = self.best();
         if self.choice.is_none() {
             let bids =
-                self.heard.events.iter().filter(|event| matches!(event, Event::BidPlaced { .. })).count();
+                self.log.events.iter().filter(|event| matches!(event, Event::BidPlaced { .. })).count();
             self.fail(if bids == 0 { Failure::NoBid } else { Failure::NoGoodBid });
         }
     }
 
     fn fail(&mut self, failure: Failure) {
-        if self.want == Want::Service {
-            self.want = Want::Over;
+        if self.goal == Goal::Service {
+            self.goal = Goal::End;
             self.steps.push_back(CreatorStep::Failed(failure));
         }
     }

@@ -1,10 +1,11 @@
-//! The negotiation of a service, as a state machine for each of its two roles, without a network and without a clock.
+//! The negotiation of a service: a state machine for each of its two roles, without network or clock.
 //!
-//! What the chain says is the truth: a machine folds the events of its service into where the service stands, compares
-//! that with what it wants, and submits the call that leads there, one at a time. So it does not matter how often a call
-//! is sent, or whether an event comes twice, late or is taken back; and an operator that was restarted is where it was
-//! once it has heard the events again. A machine that hears nothing gives up at a time of its own; what it has on the
-//! chain by then is ended as soon as the chain is heard.
+//! The chain is authoritative. A machine derives the service's phase from its events, compares it with its goal, and
+//! submits the call that leads there, one at a time. Repeated calls, and repeated, late or retracted events therefore
+//! do no harm. A restarted operator is up to date once it has received the events again.
+//!
+//! A machine that receives nothing gives up at a deadline of its own. It then ends the service on the chain as soon
+//! as the chain is reachable.
 
 mod creator;
 mod provider;
@@ -24,9 +25,9 @@ pub use creator::{Creator, CreatorStep, Failure, Policy, Request};
 pub use provider::{Offer, Provider, ProviderStep};
 pub use record::{Record, Standing};
 
-/// Where a service stands, by what was heard.
+/// Phase of a service according to the received events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Seen {
+enum Phase {
     Nothing,
     Open { deadline: ChainTime },
     Closed { provider: Account, deadline: ChainTime },
@@ -35,24 +36,24 @@ enum Seen {
     Ended(Outcome),
 }
 
-/// What was heard of one service.
+/// The received events of one service.
 #[derive(Debug, Clone)]
-struct Heard {
+struct ServiceLog {
     id: ServiceId,
     events: Vec<Event>,
-    /// Of the last head.
+    /// Time of the last head.
     time: ChainTime,
 }
 
-impl Heard {
+impl ServiceLog {
     fn new(id: ServiceId) -> Self {
         Self { id, events: Vec::new(), time: ChainTime::default() }
     }
 
-    /// Takes in a notice. Returns its event, if that is news of the service.
+    /// Records a notice. Returns its event if that is new for the service.
     fn take<'a>(&mut self, notice: &'a Notice) -> Option<&'a Event> {
         match notice {
-            // A service has each of its events once: one that is there already was only told again.
+            // A service has each event at most once. A known one is a repetition.
             Notice::Event(event) if event.service() == Some(self.id) && !self.events.contains(event) => {
                 self.events.push(event.clone());
                 return Some(event);
@@ -64,33 +65,33 @@ impl Heard {
         None
     }
 
-    /// Where the service stands. What comes later in its life counts, in whatever order it was heard.
-    fn seen(&self) -> Seen {
+    /// Returns the phase of the service. The latest event in a service's life decides, whatever the order of arrival.
+    fn phase(&self) -> Phase {
         let rank = |event: &Event| match *event {
-            Event::ServiceAnnounced { deadline, .. } => Some(((0, 1), Seen::Open { deadline })),
+            Event::ServiceAnnounced { deadline, .. } => Some(((0, 1), Phase::Open { deadline })),
             Event::ProviderChosen { provider, deadline, choice, .. } => {
-                Some(((choice, 2), Seen::Closed { provider, deadline }))
+                Some(((choice, 2), Phase::Closed { provider, deadline }))
             }
             Event::ServiceDeployed { provider, deadline, .. } => {
-                Some(((self.choice_of(provider), 3), Seen::Deployed { provider, deadline }))
+                Some(((self.choice_of(provider), 3), Phase::Deployed { provider, deadline }))
             }
             Event::ServiceAccepted { provider, deadline, .. } => {
-                Some(((self.choice_of(provider), 4), Seen::InUse { provider, deadline }))
+                Some(((self.choice_of(provider), 4), Phase::InUse { provider, deadline }))
             }
             Event::ServiceReopened { provider, deadline, .. } => {
-                Some(((self.choice_of(provider), 5), Seen::Open { deadline }))
+                Some(((self.choice_of(provider), 5), Phase::Open { deadline }))
             }
-            Event::ServiceEnded { outcome, .. } => Some(((u32::MAX, 6), Seen::Ended(outcome))),
+            Event::ServiceEnded { outcome, .. } => Some(((u32::MAX, 6), Phase::Ended(outcome))),
             Event::BidPlaced { .. }
             | Event::BondReclaimed { .. }
             | Event::OperatorRegistered { .. }
             | Event::Withdrawn { .. } => None,
         };
         let last = self.events.iter().filter_map(rank).max_by_key(|(rank, _)| *rank);
-        last.map_or(Seen::Nothing, |(_, seen)| seen)
+        last.map_or(Phase::Nothing, |(_, phase)| phase)
     }
 
-    /// Which of the choices a provider was, by what was heard: it is one at most. 0 if none.
+    /// Returns the number of the choice that chose a provider, 0 if none. Each provider is chosen at most once.
     fn choice_of(&self, of: Account) -> u32 {
         let choice = |event: &Event| match *event {
             Event::ProviderChosen { provider, choice, .. } if provider == of => Some(choice),
@@ -100,8 +101,8 @@ impl Heard {
     }
 }
 
-impl Seen {
-    /// The winner, while there is one.
+impl Phase {
+    /// Returns the winner, while there is one.
     fn winner(self) -> Option<Account> {
         match self {
             Self::Closed { provider, .. }
@@ -112,29 +113,30 @@ impl Seen {
     }
 }
 
-/// The calls that a machine has with the ledger.
+/// The calls of a machine that the ledger has.
 #[derive(Debug, Default)]
 struct Calls {
     in_flight: Vec<(Ticket, Call)>,
-    /// Not tried again before the next head: the same chain would say the same again. Other calls are, as no head may come before one.
-    refused: Vec<Call>,
+    /// Rejected calls, not retried before the next head, because the chain would reject them again. Other calls are
+    /// submitted, because there may be no head before them.
+    rejected: Vec<Call>,
 }
 
 impl Calls {
     fn take(&mut self, notice: &Notice) {
         match notice {
             Notice::Refused(ticket, _) => {
-                let refused = self.in_flight.extract_if(.., |(other, _)| other == ticket);
-                self.refused.extend(refused.map(|(_, call)| call));
+                let rejected = self.in_flight.extract_if(.., |(other, _)| other == ticket);
+                self.rejected.extend(rejected.map(|(_, call)| call));
             }
-            Notice::Head { .. } => self.refused.clear(),
+            Notice::Head { .. } => self.rejected.clear(),
             _ => {}
         }
     }
 
     /// Submits a call that is not with the ledger yet. Returns whether it did.
     fn submit(&mut self, now: Timestamp, ledger: &mut dyn Ledger, call: Call) -> bool {
-        if self.refused.contains(&call) || self.in_flight.iter().any(|(_, other)| *other == call) {
+        if self.rejected.contains(&call) || self.in_flight.iter().any(|(_, other)| *other == call) {
             return false;
         }
         let ticket = ledger.submit(now, call.clone());

@@ -1,10 +1,10 @@
-//! The provider's side: bid, deploy if chosen, confirm, take it down when it is over.
+//! The provider's role: bid, deploy if chosen, confirm, take down at the end.
 
 use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::Timestamp;
 
-use super::{Calls, Heard, Seen};
+use super::{Calls, Phase, ServiceLog};
 use crate::{
     ledger::{Ledger, Notice},
     message::{Call, Event, Outcome, Terms},
@@ -12,68 +12,67 @@ use crate::{
     values::{Account, ChainTime, Commitment, Price, PublicKey, ServiceId, Wei},
 };
 
-/// What a provider offers.
+/// A provider's offer.
 #[derive(Debug, Clone)]
 pub struct Offer {
-    /// What a second costs.
+    /// Price per second.
     pub price: Price,
-    /// Where its orchestrator is reached.
+    /// Address of its orchestrator.
     pub endpoint: String,
-    /// The longest time from the choice to the confirmation on the chain, in seconds. It bids for nothing that is due
-    /// earlier: whoever is late loses its bond.
+    /// The longest time from the choice to the confirmation on the chain, seconds. It does not bid for services due
+    /// earlier, because being late costs the bond.
     pub deploys_within: u32,
 }
 
-/// A step that was reached. One that the chain took back is told again when it is reached again.
+/// A step of the negotiation. A step that the chain retracted is reported again when reached again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ProviderStep {
     /// The bid was handed to the ledger.
     Bidding,
-    /// It is on the chain.
+    /// The bid is on the chain.
     BidPlaced,
-    /// It was chosen. Answer by [`Provider::deployed`] or [`Provider::give_back`].
+    /// The bid was chosen. Answer by [`Provider::deployed`] or [`Provider::give_back`].
     Won,
-    /// Another was chosen. It may yet win, should that one fail.
+    /// Another bid was chosen. This one may still win if that provider fails.
     Lost,
-    /// Another is chosen in its place: what was deployed is to be taken down.
+    /// Another provider is chosen instead: take the deployment down.
     Replaced,
     /// The confirmation was handed to the ledger.
     Confirming,
-    /// It is on the chain.
+    /// The confirmation is on the chain.
     Deployed,
-    /// The creator accepted it: use is charged.
+    /// The creator accepted: use is charged.
     InUse,
-    /// The service that it won is over: what was deployed is to be taken down.
+    /// The won service has ended: take the deployment down.
     Ended {
-        /// How.
         outcome: Outcome,
-        /// What the use is paid with. There is that to [`Call::Withdraw`], and the bond if it was not late.
+        /// Payment for the use. It can be withdrawn by [`Call::Withdraw`], together with the bond if the provider was
+        /// not late.
         charge: Wei,
     },
-    /// It was not chosen, and has its bond again: there is something to [`Call::Withdraw`].
+    /// The bid was not chosen, and its bond is available to [`Call::Withdraw`].
     Reclaimed,
-    /// The time for which it was wanted has passed, and the ledger did not say what became of it: what was deployed is to
-    /// be taken down.
+    /// The requested time has passed without news from the ledger: take the deployment down.
     Overdue,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Want {
-    /// To be chosen, and then to know what was deployed.
+enum Goal {
+    /// To be chosen, and then to know the deployment.
     Service,
-    /// To confirm this.
+    /// To confirm this deployment.
     Confirm(Attachment),
-    /// That it be over.
-    Over,
+    /// The end of the service.
+    End,
 }
 
-/// No bond is given away for longer, in seconds: a creator may never choose.
+/// Longest time for which a bond is committed, seconds. A creator may never choose.
 const LONGEST_BOUND: u32 = 3600;
 
-/// How much longer than the chain's deadlines a provider waits by its own clock for a ledger that is silent.
+/// Time beyond the chain's deadlines for which a provider waits, by its own clock, for a silent ledger.
 const GRACE: Duration = Duration::from_secs(60);
 
-/// One announced service, on a provider's side.
+/// One announced service on a provider's side.
 #[derive(Debug)]
 pub struct Provider {
     account: Account,
@@ -82,20 +81,20 @@ pub struct Provider {
     terms: Terms,
     choose_by: ChainTime,
     bid: Call,
-    heard: Heard,
+    log: ServiceLog,
     calls: Calls,
-    want: Want,
-    /// Whether it was told that it won.
+    goal: Goal,
+    /// Whether [`ProviderStep::Won`] was reported.
     has_won: bool,
-    /// When it is over by the provider's own clock, from the last step on.
+    /// Deadline by the provider's own clock, counted from the last step.
     overdue: Option<Timestamp>,
     steps: VecDeque<ProviderStep>,
 }
 
 impl Provider {
-    /// Bids for a service that was announced; `None` if the event is another, the announcement is the operator's own, or it
-    /// is not worth its bond: there is too little time to deploy, the bond is bound for long, or it is above what all of the
-    /// use would earn.
+    /// Bids for an announced service. Returns `None` if the event is no announcement, the announcement is the
+    /// operator's own, or it is not worth its bond. That is so if the time to deploy is too short, the bond is held
+    /// too long, or it exceeds the earnings of the whole use.
     ///
     /// # Errors
     /// [`SealError`] if the bid cannot be sealed to the announced key.
@@ -118,8 +117,8 @@ impl Provider {
         let salt = secret.bid_salt(*id);
         let sealed = secret.seal(*key, *id, account, &Bid::new(offer.price, salt, offer.endpoint))?;
         let commitment = Commitment::to(*id, account, offer.price, salt);
-        let mut heard = Heard::new(*id);
-        heard.events.push(announced.clone());
+        let mut log = ServiceLog::new(*id);
+        log.events.push(announced.clone());
         Ok(Some(Self {
             account,
             secret,
@@ -127,100 +126,100 @@ impl Provider {
             terms: *terms,
             choose_by: *deadline,
             bid: Call::Bid { id: *id, commitment, sealed, bond },
-            heard,
+            log,
             calls: Calls::default(),
-            want: Want::Service,
+            goal: Goal::Service,
             has_won: false,
             overdue: None,
             steps: VecDeque::new(),
         }))
     }
 
-    /// The service.
+    /// Returns the ID of the service.
     pub fn id(&self) -> ServiceId {
-        self.heard.id
+        self.log.id
     }
 
-    /// A step that was reached, oldest first.
+    /// Returns the next step that was reached, oldest first.
     pub fn poll_step(&mut self) -> Option<ProviderStep> {
         self.steps.pop_front()
     }
 
-    /// Whether there is nothing more to do: it is over, or another's, or nobody was chosen in time; and its bond is its own
-    /// again.
+    /// Whether nothing remains to be done: the service ended, another won it, or nobody was chosen in time; and the
+    /// bond is back.
     pub fn is_over(&self) -> bool {
-        let is_over = match self.heard.seen() {
-            Seen::Nothing | Seen::Ended(_) => true,
-            Seen::Open { deadline } => deadline < self.heard.time,
-            seen @ (Seen::Closed { .. } | Seen::Deployed { .. } | Seen::InUse { .. }) => {
-                seen.winner() != Some(self.account) && (self.is_decided() || !self.stands())
+        let is_over = match self.log.phase() {
+            Phase::Nothing | Phase::Ended(_) => true,
+            Phase::Open { deadline } => deadline < self.log.time,
+            phase @ (Phase::Closed { .. } | Phase::Deployed { .. } | Phase::InUse { .. }) => {
+                phase.winner() != Some(self.account) && (self.is_decided() || !self.stands())
             }
         };
         is_over && !self.has_bond()
     }
 
-    /// Whether it is the winner, as far as is known.
+    /// Whether this provider is the winner, as far as known.
     pub fn is_winner(&self) -> bool {
-        self.heard.seen().winner() == Some(self.account)
+        self.log.phase().winner() == Some(self.account)
     }
 
     /// Whether nobody else can be chosen any more.
     fn is_decided(&self) -> bool {
-        matches!(self.heard.seen(), Seen::InUse { .. } | Seen::Ended(_)) || self.choose_by < self.heard.time
+        matches!(self.log.phase(), Phase::InUse { .. } | Phase::Ended(_)) || self.choose_by < self.log.time
     }
 
-    /// Whether its bid is on the chain, and can be chosen.
+    /// Whether its bid is on the chain and can be chosen.
     fn stands(&self) -> bool {
         let is_spent = |event: &Event| matches!(event, Event::BondReclaimed { provider, .. } if *provider == self.account);
-        self.has_bid() && self.heard.choice_of(self.account) == 0 && !self.heard.events.iter().any(is_spent)
+        self.has_bid() && self.log.choice_of(self.account) == 0 && !self.log.events.iter().any(is_spent)
     }
 
-    /// Whether there is a bond to take back, sooner or later.
+    /// Whether there is a bond to reclaim now or later.
     fn has_bond(&self) -> bool {
         self.terms.bond > 0 && self.stands()
     }
 
-    /// When [`Provider::expire`] wants to be called.
+    /// Returns when to call [`Provider::expire`].
     pub fn next_deadline(&self) -> Option<Timestamp> {
         self.overdue
     }
 
-    /// The deadline has come.
+    /// Handles a deadline.
     pub fn expire(&mut self, now: Timestamp) {
         if self.overdue.is_some_and(|at| now >= at) {
             self.overdue = None;
-            self.want = Want::Over;
+            self.goal = Goal::End;
             self.steps.push_back(ProviderStep::Overdue);
         }
     }
 
-    /// It runs: that is confirmed, with what is needed to attach.
+    /// Confirms the deployment, with the data needed to attach.
     pub fn deployed(&mut self, attachment: Attachment) {
-        if self.want == Want::Service {
-            self.want = Want::Confirm(attachment);
+        if self.goal == Goal::Service {
+            self.goal = Goal::Confirm(attachment);
         }
     }
 
-    /// It could not be deployed, or is no longer offered: the service is given back, or released if it is in use.
+    /// Gives the service back because it cannot be deployed or is no longer offered. Releases it if it is in use.
     pub fn give_back(&mut self) {
-        self.want = Want::Over;
+        self.goal = Goal::End;
     }
 
-    /// The ledger said something.
+    /// Handles a notice from the ledger.
     pub fn handle(&mut self, now: Timestamp, notice: &Notice) {
         self.calls.take(notice);
-        if let Some(event) = self.heard.take(notice) {
+        if let Some(event) = self.log.take(notice) {
             self.on_event(now, event);
         }
     }
 
-    /// Submits the call that leads from where the service stands to what is wanted.
+    /// Submits the call that leads from the service's state to the goal.
     ///
     /// # Errors
-    /// [`SealError`] if what is needed to attach cannot be sealed; the service is given back then.
+    /// [`SealError`] if the attachment cannot be sealed; the service is then given back.
     pub fn submit(&mut self, now: Timestamp, ledger: &mut dyn Ledger) -> Result<(), SealError> {
-        let wanted = self.wanted().inspect_err(|_| self.want = Want::Over)?;
-        let Some(call) = wanted else { return Ok(()) };
+        let call = self.next_call().inspect_err(|_| self.goal = Goal::End)?;
+        let Some(call) = call else { return Ok(()) };
         let step = match &call {
             Call::Bid { .. } => Some(ProviderStep::Bidding),
             Call::Deploy { .. } => Some(ProviderStep::Confirming),
@@ -232,7 +231,7 @@ impl Provider {
         Ok(())
     }
 
-    fn wanted(&self) -> Result<Option<Call>, SealError> {
+    fn next_call(&self) -> Result<Option<Call>, SealError> {
         if self.is_over() {
             return Ok(None);
         }
@@ -240,28 +239,28 @@ impl Provider {
         if self.has_bond() && self.is_decided() {
             return Ok(Some(Call::Reclaim { id }));
         }
-        if self.heard.seen().winner().is_some() && !self.is_winner() {
+        if self.log.phase().winner().is_some() && !self.is_winner() {
             return Ok(None);
         }
-        Ok(match (self.heard.seen(), &self.want) {
-            (Seen::Open { .. }, Want::Service)
-                if !self.has_bid() && self.heard.choice_of(self.account) == 0 =>
+        Ok(match (self.log.phase(), &self.goal) {
+            (Phase::Open { .. }, Goal::Service)
+                if !self.has_bid() && self.log.choice_of(self.account) == 0 =>
             {
                 Some(self.bid.clone())
             }
-            // Late by the chain's clock: whoever says so ends it, and the books are settled.
+            // Late by the chain's clock. Expiring it settles the accounts.
             (
-                Seen::Closed { deadline, .. }
-                | Seen::Deployed { deadline, .. }
-                | Seen::InUse { deadline, .. },
+                Phase::Closed { deadline, .. }
+                | Phase::Deployed { deadline, .. }
+                | Phase::InUse { deadline, .. },
                 _,
-            ) if deadline < self.heard.time => Some(Call::Expire { id }),
-            (Seen::Closed { .. }, Want::Confirm(attachment)) => {
+            ) if deadline < self.log.time => Some(Call::Expire { id }),
+            (Phase::Closed { .. }, Goal::Confirm(attachment)) => {
                 let sealed = self.secret.seal(self.key, id, self.account, attachment)?;
                 Some(Call::Deploy { id, sealed })
             }
-            (Seen::Closed { .. } | Seen::Deployed { .. }, Want::Over) => Some(Call::Decline { id }),
-            (Seen::InUse { .. }, Want::Over) => Some(Call::Release { id }),
+            (Phase::Closed { .. } | Phase::Deployed { .. }, Goal::End) => Some(Call::Decline { id }),
+            (Phase::InUse { .. }, Goal::End) => Some(Call::Release { id }),
             _ => None,
         })
     }
@@ -269,7 +268,7 @@ impl Provider {
     fn has_bid(&self) -> bool {
         let is_own =
             |event: &Event| matches!(event, Event::BidPlaced { provider, .. } if *provider == self.account);
-        self.heard.events.iter().any(is_own)
+        self.log.events.iter().any(is_own)
     }
 
     fn on_event(&mut self, now: Timestamp, event: &Event) {
@@ -284,11 +283,11 @@ impl Provider {
                 self.steps.push_back(ProviderStep::Won);
             }
             Event::ProviderChosen { .. } | Event::ServiceReopened { .. } if self.is_winner() => {}
-            // Also when the news of its own choice comes behind the news of the next.
+            // Also if the news of its own choice arrives after that of the next.
             Event::ProviderChosen { .. } | Event::ServiceReopened { .. } if self.has_won => {
                 self.has_won = false;
                 self.overdue = None;
-                self.want = Want::Over;
+                self.goal = Goal::End;
                 self.steps.push_back(ProviderStep::Replaced);
             }
             Event::ProviderChosen { .. } => self.steps.push_back(ProviderStep::Lost),

@@ -1,73 +1,73 @@
-//! An operator's memory of how others served it, by what the chain says of its own services. So it has the same memory
-//! again after a restart, and nobody else can write in it.
+//! An operator's record of how others served it, derived from the chain's events of its own services. It therefore
+//! survives restarts, and nobody else can write to it.
 
 use std::collections::VecDeque;
 
-use super::Heard;
+use super::ServiceLog;
 use crate::{
     ledger::Notice,
     message::{Event, Outcome},
     values::Account,
 };
 
-/// How many services are remembered, the last ones. Others cannot fill the memory: only the operator itself announces in
-/// its name.
+/// Number of services remembered, the last ones. Others cannot fill the record, because only the operator announces
+/// in its name.
 const SERVICES: usize = 1000;
 
-/// How a provider served an operator before.
+/// A provider's standing with an operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Standing {
-    /// It did, and never failed. Its bids come first: nobody gets there but by serving.
+    /// It served and never failed. Its bids come first; only serving leads here.
     Proven,
-    /// It was never chosen, or is not to blame for what became of it.
+    /// It was never chosen, or is not to blame for the outcome.
     Unknown,
-    /// It won, and did not deploy what it won, or nobody could use it. Its bids come last.
+    /// It won and did not deploy, or its deployment could not be used. Its bids come last.
     Failed,
 }
 
-/// What an operator remembers of others.
+/// An operator's record of others.
 #[derive(Debug, Clone)]
 pub struct Record {
     account: Account,
-    /// Its own, oldest first.
-    services: VecDeque<Heard>,
+    /// Its own services, oldest first.
+    services: VecDeque<ServiceLog>,
 }
 
 impl Record {
-    /// The memory of an operator that has not heard anything.
+    /// Makes an empty record.
     pub fn new(account: Account) -> Self {
         Self { account, services: VecDeque::new() }
     }
 
-    /// The ledger said something.
+    /// Handles a notice from the ledger.
     pub fn handle(&mut self, notice: &Notice) {
         let (Notice::Event(event) | Notice::Retracted(event)) = notice else { return };
         let Some(id) = event.service() else { return };
-        let known = self.services.iter_mut().rev().find(|heard| heard.id == id);
+        let known = self.services.iter_mut().rev().find(|log| log.id == id);
         match (event, known) {
             (Event::ServiceAnnounced { creator, .. }, None) if *creator == self.account => {
                 if self.services.len() == SERVICES {
                     self.services.pop_front();
                 }
-                self.services.push_back(Heard::new(id));
+                self.services.push_back(ServiceLog::new(id));
             }
-            // They say nothing of how anybody served, and are long.
+            // These tell nothing about how anybody served, and are long.
             (Event::ServiceAnnounced { .. } | Event::BidPlaced { .. } | Event::BondReclaimed { .. }, _) => {}
-            (_, Some(heard)) => _ = heard.take(notice),
+            (_, Some(log)) => _ = log.take(notice),
             (_, None) => {}
         }
     }
 
-    /// How a provider served before.
+    /// Returns a provider's standing over all services.
     pub fn standing(&self, provider: Account) -> Standing {
-        let standings: Vec<_> = self.services.iter().map(|heard| heard.standing(provider)).collect();
+        let standings: Vec<_> = self.services.iter().map(|log| log.standing(provider)).collect();
         let worst_first = [Standing::Failed, Standing::Proven];
         worst_first.into_iter().find(|standing| standings.contains(standing)).unwrap_or(Standing::Unknown)
     }
 }
 
-impl Heard {
-    /// How a provider served in this one.
+impl ServiceLog {
+    /// Returns a provider's standing in this service.
     fn standing(&self, of: Account) -> Standing {
         let choice = self.choice_of(of);
         if choice == 0 {
@@ -84,7 +84,7 @@ impl Heard {
             Event::ProviderChosen { choice: other, .. } => other > choice,
             Event::ServiceEnded { provider, outcome, .. } if provider == of => match outcome {
                 Outcome::NotDeployed | Outcome::Declined => true,
-                // What was deployed could not be used.
+                // The deployment could not be used.
                 Outcome::Cancelled => has_deployed,
                 _ => false,
             },

@@ -1,5 +1,5 @@
-//! Negotiations over the modelled ledger, in virtual time: as they should go, when something goes wrong, and with
-//! everything going wrong at random.
+//! Tests negotiations over the modelled ledger in virtual time: without faults, with single faults, and with random
+//! ones.
 
 use std::{collections::VecDeque, ops::Range, time::Duration};
 
@@ -60,21 +60,21 @@ fn attachment() -> Attachment {
     }
 }
 
-/// How a provider behaves.
+/// Behaviour of a provider.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Manner {
     Honest,
     NeverBids,
     NeverDeploys,
     FailsToDeploy,
-    /// Says that it deployed, but nobody can attach.
+    /// Confirms the deployment, but nobody can attach.
     Lies,
 }
 
-/// How messages between the operators and the ledger go astray: for each notice how often it is told, and how much later.
+/// Faults of messages between operators and the ledger: for each notice how often it is repeated, and how much later.
 #[derive(Debug, Clone, Default)]
 struct Faults {
-    /// Taken in turn, again and again; without any, all goes well.
+    /// Applied in turn, cyclically; empty for none.
     by_notice: Vec<Fault>,
     next: usize,
 }
@@ -84,13 +84,13 @@ enum Fault {
     None,
     Twice,
     Late(u32),
-    /// Told, taken back, and told again.
+    /// Reported, retracted, and reported again.
     TakenBack,
-    /// The ledger's node rejects a call instead of telling that it is in a block, although it is.
+    /// The ledger's node rejects a call although it is in a block.
     Rejected,
 }
 
-/// A ledger that tells its notices with faults.
+/// A ledger that reports its notices with faults.
 struct Faulty {
     ledger: ModelledLedger,
     faults: Faults,
@@ -98,13 +98,13 @@ struct Faulty {
 }
 
 impl Faulty {
-    /// It cannot reach the chain for some time.
+    /// Makes the chain unreachable for some time.
     fn cut_off(&mut self, chain: &ModelledChain, outage: Range<Timestamp>) {
         let another = chain.ledger(self.ledger.account());
-        self.ledger = std::mem::replace(&mut self.ledger, another).away(outage);
+        self.ledger = std::mem::replace(&mut self.ledger, another).with_outage(outage);
     }
 
-    /// A new process hears all that was said.
+    /// Starts a new process, which receives all events.
     fn restart(&mut self, chain: &ModelledChain) {
         self.ledger = chain.ledger(self.ledger.account());
         self.waiting.clear();
@@ -174,7 +174,7 @@ struct World {
     creator: Creator,
     providers: Vec<Domain>,
     steps: Vec<(Timestamp, CreatorStep)>,
-    /// How long the robot takes to attach; and how long it uses the service.
+    /// Durations until the robot attaches, and of its use of the service.
     attach: Duration,
     using: Duration,
     attach_at: Option<Timestamp>,
@@ -218,7 +218,7 @@ impl World {
         world
     }
 
-    /// Goes from deadline to deadline until then.
+    /// Advances from deadline to deadline until a time.
     fn run(&mut self, until: Timestamp) {
         while self.now <= until {
             if self.now >= seconds(6.0) {
@@ -267,12 +267,12 @@ impl World {
         self.creator.submit(now, &mut self.ledger);
     }
 
-    /// The creator cannot reach the ledger for some time.
+    /// Makes the ledger unreachable for the creator for some time.
     fn cut_off_creator(&mut self, outage: Range<Timestamp>) {
         self.ledger.cut_off(&self.chain, outage);
     }
 
-    /// A service comes to be used, and is paid.
+    /// Asserts that the service is used and paid.
     fn assert_used_and_paid(&self, what: &str) {
         self.assert_over();
         assert_eq!(self.failure(), None, "{what}: {:?}", self.steps);
@@ -283,8 +283,8 @@ impl World {
         assert_eq!(Wei(contract.balance(account(0)).0 + paid), contract.holds(), "{what}");
     }
 
-    /// What happened on the chain.
-    fn said(&self) -> Vec<Event> {
+    /// Returns the events of the chain.
+    fn events(&self) -> Vec<Event> {
         let mut ledger = self.chain.ledger(account(99));
         let notices = std::iter::from_fn(|| ledger.poll(self.now));
         notices
@@ -292,9 +292,9 @@ impl World {
             .collect()
     }
 
-    /// Deposits and bonds.
+    /// Returns deposits and bonds.
     fn paid_in(&self) -> Wei {
-        let wei = self.said().into_iter().map(|event| match event {
+        let wei = self.events().into_iter().map(|event| match event {
             Event::BidPlaced { .. } => TERMS.bond().0,
             Event::ProviderChosen { price, .. } => price.times(TERMS.use_for).0,
             _ => 0,
@@ -302,9 +302,9 @@ impl World {
         Wei(wei.sum())
     }
 
-    /// The bonds that a provider put in, and whether it is due them: it deployed in time, or was not chosen.
+    /// Returns the bonds that a provider paid, and whether it is due them: it deployed in time, or was not chosen.
     fn bonds_of(&self, provider: Account) -> (u128, bool) {
-        let said = self.said();
+        let said = self.events();
         let is_its = |event: &Event| match event {
             Event::BidPlaced { provider: of, .. } | Event::ProviderChosen { provider: of, .. } => {
                 *of == provider
@@ -336,12 +336,12 @@ impl World {
         })
     }
 
-    /// When the creator came to a step first.
+    /// Returns when the creator first reached a step.
     fn at(&self, wanted: impl Fn(&CreatorStep) -> bool) -> f64 {
         self.steps.iter().find(|(_, step)| wanted(step)).expect("it came to that").0.as_secs_f64()
     }
 
-    /// What must hold behind every negotiation: nothing is left on the chain, and both sides know.
+    /// Asserts the invariants after every negotiation: nothing is left on the chain, and both sides know.
     fn assert_over(&self) {
         let state = self.chain.contract().state(self.creator.id());
         assert!(matches!(state, State::None | State::Ended), "{state:?} {:?}", self.steps);
@@ -398,7 +398,7 @@ impl Domain {
 }
 
 #[test]
-fn a_negotiation_takes_the_blocks_that_it_must_and_nothing_else() {
+fn negotiations_take_only_the_necessary_blocks() {
     let mut world =
         World::new(&[(Manner::Honest, 9), (Manner::Honest, 7), (Manner::NeverBids, 1)], Faults::default());
     world.run(seconds(200.0));
@@ -422,7 +422,7 @@ fn a_negotiation_takes_the_blocks_that_it_must_and_nothing_else() {
 }
 
 #[test]
-fn the_worse_of_two_bids_loses_and_hears_of_it() {
+fn the_worse_of_two_bids_loses_and_is_told() {
     let mut world = World::new(&[(Manner::Honest, 7), (Manner::Honest, 9)], Faults::default());
     world.run(seconds(100.0));
     let lost = |domain: &Domain| domain.steps.iter().any(|(_, step)| *step == ProviderStep::Lost);
@@ -430,7 +430,7 @@ fn the_worse_of_two_bids_loses_and_hears_of_it() {
 }
 
 #[test]
-fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
+fn failures_are_reported_and_leave_nothing_behind() {
     use Manner::*;
     type Case = (&'static [(Manner, u128)], Failure, Outcome);
     let cases: [Case; 6] = [
@@ -447,10 +447,10 @@ fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
         world.assert_over();
         assert_eq!(world.failure(), Some(failure), "{providers:?}");
         let ended = world.outcome();
-        // Whoever says first that the time has passed ends it.
+        // Whoever first reports that the time has passed ends it.
         let late = outcome == Outcome::NotDeployed && ended == Some(Outcome::Cancelled);
         assert!(ended == Some(outcome) || late, "{providers:?}: {ended:?}");
-        // Who did not deploy has lost its bond, and nobody else.
+        // Only a provider that did not deploy loses its bond.
         let bond = if providers == [(NeverDeploys, 5)] { Wei(0) } else { TERMS.bond() };
         for (number, (manner, price)) in (1..).zip(providers) {
             let balance = world.chain.contract().balance(account(number));
@@ -462,7 +462,7 @@ fn when_it_goes_wrong_the_creator_hears_why_and_nothing_is_left_behind() {
 }
 
 #[test]
-fn where_a_winner_fails_the_next_bid_is_taken_without_another_auction() {
+fn next_bid_is_chosen_when_a_winner_fails() {
     use Manner::*;
     for failing in [NeverDeploys, FailsToDeploy, Lies] {
         let mut world = World::new(&[(failing, 5), (Honest, 6)], Faults::default());
@@ -478,7 +478,7 @@ fn where_a_winner_fails_the_next_bid_is_taken_without_another_auction() {
 }
 
 #[test]
-fn who_failed_is_not_taken_again_and_who_served_comes_first_also_after_a_restart() {
+fn providers_that_served_come_first_even_after_a_restart() {
     use Manner::*;
     for failing in [NeverDeploys, FailsToDeploy, Lies] {
         let mut world = World::new(&[(failing, 5), (Honest, 9), (Honest, 7)], Faults::default());
@@ -493,7 +493,7 @@ fn who_failed_is_not_taken_again_and_who_served_comes_first_also_after_a_restart
         let standings = [1, 2, 3, 4].map(|number| record.standing(account(number)));
         use Standing::*;
         assert_eq!(standings, [Failed, Unknown, Proven, Unknown], "{failing:?}");
-        // What the chain takes back is not remembered.
+        // Retracted events are not remembered.
         for notice in &heard {
             if let Notice::Event(event) = notice {
                 record.handle(&Notice::Retracted(event.clone()));
@@ -524,7 +524,7 @@ fn who_failed_is_not_taken_again_and_who_served_comes_first_also_after_a_restart
 }
 
 #[test]
-fn a_failure_is_remembered_for_a_thousand_services_of_the_creators_own() {
+fn failures_are_remembered_for_a_thousand_own_services() {
     let mut record = Record::new(account(0));
     let announce = |record: &mut Record, creator, number: u16| {
         let mut id = ServiceId::default();
@@ -542,7 +542,7 @@ fn a_failure_is_remembered_for_a_thousand_services_of_the_creators_own() {
     for event in [chosen, Event::ServiceReopened { id, provider, deadline }] {
         record.handle(&Notice::Event(event));
     }
-    // Others cannot fill the memory.
+    // Others cannot fill the record.
     (0..2000).for_each(|number| _ = announce(&mut record, 9, number));
     (1..1000).for_each(|number| _ = announce(&mut record, 0, number));
     assert_eq!(record.standing(provider), Standing::Failed);
@@ -551,7 +551,7 @@ fn a_failure_is_remembered_for_a_thousand_services_of_the_creators_own() {
 }
 
 #[test]
-fn who_failed_is_taken_where_nobody_else_bids() {
+fn failed_providers_are_chosen_if_nobody_else_bids() {
     use Manner::*;
     let mut first = World::new(&[(FailsToDeploy, 5)], Faults::default());
     first.run(seconds(400.0));
@@ -569,7 +569,7 @@ fn who_failed_is_taken_where_nobody_else_bids() {
 }
 
 #[test]
-fn a_provider_risks_no_bond_on_what_it_cannot_keep_or_what_does_not_pay() {
+fn providers_risk_no_bond_on_late_or_unprofitable_services() {
     let announced = |terms| Event::ServiceAnnounced {
         id: ServiceId([1; 32]),
         creator: account(0),
@@ -590,7 +590,7 @@ fn a_provider_risks_no_bond_on_what_it_cannot_keep_or_what_does_not_pay() {
 }
 
 #[test]
-fn a_ledger_that_says_nothing_is_given_up_and_what_it_has_is_ended_when_it_is_back() {
+fn silent_ledgers_are_given_up_and_services_ended_later() {
     let away = Faults { by_notice: vec![Fault::Late(150)], next: 0 };
     let mut world = World::new(&[], away);
     world.run(seconds(100.0));
@@ -601,13 +601,13 @@ fn a_ledger_that_says_nothing_is_given_up_and_what_it_has_is_ended_when_it_is_ba
 }
 
 #[test]
-fn a_creator_that_is_restarted_at_any_time_goes_on_where_it_was() {
+fn creators_resume_after_a_restart_at_any_time() {
     for restart in (0..60).step_by(2) {
         let mut world = World::new(&[(Manner::Honest, 5), (Manner::Honest, 6)], Faults::default());
         world.run(seconds(f64::from(restart)));
         let mut again = Creator::new(world.now, account(0), secret(0), Salt([1; 32]), request());
-        // What the chain has said of the service; calls that were with the ledger are lost, or come twice.
-        for event in world.creator.heard.events.clone() {
+        // All events of the service so far. Calls that were with the ledger are lost, or repeated.
+        for event in world.creator.log.events.clone() {
             again.handle(world.now, &Notice::Event(event));
         }
         world.creator = again;
@@ -619,7 +619,7 @@ fn a_creator_that_is_restarted_at_any_time_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_creator_whose_node_is_away_for_a_while_goes_on_when_it_is_back() {
+fn creators_continue_after_an_outage() {
     for from in (7..60).step_by(3) {
         let mut world = World::new(&[(Manner::Honest, 5), (Manner::Honest, 6)], Faults::default());
         world.cut_off_creator(seconds(f64::from(from))..seconds(f64::from(from + 12)));
@@ -629,14 +629,14 @@ fn a_creator_whose_node_is_away_for_a_while_goes_on_when_it_is_back() {
 }
 
 #[test]
-fn a_winner_that_is_cut_off_deploys_for_nothing_and_takes_it_down_when_it_is_back() {
+fn isolated_winners_take_their_deployment_down_later() {
     let mut world = World::new(&[(Manner::NeverDeploys, 5)], Faults::default());
     world.creator.request.policy.enough = 1;
     world.run(seconds(22.0));
     let winner = &mut world.providers[0];
     assert!(winner.steps.iter().any(|(_, step)| *step == ProviderStep::Won));
     winner.ledger.cut_off(&world.chain, world.now..seconds(80.0));
-    // It deploys, and cannot tell.
+    // It deploys, but cannot confirm.
     winner.bids[0].deployed(attachment());
     world.run(seconds(600.0));
     world.assert_over();
@@ -648,7 +648,7 @@ fn a_winner_that_is_cut_off_deploys_for_nothing_and_takes_it_down_when_it_is_bac
 }
 
 #[test]
-fn both_are_started_again_at_any_time_and_go_on_where_they_were() {
+fn both_roles_resume_after_a_restart_at_any_time() {
     for restart in (7..60).step_by(2) {
         let mut world = World::new(&[(Manner::Honest, 5)], Faults::default());
         world.run(seconds(f64::from(restart)));
@@ -664,7 +664,7 @@ fn both_are_started_again_at_any_time_and_go_on_where_they_were() {
 }
 
 #[test]
-fn an_announcement_that_is_replayed_changes_nothing() {
+fn replayed_announcements_change_nothing() {
     let mut world = World::new(&[(Manner::Honest, 5)], Faults::default());
     // Word for word, by the creator and by somebody else.
     let [mut again, mut mallory] = [0, 9].map(|number| world.chain.ledger(account(number)));
@@ -684,7 +684,7 @@ fn an_announcement_that_is_replayed_changes_nothing() {
     assert!(heard(&mut mallory).contains(&Notice::Included(copied)), "it is another service");
 }
 
-/// A ledger of which only what is submitted matters.
+/// A ledger that only records submitted calls.
 #[derive(Default)]
 struct Written(Vec<Call>);
 
@@ -708,7 +708,7 @@ impl Ledger for Written {
 }
 
 #[test]
-fn while_the_ledger_is_away_nothing_is_chosen_for_bids_may_be_there() {
+fn nothing_is_chosen_while_the_ledger_is_away() {
     let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
     let id = creator.id();
     let announced = Event::ServiceAnnounced {
@@ -735,15 +735,15 @@ fn while_the_ledger_is_away_nothing_is_chosen_for_bids_may_be_there() {
 }
 
 #[test]
-fn a_refusal_holds_back_the_call_that_was_refused_until_the_next_head_and_no_other() {
+fn rejected_calls_wait_for_the_next_head_and_delay_no_other() {
     let mut ledger = Written::default();
     let mut creator = Creator::new(Timestamp::ZERO, account(0), secret(0), Salt([1; 32]), request());
-    // It was restarted and has not heard that all of this is on the chain.
+    // After a restart, it has not yet received the events on the chain.
     creator.submit(Timestamp::ZERO, &mut ledger);
     assert!(matches!(ledger.0[..], [Call::Announce { .. }]));
     creator.handle(Timestamp::ZERO, &Notice::Refused(Ticket(1), ContractError::AlreadyAnnounced.into()));
     creator.submit(Timestamp::ZERO, &mut ledger);
-    assert_eq!(ledger.0.len(), 1, "the chain would say the same");
+    assert_eq!(ledger.0.len(), 1, "the chain would reject it again");
     let id = creator.id();
     let (provider, sealed) = (account(1), Vec::new());
     let deployed = Event::ServiceDeployed { id, provider, sealed, deadline: ChainTime(60) };
@@ -835,7 +835,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 
     #[test]
-    fn whatever_goes_wrong_all_of_it_ends(
+    fn negotiations_end_under_any_faults(
         providers in prop::collection::vec((manner(), 1..110u128), 0..4),
         faults in prop::collection::vec(fault(), 1..40),
         attach in 0..60_000u64,
@@ -845,12 +845,12 @@ proptest! {
         (world.attach, world.using) = (Duration::from_millis(attach), Duration::from_secs(using));
         world.run(seconds(1500.0));
         world.assert_over();
-        // Nobody is charged for what it did not use, and no money is lost: also no bond is left behind.
+        // Nobody is charged for unused service, and no money or bond is lost.
         let contract = world.chain.contract();
         let balances: u128 = (0..5).map(|number| contract.balance(account(number)).0).sum();
         prop_assert_eq!(Wei(balances), contract.holds());
         prop_assert_eq!(Wei(balances), world.paid_in());
-        // Nobody loses its bond but who won and did not deploy in time.
+        // Only a winner that did not deploy in time loses its bond.
         for (number, domain) in (1..).zip(&world.providers) {
             let (bids, kept) = world.bonds_of(account(number));
             if kept {
@@ -860,7 +860,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_is_heard_the_creator_has_an_answer_in_time(
+    fn creators_answer_in_time_to_any_notices(
         notices in prop::collection::vec((any_notice(), 0..2_000u64), 0..60),
     ) {
         let chain = ModelledChain::new(PERIOD);
@@ -874,14 +874,14 @@ proptest! {
         }
         creator.expire(now.max(Timestamp::ZERO + POLICY.patience));
         prop_assert_eq!(creator.next_deadline(), None, "it no longer waits");
-        let used = matches!(creator.heard.seen(), Seen::InUse { .. });
+        let used = matches!(creator.log.phase(), Phase::InUse { .. });
         let answered = std::iter::from_fn(|| creator.poll_step())
             .any(|step| matches!(step, CreatorStep::Failed(_) | CreatorStep::InUse));
         prop_assert!(answered || used);
     }
 
     #[test]
-    fn whatever_is_heard_a_provider_goes_on(notices in prop::collection::vec((any_notice(), 0..2_000u64), 0..60)) {
+    fn providers_survive_any_notices(notices in prop::collection::vec((any_notice(), 0..2_000u64), 0..60)) {
         let chain = ModelledChain::new(PERIOD);
         let mut ledger = chain.ledger(account(1));
         let announced = Event::ServiceAnnounced {
@@ -904,7 +904,7 @@ proptest! {
                 provider.deployed(attachment());
             }
         }
-        // Long after every deadline, it has told that what was deployed is to be taken down, or it is over.
+        // Long after every deadline, it has asked to take the deployment down, or is over.
         let end = now + Duration::from_secs(10_000);
         provider.expire(end);
         prop_assert_eq!(provider.next_deadline(), None);

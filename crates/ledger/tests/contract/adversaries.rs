@@ -1,4 +1,4 @@
-//! Those who mean no good, some of them contracts themselves.
+//! Tests attackers, some of them contracts themselves.
 
 use alloy::{primitives::Bytes, sol_types::SolCall};
 use cotorra_ledger::{Account, Call, Commitment, ContractError, Event, Salt, Wei, ethereum};
@@ -16,7 +16,7 @@ use generated::{Reentrant, Wallet};
 const SALT: Salt = Salt([6; 32]);
 const MALLORY: Account = Account([66; 20]);
 
-/// `call` by way of a contract of Mallory's.
+/// Makes `call` through a contract of Mallory's.
 fn execute(both: &mut Both, wallet: Account, call: &Call) -> Result<Vec<Event>, ContractError> {
     both.wait(1);
     let input = Wallet::executeCall {
@@ -29,8 +29,8 @@ fn execute(both: &mut Both, wallet: Account, call: &Call) -> Result<Vec<Event>, 
         .map(|receipt| receipt.events)
 }
 
-/// A service that Mallory's contract announced, and that was used; the contract now has a balance. Beside it a deposit
-/// of the creator, which is not Mallory's.
+/// Makes a service that Mallory's contract announced and used, so that the contract has a balance. The creator also
+/// has a deposit, which is not Mallory's.
 fn with_balance(both: &mut Both, wallet: Account) {
     let create = |both: &mut Both, call: Call| execute(both, wallet, &call).unwrap();
     create(both, Call::Register { name: "mallory".to_owned() });
@@ -48,7 +48,7 @@ fn view(both: &Both, call: &impl SolCall, of: Account) -> Vec<u8> {
 }
 
 #[test]
-fn a_payee_that_asks_again_while_it_is_paid_gets_nothing_more() {
+fn reentrant_payees_get_nothing_more() {
     let Some(mut both) = Both::with_operators() else { return };
     let victim = both.closed(Salt([7; 32]));
     let wallet = both.chain.create(MALLORY, &attacker("Reentrant"));
@@ -61,7 +61,7 @@ fn a_payee_that_asks_again_while_it_is_paid_gets_nothing_more() {
     let paid = execute(&mut both, wallet, &Call::Withdraw { to: wallet }).unwrap();
     assert_eq!(paid, [Event::Withdrawn { operator: wallet, to: wallet, amount }]);
     assert_eq!(both.chain.wealth(wallet), amount.0, "paid once");
-    assert_eq!(view(&both, &Reentrant::gainsCall {}, wallet), [0; 32], "the call from within was refused");
+    assert_eq!(view(&both, &Reentrant::gainsCall {}, wallet), [0; 32], "the reentrant call was rejected");
     let left = amount.0 + 2 * TERMS.bond().0;
     assert_eq!(
         both.chain.wealth(both.chain.contract()),
@@ -72,10 +72,10 @@ fn a_payee_that_asks_again_while_it_is_paid_gets_nothing_more() {
 }
 
 #[test]
-fn a_payee_that_takes_no_money_holds_up_nobody() {
+fn payees_that_reject_money_block_nobody() {
     let Some(mut both) = Both::with_operators() else { return };
     let wallet = both.chain.create(MALLORY, &attacker("Unpayable"));
-    // Its service ends although it cannot be paid back; only its own withdrawal fails, each time.
+    // Its service ends although it cannot be paid back. Only its own withdrawal fails, each time.
     with_balance(&mut both, wallet);
     for _ in 0..2 {
         assert_eq!(
@@ -85,7 +85,7 @@ fn a_payee_that_takes_no_money_holds_up_nobody() {
     }
     let bond = TERMS.bond().0;
     assert_eq!(both.chain.wealth(both.chain.contract()), PRICE.times(TERMS.use_for).0 + bond);
-    // What could not be paid is not lost: it goes to whom its owner says, and to nobody else at anybody else's word.
+    // Unpaid money is not lost. It goes to the receiver named by its owner, and to nobody else.
     both.wait(1);
     let anybody = both.chain.call(both.now, MALLORY, &Call::Withdraw { to: MALLORY });
     assert_eq!(anybody.err(), Some(ContractError::NothingToWithdraw));
@@ -96,16 +96,16 @@ fn a_payee_that_takes_no_money_holds_up_nobody() {
 }
 
 #[test]
-fn nobody_takes_an_id_by_being_faster() {
+fn ids_cannot_be_taken_by_front_running() {
     let Some(mut both) = Both::with_operators() else { return };
-    // Mallory saw the creator's announcement before it was in a block, and sends the same at a higher fee.
+    // Mallory sees the creator's announcement before it is in a block, and sends the same at a higher fee.
     both.does(OTHER, announce(SALT));
     let announced = both.does(CREATOR, announce(SALT));
     assert_eq!(announced.service(), Some(both.id(CREATOR, SALT)));
 }
 
 #[test]
-fn a_replayed_announcement_opens_nothing_again() {
+fn replayed_announcements_open_nothing_again() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.deployed(SALT);
     both.refuses(ContractError::AlreadyAnnounced, CREATOR, announce(SALT));
@@ -114,15 +114,15 @@ fn a_replayed_announcement_opens_nothing_again() {
 }
 
 #[test]
-fn a_copied_bid_cannot_be_opened() {
+fn copied_bids_cannot_be_opened() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.bid_for(SALT);
-    // The very bytes of the provider's bid, by another.
+    // The exact bytes of the provider's bid, by another.
     both.does(OTHER, bid(id, PROVIDER));
     let deposit = PRICE.times(TERMS.use_for);
     let copied = Call::Choose { id, provider: OTHER, price: PRICE, salt: salt_of(PROVIDER), deposit };
     both.refuses(ContractError::CommitmentDiffers, CREATOR, copied);
-    // Nor does a bid for one service serve for another.
+    // A bid for one service is not valid for another.
     let second = both.id(CREATOR, Salt([8; 32]));
     both.does(CREATOR, announce(Salt([8; 32])));
     let commitment = Commitment::to(id, PROVIDER, PRICE, salt_of(PROVIDER));
@@ -131,23 +131,23 @@ fn a_copied_bid_cannot_be_opened() {
 }
 
 #[test]
-fn a_provider_that_lies_about_its_deployment_is_paid_nothing() {
+fn lying_providers_are_paid_nothing() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.deployed(SALT);
     both.refuses(ContractError::OnlyCreator, PROVIDER, Call::Accept { id });
     both.wait(TERMS.accept_within);
     let left = both.does(PROVIDER, Call::Expire { id });
     assert!(matches!(left, Event::ServiceReopened { provider: PROVIDER, .. }), "{left:?}");
-    assert_eq!(both.balance(PROVIDER), TERMS.bond(), "its bond, and nothing else");
+    assert_eq!(both.balance(PROVIDER), TERMS.bond(), "only its bond");
     both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }
 
 #[test]
-fn a_creator_cannot_take_its_deposit_out_of_a_used_service() {
+fn creators_cannot_withdraw_the_deposit_of_a_used_service() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.in_use(SALT);
     both.wait(TERMS.use_for / 2);
-    // Each call, refused or not, is a second later.
+    // Each call, accepted or rejected, takes a second.
     both.refuses(ContractError::NothingToWithdraw, CREATOR, Call::Withdraw { to: CREATOR });
     both.does(PROVIDER, Call::Release { id });
     let used = PRICE.times(TERMS.use_for / 2 + 3);
@@ -155,7 +155,7 @@ fn a_creator_cannot_take_its_deposit_out_of_a_used_service() {
 }
 
 #[test]
-fn the_losers_and_the_winners_of_other_services_deploy_nothing_here() {
+fn only_the_winner_of_a_service_can_deploy_it() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.bid_for(SALT);
     both.does(OTHER, bid(id, OTHER));
@@ -171,7 +171,7 @@ fn the_losers_and_the_winners_of_other_services_deploy_nothing_here() {
 }
 
 #[test]
-fn money_without_a_call_and_calls_that_take_none_are_refused() {
+fn money_without_a_paying_call_is_rejected() {
     let Some(both) = Both::new() else { return };
     let contract = both.chain.contract();
     let register = ethereum::encode(&Call::Register { name: "rich".to_owned() });

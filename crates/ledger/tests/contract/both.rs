@@ -1,4 +1,4 @@
-//! The compiled contract and its rules in Rust, side by side: each call goes to both, and they must agree.
+//! The compiled contract and its rules in Rust, side by side. Each call goes to both, and they must agree.
 
 use cotorra_ledger::{
     Account, Call, ChainTime, Commitment, Contract, ContractError, Event, Price, PublicKey, Requirements,
@@ -18,27 +18,27 @@ pub const PRICE: Price = Price::new(7).unwrap();
 pub struct Both {
     pub chain: Chain,
     rules: Contract,
-    /// The time of the next call.
+    /// Time of the next call.
     pub now: ChainTime,
-    /// Gas of the last call that went through.
+    /// Gas of the last successful call.
     pub gas: u64,
 }
 
 impl Both {
-    /// On a new chain; `None` where there is none.
+    /// On a new chain; `None` without anvil.
     pub fn new() -> Option<Self> {
         let chain = Chain::new()?;
         let rules = Contract::new(chain.deployment());
         Some(Self { chain, rules, now: START, gas: 0 })
     }
 
-    /// On the same chain, with a new contract.
+    /// Replaces the contract by a new one on the same chain.
     pub fn renew(&mut self) {
         self.chain.renew();
         self.rules = Contract::new(self.chain.deployment());
     }
 
-    /// With three registered operators.
+    /// Makes both, with three registered operators.
     pub fn with_operators() -> Option<Self> {
         let mut both = Self::new()?;
         for operator in [CREATOR, PROVIDER, OTHER] {
@@ -66,29 +66,29 @@ impl Both {
         by_rules
     }
 
-    /// A call that goes through.
+    /// Makes a call that must succeed.
     #[track_caller]
     pub fn does(&mut self, caller: Account, call: Call) -> Event {
         self.call(caller, call.clone()).unwrap_or_else(|refusal| panic!("{call:?}: {refusal}"))
     }
 
-    /// A call that is refused.
+    /// Makes a call that must be rejected.
     #[track_caller]
     pub fn refuses(&mut self, refusal: ContractError, caller: Account, call: Call) {
         assert_eq!(self.call(caller, call.clone()), Err(refusal), "{call:?}");
     }
 
-    /// The id of a creator's service.
+    /// ID of a creator's service.
     pub fn id(&self, creator: Account, salt: Salt) -> ServiceId {
         ServiceId::of(self.rules.deployment(), creator, salt)
     }
 
-    /// Where a service stands.
+    /// State of a service.
     pub fn state(&self, id: ServiceId) -> State {
         self.rules.state(id)
     }
 
-    /// What an operator may withdraw.
+    /// Amount that an operator may withdraw.
     pub fn balance(&self, operator: Account) -> Wei {
         self.rules.balance(operator)
     }
@@ -98,7 +98,7 @@ impl Both {
         self.now = self.now.after(seconds);
     }
 
-    /// A service of the creator with a bid of the provider.
+    /// Makes a service of the creator with a bid of the provider.
     pub fn bid_for(&mut self, salt: Salt) -> ServiceId {
         let id = self.id(CREATOR, salt);
         self.does(CREATOR, announce(salt));
@@ -106,21 +106,21 @@ impl Both {
         id
     }
 
-    /// A service that the provider is to deploy.
+    /// Makes a service that the provider must deploy.
     pub fn closed(&mut self, salt: Salt) -> ServiceId {
         let id = self.bid_for(salt);
         self.does(CREATOR, choose(id, PROVIDER));
         id
     }
 
-    /// A service that the provider says it deployed.
+    /// Makes a service whose deployment the provider confirmed.
     pub fn deployed(&mut self, salt: Salt) -> ServiceId {
         let id = self.closed(salt);
         self.does(PROVIDER, deploy(id));
         id
     }
 
-    /// A service that is paid for.
+    /// Makes a service in use.
     pub fn in_use(&mut self, salt: Salt) -> ServiceId {
         let id = self.deployed(salt);
         self.does(CREATOR, Call::Accept { id });
@@ -147,7 +147,7 @@ pub fn announce(salt: Salt) -> Call {
     Call::Announce { salt, key: PublicKey([9; 32]), requirements: requirements(), terms: TERMS }
 }
 
-/// The salt of a provider's bid.
+/// Salt of a provider's bid.
 pub fn salt_of(provider: Account) -> Salt {
     Salt([provider.0[0]; 32])
 }
@@ -166,7 +166,7 @@ pub fn deploy(id: ServiceId) -> Call {
     Call::Deploy { id, sealed: vec![0xcd; 192] }
 }
 
-/// Somebody who is no operator.
+/// An account that is not an operator.
 pub fn stranger() -> Account {
     account(77)
 }

@@ -1,4 +1,4 @@
-//! A chain for tests: an anvil node that makes a block for each transaction, at a time that the test says.
+//! A chain for tests: an anvil node that makes a block for each transaction, at a time that the test sets.
 
 use std::{fs, path::Path};
 
@@ -11,9 +11,9 @@ use cotorra_ledger::{
 };
 use serde_json::{Value, json};
 
-/// Where the first block of a test may be.
+/// Earliest time of a test's first block.
 pub const START: ChainTime = ChainTime(4_000_000_000);
-/// What each account of a test has, in wei.
+/// Balance of each test account, wei.
 const WEALTH: &str = "0xffffffffffffffffffffffffffffffffff";
 
 /// An anvil node with the contract on it.
@@ -21,21 +21,21 @@ pub struct Chain {
     node: Anvil,
     agent: ureq::Agent,
     contract: Account,
-    /// What the contract cost.
+    /// Gas of the deployment.
     pub deployment_gas: u64,
 }
 
-/// What a transaction did.
+/// Effects of a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
     /// The contract's events.
     pub events: Vec<Event>,
-    /// What it cost.
+    /// Gas used.
     pub gas: u64,
 }
 
 impl Chain {
-    /// A new chain; `None` where there is no anvil.
+    /// Starts a new chain; `None` without anvil.
     pub fn new() -> Option<Self> {
         let settings =
             anvil::Settings { program: Some(crate::common::program()?), ..anvil::Settings::default() };
@@ -51,20 +51,19 @@ impl Chain {
         Some(chain)
     }
 
-    /// Another contract, as new.
+    /// Deploys the contract anew.
     pub fn renew(&mut self) {
         let receipt = self.deploy(account(99), &ethereum::bytecode());
         self.contract = receipt["contractAddress"].as_str().unwrap().parse().unwrap();
         self.deployment_gas = number(&receipt["gasUsed"]);
     }
 
-    /// The contract, and the chain that it is on.
+    /// The contract and its chain.
     pub fn deployment(&self) -> Deployment {
         let chain_id = number(&self.rpc("eth_chainId", json!([])));
         Deployment { chain_id, contract: self.contract }
     }
 
-    /// Where the contract is.
     pub fn contract(&self) -> Account {
         self.contract
     }
@@ -74,7 +73,7 @@ impl Chain {
         self.transact(now, caller, self.contract, &ethereum::encode(call), call.value().0)
     }
 
-    /// A transaction in a block of its own.
+    /// Makes a transaction in a block of its own.
     pub fn transact(
         &self,
         now: ChainTime,
@@ -87,7 +86,7 @@ impl Chain {
         if receipt["status"] == "0x0" {
             let error = self.try_rpc("eth_call", json!([transaction, receipt["blockNumber"]])).unwrap_err();
             let data = unhex(error["data"].as_str().unwrap_or_else(|| panic!("{error}")));
-            return Err(ethereum::decode_refusal(&data).unwrap());
+            return Err(ethereum::decode_error(&data).unwrap());
         }
         let events = receipt["logs"].as_array().unwrap().iter();
         let events = events.filter(|log| log["address"] == self.contract.to_string()).map(|log| {
@@ -99,12 +98,12 @@ impl Chain {
         Ok(Receipt { events: events.collect(), gas: number(&receipt["gasUsed"]) })
     }
 
-    /// Whether a transaction comes to nothing, for whatever reason.
+    /// Whether a transaction is reverted, for any reason.
     pub fn is_reverted(&self, now: ChainTime, from: Account, to: Account, input: &[u8], value: u128) -> bool {
         self.send(now, from, to, input, value).1["status"] == "0x0"
     }
 
-    /// A transaction and its receipt.
+    /// Makes a transaction and returns its receipt.
     fn send(&self, now: ChainTime, from: Account, to: Account, input: &[u8], value: u128) -> (Value, Value) {
         self.rpc("anvil_setBalance", json!([from.to_string(), WEALTH]));
         self.rpc("evm_setNextBlockTimestamp", json!([now.0]));
@@ -119,13 +118,13 @@ impl Chain {
         (transaction, receipt)
     }
 
-    /// What a contract answers, without a transaction.
+    /// Calls a contract without a transaction.
     pub fn view(&self, contract: Account, input: &[u8]) -> Vec<u8> {
         let call = json!({ "to": contract.to_string(), "input": hex(input) });
         unhex(self.rpc("eth_call", json!([call, "latest"])).as_str().unwrap())
     }
 
-    /// A new contract.
+    /// Creates a contract.
     pub fn create(&self, from: Account, code: &[u8]) -> Account {
         self.deploy(from, code)["contractAddress"].as_str().unwrap().parse().unwrap()
     }
@@ -138,7 +137,7 @@ impl Chain {
         receipt
     }
 
-    /// What an account has, in wei.
+    /// Balance of an account, wei.
     pub fn wealth(&self, of: Account) -> u128 {
         let balance = self.rpc("eth_getBalance", json!([of.to_string(), "latest"]));
         u128::from_str_radix(balance.as_str().unwrap().trim_start_matches("0x"), 16).unwrap()
@@ -165,12 +164,12 @@ pub fn account(number: u8) -> Account {
     Account([number; 20])
 }
 
-/// Bytes as JSON-RPC has them.
+/// Encodes bytes for JSON-RPC.
 pub fn hex(bytes: &[u8]) -> String {
     bytes.iter().fold("0x".to_owned(), |text, byte| text + &format!("{byte:02x}"))
 }
 
-/// Bytes as JSON-RPC has them.
+/// Decodes bytes from JSON-RPC.
 pub fn unhex(text: &str) -> Vec<u8> {
     let digits = text.strip_prefix("0x").unwrap();
     (0..digits.len()).step_by(2).map(|at| u8::from_str_radix(&digits[at..at + 2], 16).unwrap()).collect()
@@ -180,7 +179,7 @@ fn number(quantity: &Value) -> u64 {
     u64::from_str_radix(quantity.as_str().unwrap().trim_start_matches("0x"), 16).unwrap()
 }
 
-/// A contract that means no good: `contracts/Attackers.sol`.
+/// Bytecode of an attacking contract: `contracts/Attackers.sol`.
 pub fn attacker(name: &str) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../contracts/Attackers.json");
     let code: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();

@@ -1,4 +1,4 @@
-//! What each call costs: the table in the documentation is what this measures.
+//! Measures the gas of each call, and compares it with the table in the documentation.
 
 use std::{fs, path::Path};
 
@@ -6,7 +6,7 @@ use cotorra_ledger::{Call, Salt, ServiceId};
 
 use crate::both::{Both, CREATOR, OTHER, PROVIDER, announce, bid, choose, deploy};
 
-/// The table, from a run of calls as they come in a negotiation.
+/// Returns the table, from a series of calls as in a negotiation.
 fn table(both: &mut Both) -> String {
     let mut rows = vec![
         "| call | by | gas |".to_owned(),
@@ -44,7 +44,7 @@ fn table(both: &mut Both) -> String {
 }
 
 #[test]
-fn gas_is_what_the_documentation_says() {
+fn gas_matches_the_documentation() {
     let Some(mut both) = Both::new() else { return };
     let table = table(&mut both);
     println!("{table}");

@@ -1,4 +1,4 @@
-//! Who may do what, and when.
+//! Tests who may do what, and when.
 
 use cotorra_ledger::{
     Account, Call, Commitment, ContractError, Event, Outcome, Price, PublicKey, Salt, ServiceId, State,
@@ -13,11 +13,11 @@ use crate::both::{
 const SALT: Salt = Salt([5; 32]);
 
 #[test]
-fn a_service_is_negotiated_used_and_paid_by_the_second() {
+fn services_are_paid_by_the_second() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.in_use(SALT);
     both.wait(98);
-    // Two calls are a second apart each: accepted one second behind the deployment, released 99 later.
+    // Calls are a second apart: accepted one second after the deployment, released 99 later.
     let ended = both.does(CREATOR, Call::Release { id });
     let charge = PRICE.times(100);
     assert_eq!(ended, Event::ServiceEnded { id, provider: PROVIDER, outcome: Outcome::Released, charge });
@@ -43,7 +43,7 @@ fn operators_have_a_name_and_register_once() {
 }
 
 #[test]
-fn an_announcement_is_complete_and_unique() {
+fn announcements_are_complete_and_unique() {
     let Some(mut both) = Both::with_operators() else { return };
     let with = |change: &dyn Fn(&mut Call)| {
         let mut call = announce(SALT);
@@ -85,12 +85,12 @@ fn an_announcement_is_complete_and_unique() {
     both.refuses(ContractError::BadKey, CREATOR, keyless);
     both.does(CREATOR, announce(SALT));
     both.refuses(ContractError::AlreadyAnnounced, CREATOR, announce(SALT));
-    // Another's id with the same salt is another.
+    // Another creator's ID with the same salt is different.
     both.does(OTHER, announce(SALT));
 }
 
 #[test]
-fn bids_are_of_other_operators_once_and_in_time() {
+fn other_operators_bid_once_and_in_time() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.id(CREATOR, SALT);
     both.refuses(ContractError::WrongState(State::None), PROVIDER, bid(id, PROVIDER));
@@ -119,7 +119,7 @@ fn bids_are_of_other_operators_once_and_in_time() {
 }
 
 #[test]
-fn the_creator_alone_chooses_among_the_bids_at_their_price() {
+fn only_the_creator_chooses_bids_at_their_price() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.bid_for(SALT);
     both.refuses(ContractError::OnlyCreator, PROVIDER, choose(id, PROVIDER));
@@ -141,7 +141,7 @@ fn the_creator_alone_chooses_among_the_bids_at_their_price() {
     for wrong in [0, due.0 - 1, due.0 + 1] {
         both.refuses(ContractError::BadDeposit(due), CREATOR, chosen(PRICE.get(), salt_of(PROVIDER), wrong));
     }
-    // A bid for nothing can be made, for nobody sees its price; it cannot win.
+    // A bid of zero can be placed, because nobody sees its price, but it cannot win.
     let free = Price::new(0).unwrap();
     let commitment = Commitment::to(id, OTHER, free, salt_of(OTHER));
     both.does(OTHER, Call::Bid { id, commitment, sealed: vec![1], bond: TERMS.bond() });
@@ -153,7 +153,7 @@ fn the_creator_alone_chooses_among_the_bids_at_their_price() {
 }
 
 #[test]
-fn the_winner_alone_deploys_and_the_creator_alone_accepts() {
+fn only_the_winner_deploys_and_only_the_creator_accepts() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.bid_for(SALT);
     both.refuses(ContractError::WrongState(State::Open), PROVIDER, deploy(id));
@@ -186,7 +186,7 @@ fn the_winner_alone_deploys_and_the_creator_alone_accepts() {
 }
 
 #[test]
-fn until_both_said_that_it_works_either_may_go_and_nothing_is_owed() {
+fn either_party_may_leave_before_the_acceptance() {
     let Some(mut both) = Both::with_operators() else { return };
     let ended = |id, provider, outcome| Event::ServiceEnded { id, provider, outcome, charge: Wei(0) };
     let id = both.bid_for(Salt([10; 32]));
@@ -200,13 +200,13 @@ fn until_both_said_that_it_works_either_may_go_and_nothing_is_owed() {
         assert!(matches!(declined, Event::ServiceReopened { provider: PROVIDER, .. }), "{declined:?}");
         both.refuses(ContractError::OnlyProvider, PROVIDER, Call::Decline { id });
     }
-    assert_eq!(both.balance(PROVIDER), Wei(4 * TERMS.bond().0), "its bond is its own again");
+    assert_eq!(both.balance(PROVIDER), Wei(4 * TERMS.bond().0), "its bond is back");
     assert_eq!(both.balance(CREATOR), Wei(4 * PRICE.times(TERMS.use_for).0));
     both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }
 
 #[test]
-fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
+fn late_services_can_be_expired_by_anyone() {
     let Some(mut both) = Both::with_operators() else { return };
     type Make = fn(&mut Both, Salt) -> ServiceId;
     let makes = [
@@ -218,7 +218,7 @@ fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
     for (number, (make, time, wanted)) in (40..).zip(makes) {
         let id = make(&mut both, Salt([number; 32]));
         both.wait(time - 1);
-        // The last second that is in time.
+        // The last second in time.
         let deadline = both.now.after(1);
         both.refuses(ContractError::TooEarly(deadline), stranger(), Call::Expire { id });
         let late = match wanted {
@@ -232,7 +232,7 @@ fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
         }
         let mut happened = both.does(stranger(), Call::Expire { id });
         if matches!(wanted, Outcome::NotDeployed | Outcome::NotAccepted) {
-            // While another can be chosen, nobody takes that from the creator. Behind that, it is over.
+            // While another can be chosen, the creator keeps that right. Afterwards it is over.
             let Event::ServiceReopened { provider: PROVIDER, deadline, .. } = happened else { panic!() };
             both.refuses(ContractError::TooEarly(deadline), stranger(), Call::Expire { id });
             both.now = deadline;
@@ -253,7 +253,7 @@ fn whoever_is_late_loses_the_service_and_anyone_may_say_so() {
 }
 
 #[test]
-fn a_late_release_is_charged_for_what_was_paid_and_no_more() {
+fn late_releases_are_charged_at_most_the_deposit() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.in_use(SALT);
     both.wait(10 * TERMS.use_for);
@@ -263,7 +263,7 @@ fn a_late_release_is_charged_for_what_was_paid_and_no_more() {
 }
 
 #[test]
-fn the_highest_price_for_the_longest_time_overflows_nothing() {
+fn highest_price_and_longest_use_do_not_overflow() {
     let Some(mut both) = Both::with_operators() else { return };
     let terms = Terms { use_for: u32::MAX, ..TERMS };
     let id = both.id(CREATOR, SALT);
@@ -284,7 +284,7 @@ fn the_highest_price_for_the_longest_time_overflows_nothing() {
     both.does(CREATOR, Call::Withdraw { to: CREATOR });
 }
 
-/// The provider's bond and one more bid, of another.
+/// The provider's bond, and another's bid.
 fn two_bids(both: &mut Both) -> ServiceId {
     let id = both.bid_for(SALT);
     both.does(OTHER, bid(id, OTHER));
@@ -292,7 +292,7 @@ fn two_bids(both: &mut Both) -> ServiceId {
 }
 
 #[test]
-fn a_bid_is_bound_by_its_bond_and_no_more() {
+fn bids_need_exactly_their_bond() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.id(CREATOR, SALT);
     both.does(CREATOR, announce(SALT));
@@ -301,7 +301,7 @@ fn a_bid_is_bound_by_its_bond_and_no_more() {
         let call = Call::Bid { id, commitment, sealed, bond: Wei(wrong) };
         both.refuses(ContractError::BadDeposit(TERMS.bond()), PROVIDER, call);
     }
-    // What stands for a bid that was chosen is no commitment: its bond would be nobody's.
+    // The mark of a chosen bid is not a valid commitment: its bond would belong to nobody.
     let mut spent = [0; 32];
     spent[31] = 1;
     let call = Call::Bid { id, commitment: Commitment(spent), sealed: vec![1], bond: TERMS.bond() };
@@ -309,7 +309,7 @@ fn a_bid_is_bound_by_its_bond_and_no_more() {
 }
 
 #[test]
-fn who_wins_and_does_not_deploy_in_time_loses_its_bond_to_the_creator_and_another_is_chosen() {
+fn late_winners_lose_their_bond_and_another_is_chosen() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = two_bids(&mut both);
     both.does(CREATOR, choose(id, PROVIDER));
@@ -319,12 +319,12 @@ fn who_wins_and_does_not_deploy_in_time_loses_its_bond_to_the_creator_and_anothe
     let deposit = PRICE.times(TERMS.use_for);
     assert_eq!(both.balance(CREATOR), Wei(deposit.0 + TERMS.bond().0));
     assert_eq!(both.balance(PROVIDER), Wei(0));
-    // It is out: it neither deploys, nor declines, nor bids, nor is chosen again, and it has no bond to take back.
+    // It is out: it can neither deploy, decline, bid nor be chosen again, and has no bond to reclaim.
     both.refuses(ContractError::OnlyProvider, PROVIDER, deploy(id));
     both.refuses(ContractError::OnlyProvider, PROVIDER, Call::Decline { id });
     both.refuses(ContractError::NoSuchBid, PROVIDER, Call::Reclaim { id });
     both.does(OTHER, Call::Decline { id });
-    assert_eq!(both.balance(OTHER), TERMS.bond(), "it said so in time");
+    assert_eq!(both.balance(OTHER), TERMS.bond(), "it declined in time");
     both.refuses(ContractError::AlreadyBid, PROVIDER, bid(id, PROVIDER));
     for again in [PROVIDER, OTHER] {
         both.refuses(ContractError::NoSuchBid, CREATOR, choose(id, again));
@@ -332,7 +332,7 @@ fn who_wins_and_does_not_deploy_in_time_loses_its_bond_to_the_creator_and_anothe
 }
 
 #[test]
-fn a_late_winner_does_not_save_its_bond_by_declining_and_does_not_end_the_service() {
+fn declining_late_does_not_save_the_bond() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = two_bids(&mut both);
     both.does(CREATOR, choose(id, PROVIDER));
@@ -340,7 +340,7 @@ fn a_late_winner_does_not_save_its_bond_by_declining_and_does_not_end_the_servic
     both.does(PROVIDER, Call::Decline { id });
     assert_eq!((both.balance(PROVIDER), both.state(id)), (Wei(0), State::Open));
     both.does(CREATOR, choose(id, OTHER));
-    // Nor by a creator that gives up behind the time, or before it.
+    // Nor does a creator that cancels after the deadline, or before it.
     both.wait(TERMS.deploy_within);
     let ended = both.does(CREATOR, Call::Cancel { id });
     assert!(matches!(ended, Event::ServiceEnded { outcome: Outcome::NotDeployed, .. }), "{ended:?}");
@@ -348,12 +348,12 @@ fn a_late_winner_does_not_save_its_bond_by_declining_and_does_not_end_the_servic
 }
 
 #[test]
-fn a_creator_that_gives_up_in_time_takes_no_bond() {
+fn creators_that_cancel_in_time_take_no_bond() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.closed(SALT);
     both.does(CREATOR, Call::Cancel { id });
     assert_eq!(both.balance(PROVIDER), TERMS.bond());
-    // Nor one that chooses another in place of what was deployed.
+    // Nor does one that chooses another instead of the deployed one.
     let id = both.id(CREATOR, Salt([6; 32]));
     both.does(CREATOR, announce(Salt([6; 32])));
     both.does(PROVIDER, bid(id, PROVIDER));
@@ -365,7 +365,7 @@ fn a_creator_that_gives_up_in_time_takes_no_bond() {
 }
 
 #[test]
-fn who_was_not_chosen_has_its_bond_again_once_nobody_can_be_chosen() {
+fn losing_bidders_reclaim_their_bond_after_the_decision() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = two_bids(&mut both);
     both.refuses(ContractError::BondBound, OTHER, Call::Reclaim { id });
@@ -380,7 +380,7 @@ fn who_was_not_chosen_has_its_bond_again_once_nobody_can_be_chosen() {
     assert_eq!(both.does(OTHER, Call::Reclaim { id }), reclaimed);
     both.refuses(ContractError::NoSuchBid, OTHER, Call::Reclaim { id });
     both.does(OTHER, Call::Withdraw { to: OTHER });
-    // Also of a creator that never says anything.
+    // Also from a creator that stays silent.
     both.does(CREATOR, announce(Salt([6; 32])));
     let id = both.id(CREATOR, Salt([6; 32]));
     both.does(OTHER, bid(id, OTHER));
@@ -390,7 +390,7 @@ fn who_was_not_chosen_has_its_bond_again_once_nobody_can_be_chosen() {
 }
 
 #[test]
-fn nothing_is_paid_to_nobody() {
+fn money_is_never_paid_to_nobody() {
     let Some(mut both) = Both::with_operators() else { return };
     let id = both.closed(SALT);
     both.does(CREATOR, Call::Cancel { id });

@@ -1,6 +1,6 @@
-//! The compiled contract on a real Ethereum virtual machine: it does what its rules in Rust say, call by call, and
-//! those who mean no good gain nothing.
-#![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
+//! Tests the compiled contract on a real Ethereum virtual machine: it follows its rules in Rust, call by call, and
+//! attackers gain nothing.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 
 mod adversaries;
 mod both;

@@ -1,5 +1,5 @@
-//! Whatever is called in whatever order: the compiled contract does what its rules in Rust say, and holds exactly the
-//! deposits of services under way and the balances.
+//! Makes random calls in random order. The compiled contract must follow its rules in Rust, and hold exactly the
+//! deposits of current services and the balances.
 
 use std::{cell::RefCell, collections::BTreeMap};
 
@@ -14,12 +14,12 @@ use proptest::{
 
 use crate::both::{Both, CREATOR, OTHER, PROVIDER, requirements, salt_of};
 
-/// Few of everything, so that calls meet each other.
+/// Few of everything, so that calls interact.
 const CALLERS: [Account; 4] = [CREATOR, PROVIDER, OTHER, Account([77; 20])];
 const TERMS: Terms = Terms { open_for: 60, deploy_within: 40, accept_within: 30, use_for: 50, bond: 5 };
 const BID: Price = Price::new(3).unwrap();
 
-/// A service that calls are about; once it has ended, the next takes its place.
+/// The service that calls are about. When it has ended, the next takes its place.
 #[derive(Debug, Clone, Copy)]
 struct Service {
     deployment: Deployment,
@@ -46,7 +46,7 @@ impl Service {
         Call::Choose { id: self.id(), provider, price, salt: salt_of(provider), deposit }
     }
 
-    /// What comes next, if all goes well.
+    /// The regular next call.
     fn next(self, state: State, provider: Account) -> (Account, Call) {
         let id = self.id();
         match state {
@@ -59,7 +59,7 @@ impl Service {
         }
     }
 
-    /// One of all calls.
+    /// Any call, by number.
     fn any(self, number: u8, provider: Account) -> Call {
         let id = self.id();
         match number {
@@ -83,7 +83,7 @@ impl Service {
     }
 }
 
-/// A step: which service, who calls, which provider it is about, what is called if not what comes next, how long after.
+/// A step: service, caller, provider, an irregular call if any, and the time before it.
 fn step() -> impl Strategy<Value = (usize, Account, Account, Option<u8>, u32)> {
     let caller = || prop::sample::select(&CALLERS[..]);
     let wait = prop_oneof![12 => 0..2u32, 1 => 20..70u32];
@@ -91,7 +91,7 @@ fn step() -> impl Strategy<Value = (usize, Account, Account, Option<u8>, u32)> {
 }
 
 #[test]
-fn whatever_is_called_the_contract_does_what_its_rules_say() {
+fn random_calls_follow_the_rules() {
     let Some(both) = Both::new() else { return };
     let both = RefCell::new((both, BTreeMap::new()));
     let config = ProptestConfig { cases: 12, failure_persistence: None, ..ProptestConfig::default() };
@@ -130,7 +130,7 @@ fn whatever_is_called_the_contract_does_what_its_rules_say() {
             Ok(())
         })
         .unwrap();
-    // What this compares is worth as much as what it comes across.
+    // The comparison is only worth as much as the cases that it covers.
     let seen = both.into_inner().1;
     for outcome in
         ["Cancelled", "NoWinner", "NotDeployed", "Released", "Completed", "ServiceReopened", "BondReclaimed"]
@@ -140,7 +140,7 @@ fn whatever_is_called_the_contract_does_what_its_rules_say() {
     assert!(seen.len() > 25, "{} in {seen:?}", seen.len());
 }
 
-/// The name of an event or refusal, without what it holds.
+/// Name of an event or error, without its data.
 fn kind(of: &impl std::fmt::Debug) -> String {
     format!("{of:?}").split([' ', '(']).next().unwrap().to_owned()
 }

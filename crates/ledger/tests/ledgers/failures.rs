@@ -1,8 +1,8 @@
-//! What goes wrong between two domains, on a real ledger: each time all ends in order, and nobody pays for what it did not get.
-//! All of it at once, each with operators of its own.
+//! Tests failures between two domains on a real ledger. Each ends in order, and nobody pays for a service that it did
+//! not get. All scenarios run at once, each with its own operators.
 //!
-//! Each is on an anvil node of its own, whose blocks it makes itself. `COTORRA_TEST_LEDGER` names another ledger, for all of them;
-//! there, each operator uses another of its nodes.
+//! Each has its own anvil node, whose blocks the test makes. `COTORRA_TEST_LEDGER` names another ledger for all of
+//! them; each operator then uses another of its nodes.
 
 use std::{env, panic, thread};
 
@@ -19,7 +19,7 @@ use crate::{
     proxy::Proxy,
 };
 
-/// The first of each scenario's keys; each has four.
+/// First of each scenario's four keys.
 const KEYS: u8 = 120;
 
 type Scenario = (&'static str, fn(&Stage<'_>));
@@ -37,7 +37,7 @@ const SCENARIOS: [Scenario; 9] = [
 ];
 
 #[test]
-fn whatever_goes_wrong_ends_in_order() {
+fn failures_end_in_order() {
     let existing = env::var("COTORRA_TEST_LEDGER").ok().map(|urls| {
         let node = Node::existing(&urls.split(',').collect::<Vec<_>>());
         node.share((0..4 * SCENARIOS.len() as u8).map(|index| KEYS + index));
@@ -63,7 +63,7 @@ fn whatever_goes_wrong_ends_in_order() {
     });
 }
 
-/// A ledger, and the keys of a scenario: the creator's, and then those of the providers.
+/// A ledger and a scenario's keys: the creator's, then the providers'.
 struct Stage<'a> {
     node: &'a Node,
     first: u8,
@@ -79,12 +79,12 @@ impl Stage<'_> {
         operators
     }
 
-    /// A provider of this scenario's creator.
+    /// A provider for this scenario's creator.
     fn provider(&self, operator: Operator, wei: u128) -> ProviderSide {
         ProviderSide::new(operator, price(wei)).serving(key(self.first).account())
     }
 
-    /// A creator, and a provider that behaves like that.
+    /// A creator, and a provider with this behaviour.
     fn pair(&self, behaviour: Behaviour, terms: Terms) -> (CreatorSide, [ProviderSide; 1]) {
         let mut operators = self.operators(2);
         let provider = self.provider(operators.remove(1), 9).behaving(behaviour);
@@ -100,7 +100,7 @@ fn long() -> Terms {
     request(policy(), Account::default()).terms
 }
 
-/// A winner that does not deploy within some seconds of the chain's is given up.
+/// A winner that does not deploy within some seconds of the chain is given up.
 fn short() -> Terms {
     Terms { deploy_within: 8, ..long() }
 }
@@ -111,7 +111,7 @@ fn failed(creator: &CreatorSide, with: Failure) {
     assert!(!creator.has(|step| *step == CreatorStep::InUse), "{:?}", creator.steps);
 }
 
-/// What an operator is paid out.
+/// Amount paid out to an operator.
 fn withdrawn(node: &Node, operator: &mut Operator) -> Wei {
     let account = operator.key.account();
     operator.ledger.submit(operator.now(), Call::Withdraw { to: account });
@@ -125,18 +125,18 @@ fn withdrawn(node: &Node, operator: &mut Operator) -> Wei {
     amount(&operator.notices, account).unwrap()
 }
 
-/// The creator has all of its deposit back, and the winner's bond.
+/// Asserts that the creator has its whole deposit back, and the winner's bond.
 fn bond_was_lost(node: &Node, creator: &mut CreatorSide) {
     let deposit = price(9).times(long().use_for);
     assert_eq!(withdrawn(node, &mut creator.operator), Wei(deposit.0 + long().bond().0));
 }
 
-/// The creator has all of its deposit back.
+/// Asserts that the creator has its whole deposit back.
 fn nothing_was_paid(node: &Node, creator: &mut CreatorSide) {
     assert_eq!(withdrawn(node, &mut creator.operator), price(9).times(long().use_for));
 }
 
-/// It comes to be used in spite of all, and is paid.
+/// Asserts that the service is nevertheless used and paid.
 fn used_and_paid(node: &Node, creator: &mut CreatorSide, providers: &mut [ProviderSide; 1]) {
     until_all(node, creator, providers, |creator, _| creator.has(|step| *step == CreatorStep::InUse));
     creator.negotiation.release();
@@ -195,7 +195,7 @@ fn the_deployment_fails(stage: &Stage<'_>) {
 
 fn the_provider_lies(stage: &Stage<'_>) {
     let (mut creator, mut providers) = stage.pair(Behaviour::Honest, long());
-    // Nobody beacons where it says.
+    // No access point answers there.
     creator.finds_nobody();
     until_all(stage.node, &mut creator, &mut providers, |creator, providers| {
         creator.negotiation.is_over() && providers[0].ended().is_some()
@@ -235,7 +235,7 @@ fn the_winner_is_cut_off(stage: &Stage<'_>) {
     let operator = &mut providers[0].operator;
     operator.wait_for(|notice| matches!(notice, Notice::Down(_)));
     operator.is_cut_off = true;
-    // It deploys, and cannot tell.
+    // It deploys, but cannot confirm.
     providers[0].deploy();
     until_all(stage.node, &mut creator, &mut providers, |creator, _| creator.negotiation.is_over());
     failed(&creator, Failure::NotDeployed);
@@ -244,7 +244,7 @@ fn the_winner_is_cut_off(stage: &Stage<'_>) {
     let operator = &mut providers[0].operator;
     operator.wait_for(|notice| *notice == Notice::Up);
     operator.is_cut_off = false;
-    // It hears that it is over, and takes it down.
+    // It receives the end, and takes its deployment down.
     until_all(stage.node, &mut creator, &mut providers, |_, providers| providers[0].ended().is_some());
     assert_eq!(providers[0].ended(), Some(Wei(0)));
 }
@@ -255,7 +255,7 @@ fn both_are_started_again(stage: &Stage<'_>) {
         creator.has(|step| *step == CreatorStep::Chosen)
     });
     drop((creator, providers));
-    // New processes with the same keys: all else comes from the chain.
+    // New processes with the same keys. Everything else comes from the chain.
     let mut creator = CreatorSide::asking(stage.node.reconnect(stage.first), long(), one_bid());
     let mut providers = [stage.provider(stage.node.reconnect(stage.first + 1), 9)];
     used_and_paid(stage.node, &mut creator, &mut providers);

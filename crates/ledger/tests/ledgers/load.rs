@@ -1,7 +1,9 @@
-//! Many providers and many services at once, on one ledger: each step of each service is reached, and no money is lost.
+//! Runs many providers and services at once on one ledger. Each step of each service is reached, and no money is
+//! lost.
 //!
-//! `COTORRA_TEST_LOAD=50,200,5` has 50 providers, 200 announcements at once, and five bids for each, as `scripts/test --full`
-//! does; `COTORRA_TEST_LEDGER` names another ledger than an anvil node whose blocks the test makes.
+//! `COTORRA_TEST_LOAD=50,200,5` has 50 providers, 200 announcements at once, and five bids for each, as in
+//! `scripts/test --full`. `COTORRA_TEST_LEDGER` names another ledger instead of an anvil node whose blocks the test
+//! makes.
 
 use std::{collections::BTreeMap, env, time::Instant};
 
@@ -15,12 +17,12 @@ use crate::{
     operator::{Operator, attachment, policy, request},
 };
 
-/// Operators that announce; each has its part of the services.
+/// Operators that announce, each a share of the services.
 const CREATORS: usize = 20;
-/// The first keys of creators and providers; the deployer's is between them.
+/// First keys of creators and providers. The deployer's key is between them.
 const KEYS: (u8, u8) = (10, 110);
 
-/// An operator, and all services that it takes part in.
+/// An operator and all services that it takes part in.
 struct Side<T> {
     operator: Operator,
     services: BTreeMap<ServiceId, (T, Vec<String>)>,
@@ -32,7 +34,7 @@ impl<T> Side<T> {
         Self { operator, services: BTreeMap::new(), heard: 0 }
     }
 
-    /// What it has not heard yet.
+    /// Returns the new notices.
     fn news(&mut self) -> Vec<Notice> {
         self.operator.listen();
         let news = self.operator.notices[self.heard..].to_vec();
@@ -40,7 +42,7 @@ impl<T> Side<T> {
         news
     }
 
-    /// Those whom a notice concerns.
+    /// The services that a notice concerns.
     fn concerned(&mut self, notice: &Notice) -> impl Iterator<Item = &mut (T, Vec<String>)> {
         let of = match notice {
             Notice::Event(event) | Notice::Retracted(event) => Some(event.service()),
@@ -139,7 +141,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
         operators(&mut creator_keys()).into_iter().map(Side::new).collect();
     let mut sides: Vec<Side<Provider>> = operators(&mut provider_keys()).into_iter().map(Side::new).collect();
 
-    // All bids are waited for, as long as its clock stands still.
+    // The collection waits for all bids while the operator's clock stands still.
     let policy = Policy { highest: Price::new(1000).unwrap(), enough: bids, ..policy() };
     let mut numbers_of: BTreeMap<ServiceId, usize> = BTreeMap::new();
     for number in 0..announcements {
@@ -196,7 +198,7 @@ fn many_services_at_once_lose_no_step_and_no_money() {
     assert_eq!(answers.len(), announcements * bids);
     let won = ["Bidding", "BidPlaced", "Won", "Confirming", "Deployed", "InUse", "Ended"];
     let lost = ["Bidding", "BidPlaced", "Lost"];
-    // Who lost may or may not have heard how it ended.
+    // Losers may or may not know how it ended.
     let is_lost = |steps: &[String]| steps.len() <= 5 && steps[..3] == lost;
     let other = answers.iter().find(|steps| ***steps != won && !is_lost(steps));
     let counts = [

@@ -1,5 +1,5 @@
-//! Operators on a real ledger, with all that can happen to its node and to their transactions.
-#![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
+//! Tests operators on a real ledger, with failures of its node and of their transactions.
+#![allow(clippy::unwrap_used, reason = "tests may panic")]
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
 #[path = "../common/mod.rs"]
@@ -23,15 +23,16 @@ use node::Node;
 use operator::{CreatorSide, ProviderSide, announcements, attachment, one_bid, policy, until_all};
 
 #[test]
-fn a_service_is_negotiated_used_and_paid() {
+fn services_are_negotiated_used_and_paid() {
     let Some(node) = Node::start() else { return };
     negotiate(&node);
 }
 
-/// On the network whose nodes `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546,ws://127.0.0.1:8646`; each operator uses
-/// another of them. Its genesis gives money to the operators of tests: the keys 0101…01, 0202…02, 0303…03 and 6363…63.
+/// Uses the network whose nodes `COTORRA_TEST_LEDGER` names, such as `ws://127.0.0.1:8546,ws://127.0.0.1:8646`. Each
+/// operator uses another node. The network's genesis must give money to the operators of tests: the keys 0101…01,
+/// 0202…02, 0303…03 and 6363…63.
 #[test]
-fn a_service_is_negotiated_used_and_paid_on_a_network_that_is_there() {
+fn services_are_negotiated_on_an_existing_network() {
     match env::var("COTORRA_TEST_LEDGER") {
         Ok(urls) => negotiate(&Node::existing(&urls.split(',').collect::<Vec<_>>())),
         Err(_) => eprintln!("skipped: COTORRA_TEST_LEDGER names no network"),
@@ -40,7 +41,7 @@ fn a_service_is_negotiated_used_and_paid_on_a_network_that_is_there() {
 
 fn negotiate(node: &Node) {
     let began = Instant::now();
-    // Both bids are waited for, as long as its clock stands still.
+    // The collection waits for both bids while the operator's clock stands still.
     let mut creator = CreatorSide::new(node.operator(1), policy());
     let mut providers = [
         ProviderSide::new(node.operator(2), Price::new(9).unwrap()),
@@ -61,7 +62,7 @@ fn negotiate(node: &Node) {
 }
 
 #[test]
-fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
+fn rejections_have_a_reason_and_cost_nothing() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
     let ticket = operator.ledger.submit(operator.now(), Call::Withdraw { to: operator.key.account() });
@@ -71,15 +72,15 @@ fn a_refusal_is_told_with_its_reason_and_costs_nothing() {
 }
 
 #[test]
-fn a_node_of_another_chain_is_not_used() {
+fn nodes_of_another_chain_are_rejected() {
     let Some(node) = Node::start() else { return };
     let mut ledger = node.stray(1);
     let Notice::Down(reason) = ledger.wait() else { panic!("it is up") };
-    assert!(reason.contains("is of the chain 31337, not 31338"), "{reason}");
+    assert!(reason.contains("is on chain 31337, not 31338"), "{reason}");
 }
 
 #[test]
-fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
+fn calls_without_money_for_the_fee_are_rejected() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.poor_operator(9);
     let ticket = operator.ledger.submit(operator.now(), Call::Register { name: "poor".to_owned() });
@@ -91,7 +92,7 @@ fn without_money_for_the_fee_a_call_is_refused_by_the_node() {
 }
 
 #[test]
-fn a_transaction_that_the_node_drops_is_sent_again_as_it_was() {
+fn dropped_transactions_are_resent_unchanged() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
     let announced = operator.announce();
@@ -107,12 +108,12 @@ fn a_transaction_that_the_node_drops_is_sent_again_as_it_was() {
 }
 
 #[test]
-fn a_transaction_whose_fee_is_too_low_is_sent_again_with_a_higher_one() {
+fn transactions_with_low_fees_are_resent_with_higher_ones() {
     let Some(node) = Node::start() else { return };
     let mut operator = node.operator(1);
     let announced = operator.announce();
     while node.waiting() == 0 {}
-    // Blocks go by that are too dear for it.
+    // Some blocks are too expensive for it.
     for _ in 0..8 {
         node.rpc("anvil_setNextBlockBaseFeePerGas", "[\"0x2540be400000\"]");
         node.next_block([&mut operator]);
@@ -123,7 +124,7 @@ fn a_transaction_whose_fee_is_too_low_is_sent_again_with_a_higher_one() {
 }
 
 #[test]
-fn what_is_reorganised_away_is_taken_back_and_sent_again() {
+fn reorganised_calls_are_retracted_and_resent() {
     let Some(node) = Node::start_automatic() else { return };
     let mut operator = node.operator(1);
     let announced = operator.announce();
@@ -140,7 +141,7 @@ fn what_is_reorganised_away_is_taken_back_and_sent_again() {
     assert_eq!(announcements(&operator.notices), 1);
 }
 
-/// A service comes into use though the node was away after that step.
+/// Asserts that a service comes into use although the node was away after a step.
 fn goes_on_with_the_node_away_after(step: impl Fn(&CreatorStep) -> bool) {
     let Some(mut node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), one_bid());
@@ -149,7 +150,7 @@ fn goes_on_with_the_node_away_after(step: impl Fn(&CreatorStep) -> bool) {
     node.stop();
     creator.operator.wait_for(|notice| matches!(notice, Notice::Down(_)));
     node.restart();
-    // No other block tells that nothing was missed.
+    // No other block shows that nothing was missed.
     creator.operator.wait_for(|notice| matches!(notice, Notice::Head { .. }));
     until_all(&node, &mut creator, &mut providers, |creator, _| {
         creator.has(|step| *step == CreatorStep::InUse)
@@ -157,24 +158,24 @@ fn goes_on_with_the_node_away_after(step: impl Fn(&CreatorStep) -> bool) {
 }
 
 #[test]
-fn what_is_said_while_the_node_is_away_happens_when_it_is_back() {
+fn calls_during_an_outage_happen_afterwards() {
     goes_on_with_the_node_away_after(|step| *step == CreatorStep::Announced);
 }
 
 #[test]
-fn a_node_that_comes_back_with_nothing_new_is_known_to_be_back() {
+fn returning_nodes_without_news_are_noticed() {
     goes_on_with_the_node_away_after(|step| matches!(step, CreatorStep::BidReceived { .. }));
 }
 
 #[test]
-fn an_operator_that_is_restarted_hears_all_that_was_said() {
+fn restarted_operators_receive_past_events() {
     let Some(node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), one_bid());
     let mut providers = [ProviderSide::new(node.operator(2), Price::new(9).unwrap())];
     until_all(&node, &mut creator, &mut providers, |creator, _| {
         creator.has(|step| *step == CreatorStep::Chosen)
     });
-    // The creator's process ends, and a new one has its key and the salt.
+    // The creator's process ends, and a new one has its key and salt.
     let mut again = CreatorSide::new(node.reconnect(1), one_bid());
     drop(creator);
     until_all(&node, &mut again, &mut providers, |creator, _| {
@@ -185,7 +186,7 @@ fn an_operator_that_is_restarted_hears_all_that_was_said() {
 }
 
 #[test]
-fn nobody_answers_and_the_creator_hears_it_in_time() {
+fn creators_notice_in_time_that_nobody_bids() {
     let Some(node) = Node::start() else { return };
     let mut creator = CreatorSide::new(node.operator(1), policy());
     until_all(&node, &mut creator, &mut [], |creator, _| creator.has(|s| *s == CreatorStep::Announced));
@@ -195,7 +196,7 @@ fn nobody_answers_and_the_creator_hears_it_in_time() {
     assert!(creator.has(|step| *step == CreatorStep::Ended(Outcome::Cancelled)));
 }
 
-/// Prints what a transaction takes, from the call to the news that it is in a block.
+/// Prints the time of a transaction from the call to the news of its inclusion.
 #[test]
 fn transactions_are_timed() {
     let Some(node) = Node::start_automatic() else { return };

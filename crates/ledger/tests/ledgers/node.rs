@@ -1,4 +1,4 @@
-//! An anvil node with the contract, that a test can torment.
+//! An anvil node with the contract, under a test's control.
 
 use std::path::PathBuf;
 
@@ -15,10 +15,10 @@ use tempfile::TempDir;
 
 use crate::{common::program, operator::Operator};
 
-/// So many blocks anything may take, however long they take; far more than it does.
+/// Limit for any condition, in blocks, far more than needed.
 pub const BLOCKS: u32 = 1000;
 
-/// The account with the money of an existing network is one test's at a time: its transactions have numbers.
+/// Serialises tests that use the rich account of an existing network, because its transactions are numbered.
 static DEPLOYER: Mutex<()> = Mutex::new(());
 
 pub struct Node {
@@ -28,11 +28,11 @@ pub struct Node {
     deployment: Deployment,
     port: u16,
     blocks: Blocks,
-    /// The nodes of a network that is there already.
+    /// The nodes of an existing network.
     existing: Vec<String>,
 }
 
-/// Who makes blocks.
+/// Maker of blocks.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Blocks {
     /// The test, each a second of the chain's time after the last.
@@ -49,12 +49,12 @@ pub fn key(number: u8) -> Key {
 }
 
 impl Node {
-    /// A node whose blocks the test makes; `None` where there is no anvil.
+    /// Starts a node whose blocks the test makes; `None` without anvil.
     pub fn start() -> Option<Self> {
         Self::start_with(Blocks::Ours)
     }
 
-    /// A node that makes a block for each transaction.
+    /// Starts a node that makes a block for each transaction.
     pub fn start_automatic() -> Option<Self> {
         Self::start_with(Blocks::ForEachTransaction)
     }
@@ -77,7 +77,8 @@ impl Node {
         Some(node)
     }
 
-    /// The network with nodes at these WebSockets, on which the operators of tests have money; the contract is deployed anew.
+    /// Uses the network with nodes at these WebSockets, on which the test operators have money. The contract is
+    /// deployed anew.
     pub fn existing(urls: &[&str]) -> Self {
         let _alone = DEPLOYER.lock();
         let (deployment, _) = ethereum::deploy(urls[0], &key(99)).unwrap();
@@ -86,7 +87,7 @@ impl Node {
         Self { anvil, program, folder, deployment, port: 0, blocks: Blocks::Theirs, existing }
     }
 
-    /// The node again, with the chain that it had, where it was.
+    /// Restarts the node with its chain at the same address.
     pub fn restart(&mut self) {
         let state = Some(self.folder.path().join("state.json"));
         let settings = anvil::Settings {
@@ -108,7 +109,7 @@ impl Node {
         }
     }
 
-    /// Has a block made, where that is the test's to do, and waits until all have heard of one more.
+    /// Makes a block if that is the test's task, and waits until all operators have received one more.
     pub fn next_block<'a>(&self, operators: impl IntoIterator<Item = &'a mut Operator>) {
         match self.blocks {
             Blocks::Ours => {
@@ -117,13 +118,13 @@ impl Node {
                 let number = u64::from_str_radix(&number.as_str().unwrap()[2..], 16).unwrap();
                 operators.into_iter().for_each(|operator| operator.hear_block(number));
             }
-            // Without a transaction there is none: whatever comes next is news.
+            // Without a transaction there is none, so wait for any notice.
             Blocks::ForEachTransaction => operators.into_iter().for_each(|operator| _ = operator.wait()),
             Blocks::Theirs => operators.into_iter().for_each(Operator::hear_another_block),
         }
     }
 
-    /// Lets blocks go by until the condition holds for what an operator heard.
+    /// Lets blocks pass until the condition holds for an operator's notices.
     pub fn until(&self, operator: &mut Operator, what: &str, condition: impl Fn(&[Notice]) -> bool) {
         operator.listen();
         for _ in 0..BLOCKS {
@@ -135,7 +136,7 @@ impl Node {
         panic!("not within {BLOCKS} blocks: {what}; heard {:?}", operator.notices);
     }
 
-    /// Lets blocks go by until all of these are registered.
+    /// Lets blocks pass until all of these are registered.
     pub fn register(&self, operators: &mut [Operator]) {
         let tickets: Vec<Ticket> = operators.iter_mut().map(Operator::begin_registration).collect();
         for (operator, ticket) in operators.iter_mut().zip(tickets) {
@@ -143,12 +144,11 @@ impl Node {
         }
     }
 
-    /// Ends the node.
     pub fn stop(&mut self) {
         self.anvil.take().unwrap().stop();
     }
 
-    /// The node of an operator: each has another, where there are several.
+    /// URL of an operator's node; each has another if there are several.
     pub fn url(&self, operator: u8) -> String {
         match self.existing.len() {
             0 => format!("ws://127.0.0.1:{}", self.port),
@@ -156,7 +156,7 @@ impl Node {
         }
     }
 
-    /// Gives an operator money. On a network that is there already, its genesis did, or [`Node::share`].
+    /// Gives an operator money. On an existing network, its genesis or [`Node::share`] does.
     pub fn enrich(&self, number: u8) {
         if self.existing.is_empty() {
             let account = key(number).account();
@@ -179,7 +179,7 @@ impl Node {
             let provider = ProviderBuilder::new().wallet(wallet).connect(&self.existing[0]).await.unwrap();
             let first = provider.get_transaction_count(provider.default_signer_address()).await.unwrap();
             let mut last = None;
-            // All that a wallet would ask the node for: not all of it is what every node knows.
+            // Everything that a wallet would ask the node for, because not every node knows all of it.
             for (nonce, number) in (first..).zip(numbers) {
                 let to = alloy::primitives::Address::from(key(number).account().0);
                 let request = TransactionRequest::default()
@@ -205,19 +205,19 @@ impl Node {
         operator
     }
 
-    /// The access of one that wants the same contract on another chain.
+    /// Access of an operator that expects the same contract on another chain.
     pub fn stray(&self, number: u8) -> EthereumLedger {
         let deployment = Deployment { chain_id: self.deployment.chain_id + 1, ..self.deployment };
         let settings = Settings { url: self.url(number), deployment, from_block: 0, depth: 2 };
         EthereumLedger::connect(settings, key(number)).unwrap()
     }
 
-    /// One without money.
+    /// An operator without money.
     pub fn poor_operator(&self, number: u8) -> Operator {
         self.reconnect(number)
     }
 
-    /// An operator that may have been there before.
+    /// An operator that may have existed before.
     pub fn reconnect(&self, number: u8) -> Operator {
         self.reconnect_at(number, self.url(number))
     }
@@ -229,20 +229,20 @@ impl Node {
         Operator::new(ledger, key(number), self.deployment)
     }
 
-    /// How many transactions of an operator are on the chain.
+    /// Number of an operator's transactions on the chain.
     pub fn transactions(&self, operator: &Operator) -> u64 {
         let account = operator.key.account();
         let count = self.rpc("eth_getTransactionCount", &format!("[\"{account}\", \"latest\"]"));
         u64::from_str_radix(&count.as_str().unwrap()[2..], 16).unwrap()
     }
 
-    /// What the contract has.
+    /// Balance of the contract.
     pub fn holds(&self) -> Wei {
         let balance = self.rpc("eth_getBalance", &format!("[\"{}\", \"latest\"]", self.deployment.contract));
         Wei(u128::from_str_radix(&balance.as_str().unwrap()[2..], 16).unwrap())
     }
 
-    /// What the node answers.
+    /// The node's answer to a request.
     pub fn rpc(&self, method: &str, params: &str) -> Value {
         let params: Value = serde_json::from_str(params).unwrap();
         let request = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": params });
@@ -252,7 +252,7 @@ impl Node {
         answer["result"].take()
     }
 
-    /// How many transactions wait for a block.
+    /// Number of pending transactions.
     pub fn waiting(&self) -> u64 {
         let status = self.rpc("txpool_status", "[]");
         u64::from_str_radix(&status["pending"].as_str().unwrap()[2..], 16).unwrap()

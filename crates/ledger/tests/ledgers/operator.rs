@@ -1,5 +1,5 @@
-//! Operators of tests, and the two sides of a negotiation, block by block. An operator's own clock stands still until a test
-//! moves it.
+//! Test operators, and the two sides of a negotiation, block by block. An operator's own clock stands still until a
+//! test advances it.
 
 use std::time::Duration;
 
@@ -16,20 +16,20 @@ use crate::node::{BLOCKS, Node};
 pub struct Operator {
     pub ledger: EthereumLedger,
     pub key: Key,
-    /// Where the contract is.
+    /// The contract.
     pub deployment: Deployment,
-    /// All that was heard.
+    /// All notices so far.
     pub notices: Vec<Notice>,
     /// Whether the test keeps it from its node: nobody waits for it.
     pub is_cut_off: bool,
     now: Timestamp,
-    /// The last block that it heard of.
+    /// Last block that it received.
     head: u64,
     announced: u64,
 }
 
 impl Operator {
-    /// One that has heard of the chain's head.
+    /// An operator that has received the chain's head.
     pub fn new(ledger: EthereumLedger, key: Key, deployment: Deployment) -> Self {
         let (notices, now) = (Vec::new(), Timestamp::ZERO);
         let mut operator =
@@ -38,7 +38,7 @@ impl Operator {
         operator
     }
 
-    /// What its other keys come from.
+    /// Secret of its other keys.
     pub fn secret(&self) -> Secret {
         self.key.secret(self.deployment)
     }
@@ -47,7 +47,7 @@ impl Operator {
         self.now
     }
 
-    /// Its own clock goes on by so much.
+    /// Advances its own clock.
     pub fn pass(&mut self, time: Duration) {
         self.now = self.now + time;
     }
@@ -66,12 +66,12 @@ impl Operator {
         self.ledger.submit(self.now(), Call::Announce { salt, key, requirements, terms })
     }
 
-    /// Waits until it hears that, whatever blocks there are or are not.
+    /// Waits for a notice, whether there are blocks or not.
     pub fn wait_for(&mut self, is_it: impl Fn(&Notice) -> bool) {
         while !is_it(self.wait()) {}
     }
 
-    /// Waits until it has heard of that block, if it can.
+    /// Waits until it has received that block, if it can.
     pub fn hear_block(&mut self, number: u64) {
         self.listen();
         while !self.is_cut_off && self.head < number {
@@ -79,12 +79,12 @@ impl Operator {
         }
     }
 
-    /// Waits until it has heard of another block, if it can.
+    /// Waits until it has received another block, if it can.
     pub fn hear_another_block(&mut self) {
         self.hear_block(self.head + 1);
     }
 
-    /// Waits for the next news.
+    /// Waits for the next notice.
     pub fn wait(&mut self) -> &Notice {
         let notice = self.ledger.wait();
         self.take_in(notice);
@@ -105,7 +105,7 @@ impl Operator {
     }
 }
 
-/// How many announcements stand, of all that was said and taken back.
+/// Number of announcements that were not retracted.
 pub fn announcements(notices: &[Notice]) -> usize {
     let is = |notice: &&Notice, said: bool| match notice {
         Notice::Event(Event::ServiceAnnounced { .. }) => said,
@@ -125,7 +125,7 @@ pub fn policy() -> Policy {
     }
 }
 
-/// One bid is enough. It is waited for, as long as the creator's clock stands still.
+/// One bid is enough. It is waited for while the creator's clock stands still.
 pub fn one_bid() -> Policy {
     Policy { enough: 1, ..policy() }
 }
@@ -163,7 +163,7 @@ pub struct CreatorSide {
     pub negotiation: Creator,
     pub steps: Vec<CreatorStep>,
     heard: usize,
-    /// Whether the robot can attach to what was deployed.
+    /// Whether the robot can attach to the deployment.
     attaches: bool,
 }
 
@@ -173,7 +173,7 @@ impl CreatorSide {
         Self::asking(operator, terms, policy)
     }
 
-    /// One with terms of its own.
+    /// A creator with its own terms.
     pub fn asking(operator: Operator, terms: Terms, policy: Policy) -> Self {
         let secret = operator.secret();
         let salt = secret.announcement_salt(1);
@@ -182,12 +182,12 @@ impl CreatorSide {
         Self { operator, negotiation, steps: Vec::new(), heard: 0, attaches: true }
     }
 
-    /// The robot cannot attach to what is deployed.
+    /// Makes attaching to the deployment fail.
     pub fn finds_nobody(&mut self) {
         self.attaches = false;
     }
 
-    /// Whether it came to a step.
+    /// Whether it reached a step.
     pub fn has(&self, step: impl Fn(&CreatorStep) -> bool) -> bool {
         self.steps.iter().any(step)
     }
@@ -213,14 +213,14 @@ impl CreatorSide {
     }
 }
 
-/// What a provider does that won.
+/// Behaviour of a winning provider.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Behaviour {
     /// It deploys.
     Honest,
-    /// Nothing.
+    /// It does nothing.
     Silent,
-    /// It tries to deploy, and cannot.
+    /// It tries to deploy, and fails.
     Fails,
 }
 
@@ -231,7 +231,7 @@ pub struct ProviderSide {
     negotiation: Option<Provider>,
     heard: usize,
     behaviour: Behaviour,
-    /// Whose services it bids for, if not for everybody's.
+    /// Creator whose services it bids for; `None` for all.
     serves: Option<Account>,
     pub steps: Vec<ProviderStep>,
 }
@@ -249,7 +249,7 @@ impl ProviderSide {
         }
     }
 
-    /// It bids for this creator's services only.
+    /// Restricts bids to this creator's services.
     pub fn serving(self, creator: Account) -> Self {
         Self { serves: Some(creator), ..self }
     }
@@ -258,12 +258,12 @@ impl ProviderSide {
         Self { behaviour, ..self }
     }
 
-    /// It deploys after all.
+    /// Deploys after all.
     pub fn deploy(&mut self) {
         self.negotiation.as_mut().unwrap().deployed(attachment());
     }
 
-    /// What it was paid, once it is over.
+    /// Its payment, once the service has ended.
     pub fn ended(&self) -> Option<Wei> {
         self.steps.iter().find_map(|step| match step {
             ProviderStep::Ended { charge, .. } => Some(*charge),
@@ -307,7 +307,7 @@ impl ProviderSide {
     }
 }
 
-/// Lets all take part, block by block, until the condition holds.
+/// Advances all participants block by block until the condition holds.
 pub fn until_all(
     node: &Node,
     creator: &mut CreatorSide,

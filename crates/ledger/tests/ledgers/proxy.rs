@@ -1,4 +1,4 @@
-//! What stands between an operator and its node, and can be cut.
+//! A proxy between an operator and its node, which can be interrupted.
 
 use std::{
     io,
@@ -11,12 +11,12 @@ use parking_lot::Mutex;
 
 pub struct Proxy {
     address: SocketAddr,
-    /// The connections; `None` while it is cut.
+    /// The connections; `None` while interrupted.
     connections: Arc<Mutex<Option<Vec<TcpStream>>>>,
 }
 
 impl Proxy {
-    /// In front of a node, which is named by its WebSocket.
+    /// Starts a proxy before a node's WebSocket.
     pub fn before(url: &str) -> Self {
         let node = url.strip_prefix("ws://").unwrap().to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -45,14 +45,14 @@ impl Proxy {
         format!("ws://{}", self.address)
     }
 
-    /// The node cannot be reached, and what is under way is lost.
+    /// Makes the node unreachable, and drops what is in flight.
     pub fn cut(&self) {
         for connection in self.connections.lock().take().into_iter().flatten() {
             let _ = connection.shutdown(Shutdown::Both);
         }
     }
 
-    /// It can be reached again.
+    /// Makes the node reachable again.
     pub fn mend(&self) {
         self.connections.lock().get_or_insert_default();
     }
