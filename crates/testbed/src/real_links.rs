@@ -12,7 +12,7 @@ use cotorra_graph::{
     Conditions, Direction, HardwareGraph, Lateness, LinkContext, LinkId, Medium, Probing, Reached, RealLink,
     Testbed, Timestamp,
 };
-use cotorra_netem::{Confirmed, Hold, HoldError, Netem, Network, NotByNetem, Plan, Rule, Side};
+use cotorra_netem::{ConditionsError, Confirmed, Hold, HoldError, Netem, Network, Plan, Rule, Side};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::{
@@ -30,7 +30,7 @@ pub enum RealLinkError {
         /// The link.
         link: LinkId,
         /// What it cannot do.
-        reason: NotByNetem,
+        reason: ConditionsError,
     },
     /// Nobody tells what the medium takes.
     #[error(

@@ -4,7 +4,7 @@
 
 use std::sync::Arc;
 
-use cotorra_datapath::{Datapath, Handle, KernelNetwork, NoKernelNetwork, Observed};
+use cotorra_datapath::{Datapath, Handle, KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     ConditionChange, Conditions, Direction, Emulation, Lateness, LinkContext, LinkId, Testbed,
@@ -37,7 +37,7 @@ pub(crate) fn kernel_network(
     }
     match KernelNetwork::start(&testbed.graph.without_machines(), fabric, testbed.probes) {
         Ok(network) => Ok(Some(network)),
-        Err(NoKernelNetwork::Datapath(error)) => Err(error),
+        Err(KernelNetworkError::Datapath(error)) => Err(error),
         Err(reason) => {
             tracing::warn!("the kernel cannot emulate this testbed, so the fabric does: {reason}");
             Ok(None)

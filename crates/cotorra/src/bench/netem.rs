@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cotorra_datapath::{
-    Error, NoKernelNetwork,
+    Error, KernelNetworkError,
     bench::{
         Percentiles,
         compare::{self, Emulator},
@@ -19,7 +19,7 @@ const LINKS: [(usize, &str); 2] = [(1, "one link"), (3, "three links")];
 /// All of it; one line says why where the kernel cannot.
 pub fn compare(bench: &Bench) -> Result<Vec<Row>, Error> {
     match rows(bench) {
-        Err(NoKernelNetwork::Datapath(error)) => Err(error),
+        Err(KernelNetworkError::Datapath(error)) => Err(error),
         Err(error) => Ok(vec![Row::missing(
             "the fabric beside NetEm",
             format!("{error}; scripts/uml has one that does"),
@@ -28,7 +28,7 @@ pub fn compare(bench: &Bench) -> Result<Vec<Row>, Error> {
     }
 }
 
-fn rows(bench: &Bench) -> Result<Vec<Row>, NoKernelNetwork> {
+fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
     // What the kernel lacks is found out at once.
     compare::change_lag(Emulator::NetEm, 1)?;
     let mut rows = Vec::new();

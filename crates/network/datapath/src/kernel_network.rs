@@ -12,7 +12,7 @@ use cotorra_graph::{
     Conditions, Direction, HardwareGraph, HostAddress, Jitter, Lateness, Link, LinkCounters, LinkId, Loss,
     NodeId, Probability, Probed, Probing, Rate, Tested, ThroughputTest,
 };
-use cotorra_netem::{Kernel, Netem, NotByNetem, Rule};
+use cotorra_netem::{ConditionsError, Kernel, Netem, Rule};
 use parking_lot::Mutex;
 
 use crate::{
@@ -26,7 +26,7 @@ use crate::{
 
 /// A network, or a link's conditions, that the kernel cannot emulate. The fabric can.
 #[derive(Debug, thiserror::Error)]
-pub enum NoKernelNetwork {
+pub enum KernelNetworkError {
     /// A node is reached by radio, which NetEm does not emulate.
     #[error("`{0}` is reached by radio, which NetEm does not emulate: let the fabric emulate")]
     Radio(NodeId),
@@ -38,7 +38,7 @@ pub enum NoKernelNetwork {
     Lacks(Vec<&'static str>),
     /// NetEm cannot emulate a link's conditions.
     #[error("link `{link}`: {reason}")]
-    Setting { link: LinkId, reason: NotByNetem },
+    Setting { link: LinkId, reason: ConditionsError },
     /// A NetEm request failed.
     #[error(transparent)]
     Netem(#[from] cotorra_netem::Error),
@@ -87,7 +87,7 @@ impl KernelNetwork {
     /// requested.
     ///
     /// # Errors
-    /// [`NoKernelNetwork`] if the kernel cannot emulate the graph.
+    /// [`KernelNetworkError`] if the kernel cannot emulate the graph.
     ///
     /// # Panics
     /// If the fabric lacks a link.
@@ -95,9 +95,9 @@ impl KernelNetwork {
         graph: &HardwareGraph,
         fabric: &Fabric,
         probing: Option<Probing>,
-    ) -> Result<Self, NoKernelNetwork> {
+    ) -> Result<Self, KernelNetworkError> {
         if let Some((robot, _)) = graph.robots().next() {
-            return Err(NoKernelNetwork::Radio(robot.id.clone()));
+            return Err(KernelNetworkError::Radio(robot.id.clone()));
         }
         let nodes: HashMap<_, _> = graph.nodes.iter().enumerate().map(|(i, node)| (&node.id, i)).collect();
         check_tree(graph, &nodes)?;
@@ -106,10 +106,10 @@ impl KernelNetwork {
             let [forward, backward] = effective(link);
             Ok([netem_of(&link.id, forward)?, netem_of(&link.id, backward)?])
         });
-        let settings = settings.collect::<Result<Vec<_>, NoKernelNetwork>>()?;
+        let settings = settings.collect::<Result<Vec<_>, KernelNetworkError>>()?;
         let lacks = Namespace::new()?.run(|| Kernel::open()?.lacks())?;
         if !lacks.is_empty() {
-            return Err(NoKernelNetwork::Lacks(lacks));
+            return Err(KernelNetworkError::Lacks(lacks));
         }
 
         let wiring = Namespace::new()?;
@@ -173,7 +173,7 @@ impl KernelNetwork {
     /// Changes the conditions of one direction of a link in place. They apply when this returns.
     ///
     /// # Errors
-    /// [`NoKernelNetwork`]; then nothing has changed.
+    /// [`KernelNetworkError`]; then nothing has changed.
     ///
     /// # Panics
     /// If the graph has no such link.
@@ -182,7 +182,7 @@ impl KernelNetwork {
         link: &LinkId,
         direction: Direction,
         conditions: &Conditions,
-    ) -> Result<(), NoKernelNetwork> {
+    ) -> Result<(), KernelNetworkError> {
         let place = self.links.iter().position(|l| l == link).expect("the graph's own link");
         set_netem(&self.kernel.lock(), &self.hosts, place, direction, netem_of(link, conditions)?)?;
         self.probes.change(place, direction, conditions);
@@ -208,8 +208,8 @@ impl KernelNetwork {
     /// Returns the observations of each direction of each link.
     ///
     /// # Errors
-    /// [`NoKernelNetwork::Netem`].
-    pub fn observe(&self) -> Result<HashMap<(LinkId, Direction), Observed>, NoKernelNetwork> {
+    /// [`KernelNetworkError::Netem`].
+    pub fn observe(&self) -> Result<HashMap<(LinkId, Direction), Observed>, KernelNetworkError> {
         let counted = |device: &cotorra_netem::Device| Some(device.rules().next()?.1);
         let devices = self.kernel.lock().devices()?;
         let counted: HashMap<_, _> =
@@ -241,7 +241,7 @@ fn set_netem(
     link: usize,
     direction: Direction,
     (netem, packets): (Netem, bool),
-) -> Result<(), NoKernelNetwork> {
+) -> Result<(), KernelNetworkError> {
     if packets {
         segment(hosts)?;
     }
@@ -261,10 +261,10 @@ fn segment(hosts: &[Namespace]) -> Result<(), Error> {
 }
 
 /// Converts conditions, and returns whether they need packets one by one, as in the fabric.
-fn netem_of(link: &LinkId, conditions: &Conditions) -> Result<(Netem, bool), NoKernelNetwork> {
+fn netem_of(link: &LinkId, conditions: &Conditions) -> Result<(Netem, bool), KernelNetworkError> {
     const COARSE: u64 = 1_000_000_000;
     let netem = Netem::try_from(conditions)
-        .map_err(|reason| NoKernelNetwork::Setting { link: link.clone(), reason })?;
+        .map_err(|reason| KernelNetworkError::Setting { link: link.clone(), reason })?;
     let Conditions { loss, jitter, duplication, corruption, reordering, rate, .. } = conditions;
     let random = [duplication, corruption, reordering].into_iter().any(|p| *p != Probability::ZERO);
     let slow = matches!(rate, Rate::Fixed { bits_per_second } if bits_per_second.bits_per_second() < COARSE);
@@ -275,12 +275,12 @@ fn netem_of(link: &LinkId, conditions: &Conditions) -> Result<(Netem, bool), NoK
 }
 
 /// Rejects links that close a circle.
-fn check_tree(graph: &HardwareGraph, nodes: &HashMap<&NodeId, usize>) -> Result<(), NoKernelNetwork> {
+fn check_tree(graph: &HardwareGraph, nodes: &HashMap<&NodeId, usize>) -> Result<(), KernelNetworkError> {
     let mut group: Vec<_> = (0..graph.nodes.len()).collect();
     for link in &graph.links {
         let [a, b] = link.ends.each_ref().map(|end| group[nodes[end]]);
         if a == b {
-            return Err(NoKernelNetwork::Circle(link.id.clone()));
+            return Err(KernelNetworkError::Circle(link.id.clone()));
         }
         group.iter_mut().filter(|g| **g == b).for_each(|g| *g = a);
     }

@@ -46,7 +46,7 @@ pub use engine::{EventSink, Handle};
 pub use error::Error;
 pub use hosts::PortKind;
 pub use init::end_with_us;
-pub use kernel_network::{KernelNetwork, NoKernelNetwork, Observed};
+pub use kernel_network::{KernelNetwork, KernelNetworkError, Observed};
 pub use namespace::{Namespace, enter};
 pub use privilege::{Privilege, enter_user_namespace_if_needed, hide_memory};
 pub use process::{Child, HostsFile, SpawnOptions, raise_open_files};

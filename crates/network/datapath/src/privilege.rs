@@ -38,8 +38,8 @@ pub fn enter_user_namespace_if_needed() -> Result<Privilege, Error> {
     if have_rights() { Ok(Privilege::UserNamespace) } else { Err(Error::RightsWithheld) }
 }
 
-/// Hides this process's memory from programs of the same user if it runs as root, which `cotorra exec` can still
-/// inspect it as. An ordinary user's processes may inspect each other; those in nodes do not see them.
+/// Hides this process's memory from other programs of the same user, if it runs as root: `cotorra exec`, as root, still
+/// has access. An ordinary user's processes may inspect each other; those in nodes do not see them.
 ///
 /// # Errors
 /// [`Error::Kernel`]; no known kernel returns it.

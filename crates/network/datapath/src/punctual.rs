@@ -39,7 +39,7 @@ const MOST_BUDGET: Duration = Duration::from_millis(5);
 #[derive(Debug)]
 pub(crate) struct Punctuality {
     spin: Spin,
-    /// How much earlier the alarm is set.
+    /// Lead by which the alarm is set earlier.
     lead: Duration,
     /// Time that the alarm is set for.
     alarm: Option<Timestamp>,

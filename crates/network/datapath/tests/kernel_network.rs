@@ -10,7 +10,7 @@
 
 use std::{thread, time::Duration};
 
-use cotorra_datapath::{KernelNetwork, NoKernelNetwork, Observed};
+use cotorra_datapath::{KernelNetwork, KernelNetworkError, Observed};
 use cotorra_fabric::{Fabric, FabricError};
 use cotorra_graph::{
     BitRate, Conditions, Direction, LinkId, Loss, Probability, Probing, Rate, Scale, Testbed, ThroughputTest,
@@ -34,7 +34,7 @@ fn start(testbed: &Testbed, probing: Option<Probing>) -> Option<KernelNetwork> {
     let fabric = Fabric::new(&testbed.graph, 1).unwrap();
     match KernelNetwork::start(&testbed.graph, &fabric, probing) {
         Ok(network) => Some(network),
-        Err(error @ (NoKernelNetwork::Lacks(_) | NoKernelNetwork::Datapath(_))) => {
+        Err(error @ (KernelNetworkError::Lacks(_) | KernelNetworkError::Datapath(_))) => {
             assert!(
                 std::env::var_os("COTORRA_KERNEL").is_none(),
                 "COTORRA_KERNEL demands a kernel with NetEm: {error}"

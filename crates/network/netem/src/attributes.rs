@@ -4,7 +4,7 @@
 /// A netlink answer that cannot be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("cannot decode the kernel's netlink answer: {0}")]
-pub struct Malformed(pub(crate) &'static str);
+pub struct DecodeError(pub(crate) &'static str);
 
 const HEADER: usize = 4;
 /// Clears the flag bits (nested, network byte order) that share the field with the kind.
@@ -62,14 +62,14 @@ impl Writer {
 }
 
 /// Reads the attributes in `bytes`, each as kind and value.
-pub(crate) fn attributes(bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, Malformed> {
+pub(crate) fn attributes(bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, DecodeError> {
     let mut found = Vec::new();
     let mut rest = bytes;
     // A rest too short for a header is padding.
     while let Some(header) = rest.get(..HEADER) {
         let length = usize::from(u16::from_ne_bytes([header[0], header[1]]));
         let kind = u16::from_ne_bytes([header[2], header[3]]) & KIND_MASK;
-        let value = rest.get(HEADER..length).ok_or(Malformed("an attribute extends beyond its message"))?;
+        let value = rest.get(HEADER..length).ok_or(DecodeError("an attribute extends beyond its message"))?;
         found.push((kind, value));
         rest = rest.get(length.next_multiple_of(4)..).unwrap_or_default();
     }
@@ -77,14 +77,14 @@ pub(crate) fn attributes(bytes: &[u8]) -> Result<Vec<(u16, &[u8])>, Malformed> {
 }
 
 /// Reads the 32-bit word at index `place` of a structure of words.
-pub(crate) fn word(value: &[u8], place: usize) -> Result<u32, Malformed> {
-    let bytes = value.get(place * 4..place * 4 + 4).ok_or(Malformed("a structure is too short"))?;
+pub(crate) fn word(value: &[u8], place: usize) -> Result<u32, DecodeError> {
+    let bytes = value.get(place * 4..place * 4 + 4).ok_or(DecodeError("a structure is too short"))?;
     Ok(u32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
 }
 
 /// Reads a number of eight bytes.
-pub(crate) fn number(value: &[u8]) -> Result<u64, Malformed> {
-    let bytes = value.first_chunk().ok_or(Malformed("a number is too short"))?;
+pub(crate) fn number(value: &[u8]) -> Result<u64, DecodeError> {
+    let bytes = value.first_chunk().ok_or(DecodeError("a number is too short"))?;
     Ok(u64::from_ne_bytes(*bytes))
 }
 

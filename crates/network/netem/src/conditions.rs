@@ -9,7 +9,7 @@ use crate::{
 
 /// Conditions that NetEm cannot emulate.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum NotByNetem {
+pub enum ConditionsError {
     /// A rate from a packet-delivery trace: NetEm has fixed rates only.
     #[error("NetEm cannot play packet-delivery traces: give a fixed rate, or let the fabric emulate")]
     Trace,
@@ -29,21 +29,20 @@ pub enum NotByNetem {
 const FRAME: u64 = 1514;
 
 impl TryFrom<&Conditions> for Netem {
-    type Error = NotByNetem;
+    type Error = ConditionsError;
 
     /// Keeps packets in order. A queue limit in bytes is converted to full frames, because NetEm counts packets.
-    fn try_from(conditions: &Conditions) -> Result<Self, NotByNetem> {
+    fn try_from(conditions: &Conditions) -> Result<Self, ConditionsError> {
         let loss = match conditions.loss {
             cotorra_graph::Loss::None => Loss::None,
             cotorra_graph::Loss::Independent { rate } => Loss::Independent { rate },
-            cotorra_graph::Loss::Bursty { rate, mean_burst } => {
-                Loss::bursty(rate, mean_burst).ok_or(NotByNetem::Burst { rate: rate.get(), mean_burst })?
-            }
+            cotorra_graph::Loss::Bursty { rate, mean_burst } => Loss::bursty(rate, mean_burst)
+                .ok_or(ConditionsError::Burst { rate: rate.get(), mean_burst })?,
         };
         let rate = match conditions.rate {
             Rate::Unlimited => None,
             Rate::Fixed { bits_per_second } => Some(bits_per_second),
-            Rate::Trace { .. } => return Err(NotByNetem::Trace),
+            Rate::Trace { .. } => return Err(ConditionsError::Trace),
         };
         let netem = Self {
             delay: conditions.delay,
@@ -90,6 +89,6 @@ mod tests {
         assert!((netem.loss.share() - 0.1).abs() < 1e-9);
         assert_eq!((netem.delay, netem.rate), (conditions.delay, Some(bits_per_second)));
         let trace = Rate::Trace { trace: Trace::parse("1").unwrap().into() };
-        assert_eq!(Netem::try_from(&Conditions { rate: trace, ..conditions }), Err(NotByNetem::Trace));
+        assert_eq!(Netem::try_from(&Conditions { rate: trace, ..conditions }), Err(ConditionsError::Trace));
     }
 }

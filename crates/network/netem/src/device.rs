@@ -4,7 +4,7 @@
 use std::{collections::BTreeMap, fmt};
 
 use crate::{
-    attributes::{Malformed, attributes, number, text, word},
+    attributes::{DecodeError, attributes, number, text, word},
     filter::{Field, Filter, Verdict},
     handle::{Handle, Network},
     netem::Netem,
@@ -104,7 +104,7 @@ impl fmt::Display for Plan {
 }
 
 impl Device {
-    pub(crate) fn new(snapshot: &Snapshot, interface: &Interface) -> Result<Self, Malformed> {
+    pub(crate) fn new(snapshot: &Snapshot, interface: &Interface) -> Result<Self, DecodeError> {
         let detour = detour_name(interface.index);
         let detour = snapshot.interfaces.iter().find(|other| other.name == detour);
         let taken = |index: &u32| snapshot.interfaces.iter().any(|other| other.index == *index);
@@ -329,7 +329,7 @@ impl Snapshot {
         self.disciplines.iter().filter(ours).filter_map(of).collect()
     }
 
-    fn tree(&self, interface: &Interface, field: Field) -> Result<Tree, Malformed> {
+    fn tree(&self, interface: &Interface, field: Field) -> Result<Tree, DecodeError> {
         let at: Vec<_> = self.disciplines.iter().filter(|d| d.interface == interface.index).collect();
         let top = at.iter().find(|d| d.parent == Handle::ROOT && d.handle != Handle(0));
         let mut rules = BTreeMap::new();
@@ -371,19 +371,19 @@ impl Snapshot {
 
 impl Interface {
     /// Reads the body of an `RTM_NEWLINK` message.
-    pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
+    pub(crate) fn decode(body: &[u8]) -> Result<Self, DecodeError> {
         let index = word(body, 1)?;
         let rest = body.get(16..).unwrap_or_default();
         let name = attributes(rest)?.into_iter().find(|(kind, _)| *kind == 3).map(|(_, name)| text(name));
         // IFF_LOOPBACK
         let loopback = word(body, 2)? & 8 != 0;
-        Ok(Self { index, name: name.ok_or(Malformed("an interface has no name"))?, loopback })
+        Ok(Self { index, name: name.ok_or(DecodeError("an interface has no name"))?, loopback })
     }
 }
 
 impl DisciplineInfo {
     /// Reads the body of an `RTM_NEWQDISC` message.
-    pub(crate) fn decode(body: &[u8]) -> Result<Self, Malformed> {
+    pub(crate) fn decode(body: &[u8]) -> Result<Self, DecodeError> {
         let mut info = Self {
             interface: word(body, 1)?,
             handle: Handle(word(body, 2)?),
@@ -406,7 +406,7 @@ impl DisciplineInfo {
 
 impl Counters {
     /// Reads `TCA_STATS2`.
-    fn decode(value: &[u8]) -> Result<Self, Malformed> {
+    fn decode(value: &[u8]) -> Result<Self, DecodeError> {
         let mut counters = Self::default();
         for (kind, value) in attributes(value)? {
             match kind {
@@ -426,7 +426,7 @@ impl Counters {
 }
 
 /// Reads the body of an `RTM_NEWTFILTER` message. Returns `None` for a filter of a form that this crate never writes.
-pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>, Malformed> {
+pub(crate) fn decode_filter(body: &[u8]) -> Result<Option<(u32, Handle, Filter)>, DecodeError> {
     let (interface, parent, info) = (word(body, 1)?, Handle(word(body, 3)?), word(body, 4)?);
     let (priority, protocol) = ((info >> 16) as u16, u16::from_be(info as u16));
     for (kind, value) in attributes(body.get(20..).unwrap_or_default())? {

@@ -4,7 +4,7 @@
 use std::net::IpAddr;
 
 use crate::{
-    attributes::{Malformed, Writer, attributes, word},
+    attributes::{DecodeError, Writer, attributes, word},
     handle::{Handle, Network},
 };
 
@@ -106,7 +106,7 @@ impl Filter {
     }
 
     /// Reads a filter's options from the kernel's answer. Returns `None` for a form that this crate never writes.
-    pub(crate) fn decode(options: &[u8], protocol: u16, priority: u16) -> Result<Option<Self>, Malformed> {
+    pub(crate) fn decode(options: &[u8], protocol: u16, priority: u16) -> Result<Option<Self>, DecodeError> {
         let (mut verdict, mut selected) = (None, None);
         for (kind, value) in attributes(options)? {
             match kind {
@@ -122,7 +122,7 @@ impl Filter {
     }
 }
 
-fn redirect(actions: &[u8]) -> Result<Option<u32>, Malformed> {
+fn redirect(actions: &[u8]) -> Result<Option<u32>, DecodeError> {
     for (_, action) in attributes(actions)? {
         for (kind, options) in attributes(action)? {
             if kind != 2 {
@@ -138,8 +138,8 @@ fn redirect(actions: &[u8]) -> Result<Option<u32>, Malformed> {
     Ok(None)
 }
 
-fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Network>)>, Malformed> {
-    let keys = value.get(SELECTOR_HEADER..).ok_or(Malformed("a filter's selector is too short"))?;
+fn read_selector(value: &[u8], protocol: u16) -> Result<Option<(Field, Option<Network>)>, DecodeError> {
+    let keys = value.get(SELECTOR_HEADER..).ok_or(DecodeError("a filter's selector is too short"))?;
     let (fields, length) = match protocol {
         0x0800 => (V4, 4),
         0x86dd => (V6, 16),

@@ -65,7 +65,7 @@ pub struct Network {
 /// Text that is not an IP network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is neither an address nor a network: write it like 10.0.0.7, 10.0.0.0/16 or fd00::/64")]
-pub struct NoNetwork(String);
+pub struct ParseNetworkError(String);
 
 impl Network {
     /// Creates the network of `address` with a prefix of `prefix` bits and clears the remaining bits. Returns `None`
@@ -97,8 +97,8 @@ impl Network {
 }
 
 impl FromStr for Network {
-    type Err = NoNetwork;
-    fn from_str(text: &str) -> Result<Self, NoNetwork> {
+    type Err = ParseNetworkError;
+    fn from_str(text: &str) -> Result<Self, ParseNetworkError> {
         let parse = || {
             let (address, prefix) = match text.split_once('/') {
                 Some((address, prefix)) => (address.parse().ok()?, Some(prefix.parse().ok()?)),
@@ -107,7 +107,7 @@ impl FromStr for Network {
             let whole = if matches!(address, IpAddr::V4(_)) { 32 } else { 128 };
             Self::new(address, prefix.unwrap_or(whole))
         };
-        parse().ok_or_else(|| NoNetwork(text.to_owned()))
+        parse().ok_or_else(|| ParseNetworkError(text.to_owned()))
     }
 }
 
@@ -122,8 +122,8 @@ impl fmt::Display for Network {
 }
 
 impl TryFrom<String> for Network {
-    type Error = NoNetwork;
-    fn try_from(text: String) -> Result<Self, NoNetwork> {
+    type Error = ParseNetworkError;
+    fn try_from(text: String) -> Result<Self, ParseNetworkError> {
         text.parse()
     }
 }

@@ -24,7 +24,8 @@ pub struct Confirmed {
 pub enum HoldError {
     /// It is the loopback interface.
     #[error(
-        "`{0}` is the loopback interface, which this machine's own programs use: pass `--allow-interface {0}` to change it anyway"
+        "`{0}` is the loopback interface, which this machine's own programs use: pass `--allow-interface {0}` to \
+         change it anyway"
     )]
     Loopback(String),
     /// It carries the default route, so remote sessions to this machine would suffer.

@@ -5,7 +5,7 @@ use std::io;
 use netlink_sys::{Socket, protocols::NETLINK_ROUTE};
 
 use crate::{
-    attributes::{Malformed, attributes, text, word},
+    attributes::{DecodeError, attributes, text, word},
     device::{Device, DisciplineInfo, Interface, Plan, Snapshot, decode_filter},
     handle::Network,
     netem::Netem,
@@ -19,7 +19,8 @@ use crate::{
 pub enum Error {
     /// The kernel lacks a module.
     #[error(
-        "this kernel has no {module} and cannot load it: run `modprobe {module}`, or install it from linux-modules-extra or similar"
+        "this kernel has no {module} and cannot load it: run `modprobe {module}`, or install it from \
+         linux-modules-extra or similar"
     )]
     Missing {
         /// Name of the module.
@@ -51,7 +52,7 @@ pub enum Error {
     Socket(#[from] io::Error),
     /// The answer could not be decoded.
     #[error(transparent)]
-    Malformed(#[from] Malformed),
+    Decode(#[from] DecodeError),
 }
 
 /// Traffic control of one network namespace.
@@ -215,7 +216,7 @@ impl Kernel {
         self.socket.recv(&mut answer, 0)?;
         let (Message { kind, flags, body }, _) = split(&answer)?;
         if kind != ERROR {
-            return Err(Malformed("the kernel did not acknowledge a request").into());
+            return Err(DecodeError("the kernel did not acknowledge a request").into());
         }
         let code = -(word(body, 0)? as i32);
         if code == 0 {
@@ -263,18 +264,18 @@ struct Message<'a> {
 }
 
 /// Splits off the first message and returns it with the rest.
-fn split(bytes: &[u8]) -> Result<(Message<'_>, &[u8]), Malformed> {
-    let header = bytes.get(..HEADER).ok_or(Malformed("a message has no header"))?;
+fn split(bytes: &[u8]) -> Result<(Message<'_>, &[u8]), DecodeError> {
+    let header = bytes.get(..HEADER).ok_or(DecodeError("a message has no header"))?;
     let length = word(header, 0)? as usize;
     let kind = u16::from_ne_bytes([header[4], header[5]]);
     let flags = u16::from_ne_bytes([header[6], header[7]]);
-    let body = bytes.get(HEADER..length).ok_or(Malformed("a message is truncated"))?;
+    let body = bytes.get(HEADER..length).ok_or(DecodeError("a message is truncated"))?;
     let rest = bytes.get(length.next_multiple_of(4)..).unwrap_or_default();
     Ok((Message { kind, flags, body }, rest))
 }
 
 /// Returns the kernel's text beside an error code.
-fn message(flags: u16, body: &[u8]) -> Result<String, Malformed> {
+fn message(flags: u16, body: &[u8]) -> Result<String, DecodeError> {
     if flags & HAS_TEXT == 0 {
         return Ok(String::new());
     }

@@ -19,14 +19,14 @@ mod route;
 mod rule;
 mod tree;
 
-pub use attributes::Malformed;
-pub use conditions::NotByNetem;
+pub use attributes::DecodeError;
+pub use conditions::ConditionsError;
 pub use cotorra_graph::{BitRate, Probability};
 #[doc(hidden)]
 pub use device::read_anything;
 pub use device::{Device, Interface, Plan};
 pub use distribution::Distribution;
-pub use handle::{Handle, Network, NoNetwork};
+pub use handle::{Handle, Network, ParseNetworkError};
 pub use hold::{Confirmed, Hold, HoldError, leftovers, put_back};
 pub use kernel::{Error, Kernel};
 pub use loss::Loss;

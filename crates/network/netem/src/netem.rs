@@ -6,7 +6,7 @@ use std::time::Duration;
 use cotorra_graph::{BitRate, Probability};
 
 use crate::{
-    attributes::{Malformed, Writer, attributes, number, word},
+    attributes::{DecodeError, Writer, attributes, number, word},
     distribution::Distribution,
     loss::Loss,
     probability::{from_wire, to_wire},
@@ -171,9 +171,9 @@ impl Netem {
     }
 
     /// Reads the options in the kernel's answer.
-    pub(crate) fn decode(options: &[u8]) -> Result<Self, Malformed> {
+    pub(crate) fn decode(options: &[u8]) -> Result<Self, DecodeError> {
         let (base, rest) =
-            options.split_at_checked(BASE).ok_or(Malformed("NetEm's options are too short"))?;
+            options.split_at_checked(BASE).ok_or(DecodeError("NetEm's options are too short"))?;
         let mut latency = ticks(word(base, 0)?);
         let mut deviation = ticks(word(base, 5)?);
         let mut model = None;

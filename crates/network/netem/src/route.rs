@@ -1,7 +1,7 @@
 //! Reads routes (rtnetlink(7), linux/rtnetlink.h) to find the interfaces of default routes, so that conditions there
 //! do not lock users out by accident.
 
-use crate::attributes::{Malformed, attributes, word};
+use crate::attributes::{DecodeError, attributes, word};
 
 /// Length of `struct rtmsg`.
 const HEADER: usize = 12;
@@ -14,8 +14,8 @@ const UNICAST: u8 = 1;
 
 /// Returns the interfaces of a default route, none for any other route. `body` follows the header of an
 /// `RTM_NEWROUTE` message.
-pub(crate) fn default_route_interfaces(body: &[u8]) -> Result<Vec<u32>, Malformed> {
-    let (header, rest) = body.split_at_checked(HEADER).ok_or(Malformed("a route is too short"))?;
+pub(crate) fn default_route_interfaces(body: &[u8]) -> Result<Vec<u32>, DecodeError> {
+    let (header, rest) = body.split_at_checked(HEADER).ok_or(DecodeError("a route is too short"))?;
     let (prefix, kind) = (header[1], header[7]);
     let mut default_route_interfaces = Vec::new();
     if prefix != 0 || kind != UNICAST {

@@ -257,7 +257,7 @@ pub struct BeaconRequestConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
     pub ssid: Option<String>,
-    /// Which of what is heard is reported.
+    /// Condition for reporting a beacon.
     pub beacon_reporting_conf: BeaconReportingConfig,
 }
 

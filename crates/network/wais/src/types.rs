@@ -50,10 +50,10 @@ pub struct Mac(pub [u8; 6]);
 /// A text that is not a MAC address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{0}` is not a MAC address: write it like 02:77:00:00:00:01")]
-pub struct InvalidMac(String);
+pub struct ParseMacError(String);
 
 impl FromStr for Mac {
-    type Err = InvalidMac;
+    type Err = ParseMacError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let mut octets = text.split([':', '-']).map(|octet| {
@@ -65,12 +65,12 @@ impl FromStr for Mac {
             let octet = octets.next().flatten();
             octet.map(|octet| *slot = octet).is_some()
         });
-        if complete && octets.next().is_none() { Ok(Self(mac)) } else { Err(InvalidMac(text.to_owned())) }
+        if complete && octets.next().is_none() { Ok(Self(mac)) } else { Err(ParseMacError(text.to_owned())) }
     }
 }
 
 impl TryFrom<String> for Mac {
-    type Error = InvalidMac;
+    type Error = ParseMacError;
     fn try_from(text: String) -> Result<Self, Self::Error> {
         text.parse()
     }

@@ -20,7 +20,7 @@ use crate::{
     datapath::Datapath,
     error::{Action, Error},
     hosts::PortKind,
-    kernel_network::{KernelNetwork, NoKernelNetwork},
+    kernel_network::{KernelNetwork, KernelNetworkError},
     namespace::Namespace,
     punctual::BusyPoll,
 };
@@ -42,7 +42,7 @@ enum Network {
 }
 
 impl Emulator {
-    fn start(self, graph: &HardwareGraph) -> Result<Network, NoKernelNetwork> {
+    fn start(self, graph: &HardwareGraph) -> Result<Network, KernelNetworkError> {
         Ok(match self {
             Self::Fabric => Network::Fabric(SETTING.start(graph)?),
             Self::NetEm => {
@@ -63,7 +63,7 @@ impl Network {
     }
 
     /// Sets another delay, which applies when this returns.
-    fn change(&self, link: &LinkId, delay: Duration) -> Result<(), NoKernelNetwork> {
+    fn change(&self, link: &LinkId, delay: Duration) -> Result<(), KernelNetworkError> {
         match self {
             Self::Fabric(datapath) => {
                 let (link, change) = (
@@ -153,12 +153,12 @@ const MILLISECOND: Duration = Duration::from_millis(1);
 /// Measures by how much transit times exceed the delays of `links` links in a row.
 ///
 /// # Errors
-/// [`NoKernelNetwork`].
+/// [`KernelNetworkError`].
 pub fn delay_error(
     emulator: Emulator,
     links: usize,
     delay: Duration,
-) -> Result<Percentiles, NoKernelNetwork> {
+) -> Result<Percentiles, KernelNetworkError> {
     let network = emulator.start(&line(2, links, &Conditions { delay, ..Conditions::default() }))?;
     let (arrived, ()) = network.probe(2000, 1, MILLISECOND, |_| ())?;
     let error = |(sent, at): (Timestamp, Timestamp)| at.since(sent).saturating_sub(delay * links as u32);
@@ -169,8 +169,8 @@ pub fn delay_error(
 /// this standard deviation.
 ///
 /// # Errors
-/// [`NoKernelNetwork`].
-pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<Duration, NoKernelNetwork> {
+/// [`KernelNetworkError`].
+pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<Duration, KernelNetworkError> {
     let jitter = Jitter { deviation, distribution: JitterDistribution::Normal };
     let delay = Duration::from_millis(20);
     let network = emulator.start(&line(
@@ -189,8 +189,8 @@ pub fn jitter(emulator: Emulator, links: usize, deviation: Duration) -> Result<D
 /// Measures the share of packets lost over `links` links in a row with this loss rate each.
 ///
 /// # Errors
-/// [`NoKernelNetwork`].
-pub fn loss(emulator: Emulator, links: usize, rate: Probability) -> Result<f64, NoKernelNetwork> {
+/// [`KernelNetworkError`].
+pub fn loss(emulator: Emulator, links: usize, rate: Probability) -> Result<f64, KernelNetworkError> {
     const PACKETS: usize = 50_000;
     let loss = Loss::Independent { rate };
     let network = emulator.start(&line(2, links, &Conditions { loss, ..Conditions::default() }))?;
@@ -201,8 +201,8 @@ pub fn loss(emulator: Emulator, links: usize, rate: Probability) -> Result<f64, 
 /// Measures TCP throughput in bit/s over `links` unlimited links in a row.
 ///
 /// # Errors
-/// [`NoKernelNetwork`].
-pub fn throughput(emulator: Emulator, links: usize, length: Duration) -> Result<f64, NoKernelNetwork> {
+/// [`KernelNetworkError`].
+pub fn throughput(emulator: Emulator, links: usize, length: Duration) -> Result<f64, KernelNetworkError> {
     let network = emulator.start(&line(2, links, &Conditions::default()))?;
     let listener = network.host(1)?.run(|| TcpListener::bind((Ipv4Addr::UNSPECIFIED, PORT)));
     let listener = listener.action("listen in a node")?;
@@ -220,8 +220,8 @@ pub fn throughput(emulator: Emulator, links: usize, length: Duration) -> Result<
 /// packet is sent about every 0.1 ms.
 ///
 /// # Errors
-/// [`NoKernelNetwork`].
-pub fn change_lag(emulator: Emulator, changes: usize) -> Result<Percentiles, NoKernelNetwork> {
+/// [`KernelNetworkError`].
+pub fn change_lag(emulator: Emulator, changes: usize) -> Result<Percentiles, KernelNetworkError> {
     const SHORT: Duration = MILLISECOND;
     const LONG: Duration = Duration::from_millis(15);
     let graph = line(2, 1, &Conditions { delay: SHORT, ..Conditions::default() });
@@ -238,7 +238,7 @@ pub fn change_lag(emulator: Emulator, changes: usize) -> Result<Percentiles, NoK
             thread::sleep(LONG * 4);
             network.change(link, SHORT)?;
         }
-        Ok::<_, NoKernelNetwork>(changed)
+        Ok::<_, KernelNetworkError>(changed)
     })?;
     let lag = |changed: Timestamp| {
         let missed = arrived
