@@ -8,12 +8,10 @@ pub use federation::federation;
 
 use std::{fs, path::Path, process::ExitCode};
 
+use cotorra_experiments::okpi::{CONTENDERS, Comparison, FILES};
 use cotorra_measurements::Location;
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::{
-    Finished, FolderError, Options, Place,
-    experiment::okpi::{CONTENDERS, Comparison, FILES},
-};
+use cotorra_testbed::{Finished, FolderError, Options, Place};
 use cotorra_testbed_file::Setting;
 
 use self::args::OkpiArgs;

@@ -10,10 +10,8 @@ use std::{
 };
 
 use clap::Args;
-use cotorra_testbed::{
-    FolderError,
-    sweep::{Axis, Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder},
-};
+use cotorra_experiments::sweep::{Axis, Cell, FILES, Interval, Runs, Sweep, SweepError, SweepFolder};
+use cotorra_testbed::FolderError;
 
 use crate::{
     duration::parse_duration,

@@ -21,7 +21,7 @@ use crate::{
     keeping::Keeper,
     live::Live,
     plugins::{Now, host::Fault, running::RunningPlugins},
-    report::Report,
+    report::{End, Report},
 };
 
 /// How often plug-ins are looked at.
@@ -108,30 +108,6 @@ impl EventSinks {
             tap.event(Arc::clone(&event));
         }
         self.recorder.record(Arc::unwrap_or_clone(event));
-    }
-}
-
-/// Why a run ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum End {
-    /// Every walk is done.
-    Walked,
-    /// The time that was asked for is over.
-    Until,
-    /// Somebody stopped it.
-    Stopped,
-    /// The emulated network is gone.
-    Broken,
-}
-
-impl End {
-    pub(crate) fn as_str(self) -> &'static str {
-        match self {
-            Self::Walked => "every walk is done",
-            Self::Until => "the time that was asked for is over",
-            Self::Stopped => "it was stopped",
-            Self::Broken => "the emulated network failed",
-        }
     }
 }
 

@@ -11,7 +11,6 @@ mod confined;
 mod core;
 mod core_loop;
 mod domain;
-pub mod experiment;
 pub mod faults;
 mod images;
 mod keeping;
@@ -29,21 +28,21 @@ mod robots;
 mod run;
 mod script;
 mod simulate;
-pub mod sweep;
 
 pub use api::{ApiError, Token, Tokens, TokensError, openapi};
 pub use bundled::{VnfError, localization, navigation};
 pub use cotorra_wais::http::openapi as wais_openapi;
 pub use live::{Live, Snapshot};
-pub use plugins::PluginError;
-pub use previous_run::{CannotGoOn, PreviousRun};
+pub use plugins::{PluginError, panic_text};
+pub use previous_run::{CannotGoOn, PreviousRun, orchestrators};
 pub use real_links::{RealLinkError, interface_plans};
 pub use recorded::{Recorded, RecordedError};
 pub use report::{
     DecisionRecord, Fidelity, FolderError, HandoverRecord, LatenessSummary, LocalizationSummary, Panel,
-    Place, PlacementRecord, Quantiles, RegionSummary, Report, ServiceSummary, Summary, draw,
+    Place, PlacementRecord, Quantiles, RegionSummary, Report, ServiceSummary, Summary, draw, service_time_ms,
+    svg, write_file,
 };
 pub use robots::RobotError;
 pub use run::{Finished, Leftovers, Options, Run, RunError, Stopper, about, clean, leftovers};
 pub use script::{Rehearsal, ScriptError, rehearse};
-pub use simulate::{Simulation, simulate};
+pub use simulate::{Simulation, simulate, simulate_unrecorded};

@@ -4,12 +4,12 @@
 use std::time::Duration;
 
 use cotorra_federation::{LedgerChoice, Settings};
-use cotorra_graph::{Decision, Event, Instruction, PluginId, PluginSpec, Stamped, Testbed, Timestamp};
+use cotorra_graph::{
+    Decision, Event, Instruction, PluginId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp,
+};
 use cotorra_measurements::{History, Kind, PageRequest, Run};
 use cotorra_plugin::Noted;
 use cotorra_testbed_file::Diagnostics;
-
-use crate::experiment::federation::orchestrators;
 
 /// Why no run can go on after another.
 #[derive(Debug, thiserror::Error)]
@@ -136,6 +136,13 @@ fn contract(spec: &PluginSpec) -> Option<(u64, String)> {
         LedgerChoice::Ethereum(network) => Some((network.chain_id, network.contract.to_ascii_lowercase())),
         LedgerChoice::Modelled { .. } | LedgerChoice::Anvil { .. } => None,
     }
+}
+
+/// Returns the plug-ins that orchestrate a domain: the bundled ones named `federation`.
+pub fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
+    let is_orchestrator =
+        |spec: &&PluginSpec| matches!(&spec.program, PluginProgram::Bundled(name) if name == "federation");
+    testbed.plugins.iter().filter(is_orchestrator)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use cotorra_measurements::{History, Location, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    report::{FolderError, RunFolder, write},
+    report::{FolderError, RunFolder, write_file},
     run::RunError,
 };
 
@@ -84,7 +84,7 @@ impl Recorded {
             Location::Server(_) => location.to_string(),
         };
         let note = serde_json::to_string_pretty(&Self { history: name, run: Some(run) });
-        write(folder.path(), NOTE, &(note.expect("a note holds only what JSON can") + "\n"))?;
+        write_file(folder.path(), NOTE, &(note.expect("a note holds only what JSON can") + "\n"))?;
         Ok((history, run))
     }
 }

@@ -3,8 +3,8 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
+use cotorra_experiments::federation::Account;
 use cotorra_graph::DomainId;
-use cotorra_testbed::experiment::federation::Account;
 use cotorra_testbed_file::Setting;
 
 use crate::{

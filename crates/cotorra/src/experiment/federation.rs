@@ -6,16 +6,14 @@ use std::{
     time::Duration,
 };
 
+use cotorra_experiments::federation::{
+    Access, Comparison, FILES, Federated, LedgerBackend, LedgerError, Network, NoFederation, dishonest,
+    domains, longest, settings,
+};
 use cotorra_graph::DomainId;
 use cotorra_measurements::{History, RunId};
 use cotorra_plugin::runs::Runs;
-use cotorra_testbed::{
-    FolderError, Options, Place, Recorded, RecordedError,
-    experiment::federation::{
-        Access, Comparison, FILES, Federated, LedgerBackend, LedgerError, Network, NoFederation, dishonest,
-        domains, longest, settings,
-    },
-};
+use cotorra_testbed::{FolderError, Options, Place, Recorded, RecordedError};
 use cotorra_testbed_file::Setting;
 
 use super::args::{FederationArgs, LedgerArgs, LedgerNode};

@@ -119,7 +119,7 @@ pub(crate) fn programs(testbed: &Testbed) -> impl Iterator<Item = &PluginId> {
 }
 
 /// What a panic says.
-pub(crate) fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
+pub fn panic_text(panic: &(dyn std::any::Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message")
 }

@@ -8,7 +8,7 @@ use kuva::{
         annotations::{ReferenceLine, ShadedRegion, TextAnnotation},
         legend::LegendPosition,
     },
-    render::{figure::Figure, layout::Layout, plots::Plot},
+    render::{figure::Figure, layout::Layout, plots::Plot, render::Scene},
 };
 
 use super::{
@@ -93,12 +93,14 @@ pub fn draw(panels: &[Panel<'_>]) -> String {
         .with_layouts(layouts)
         .with_figure_size(WIDTH, HEIGHT * panels.len() as f64)
         .render();
-    number_clips(SvgBackend::new().render_scene(&scene))
+    svg(&scene)
 }
 
-/// The library numbers clip paths through a process's life; the same figure is to have the same bytes.
-pub(crate) fn number_clips(svg: String) -> String {
+/// Renders a scene as SVG. The library numbers clip paths across the whole process; they are renumbered, so that the same
+/// scene always has the same bytes.
+pub fn svg(scene: &Scene) -> String {
     const MARK: &str = "<clipPath id=\"";
+    let svg = SvgBackend::new().render_scene(scene);
     let ids = svg.split(MARK).skip(1).filter_map(|rest| rest.split('"').next().map(str::to_owned));
     ids.collect::<Vec<_>>().iter().enumerate().fold(svg, |svg, (i, id)| {
         svg.replace(&format!("\"{id}\""), &format!("\"clip{i}\""))

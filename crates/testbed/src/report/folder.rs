@@ -20,7 +20,8 @@ pub struct FolderError {
 }
 
 impl FolderError {
-    pub(crate) fn new(path: &Path, source: io::Error) -> Self {
+    /// An error on a path.
+    pub fn new(path: &Path, source: io::Error) -> Self {
         Self { path: path.to_owned(), source }
     }
 }
@@ -77,7 +78,7 @@ impl Place {
 }
 
 /// Writes a file whole or not at all: a reader never sees half of one.
-pub(crate) fn write(folder: &Path, name: &str, text: &str) -> Result<(), FolderError> {
+pub fn write_file(folder: &Path, name: &str, text: &str) -> Result<(), FolderError> {
     let path = folder.join(name);
     let draft = folder.join(format!(".{name}.part"));
     fs::write(&draft, text)
@@ -102,7 +103,7 @@ impl RunFolder {
         let path = place.create(name)?;
         let logs = path.join("logs");
         fs::create_dir(&logs).map_err(|source| FolderError { path: logs, source })?;
-        write(&path, "testbed.yaml", testbed_text)?;
+        write_file(&path, "testbed.yaml", testbed_text)?;
         Ok(Self { path })
     }
 
@@ -127,12 +128,12 @@ impl RunFolder {
     /// [`FolderError`].
     pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
         let json = serde_json::to_string_pretty(summary).expect("a summary holds only what JSON can");
-        write(&self.path, "summary.json", &(json + "\n"))?;
+        write_file(&self.path, "summary.json", &(json + "\n"))?;
         let path = self.path.join("service_time.csv");
         let written = File::create(&path).and_then(|file| write_csv(report, file));
         written.map_err(|source| FolderError { path, source })?;
         let title = format!("{}: service time and attachment", summary.name);
-        write(&self.path, "service_time.svg", &draw(&Panel::of_services(&title, report)))
+        write_file(&self.path, "service_time.svg", &draw(&Panel::of_services(&title, report)))
     }
 }
 

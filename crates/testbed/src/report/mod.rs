@@ -2,17 +2,16 @@
 //! off localization was is read off the events.
 
 mod driving;
+mod end;
 mod figure;
 mod folder;
 mod samples;
 mod summary;
 
-pub(crate) use figure::number_clips;
-pub use figure::{Panel, draw};
-pub(crate) use folder::write;
-pub use folder::{FolderError, Place, RunFolder};
-pub(crate) use summary::service_time_ms;
+pub(crate) use end::End;
+pub use figure::{Panel, draw, svg};
+pub use folder::{FolderError, Place, RunFolder, write_file};
 pub use summary::{
     DecisionRecord, Fidelity, HandoverRecord, LatenessSummary, LocalizationSummary, Losses, PlacementRecord,
-    Quantiles, RegionSummary, Report, ServiceSummary, Summary,
+    Quantiles, RegionSummary, Report, ServiceSummary, Summary, service_time_ms,
 };

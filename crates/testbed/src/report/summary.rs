@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::{
     driving::{Driving, DrivingSummary},
+    end::End,
     folder::FolderError,
     samples::Samples,
 };
@@ -226,7 +227,14 @@ pub struct LatenessSummary {
     pub max: f64,
 }
 
-/// Of which frames it is known how late they were.
+impl Summary {
+    /// Whether the run ended because every walk was done.
+    pub fn is_walked(&self) -> bool {
+        self.ended == End::Walked.as_str()
+    }
+}
+
+/// Frames whose lateness is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Known {
     /// Of all, because the fabric carried them.
@@ -584,7 +592,7 @@ impl OfService {
 }
 
 /// What a sample took, in milliseconds.
-pub(crate) fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
+pub fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
     sample.took.map(millis::of)
 }
 

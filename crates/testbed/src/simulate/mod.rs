@@ -6,6 +6,7 @@ mod interference;
 mod network;
 mod run;
 mod udp;
+mod unrecorded;
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -25,11 +26,11 @@ use cotorra_network_control::{InstructionError, vim::Managed};
 use cotorra_robot_middleware::{Nonces, SensedData, SensedScan};
 
 use self::interference::{Held, Interference};
-pub use self::run::simulate;
 pub(crate) use self::{
     engine::{Mood, Serving, VirtualEngine},
     network::VirtualNetwork,
 };
+pub use self::{run::simulate, unrecorded::simulate_unrecorded};
 use crate::{
     core::Core,
     domain::Domains,

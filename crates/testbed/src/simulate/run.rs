@@ -16,7 +16,6 @@ use cotorra_robot_middleware::{SensedData, SensedScan};
 use super::{Happened, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
-    core_loop::End,
     keeping::{Keeper, Keeping},
     live::Live,
     plugins::{
@@ -27,7 +26,7 @@ use crate::{
         programs,
     },
     recorded::Recorded,
-    report::{Losses, Report, RunFolder},
+    report::{End, Losses, Report, RunFolder},
     run::{Finished, Options, RunError, about, system},
 };
 

@@ -1,9 +1,8 @@
 //! What is kept of one run of a sweep.
 
 use cotorra_graph::{NodeId, Timestamp};
+use cotorra_testbed::{Quantiles, RegionSummary, Summary};
 use serde::{Deserialize, Serialize};
-
-use crate::report::{Quantiles, RegionSummary, Summary};
 
 /// What came of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -82,7 +81,7 @@ impl Measured {
         };
         Self {
             duration_ms: summary.duration_ms,
-            walked: summary.ended == crate::core_loop::End::Walked.as_str(),
+            walked: summary.is_walked(),
             samples: summary.samples,
             unanswered: summary.unanswered,
             above_target: summary.above_target,

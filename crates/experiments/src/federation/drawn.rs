@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use cotorra_federation::Step;
+use cotorra_testbed::svg;
 use kuva::{
-    backend::svg::SvgBackend,
     plot::{LinePlot, annotations::TextAnnotation, legend::LegendPosition},
     render::{
         figure::Figure,
@@ -15,7 +15,6 @@ use kuva::{
 };
 
 use super::Federated;
-use crate::report::number_clips;
 
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 380.0;
@@ -121,5 +120,5 @@ pub(super) fn draw(run: &Federated, ledger: &str) -> String {
         .with_layouts(vec![layout])
         .with_figure_size(WIDTH, HEIGHT)
         .render();
-    number_clips(SvgBackend::new().render_scene(&scene))
+    svg(&scene)
 }

@@ -4,9 +4,8 @@
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, ServiceTime, Testbed};
+use cotorra_testbed::{FolderError, Panel, Quantiles, Report, draw, service_time_ms, write_file};
 use serde::Serialize;
-
-use crate::report::{FolderError, Panel, Quantiles, Report, draw, service_time_ms, write};
 
 /// One of those that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -302,10 +301,10 @@ impl Comparison {
             },
         ];
         let [figure, tables, data, samples] = FILES;
-        write(folder, figure, &draw(&panels))?;
-        write(folder, tables, &self.to_markdown(how))?;
+        write_file(folder, figure, &draw(&panels))?;
+        write_file(folder, tables, &self.to_markdown(how))?;
         let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
-        write(folder, data, &(json + "\n"))?;
+        write_file(folder, data, &(json + "\n"))?;
         let mut csv = String::from("contender,emitted_ns,service_time_ms,theory_ms,attachment,server\n");
         for (contender, report) in CONTENDERS.iter().zip([soa, okpi]) {
             for sample in report.samples().iter() {
@@ -325,7 +324,7 @@ impl Comparison {
                 );
             }
         }
-        write(folder, samples, &csv)
+        write_file(folder, samples, &csv)
     }
 }
 

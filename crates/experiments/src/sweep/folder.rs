@@ -8,10 +8,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use cotorra_testbed::{FolderError, write_file};
 use serde::{Deserialize, Serialize};
 
 use super::{Interval, Measured, Runs, Sweep, figure};
-use crate::report::{FolderError, write};
 
 /// What [`SweepFolder::write`] makes: a row a run, a row a combination, a row a region of a run, and the plot.
 pub const FILES: [&str; 4] = ["runs.csv", "cells.csv", "regions.csv", "sweep.svg"];
@@ -109,10 +109,10 @@ impl SweepFolder {
     pub fn write(&self, sweep: &Sweep, runs: &Runs) -> Result<(), FolderError> {
         let cells = sweep.cells(runs);
         let [of_runs, of_cells, of_regions, plot] = FILES;
-        write(&self.path, of_runs, &runs_csv(sweep, runs))?;
-        write(&self.path, of_cells, &cells_csv(sweep, &cells))?;
-        write(&self.path, of_regions, &regions_csv(sweep, runs))?;
-        write(&self.path, plot, &figure::draw(sweep, &cells))
+        write_file(&self.path, of_runs, &runs_csv(sweep, runs))?;
+        write_file(&self.path, of_cells, &cells_csv(sweep, &cells))?;
+        write_file(&self.path, of_regions, &regions_csv(sweep, runs))?;
+        write_file(&self.path, plot, &figure::draw(sweep, &cells))
     }
 }
 

@@ -1,13 +1,12 @@
 //! A sweep's plot: median service time and share above the target, each with its confidence interval.
 
+use cotorra_testbed::svg;
 use kuva::{
-    backend::svg::SvgBackend,
     plot::{LinePlot, ScatterPlot},
     render::{figure::Figure, layout::Layout, plots::Plot},
 };
 
 use super::{Axis, Cell, Interval, Sweep};
-use crate::report::number_clips;
 
 const WIDTH: f64 = 900.0;
 const HEIGHT: f64 = 340.0;
@@ -55,7 +54,7 @@ pub(super) fn draw(sweep: &Sweep, cells: &[Cell]) -> String {
     let (plots, layouts) = drawn.into_iter().unzip();
     let figure = Figure::new(panels.len(), 1).with_plots(plots).with_layouts(layouts);
     let scene = figure.with_figure_size(WIDTH, HEIGHT * panels.len() as f64).render();
-    number_clips(SvgBackend::new().render_scene(&scene))
+    svg(&scene)
 }
 
 fn series<'a>(axes: &[Axis], along: Option<usize>, cells: &'a [Cell]) -> Vec<Series<'a>> {

@@ -8,13 +8,10 @@ mod ledger_backend;
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
 use cotorra_federation::Step;
-use cotorra_graph::{
-    DomainId, Event, Instruction, NodeId, PluginProgram, PluginSpec, Stamped, Testbed, Timestamp, Walk,
-};
+use cotorra_graph::{DomainId, Event, Instruction, NodeId, Stamped, Testbed, Timestamp, Walk};
 use cotorra_measurements::{History, Kind, PageRequest, RunId};
+use cotorra_testbed::{FolderError, Quantiles, orchestrators, write_file};
 use serde::Serialize;
-
-use crate::report::{FolderError, Quantiles, write};
 
 pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
 pub use ledger_backend::LedgerBackend;
@@ -319,11 +316,11 @@ impl Comparison {
         if let Some(runs) = published.or(periods.last()) {
             let mut runs = runs.clone();
             runs.sort_by(|a, b| a.total_s().total_cmp(&b.total_s()));
-            write(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
+            write_file(folder, figure, &drawn::draw(runs[runs.len() / 2], &self.ledger))?;
         }
-        write(folder, table, &self.to_markdown())?;
+        write_file(folder, table, &self.to_markdown())?;
         let json = serde_json::to_string_pretty(self).expect("a comparison holds only what JSON can");
-        write(folder, data, &(json + "\n"))?;
+        write_file(folder, data, &(json + "\n"))?;
         let mut rows = String::from("block_period_s,run,seed");
         STEPS.iter().for_each(|step| rows += &format!(",{}_s", step.as_str().replace(' ', "_")));
         rows += ",gap_s,total_s,bound_s,beyond_s\n";
@@ -335,7 +332,7 @@ impl Comparison {
             figures.iter().for_each(|figure| rows += &format!(",{figure:.6}"));
             rows.push('\n');
         }
-        write(folder, csv, &rows)
+        write_file(folder, csv, &rows)
     }
 }
 
@@ -380,13 +377,6 @@ pub fn longest(testbed: &Testbed) -> Duration {
     };
     let walks = testbed.walks.iter().map(walk).fold(0.0_f64, f64::max);
     Duration::from_secs_f64((2.0 * walks).min(86_400.0)) + Duration::from_secs(60)
-}
-
-/// The plug-ins that are to federate.
-pub(crate) fn orchestrators(testbed: &Testbed) -> impl Iterator<Item = &PluginSpec> {
-    let is =
-        |spec: &&PluginSpec| matches!(&spec.program, PluginProgram::Bundled(name) if name == "federation");
-    testbed.plugins.iter().filter(is)
 }
 
 /// The domains that are to federate, in the order of their plug-ins.

@@ -2,7 +2,7 @@
 //!
 //! ```no_run
 //! use std::path::Path;
-//! use cotorra_testbed::sweep::{Sweep, SweepFolder};
+//! use cotorra_experiments::sweep::{Sweep, SweepFolder};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let text = std::fs::read_to_string("testbeds/corridor.yaml")?;
@@ -42,7 +42,8 @@ use std::{
     time::Duration,
 };
 
-use cotorra_graph::{Testbed, Timestamp, seed};
+use cotorra_graph::{PluginProgram, Testbed, seed};
+use cotorra_testbed::{FolderError, Options, Place, RunError, panic_text, simulate, simulate_unrecorded};
 use cotorra_testbed_file::{Diagnostics, InvalidSetting, Setting};
 
 pub use self::{
@@ -51,19 +52,6 @@ pub use self::{
     folder::{FILES, SweepFolder},
     measured::{Measured, Region},
 };
-use crate::{
-    core_loop::End,
-    plugins::{
-        lockstep::{Guarded, wall_clock},
-        panic_text, programs,
-    },
-    report::{FolderError, Losses, Place, Report},
-    run::{Options, RunError},
-    simulate::{Simulation, Stretch, simulate},
-};
-
-/// So many events of a run pass between two looks whether the sweep is to stop.
-const EVENTS_A_LOOK: usize = 1000;
 
 /// A testbed file, the settings to vary, and how often to repeat each combination.
 #[derive(Debug, Clone)]
@@ -300,10 +288,12 @@ impl Sweep {
     ) -> Result<Option<Measured>, SweepError> {
         let testbed = self.testbed(&point.values)?;
         let run = || {
-            if programs(&testbed).next().is_some() {
+            if testbed.plugins.iter().any(|spec| matches!(spec.program, PluginProgram::Command(_))) {
                 self.simulate_with_programs(testbed, point.seed, folder, stop)
             } else {
-                self.simulate(Arc::new(testbed), point.seed, stop)
+                let go_on = || !stop.load(Ordering::Relaxed);
+                let summary = simulate_unrecorded(Arc::new(testbed), point.seed, self.until, go_on)?;
+                Ok(summary.as_ref().map(Measured::of))
             }
         };
         let named = || self.name(point);
@@ -315,39 +305,8 @@ impl Sweep {
         }
     }
 
-    fn simulate(
-        &self,
-        testbed: Arc<Testbed>,
-        seed: u64,
-        stop: &AtomicBool,
-    ) -> Result<Option<Measured>, RunError> {
-        let until = self.until.map(|until| Timestamp::ZERO + until);
-        if until.is_none() && testbed.walks.is_empty() {
-            return Err(RunError::Endless);
-        }
-        let mut simulation = Guarded::new(Simulation::new(Arc::clone(&testbed), seed)?, wall_clock());
-        let mut report = Report::new(&testbed, seed);
-        loop {
-            simulation.go(Stretch::Events(EVENTS_A_LOOK, until));
-            if !simulation.run(&mut || !stop.load(Ordering::Relaxed)) {
-                return Ok(None);
-            }
-            while let Some(event) = simulation.poll_event() {
-                report.absorb(&event);
-            }
-            let (now, end) = match until {
-                _ if simulation.is_finished() => (simulation.now(), End::Walked),
-                Some(until) if simulation.now() >= until => (simulation.now(), End::Until),
-                _ if stop.load(Ordering::Relaxed) => return Ok(None),
-                _ => continue,
-            };
-            let summary = report.summary(now, end.as_str(), Losses::default());
-            return Ok(Some(Measured::of(&summary)));
-        }
-    }
-
-    /// The same where plug-ins are programs of their own, which need the folder of a run. It stays where one of them
-    /// was cut off: the program's log is in it.
+    /// Runs a point whose plug-ins are programs, which need a run's folder. The folder stays if a plug-in was cut off:
+    /// it holds the program's log.
     fn simulate_with_programs(
         &self,
         testbed: Testbed,

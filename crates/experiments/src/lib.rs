@@ -1,0 +1,10 @@
+//! Experiments made of many runs: sweeps over settings and seeds, and repetitions of published experiments.
+//!
+//! [`Sweep`](sweep::Sweep) runs a testbed file in virtual time for all combinations of settings. [`okpi::Comparison`] and
+//! [`federation::Comparison`] compare runs with published figures. They only read reports and histories: the caller runs
+//! the testbeds, in real or in virtual time.
+#![forbid(unsafe_code)]
+
+pub mod federation;
+pub mod okpi;
+pub mod sweep;

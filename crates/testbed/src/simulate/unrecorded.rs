@@ -1,0 +1,51 @@
+//! A run in virtual time that leaves no files. It returns the summary only.
+
+use std::{sync::Arc, time::Duration};
+
+use cotorra_graph::{Testbed, Timestamp};
+
+use super::{Simulation, Stretch};
+use crate::{
+    plugins::lockstep::{Guarded, wall_clock},
+    report::{End, Losses, Report, Summary},
+    run::RunError,
+};
+
+/// Events of a run between two calls of `go_on`.
+const EVENTS_PER_CHECK: usize = 1000;
+
+/// Runs a testbed in virtual time to the end of its walks, or up to `until`, without a folder or a history. Returns `None`
+/// if `go_on` stopped it; it is called now and then.
+///
+/// # Errors
+/// [`RunError`]. A testbed without walks needs an `until`: virtual time has no other end. A plug-in that is a program needs
+/// [`simulate`](super::simulate).
+pub fn simulate_unrecorded(
+    testbed: Arc<Testbed>,
+    seed: u64,
+    until: Option<Duration>,
+    mut go_on: impl FnMut() -> bool,
+) -> Result<Option<Summary>, RunError> {
+    let until = until.map(|until| Timestamp::ZERO + until);
+    if until.is_none() && testbed.walks.is_empty() {
+        return Err(RunError::Endless);
+    }
+    let mut simulation = Guarded::new(Simulation::new(Arc::clone(&testbed), seed)?, wall_clock());
+    let mut report = Report::new(&testbed, seed);
+    loop {
+        simulation.go(Stretch::Events(EVENTS_PER_CHECK, until));
+        if !simulation.run(&mut go_on) {
+            return Ok(None);
+        }
+        while let Some(event) = simulation.poll_event() {
+            report.absorb(&event);
+        }
+        let (now, end) = match until {
+            _ if simulation.is_finished() => (simulation.now(), End::Walked),
+            Some(until) if simulation.now() >= until => (simulation.now(), End::Until),
+            _ if !go_on() => return Ok(None),
+            _ => continue,
+        };
+        return Ok(Some(report.summary(now, end.as_str(), Losses::default())));
+    }
+}
