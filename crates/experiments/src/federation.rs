@@ -1,243 +1,46 @@
-//! The COTORRA letter's second validation (arXiv 2101.07676): a robot leaves the coverage of its domain, whose
-//! orchestrator has found another domain's virtual access point by then, over a ledger with blocks.
+//! The COTORRA letter's second validation (arXiv 2101.07676): a robot leaves the coverage of its domain. The domain's
+//! orchestrator negotiates another domain's virtual access point over a ledger with blocks before that.
 
 pub mod dishonest;
 mod drawn;
+mod federated;
 mod ledger_backend;
 
-use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
+use std::{fmt::Write as _, path::Path, time::Duration};
 
-use cotorra_federation::Step;
-use cotorra_graph::{DomainId, Event, Instruction, NodeId, Stamped, Testbed, Timestamp, Walk};
-use cotorra_measurements::{History, Kind, PageRequest, RunId};
+use cotorra_graph::{DomainId, Testbed, Walk};
 use cotorra_testbed::{FolderError, Quantiles, orchestrators, write_file};
 use serde::Serialize;
 
+use self::federated::BLOCKS_BETWEEN;
+pub use self::{
+    federated::{Federated, NoFederation, STEPS},
+    ledger_backend::LedgerBackend,
+};
 pub use cotorra_federation::{Access, Account, LedgerError, Network, PASSWORD};
-pub use ledger_backend::LedgerBackend;
 
-/// The files that [`Comparison::write`] makes.
+/// Files that [`Comparison::write`] makes.
 pub const FILES: [&str; 4] = ["federation.svg", "federation.md", "federation.json", "steps.csv"];
 
-/// The steps in the order of the published figure.
-pub const STEPS: [Step; 11] = [
-    Step::Announced,
-    Step::AnnouncementReceived,
-    Step::BidSent,
-    Step::BidReceived,
-    Step::WinnerChosen,
-    Step::WinnerReceived,
-    Step::DeploymentStarted,
-    Step::DeploymentFinished,
-    Step::ConfirmationSent,
-    Step::ConfirmationReceived,
-    Step::Attached,
-];
-
-/// Blocks from the announcement's to the confirmation's.
-const BLOCKS_BETWEEN: u32 = 3;
-/// Between the blocks of the published ledger, seconds.
+/// Block period of the published ledger, seconds.
 const PUBLISHED_PERIOD_S: f64 = 5.0;
-/// As published for such a ledger, mean and deviation, seconds.
+/// Published total time with that ledger: mean and standard deviation, seconds.
 const PUBLISHED_S: [f64; 2] = [18.05, 1.25];
-/// The letter's figure, seconds.
+/// The letter's total time, seconds.
 const LETTER_S: f64 = 19.0;
 
-/// Why a run shows no federation.
-#[derive(Debug, thiserror::Error)]
-pub enum NoFederation {
-    /// Its history cannot be read.
-    #[error(transparent)]
-    History(#[from] cotorra_measurements::Error),
-    /// A step is missing.
-    #[error(
-        "the robot was not served by another domain: the history has no `{missing}`; it went as far as: {reached}"
-    )]
-    Incomplete {
-        /// The first that is.
-        missing: Step,
-        /// What there is, with times.
-        reached: String,
-    },
-}
-
-/// What one run shows.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Federated {
-    /// Between blocks, seconds.
-    pub block_period_s: f64,
-    /// The seed of the run.
-    pub seed: u64,
-    /// When each of [`STEPS`] was reached, seconds of the run.
-    pub steps_s: Vec<f64>,
-    /// How long no frame could pass while the robot changed to the vAP, seconds.
-    pub gap_s: f64,
-    /// The radio units before and after.
-    pub attachments: [NodeId; 2],
-    /// Position packets without an answer from the announcement until 5 s after the attachment.
-    pub lost: usize,
-    /// All of them.
-    pub samples: usize,
-    /// The longest service time in that time, ms.
-    pub longest_ms: f64,
-    /// The lowest speed of the robot in that time, as a share of its median there.
-    pub slowest: f64,
-    /// Whether the use was charged, and the provider heard it.
-    pub is_paid: bool,
-}
-
-impl Federated {
-    /// Reads what a run left in the Measurements.
-    ///
-    /// # Errors
-    /// [`NoFederation`].
-    pub fn read(
-        history: &History,
-        run: RunId,
-        block_period: Duration,
-        seed: u64,
-    ) -> Result<Self, NoFederation> {
-        let kinds = [Kind::Decision, Kind::Handover, Kind::Robot, Kind::ServiceTime];
-        let mut events = Vec::new();
-        let mut request = PageRequest::default();
-        loop {
-            let page = history.events(run, &kinds, .., request)?;
-            events.extend(page.items);
-            let Some(next) = page.next else { break };
-            request.after = Some(next);
-        }
-        Self::of(&events, block_period, seed)
-    }
-
-    fn of(events: &[Stamped], block_period: Duration, seed: u64) -> Result<Self, NoFederation> {
-        let steps = first_steps(events);
-        let at = |step: Step| {
-            steps.get(step.as_str()).copied().ok_or_else(|| {
-                let mut reached: Vec<_> = steps.iter().collect();
-                reached.sort_by(|(_, a), (_, b)| a.total_cmp(b));
-                let reached = reached.iter().map(|(step, at)| format!("{step} at {at:.2} s"));
-                NoFederation::Incomplete { missing: step, reached: reached.collect::<Vec<_>>().join(", ") }
-            })
-        };
-        let steps_s = STEPS.iter().map(|step| at(*step)).collect::<Result<Vec<_>, _>>()?;
-        let (announced, attached) = (steps_s[0], steps_s[STEPS.len() - 1]);
-        let around = |seconds: f64| (announced..=attached + 5.0).contains(&seconds);
-        let (mut gap_s, mut attachments) = (0.0, None);
-        let (mut lost, mut samples, mut longest_ms, mut speeds) = (0, 0, 0.0_f64, Vec::new());
-        for Stamped { at, event } in events {
-            let seconds = at.as_secs_f64();
-            match event {
-                // The one that the step tells of: it was told right before.
-                Event::Handover(handover) if seconds <= attached => {
-                    gap_s = handover.gap.as_secs_f64();
-                    attachments = handover.from.clone().map(|from| [from, handover.to.clone()]);
-                }
-                Event::ServiceTime(sample) if around(sample.emitted.as_secs_f64()) => {
-                    samples += 1;
-                    match sample.took {
-                        Some(took) => longest_ms = longest_ms.max(took.as_secs_f64() * 1e3),
-                        None => lost += 1,
-                    }
-                }
-                Event::Robot(context) if around(seconds) => speeds.push(context.sensors.velocity.linear),
-                _ => {}
-            }
-        }
-        let incomplete =
-            || NoFederation::Incomplete { missing: Step::Attached, reached: "no handover".to_owned() };
-        speeds.sort_by(f64::total_cmp);
-        let slowest =
-            speeds.first().zip(speeds.get(speeds.len() / 2)).map_or(0.0, |(least, median)| least / median);
-        Ok(Self {
-            block_period_s: block_period.as_secs_f64(),
-            seed,
-            steps_s,
-            gap_s,
-            attachments: attachments.ok_or_else(incomplete)?,
-            lost,
-            samples,
-            longest_ms,
-            slowest,
-            is_paid: steps.contains_key(Step::Paid.as_str()),
-        })
-    }
-
-    fn at(&self, step: Step) -> f64 {
-        let place = STEPS.iter().position(|other| *other == step).expect("it is one of them");
-        self.steps_s[place]
-    }
-
-    /// From the announcement to the attachment, seconds.
-    pub fn total_s(&self) -> f64 {
-        self.at(Step::Attached) - self.at(Step::Announced)
-    }
-
-    /// How long the vAP took to be deployed, seconds.
-    pub fn deployment_s(&self) -> f64 {
-        self.at(Step::DeploymentFinished) - self.at(Step::DeploymentStarted)
-    }
-
-    /// What waiting for blocks takes at the most, and what comes on top of it: a block for the announcement, two for bid and
-    /// choice, one for the confirmation; deployment and attachment.
-    pub fn bound_s(&self) -> f64 {
-        f64::from(1 + BLOCKS_BETWEEN) * self.block_period_s + self.deployment_s() + self.gap_s
-    }
-
-    /// What it took beyond this run's own waiting for blocks, the deployment as far as no block is waited for meanwhile,
-    /// and the attachment. The announcement's block is the one that it came in; the others follow at their period, and the
-    /// confirmation comes in the first after the deployment.
-    pub fn beyond_s(&self) -> f64 {
-        let first = self.at(Step::AnnouncementReceived) - self.at(Step::Announced);
-        let deployments_blocks = (self.deployment_s() / self.block_period_s).floor();
-        let blocks = (f64::from(BLOCKS_BETWEEN) + deployments_blocks) * self.block_period_s;
-        self.total_s() - first - blocks - self.gap_s
-    }
-}
-
-/// When each step was noted first.
-fn first_steps(events: &[Stamped]) -> BTreeMap<&str, f64> {
-    let mut steps = BTreeMap::new();
-    // A run that goes on after another has steps from before it began.
-    let reached =
-        |at: &Timestamp, ago: &Option<Duration>| at.as_secs_f64() - ago.unwrap_or_default().as_secs_f64();
-    for Stamped { at, event } in events {
-        if let Event::Decision(decision) = event
-            && let Instruction::Note { step, ago, .. } = &decision.instruction
-        {
-            steps.entry(step.as_str()).or_insert(reached(at, ago));
-        }
-    }
-    // Who lost is not part of the figure, but may be heard first: what the winner did counts.
-    let winner = events.iter().find_map(|stamped| match &stamped.event {
-        Event::Decision(decision) => match &decision.instruction {
-            Instruction::Note { step, .. } if step == Step::WinnerReceived.as_str() => Some(&decision.plugin),
-            _ => None,
-        },
-        _ => None,
-    });
-    for Stamped { at, event } in events.iter().rev() {
-        if let Event::Decision(decision) = event
-            && let Instruction::Note { step, ago, .. } = &decision.instruction
-            && Some(&decision.plugin) == winner
-        {
-            steps.insert(step.as_str(), reached(at, ago));
-        }
-    }
-    steps
-}
-
-/// All runs of an experiment.
+/// The runs of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// How the network between the nodes was: emulated, or a model.
+    /// The network between the nodes, as in `in virtual time`.
     pub how: String,
-    /// Which ledger it was, as in `an anvil node: one node without consensus`.
+    /// The ledger, as in `an anvil node: one node without consensus`.
     pub ledger: String,
-    /// As they were run.
+    /// In the order in which they ran.
     pub runs: Vec<Federated>,
 }
 
-/// Mean and deviation of a sample.
+/// Returns the mean and the standard deviation of a sample.
 fn mean_and_deviation(values: &[f64]) -> [f64; 2] {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -245,7 +48,7 @@ fn mean_and_deviation(values: &[f64]) -> [f64; 2] {
 }
 
 impl Comparison {
-    /// The runs by block period.
+    /// Groups the runs by block period.
     fn by_period(&self) -> Vec<Vec<&Federated>> {
         let mut periods: Vec<Vec<&Federated>> = Vec::new();
         for run in &self.runs {
@@ -257,7 +60,7 @@ impl Comparison {
         periods
     }
 
-    /// The table over block periods, in Markdown.
+    /// Returns the table over block periods, in Markdown.
     pub fn to_markdown(&self) -> String {
         let Self { how, ledger, .. } = self;
         let mut text = format!("From the announcement to the attachment ({how}, on {ledger})\n\n");
@@ -303,9 +106,8 @@ impl Comparison {
         text
     }
 
-    /// Writes [`FILES`]: the figure in the published layout, of the run in the middle of those with the published period,
-    /// or the last; the table, and all
-    /// steps of all runs.
+    /// Writes [`FILES`]: the figure in the published layout, the table, and all steps of all runs. The figure shows the run of
+    /// median total time with the published block period, or with the last period if none has the published one.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -340,8 +142,8 @@ fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
     writeln!(text, "{arguments}").expect("writing into a string cannot fail");
 }
 
-/// What the plug-ins of a testbed are to be set to so that they federate with these blocks. `phase`, from 0 to 1, is where in
-/// a block period the announcement comes, as far as that can be chosen.
+/// Returns the plug-in settings of a testbed for a ledger with this block period. `phase`, from 0 to 1, is the place of the
+/// announcement within a block period, as far as it can be chosen.
 pub fn settings(
     testbed: &Testbed,
     on: &LedgerBackend,
@@ -349,12 +151,12 @@ pub fn settings(
     phase: f64,
 ) -> Vec<(String, String)> {
     let period = block_period.as_secs_f64();
-    // As an orchestrator does that knows its ledger's period. A network has other things to do, and is late now and then.
+    // An orchestrator knows its ledger's period. A network also has other load, and its blocks are late now and then.
     let (collect, late) = match on {
         LedgerBackend::Modelled | LedgerBackend::Anvil => (1.25 * period, 0.0),
         LedgerBackend::Network { .. } => (3.0 * period + 2.0, 2.0 * period + 4.0),
     };
-    // Four blocks, the deployment, some time to attach; halting takes time, too.
+    // Four blocks, the deployment, time to attach, and time to halt.
     let lead = period * (f64::from(1 + BLOCKS_BETWEEN) + phase) + 4.0 + late;
     orchestrators(testbed)
         .flat_map(|spec| {
@@ -369,7 +171,7 @@ pub fn settings(
         .collect()
 }
 
-/// When a run is over for sure: a robot that is served by nobody would wait at the edge for ever.
+/// Returns the time after which a run is surely over. A robot without a radio unit would wait at the edge forever.
 pub fn longest(testbed: &Testbed) -> Duration {
     let walk = |walk: &Walk| {
         let length: f64 = walk.waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
@@ -379,7 +181,7 @@ pub fn longest(testbed: &Testbed) -> Duration {
     Duration::from_secs_f64((2.0 * walks).min(86_400.0)) + Duration::from_secs(60)
 }
 
-/// The domains that are to federate, in the order of their plug-ins.
+/// Returns the domains of the orchestrators, in the order of their plug-ins.
 pub fn domains(testbed: &Testbed) -> Vec<DomainId> {
     orchestrators(testbed).filter_map(|spec| spec.domain.clone()).collect()
 }

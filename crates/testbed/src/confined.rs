@@ -13,8 +13,8 @@ use cotorra_measurements::Location;
 use cotorra_network_control::vim::replica_name;
 
 use crate::{
+    options::Options,
     report::{Place, RunFolder},
-    run::Options,
 };
 
 /// Processes and threads of all confined programs together, where no control group limits them.

@@ -3,87 +3,29 @@
 
 use std::{
     collections::BTreeMap,
-    net::{SocketAddr, SocketAddrV4, UdpSocket},
+    net::{SocketAddr, UdpSocket},
     sync::{Arc, mpsc},
 };
 
-use cotorra_graph::{Instruction, NodeId, PluginId, Stamped, Timestamp};
+use cotorra_graph::{NodeId, Stamped, Timestamp};
 use cotorra_measurements::Recorder;
-use cotorra_network_control::{InstructionError, Network, vim::Engine};
-use cotorra_plugin::Actions;
+use cotorra_network_control::{Network, vim::Engine};
 use cotorra_recording::Tap;
 use tokio::sync::broadcast;
 
 use crate::{
-    api::Follower,
+    clock::Clock,
     core::Core,
     images::ImageSender,
     keeping::Keeper,
     live::Live,
-    plugins::{Now, host::Fault, running::RunningPlugins},
+    message::Message,
+    plugins::running::RunningPlugins,
     report::{End, Report},
 };
 
 /// How often plug-ins are looked at.
 const CHECK: std::time::Duration = std::time::Duration::from_millis(200);
-
-/// What the core's thread is told.
-#[allow(clippy::large_enum_variant, reason = "they are sent one at a time, and taken apart at once")]
-pub(crate) enum Message {
-    /// A robot received a datagram.
-    Datagram {
-        /// Which robot.
-        robot: NodeId,
-        /// From where.
-        from: SocketAddrV4,
-        /// When.
-        at: Timestamp,
-        /// What.
-        bytes: Vec<u8>,
-        /// Each of a robot's datagrams that waits holds one.
-        _waiting: Arc<()>,
-    },
-    /// Somebody asks for something.
-    Instruct {
-        /// Who.
-        plugin: PluginId,
-        /// What for.
-        instruction: Instruction,
-        /// Why.
-        reason: Option<String>,
-        /// Where to say what came of it.
-        reply: Option<Reply>,
-    },
-    /// A call of a plug-in in process came back.
-    Returned {
-        /// Which.
-        plugin: PluginId,
-        /// When.
-        at: Timestamp,
-        /// What it wants done, or how it failed.
-        outcome: Result<Actions, Fault>,
-    },
-    /// The emulated network tells what happened in it.
-    Network(Stamped),
-    /// A plug-in that virtual time waits for wants to be told what happens. In real time there is none.
-    Follow(Follower),
-    /// It has taken in all that it was told up to a mark.
-    Done {
-        /// Who.
-        plugin: PluginId,
-        /// The mark's number.
-        mark: u64,
-        /// When it wants to be woken.
-        wake_at: Option<Timestamp>,
-    },
-    /// Something is to be looked at.
-    Wake,
-    /// The run is to end.
-    Stop,
-}
-
-/// Says what came of an instruction.
-pub(crate) type Reply = Box<dyn FnOnce(Result<(), InstructionError>) + Send>;
 
 /// Where events go.
 pub(crate) struct EventSinks {
@@ -119,7 +61,7 @@ pub(crate) struct CoreLoop<N, E> {
     pub(crate) sockets: BTreeMap<NodeId, UdpSocket>,
     /// Sends images, where a camera sends any.
     pub(crate) images: Option<ImageSender>,
-    pub(crate) now: Now,
+    pub(crate) now: Clock,
     pub(crate) until: Option<Timestamp>,
 }
 
@@ -222,7 +164,7 @@ impl<N: Network, E: Engine> CoreLoop<N, E> {
 const MAX_WAITING: usize = 128;
 
 /// Receives what arrives for a robot, and notes the time before anything else is done.
-pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Now, tell: &mpsc::Sender<Message>) {
+pub(crate) fn receive(robot: &NodeId, socket: &UdpSocket, now: &Clock, tell: &mpsc::Sender<Message>) {
     let mut buffer = [0; 2048];
     let waiting = Arc::new(());
     loop {
@@ -275,7 +217,7 @@ mod tests {
             }
         };
         let (tell, inbox) = mpsc::channel();
-        let now: Now = Arc::new(|| Timestamp::ZERO);
+        let now: Clock = Arc::new(|| Timestamp::ZERO);
         // The thread says `Wake` when nothing more has arrived.
         let until_wake = || -> Vec<Message> {
             inbox.iter().take_while(|message| !matches!(message, Message::Wake)).collect()

@@ -1,24 +1,19 @@
 //! Links over interfaces of this machine: NetEm is on the interface itself, for the packets of whatever programs send there
 //! or hear from there. The fabric keeps the books of these links as of all others; no packet of theirs is in it.
 
-use std::{
-    collections::{BTreeMap, HashMap},
-    io,
-    net::IpAddr,
-};
+use std::collections::{BTreeMap, HashMap};
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{
     Conditions, Direction, HardwareGraph, Lateness, LinkContext, LinkId, Medium, Probing, Reached, RealLink,
-    Testbed, Timestamp,
+    Timestamp,
 };
 use cotorra_netem::{ConditionsError, Confirmed, Hold, HoldError, Netem, Network, Plan, Rule, Side};
 use parking_lot::{Mutex, MutexGuard};
 
 use crate::{
     carried::{Carried, Counted},
-    reflected::Reflected,
-    run::RunError,
+    reflected::{Reflected, ReflectorError},
 };
 
 /// Why links cannot lead over interfaces of this machine, or not do what was asked. Nothing has changed then.
@@ -32,25 +27,9 @@ pub enum RealLinkError {
         /// What it cannot do.
         reason: ConditionsError,
     },
-    /// Nobody tells what the medium takes.
-    #[error(
-        "{address} answers no probes of STAMP at port 862, so what the medium of `{link}` takes cannot be measured: run \
-         `cotorra stamp reflect` there, or leave out `reflector` and declare a `medium_delay`"
-    )]
-    NoReflector {
-        /// The link.
-        link: LinkId,
-        /// The machine's address.
-        address: IpAddr,
-    },
-    /// It cannot be asked.
-    #[error("what the medium of `{link}` takes cannot be measured: {source}")]
-    Socket {
-        /// The link.
-        link: LinkId,
-        /// What the system says.
-        source: io::Error,
-    },
+    /// A reflector cannot be probed.
+    #[error(transparent)]
+    Reflector(#[from] ReflectorError),
     /// An interface, or the kernel.
     #[error(transparent)]
     Hold(#[from] HoldError),
@@ -131,21 +110,18 @@ fn rules<'a>(
     Ok(rules)
 }
 
-/// What a run of the testbed would do to interfaces of this machine, by name.
+/// Returns the changes that a run would make to interfaces of this machine, by name. `fabric` is of the same graph.
 ///
 /// # Errors
-/// [`RunError`], as the run would have it.
-pub fn interface_plans(testbed: &Testbed, confirmed: &Confirmed) -> Result<Vec<(String, Plan)>, RunError> {
-    if testbed.graph.real_links().next().is_none() {
-        return Ok(Vec::new());
-    }
-    let contexts = Fabric::new(&testbed.graph, testbed.seed)?.link_contexts(Timestamp::ZERO);
-    let hold = Hold::new().map_err(HoldError::from).map_err(RealLinkError::from)?;
-    let plan = |(name, rules): (&str, Vec<Rule>)| {
-        let plan = hold.plan(name, &rules, confirmed).map_err(RealLinkError::from)?;
-        Ok((name.to_owned(), plan))
-    };
-    rules(&testbed.graph, &contexts)?.into_iter().map(plan).collect()
+/// [`RealLinkError`], as [`RealLinks::begin`].
+pub(crate) fn interface_plans(
+    graph: &HardwareGraph,
+    fabric: &mut Fabric,
+    confirmed: &Confirmed,
+) -> Result<Vec<(String, Plan)>, RealLinkError> {
+    let hold = Hold::new().map_err(HoldError::from)?;
+    let plan = |(name, rules): (&str, Vec<Rule>)| Ok((name.to_owned(), hold.plan(name, &rules, confirmed)?));
+    rules(graph, &fabric.link_contexts(Timestamp::ZERO))?.into_iter().map(plan).collect()
 }
 
 impl RealLinks {

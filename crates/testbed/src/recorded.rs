@@ -8,10 +8,7 @@ use std::{
 use cotorra_measurements::{History, Location, RunId, RunInfo};
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    report::{FolderError, RunFolder, write_file},
-    run::RunError,
-};
+use crate::report::{FolderError, RunFolder, write_file};
 
 /// Names the history of a run that has none of its own.
 const NOTE: &str = "history.json";
@@ -43,6 +40,15 @@ pub enum RecordedError {
     },
 }
 
+/// Error of beginning a run's history.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum BeginError {
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+    #[error(transparent)]
+    Note(#[from] FolderError),
+}
+
 impl Recorded {
     /// Of the run that left a folder.
     ///
@@ -68,7 +74,7 @@ impl Recorded {
         folder: &RunFolder,
         elsewhere: Option<&Location>,
         info: &RunInfo,
-    ) -> Result<(History, RunId), RunError> {
+    ) -> Result<(History, RunId), BeginError> {
         let Some(location) = elsewhere else {
             let history = History::open(folder.history())?;
             let run = history.begin_run(info)?;

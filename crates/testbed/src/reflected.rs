@@ -19,7 +19,29 @@ use cotorra_graph::{Conditions, HardwareGraph, Lateness, LinkId, Probed, Probing
 use cotorra_stamp::{Clock, LinkEstimate, PORT, Sender, SessionConfig, Utc};
 use parking_lot::{Mutex, MutexGuard};
 
-use crate::real_links::RealLinkError;
+/// Error of probing a reflector.
+#[derive(Debug, thiserror::Error)]
+pub enum ReflectorError {
+    /// Nobody tells what the medium takes.
+    #[error(
+        "{address} answers no probes of STAMP at port 862, so what the medium of `{link}` takes cannot be measured: run \
+         `cotorra stamp reflect` there, or leave out `reflector` and declare a `medium_delay`"
+    )]
+    NoReflector {
+        /// The link.
+        link: LinkId,
+        /// The machine's address.
+        address: IpAddr,
+    },
+    /// It cannot be asked.
+    #[error("what the medium of `{link}` takes cannot be measured: {source}")]
+    Socket {
+        /// The link.
+        link: LinkId,
+        /// What the system says.
+        source: io::Error,
+    },
+}
 
 /// So many packets, so far apart: a second in all.
 const PACKETS: u32 = 20;
@@ -31,8 +53,8 @@ const NOTICE: Duration = Duration::from_millis(100);
 /// Measures the media of all real links that have a reflector, and notes them in the graph.
 ///
 /// # Errors
-/// [`RealLinkError::NoReflector`], [`RealLinkError::Socket`].
-pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), RealLinkError> {
+/// [`ReflectorError`].
+pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), ReflectorError> {
     let reflectors = graph.real_links().filter(|real| real.reached.reflector).filter_map(|real| {
         let address = real.reached.address?.address();
         Some((real.link.id.clone(), address))
@@ -49,14 +71,14 @@ pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), RealLinkErr
 }
 
 /// Half of the median round trip, the reflector's rest left out: two machines' clocks do not tell one way from the other.
-fn one_way(link: &LinkId, address: IpAddr) -> Result<Duration, RealLinkError> {
-    let none = || RealLinkError::NoReflector { link: link.clone(), address };
+fn one_way(link: &LinkId, address: IpAddr) -> Result<Duration, ReflectorError> {
+    let none = || ReflectorError::NoReflector { link: link.clone(), address };
     let measured = round_trip(address).map_err(|source| no_socket(link, source))?;
     Ok(measured.ok_or_else(none)? / 2)
 }
 
-fn no_socket(link: &LinkId, source: io::Error) -> RealLinkError {
-    RealLinkError::Socket { link: link.clone(), source }
+fn no_socket(link: &LinkId, source: io::Error) -> ReflectorError {
+    ReflectorError::Socket { link: link.clone(), source }
 }
 
 fn round_trip(address: IpAddr) -> io::Result<Option<Duration>> {
@@ -101,11 +123,11 @@ impl Reflected {
     /// Begins to probe links with reflectors at these addresses, whose ways there and back are asked to do this.
     ///
     /// # Errors
-    /// [`RealLinkError::Socket`].
+    /// [`ReflectorError::Socket`].
     pub(crate) fn begin(
         links: impl Iterator<Item = (LinkId, IpAddr, [Conditions; 2])>,
         probing: Probing,
-    ) -> Result<Self, RealLinkError> {
+    ) -> Result<Self, ReflectorError> {
         let mut reflected = Self { links: HashMap::new(), late: Arc::default(), threads: Vec::new() };
         for (link, address, asked) in links {
             let mut config = WireProbes::session(&probing, asked.each_ref());

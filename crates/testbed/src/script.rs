@@ -13,11 +13,7 @@ use cotorra_graph::{
 };
 use cotorra_measurements::{History, Kind, Location, PageRequest, RunId, export::ExportError};
 
-use crate::{
-    plugins,
-    recorded::{Recorded, RecordedError},
-    run::RunError,
-};
+use crate::recorded::{Recorded, RecordedError};
 
 /// Events between two questions to a history.
 const STEP: usize = 10_000;
@@ -109,15 +105,6 @@ pub struct Rehearsal {
     pub areas: usize,
     /// Changes of a recorded run.
     pub replayed: usize,
-}
-
-/// Goes through a testbed's plug-ins and script without a run.
-///
-/// # Errors
-/// [`RunError`], with what would not work.
-pub fn rehearse(testbed: &Testbed) -> Result<Rehearsal, RunError> {
-    plugins::rehearse(testbed)?;
-    Ok(Script::load(testbed)?.1)
 }
 
 impl Script {
@@ -290,6 +277,7 @@ mod tests {
     use cotorra_graph::{Decision, Event};
 
     use super::*;
+    use crate::rehearse::rehearse;
     use crate::{Options, Place, simulate};
 
     const LAB: &str = "name: lab\nnodes:\n  a: { kind: server, tier: edge, cpus: 1, memory: 1 GB }\n  b: { kind: switch }\n\

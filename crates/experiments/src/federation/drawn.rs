@@ -14,7 +14,7 @@ use kuva::{
     },
 };
 
-use super::Federated;
+use super::federated::Federated;
 
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 380.0;

@@ -1,8 +1,9 @@
-use cotorra_graph::{Decision, Handover, Timestamp};
+use cotorra_federation::Step;
+use cotorra_graph::{Decision, Event, Handover, Instruction, NodeId, Stamped, Timestamp};
 
 use super::*;
 
-/// A run with a block each 5 s whose own share of the time is 120 ms.
+/// A run with a block every 5 s, and 120 ms beyond blocks and attachment.
 fn events() -> Vec<Stamped> {
     let times = [10.0, 13.0, 13.02, 18.0, 18.03, 23.0, 23.01, 23.41, 23.42, 28.12, 28.16];
     let note = |plugin: &str, step: Step, at: f64| Stamped {
@@ -29,7 +30,7 @@ fn events() -> Vec<Stamped> {
         .zip(times)
         .map(|(step, at)| note(if creator(*step) { "one" } else { "two" }, *step, at))
         .collect();
-    // One that loses hears of it a little earlier.
+    // A loser receives the announcement a little earlier.
     events.insert(1, note("three", Step::AnnouncementReceived, 12.5));
     let handover = Event::Handover(Handover {
         robot: "robot".parse().unwrap(),
@@ -48,21 +49,21 @@ fn federated() -> Federated {
 }
 
 #[test]
-fn what_is_ours_is_what_is_beyond_blocks_and_attachment() {
+fn own_time_excludes_blocks_and_attachment() {
     let run = federated();
     assert!((run.total_s() - 18.16).abs() < 1e-9);
     assert!((run.bound_s() - 20.44).abs() < 1e-9, "{}", run.bound_s());
     assert!((run.beyond_s() - 0.12).abs() < 1e-9, "{}", run.beyond_s());
     assert_eq!(run.attachments.each_ref().map(NodeId::as_str), ["R3", "n_AP"]);
-    // A deployment that takes longer than a block waits for another.
+    // A deployment longer than a block waits for another.
     let slow = Federated { block_period_s: 0.25, ..run };
     assert!((slow.beyond_s() - (18.16 - 3.0 - 4.0 * 0.25 - 0.04)).abs() < 1e-9);
 }
 
 #[test]
-fn steps_from_before_a_run_that_goes_on_are_where_they_were() {
+fn steps_from_before_a_continued_run_keep_their_times() {
     let (whole, mut events) = (federated(), events());
-    // The run was broken off behind the choice, and goes on at 20 s.
+    // The run broke off after the choice, and continues at 20 s.
     for Stamped { at, event } in &mut events {
         let since = at.as_secs_f64() - 20.0;
         *at = Timestamp::from_secs_f64(since.max(0.0));
@@ -78,7 +79,7 @@ fn steps_from_before_a_run_that_goes_on_are_where_they_were() {
 }
 
 #[test]
-fn a_run_that_shows_none_says_how_far_it_went() {
+fn an_incomplete_run_names_its_reached_steps() {
     let short: Vec<_> = events().into_iter().take(5).collect();
     let error = Federated::of(&short, Duration::from_secs(5), 7).unwrap_err().to_string();
     assert!(error.contains("no `winner chosen`") && error.contains("bid received at 18.00 s"), "{error}");

@@ -16,8 +16,8 @@ use tokio::sync::Semaphore;
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
-    Answer, BLOCKING_THREADS, Context,
     auth::Caller,
+    context::{Answer, BLOCKING_THREADS, Context},
     stream::parse_kinds,
     types::{Failure, GapBody, Path, Query, RunBody},
 };

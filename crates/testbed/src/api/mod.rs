@@ -3,6 +3,7 @@
 
 mod auth;
 mod connections;
+mod context;
 #[cfg(feature = "openapi")]
 mod document;
 mod measurements;
@@ -13,65 +14,26 @@ mod stream;
 mod types;
 mod wais;
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    net::SocketAddr,
-    path::PathBuf,
-    sync::{Arc, mpsc},
-};
+use std::{net::SocketAddr, sync::Arc};
 
 use axum::{
-    Json, Router, middleware,
+    Router, middleware,
     routing::{MethodRouter, get, post},
 };
-use cotorra_graph::{NodeId, PluginId, Stamped, Testbed};
-use cotorra_measurements::{History, PacedRecorder, RunId};
 use cotorra_plugin::runs::{Announced, Runs, RunsError};
-use tokio::sync::{broadcast, oneshot};
+use tokio::sync::oneshot;
 
-use self::{auth::Gate, connections::Limits, serve::Patience};
-use crate::{core_loop::Message, domain::Domains, keeping::Keeper, live::Live};
+use self::{auth::Gate, connections::Limits, context::BLOCKING_THREADS, serve::Patience};
+use crate::domain::Domains;
 
 pub(crate) use auth::PluginTokens;
 pub use auth::{Token, Tokens, TokensError};
+pub(crate) use context::{Context, Lockstep, WaisOptions};
 #[cfg(feature = "openapi")]
 pub use document::openapi;
-pub(crate) use stream::{Follower, Told};
-pub(crate) use wais::WaisOptions;
 
 #[cfg(test)]
 mod tests;
-
-/// What the API's handlers need.
-#[derive(Clone)]
-pub(crate) struct Context {
-    pub(crate) testbed: Arc<Testbed>,
-    pub(crate) live: Live,
-    pub(crate) history: Arc<History>,
-    pub(crate) run: RunId,
-    pub(crate) events: broadcast::Sender<Arc<Stamped>>,
-    pub(crate) core: mpsc::Sender<Message>,
-    pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
-    /// The plug-ins of this run, in process or started by it: nobody else goes by their names.
-    pub(crate) hosted: Arc<BTreeSet<PluginId>>,
-    /// In virtual time only.
-    pub(crate) lockstep: Option<Lockstep>,
-    /// What is told was recorded before: the history knows more than the present of the run.
-    pub(crate) replay: bool,
-    /// Large data of sensors, where any has that.
-    pub(crate) keeper: Option<Keeper>,
-    pub(crate) wais: WaisOptions,
-}
-
-/// What is different in virtual time, which stands still while a plug-in answers.
-#[derive(Clone)]
-pub(crate) struct Lockstep {
-    /// For whom it does; `None` for whoever follows under a name.
-    pub(crate) plugins: Option<Arc<BTreeSet<PluginId>>>,
-    /// Made durable before the history is asked, so that an answer does not depend on the writer's speed; `None` where
-    /// nothing is recorded.
-    pub(crate) recorder: Option<PacedRecorder>,
-}
 
 /// Why the API cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -150,8 +112,6 @@ pub(crate) struct Server {
 
 /// Connections that wait to be accepted; one that finds no room tries again a second later.
 const BACKLOG: i32 = 4096;
-/// Threads for questions to the history.
-const BLOCKING_THREADS: usize = 16;
 
 /// An address that is reserved; nothing is served there yet.
 pub(crate) struct Listener {
@@ -294,6 +254,3 @@ impl Drop for Server {
         }
     }
 }
-
-/// A body that a handler gives, or a [`types::Failure`].
-type Answer<T> = Result<Json<T>, types::Failure>;

@@ -9,13 +9,13 @@ use cotorra_graph::{
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
-    Answer, Context,
     auth::Caller,
+    context::{Answer, Context},
     types::{
         Body, Done, Failure, InstructionBody, LinkBody, NodeBody, Path, TestbedBody, ThroughputTestBody,
     },
 };
-use crate::core_loop::Message;
+use crate::message::Message;
 
 /// The testbed: graph, services, walks and plug-ins.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/testbed", tag = "network",

@@ -24,9 +24,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 #[cfg(feature = "openapi")]
 use super::types::FailureBody;
 use super::{
-    Answer, Context,
     auth::Caller,
     connections::Whose,
+    context::{Answer, Context},
     types::{Failure, Path},
 };
 

@@ -8,87 +8,24 @@ use axum::{
     http::HeaderMap,
     response::sse::{Event as SseEvent, KeepAlive, Sse},
 };
-use cotorra_graph::{Event, PluginId, SensorId, Stamped, Timestamp};
+use cotorra_graph::{PluginId, SensorId, Stamped, Timestamp};
 use cotorra_measurements::Kind;
 use serde::Deserialize;
-use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tokio_stream::{
     Stream, StreamExt,
     wrappers::{BroadcastStream, UnboundedReceiverStream, errors::BroadcastStreamRecvError},
 };
 
 use super::{
-    Answer, Context,
     auth::Caller,
+    context::{Answer, Context},
     routes::plugin,
     types::{Done, Failure, Path, Query},
 };
-use crate::{core_loop::Message, domain};
-
-/// A stream of events to a plug-in that virtual time waits for.
-pub(crate) struct Follower {
-    /// Whose.
-    pub(crate) plugin: PluginId,
-    wanted: Wanted,
-    caller: Caller,
-    tell: UnboundedSender<Told>,
-}
-
-/// Which events somebody asked for; all where nothing is said.
-#[derive(Debug, Default)]
-struct Wanted {
-    kinds: Option<Vec<Kind>>,
-    /// Readings of sensors of these names.
-    sensors: Option<Vec<SensorId>>,
-}
-
-impl Wanted {
-    fn holds(&self, event: &Event) -> bool {
-        let of_sensor = |sensors: &Vec<SensorId>| match event {
-            Event::Sensor(reading) => sensors.contains(&reading.sensor),
-            _ => true,
-        };
-        self.kinds.as_ref().is_none_or(|kinds| kinds.contains(&Kind::of(event)))
-            && self.sensors.as_ref().is_none_or(of_sensor)
-    }
-}
-
-/// What such a stream tells.
-pub(crate) enum Told {
-    /// Something happened.
-    Event(Arc<Stamped>),
-    /// That is all up to now; time stands still until it is done with that.
-    Mark {
-        /// What is to be given back.
-        number: u64,
-        /// The time.
-        now: Timestamp,
-    },
-}
-
-impl Follower {
-    /// One that is told everything, and where it is.
-    #[cfg(test)]
-    pub(crate) fn of(plugin: PluginId) -> (Self, tokio::sync::mpsc::UnboundedReceiver<Told>) {
-        let (tell, told) = unbounded_channel();
-        (Self { plugin, wanted: Wanted::default(), caller: Caller::default(), tell }, told)
-    }
-
-    /// What it is told of an event, if it asked for its kind.
-    pub(crate) fn sees(&self, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
-        seen(&self.caller, &self.wanted, event)
-    }
-
-    /// Tells it; false if nobody reads any more.
-    pub(crate) fn tell(&self, told: Told) -> bool {
-        self.tell.send(told).is_ok()
-    }
-
-    /// Whether nobody reads any more.
-    pub(crate) fn is_gone(&self) -> bool {
-        self.tell.is_closed()
-    }
-}
+use crate::{
+    follower::{EventFilter, Follower, PluginMessage},
+    message::Message,
+};
 
 /// Which events.
 #[derive(Debug, Deserialize)]
@@ -118,7 +55,8 @@ pub(super) async fn events(
     headers: HeaderMap,
     Query(which): Query<Which>,
 ) -> Result<Sse<impl Stream<Item = Result<SseEvent, Infallible>>>, Failure> {
-    let wanted = Wanted {
+    let filter = EventFilter {
+        view: caller.view.clone(),
         kinds: which.kinds.as_deref().map(parse_kinds).transpose()?,
         sensors: which.sensors.as_deref().map(parse_sensors).transpose()?,
     };
@@ -129,14 +67,13 @@ pub(super) async fn events(
     let stream: Pin<Box<dyn Stream<Item = _> + Send>> =
         match plugin(&context, &caller, &headers)?.filter(is_waited_for) {
             Some(plugin) => {
-                let (tell, told) = unbounded_channel();
-                let follower = Follower { plugin, wanted, caller, tell };
+                let (follower, messages) = Follower::new(plugin, filter);
                 context.core.send(Message::Follow(follower)).map_err(|_| Failure::ended())?;
-                Box::pin(UnboundedReceiverStream::new(told).map(|told| Ok(encode_told(&told))))
+                Box::pin(UnboundedReceiverStream::new(messages).map(|message| Ok(encode_message(&message))))
             }
             None => Box::pin(BroadcastStream::new(context.events.subscribe()).filter_map(move |received| {
                 match received {
-                    Ok(event) => seen(&caller, &wanted, &event).map(|event| Ok(encode(&event))),
+                    Ok(event) => filter.apply(&event).map(|event| Ok(encode(&event))),
                     Err(BroadcastStreamRecvError::Lagged(missed)) => {
                         Some(Ok(SseEvent::default().event("missed").data(missed.to_string())))
                     }
@@ -176,12 +113,6 @@ pub(super) async fn done(
     Ok(Json(Done { done: true }))
 }
 
-/// What a caller is told of an event, if it asked for such.
-fn seen(caller: &Caller, wanted: &Wanted, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
-    let seen = domain::seen(caller.view.as_deref(), event)?;
-    wanted.holds(&seen.event).then_some(seen)
-}
-
 /// Names of sensors with commas between.
 fn parse_sensors(names: &str) -> Result<Vec<SensorId>, Failure> {
     let parse = |name: &str| SensorId::new(name.trim()).map_err(|e| Failure::bad_request(e.to_string()));
@@ -203,10 +134,10 @@ fn encode(event: &Arc<Stamped>) -> SseEvent {
     SseEvent::default().data(json)
 }
 
-fn encode_told(told: &Told) -> SseEvent {
-    match told {
-        Told::Event(event) => encode(event),
-        Told::Mark { number, now } => {
+fn encode_message(message: &PluginMessage) -> SseEvent {
+    match message {
+        PluginMessage::Event(event) => encode(event),
+        PluginMessage::Mark { number, now } => {
             SseEvent::default().event("mark").id(number.to_string()).data(now.as_nanos().to_string())
         }
     }

@@ -2,17 +2,23 @@
 //! harms nobody.
 
 use std::{
+    collections::{BTreeMap, BTreeSet},
     io::{BufRead, BufReader, Read, Write},
     net::TcpStream,
     path::Path,
+    sync::mpsc,
 };
 
-use cotorra_graph::{DataFormat, Event, LargeData, SensorId, SensorReading, Timestamp};
-use cotorra_measurements::{CurveRequest, RunInfo};
+use cotorra_graph::{
+    DataFormat, Event, LargeData, NodeId, PluginId, SensorId, SensorReading, Stamped, Timestamp,
+};
+use cotorra_measurements::{CurveRequest, History, RunId, RunInfo};
 use cotorra_robot_middleware::{Content, SensedData};
 use serde_json::{Value, json};
+use tokio::sync::broadcast;
 
 use super::*;
+use crate::{keeping::Keeper, live::Live, message::Message};
 
 /// A served history without a testbed that runs.
 struct Served {

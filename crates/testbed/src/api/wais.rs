@@ -4,32 +4,20 @@
 use std::{io, sync::Arc, time::Duration};
 
 use axum::{Router, http::StatusCode, middleware, routing::get};
-use cotorra_graph::{Event, IpNetwork, Stamped, Timestamp};
+use cotorra_graph::{Event, Stamped, Timestamp};
 use cotorra_wais::{
     Allowed, Scope, Site, Survey,
     http::{Delivery, Service, Testbed, openapi, problem},
-    types::Epoch,
 };
 
 use super::{
-    Context,
     auth::{self, Gate},
+    context::{Context, WaisOptions},
 };
-use crate::{core_loop::Message, plugins::Now};
+use crate::message::Message;
 
 /// Answers are this old at the most where time goes on by itself.
 const FRESHNESS: Duration = Duration::from_millis(20);
-
-/// What the service needs beside what the API knows.
-#[derive(Clone, Default)]
-pub(crate) struct WaisOptions {
-    /// The run's clock; without one it is the time of the last event.
-    pub(crate) clock: Option<Now>,
-    /// When the run began; 0 in virtual time.
-    pub(crate) epoch: Epoch,
-    /// Networks that notifications may be sent to, beside those of the testbed file.
-    pub(crate) callbacks: Vec<IpNetwork>,
-}
 
 /// The services' paths, and what delivers their notifications.
 pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delivery)> {

@@ -2,6 +2,7 @@
 //! each step. A seed is a run: it repeats to the last event.
 
 mod draw;
+mod error;
 mod generator;
 mod invariants;
 mod plan;
@@ -10,9 +11,8 @@ mod saboteur;
 
 use std::{
     collections::BTreeMap,
-    io,
     num::NonZero,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
     thread,
 };
@@ -20,6 +20,7 @@ use std::{
 use cotorra_graph::Timestamp;
 use parking_lot::Mutex;
 
+pub use error::FaultTestError;
 pub use invariants::{Checked, Invariant};
 
 /// Runs with faults, each with a seed of its own.
@@ -63,36 +64,6 @@ pub struct Violation {
     pub found: String,
     /// Folder in which the run is kept.
     pub kept: Option<PathBuf>,
-}
-
-/// A reason for which runs with faults cannot be done.
-#[derive(Debug, thiserror::Error)]
-pub enum FaultTestError {
-    /// The generator is wrong.
-    #[error("seed {seed} gives no testbed that can be run, which is a mistake in the generator: {reason}")]
-    Testbed {
-        /// Seed of the testbed.
-        seed: u64,
-        /// Its mistakes.
-        reason: String,
-    },
-    /// A folder cannot be written.
-    #[error("{}: {cause}; give write permission on it, or set TMPDIR or --keep to another folder", .folder.display())]
-    Folder {
-        /// The folder.
-        folder: PathBuf,
-        /// The system's error.
-        cause: io::Error,
-    },
-    /// A history cannot be made.
-    #[error(transparent)]
-    History(#[from] cotorra_measurements::Error),
-}
-
-impl FaultTestError {
-    fn folder(folder: &Path, cause: io::Error) -> Self {
-        Self::Folder { folder: folder.to_owned(), cause }
-    }
 }
 
 impl FaultTest {

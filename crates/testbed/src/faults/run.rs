@@ -16,14 +16,18 @@ use cotorra_graph::{PluginId, Stamped, Testbed, Timestamp};
 use cotorra_measurements::{Error as HistoryError, History, PacedRecorder, PageRequest, RunId, RunInfo};
 
 use super::{
-    FaultTestError,
+    error::FaultTestError,
     generator::{self, Generated, MAP_PGM, MAP_YAML},
     invariants::{Broken, Invariant, OURS, View, Watch, kept},
     plan::{Fault, Plan},
     saboteur::{Deeds, Misbehaving},
 };
 use crate::{
-    plugins::{PATIENCE, host, lockstep::Lockstep, panic_text},
+    plugins::{
+        host,
+        lockstep::{Lockstep, PATIENCE},
+        panic_text,
+    },
     simulate::{Mood, Simulation, Stretch},
 };
 

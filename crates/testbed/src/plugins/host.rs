@@ -13,7 +13,7 @@ use cotorra_graph::{DomainId, Instruction, NodeId, PluginId, Stamped, Timestamp}
 use cotorra_network_control::InstructionError;
 use cotorra_plugin::Actions;
 
-use crate::api::{Follower, Told};
+use crate::follower::{Follower, PluginMessage};
 
 /// A plug-in may ask for so much in a second; a burst of the same size is allowed.
 const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
@@ -121,8 +121,8 @@ impl Program {
             *marks += 1;
             (stream.owes, stream.is_due) = (Some(*marks), false);
             let follower = &stream.follower;
-            stream.untold.drain(..).all(|event| follower.tell(Told::Event(event)))
-                && follower.tell(Told::Mark { number: *marks, now })
+            stream.untold.drain(..).all(|event| follower.send(PluginMessage::Event(event)))
+                && follower.send(PluginMessage::Mark { number: *marks, now })
         });
     }
 }
@@ -368,6 +368,7 @@ impl PluginHost {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::follower::EventFilter;
 
     /// Does everything, and keeps what was cut off.
     #[derive(Default)]
@@ -446,9 +447,9 @@ mod tests {
         let (own, other): (PluginId, PluginId) = ("own".parse().unwrap(), "other".parse().unwrap());
         let mut host = PluginHost::new([], Duration::from_secs(1));
         host.expect(own.clone());
-        let (follower, mut told) = Follower::of(own.clone());
+        let (follower, mut told) = Follower::new(own.clone(), EventFilter::default());
         host.follow(Timestamp::ZERO, follower);
-        let Ok(Told::Mark { number, .. }) = told.try_recv() else { panic!("no mark") };
+        let Ok(PluginMessage::Mark { number, .. }) = told.try_recv() else { panic!("no mark") };
         assert!(!host.done(&other, number, None) && host.is_busy(&own));
         assert!(host.done(&own, number, None) && !host.is_busy(&own));
     }

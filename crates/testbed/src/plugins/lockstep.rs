@@ -23,21 +23,19 @@ use cotorra_plugin::{Actions, Plugin};
 use parking_lot::Mutex;
 
 use super::{
-    Now,
     host::{Fault, PluginHost},
-    panic_text,
+    panic::panic_text,
 };
-use crate::domain::{self, DomainView};
+use crate::{
+    clock::Clock,
+    domain::{self, DomainView},
+};
+
+/// Longest wait for a plug-in that says nothing, where time waits for plug-ins; after it the plug-in counts as hung.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How often who waits for a call looks how long it has lasted.
 const LOOK: Duration = Duration::from_millis(50);
-
-/// The time on the wall, which counts while virtual time stands still.
-#[allow(clippy::disallowed_types, reason = "plug-ins run on the wall clock, and may hang there")]
-pub(crate) fn wall_clock() -> Now {
-    let began = std::time::Instant::now();
-    Arc::new(move || Timestamp::ZERO + began.elapsed())
-}
 
 /// What goes on only while no plug-in is called.
 pub(crate) trait Lockstep: Send + 'static {
@@ -216,7 +214,7 @@ pub(crate) struct Guarded<L> {
     /// `None` while it runs.
     inner: Option<Box<L>>,
     worker: Option<Worker<L>>,
-    wall: Now,
+    wall: Clock,
 }
 
 /// The thread that it runs on.
@@ -236,7 +234,7 @@ struct Door<L> {
 
 impl<L: Lockstep> Guarded<L> {
     /// Calls last as long as the clock `wall` says.
-    pub(crate) fn new(inner: L, wall: Now) -> Self {
+    pub(crate) fn new(inner: L, wall: Clock) -> Self {
         Self { inner: Some(Box::new(inner)), worker: None, wall }
     }
 
@@ -321,7 +319,7 @@ impl<L: Lockstep> Worker<L> {
     }
 
     /// Waits until it ran, or is stuck.
-    fn wait(&self, patience: Duration, wall: &Now, is_wanted: &mut dyn FnMut() -> bool) -> Waited<L> {
+    fn wait(&self, patience: Duration, wall: &Clock, is_wanted: &mut dyn FnMut() -> bool) -> Waited<L> {
         let mut seen = None;
         loop {
             match self.ran.recv_timeout(LOOK) {

@@ -18,14 +18,18 @@ use cotorra_network_control::InstructionError;
 use cotorra_plugin::{Actions, Plugin};
 
 use super::{
-    Bundled, Now, PluginError, Process, check_programs,
+    bundled::Bundled,
+    error::PluginError,
     host::{Controlled, Fault, PluginHost},
     lockstep::{Call, Occasion},
+    process::Process,
+    programs::check_programs,
 };
 use crate::{
     api::Server,
-    core_loop::Message,
+    clock::Clock,
     domain::{self, DomainView, Domains},
+    message::Message,
     previous_run::PreviousRun,
 };
 
@@ -37,12 +41,12 @@ const IDLE: u64 = u64::MAX;
 
 /// The plug-ins of a testbed, checked and made, before anything of the run is there: a mistake in a testbed file, or a ledger
 /// that cannot be had, leaves nothing behind.
-pub(crate) struct Prepared {
+pub(crate) struct PreparedPlugins {
     bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
     ledgers: Ledgers,
 }
 
-impl Prepared {
+impl PreparedPlugins {
     /// Makes what is bundled, and looks for the programs of the others.
     pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
         check_programs(testbed)?;
@@ -65,7 +69,7 @@ impl Prepared {
     pub(crate) fn start(
         mut self,
         testbed: &Arc<Testbed>,
-        now: &Now,
+        now: &Clock,
         api: &Server,
         logs: &Path,
         tell: &mpsc::Sender<Message>,
@@ -129,7 +133,7 @@ impl RunningPlugins {
         plugin: Box<dyn Plugin>,
         testbed: &Arc<Testbed>,
         view: Option<Arc<DomainView>>,
-        now: &Now,
+        now: &Clock,
         tell: mpsc::Sender<Message>,
     ) {
         let (events, inbox) = mpsc::sync_channel(QUEUE);
@@ -218,7 +222,7 @@ impl RunningPlugins {
 /// Calls a plug-in so that what it does wrong stays with it.
 struct Guard {
     id: PluginId,
-    now: Now,
+    now: Clock,
     busy_since: Arc<AtomicU64>,
     cut: Arc<AtomicBool>,
     tell: mpsc::Sender<Message>,
@@ -333,7 +337,7 @@ mod tests {
     fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
         let mut plugins = RunningPlugins::new(PluginHost::new([id()], LONGEST_CALL), Ledgers::default());
         let (tell, said) = mpsc::channel();
-        let now: Now = Arc::new(|| Timestamp::from_secs_f64(1.0));
+        let now: Clock = Arc::new(|| Timestamp::from_secs_f64(1.0));
         plugins.spawn(id(), Box::new(Scripted(script)), &testbed(), None, &now, tell);
         plugins.publish(&Arc::new(Stamped {
             at: Timestamp::ZERO,

@@ -20,11 +20,13 @@ use cotorra_plugin::{Actions, Plugin, client::Client};
 use cotorra_robot_middleware::Nonces;
 use tokio::sync::broadcast;
 
-use super::{Now, host::PluginHost, lockstep::Guarded, running::RunningPlugins};
+use super::{host::PluginHost, lockstep::Guarded, running::RunningPlugins};
 use crate::{
+    clock::{Clock, wall_clock},
     core::Core,
-    core_loop::{CoreLoop, EventSinks, Message},
+    core_loop::{CoreLoop, EventSinks},
     live::Live,
+    message::Message,
     replay::{Played, Replay, ReplayEnd, ReplayOptions, Speed},
     report::Report,
     robots::simulated,
@@ -133,9 +135,9 @@ impl Misdeed {
 
     fn in_real_time(self) -> Vec<Stamped> {
         let (testbed, (plugin, hangs)) = (testbed(), self.plugin());
-        let wall = super::lockstep::wall_clock();
+        let wall = wall_clock();
         // A call that hangs is a long time ago at once.
-        let now: Now = Arc::new(move || {
+        let now: Clock = Arc::new(move || {
             let late = if hangs.load(Ordering::Acquire) {
                 PATIENCE + Duration::from_secs(1)
             } else {
@@ -254,7 +256,7 @@ fn play(replay: Replay) -> (Vec<Stamped>, ReplayEnd) {
 }
 
 /// A clock that stands still, and jumps on at each look once a call hangs.
-fn jumping(hangs: Arc<AtomicBool>) -> Now {
+fn jumping(hangs: Arc<AtomicBool>) -> Clock {
     let looks = AtomicU64::new(0);
     Arc::new(move || {
         let looks = if hangs.load(Ordering::Acquire) { looks.fetch_add(1, Ordering::Relaxed) } else { 0 };
@@ -269,7 +271,7 @@ fn info() -> RunInfo {
 /// The network in memory, by a clock.
 struct Ticking {
     network: VirtualNetwork,
-    now: Now,
+    now: Clock,
 }
 
 impl Network for Ticking {

@@ -21,17 +21,18 @@ use cotorra_recording::{Pace, Recording, RecordingError, Tap, Wanted};
 
 use crate::{
     api::{self, ApiError, Listener, Lockstep as Waiting, Tokens},
+    clock::{Clock, wall_clock},
     domain::Domains,
     keeping::Keeper,
     live::Live,
     plugins::{
-        Bundled, Now, PATIENCE, PluginError,
-        apart::{Programs, Stage},
+        Bundled, PluginError,
+        external::{ExternalPlugins, Stage},
         host::{Controlled, Fault, PluginHost},
-        lockstep::{Call, Guarded, Locals, Lockstep, Returned, wall_clock},
+        lockstep::{Call, Guarded, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
-    run::{about, epoch},
+    run_info::{about, epoch},
 };
 
 /// How often it is asked whether to go on.
@@ -99,7 +100,7 @@ pub enum ReplayEnd {
 
 /// A run that is ready to be played.
 pub struct Replay {
-    programs: Programs,
+    programs: ExternalPlugins,
     audience: Guarded<Audience>,
     history: Arc<History>,
     run: RunId,
@@ -222,7 +223,7 @@ impl Replay {
         history: History,
         run: RunId,
         options: ReplayOptions,
-        wall: Now,
+        wall: Clock,
     ) -> Result<Self, ReplayError> {
         let default = SocketAddr::from((Ipv4Addr::LOCALHOST, 7700));
         let address = options.api.unwrap_or(default);
@@ -266,7 +267,7 @@ impl Replay {
             Some((runs, what)) => listener.announced(Some(runs), what),
             None => listener,
         };
-        let programs = Programs::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
+        let programs = ExternalPlugins::serve(listener, options.tokens.clone(), Arc::clone(&wall), context)?;
         Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })
     }
 
@@ -362,7 +363,7 @@ struct Playing<T> {
 }
 
 impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
-    fn publish(&mut self, event: &Arc<Stamped>, programs: &Programs) {
+    fn publish(&mut self, event: &Arc<Stamped>, programs: &ExternalPlugins) {
         programs.publish(event, &mut self.audience.host);
         self.audience.locals.publish(event);
         if let Some(tap) = &self.tap {
@@ -371,7 +372,7 @@ impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
     }
 
     /// Lets plug-ins take in what happened up to now, first those in process; gives whether to go on.
-    fn settle(&mut self, programs: &mut Programs) -> bool {
+    fn settle(&mut self, programs: &mut ExternalPlugins) -> bool {
         self.audience.locals.wake();
         let now = self.audience.now;
         self.stopped |= !self.audience.run(&mut || (self.tell)(Played::Time(now)));
@@ -408,7 +409,7 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
 
     fn instruct(
         &mut self,
-        _programs: &mut Programs,
+        _programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
@@ -419,7 +420,7 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
         done
     }
 
-    fn cut_off(&mut self, _programs: &mut Programs, plugin: &PluginId, fault: &Fault) {
+    fn cut_off(&mut self, _programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault) {
         let audience = &mut *self.audience;
         audience.host.cut_off(audience.now, plugin, fault, &mut audience.record);
         self.tell_decisions();

@@ -1,14 +1,8 @@
-//! A run's folder: `runs/<name>-<time>/`, and the files in it.
+//! Folders of results: where they are made, and how files are written there.
 
 use std::{
-    fs::{self, File},
-    io::{self, BufWriter, Write as _},
+    fs, io,
     path::{Path, PathBuf},
-};
-
-use super::{
-    figure::{Panel, draw},
-    summary::{Report, Summary, service_time_ms},
 };
 
 /// A file of the run's folder cannot be written.
@@ -86,70 +80,4 @@ pub fn write_file(folder: &Path, name: &str, text: &str) -> Result<(), FolderErr
         // It may not be there.
         .inspect_err(|_| drop(fs::remove_file(&draft)))
         .map_err(|source| FolderError { path, source })
-}
-
-/// A run's folder.
-#[derive(Debug, Clone)]
-pub struct RunFolder {
-    path: PathBuf,
-}
-
-impl RunFolder {
-    /// Makes it and `logs/` in it, and puts the testbed file there.
-    ///
-    /// # Errors
-    /// [`FolderError`] when that is not possible.
-    pub fn create(place: &Place, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
-        let path = place.create(name)?;
-        let logs = path.join("logs");
-        fs::create_dir(&logs).map_err(|source| FolderError { path: logs, source })?;
-        write_file(&path, "testbed.yaml", testbed_text)?;
-        Ok(Self { path })
-    }
-
-    /// Where it is; absolute.
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// The run's history.
-    pub fn history(&self) -> PathBuf {
-        self.path.join("history.sqlite")
-    }
-
-    /// The VNFs' and plug-ins' logs.
-    pub fn logs(&self) -> PathBuf {
-        self.path.join("logs")
-    }
-
-    /// Writes `summary.json`, `service_time.csv` and `service_time.svg`.
-    ///
-    /// # Errors
-    /// [`FolderError`].
-    pub fn write_report(&self, report: &Report, summary: &Summary) -> Result<(), FolderError> {
-        let json = serde_json::to_string_pretty(summary).expect("a summary holds only what JSON can");
-        write_file(&self.path, "summary.json", &(json + "\n"))?;
-        let path = self.path.join("service_time.csv");
-        let written = File::create(&path).and_then(|file| write_csv(report, file));
-        written.map_err(|source| FolderError { path, source })?;
-        let title = format!("{}: service time and attachment", summary.name);
-        write_file(&self.path, "service_time.svg", &draw(&Panel::of_services(&title, report)))
-    }
-}
-
-fn write_csv(report: &Report, to: File) -> io::Result<()> {
-    let mut text = BufWriter::new(to);
-    writeln!(text, "emitted_ns,robot,service,sequence,service_time_ms,attachment,server")?;
-    for s in report.samples().iter() {
-        let took = service_time_ms(&s).map(|ms| format!("{ms:.6}")).unwrap_or_default();
-        let attachment = s.attachment.as_ref().map_or("", |a| a.as_str());
-        let emitted = s.emitted.as_nanos();
-        // Names hold no character that CSV would need to quote.
-        writeln!(
-            text,
-            "{emitted},{},{},{},{took},{attachment},{}",
-            s.robot, s.service, s.sequence, s.server
-        )?;
-    }
-    text.flush()
 }

@@ -8,7 +8,7 @@ use cotorra_graph::{DataFormat, Event, SensorReading};
 use cotorra_measurements::{WantedData, read_large_data};
 
 use super::*;
-use crate::{report::Place, run::Options};
+use crate::{options::Options, report::Place};
 
 const SENSORS: &str = "sensors: { front: { kind: lidar }, fast: { kind: lidar, rate: 50 Hz },
     slow: { kind: lidar, rate: 2 Hz, keep: 20 kB } }";

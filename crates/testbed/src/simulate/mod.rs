@@ -34,15 +34,15 @@ pub use self::{run::simulate, unrecorded::simulate_unrecorded};
 use crate::{
     core::Core,
     domain::Domains,
+    error::RunError,
     plugins::{
-        Bundled, PATIENCE, PluginError,
+        Bundled, PluginError,
         host::{Fault, PluginHost},
-        lockstep::{Call, Locals, Lockstep, Returned},
+        lockstep::{Call, Locals, Lockstep, PATIENCE, Returned},
         programs,
     },
     previous_run::PreviousRun,
     robots::simulated,
-    run::{RunError, probe_links},
     script::Script,
 };
 
@@ -119,7 +119,9 @@ impl Simulation {
     ) -> Result<Self, RunError> {
         let (script, _) = Script::load(&testbed)?;
         let mut fabric = Fabric::new(&testbed.graph, seed)?;
-        probe_links(&mut fabric, &testbed);
+        if let Some(probing) = testbed.probes {
+            fabric.probe_links(Timestamp::ZERO, probing);
+        }
         fabric.measure_flows(&testbed.services);
         let network = VirtualNetwork::new(fabric);
         let serving = Serving::default();

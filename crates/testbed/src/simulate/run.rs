@@ -16,18 +16,22 @@ use cotorra_robot_middleware::{SensedData, SensedScan};
 use super::{Happened, Simulation, Stretch};
 use crate::{
     api::{self, Listener, Lockstep},
+    clock::{Clock, wall_clock},
+    error::{RunError, system},
+    finished::Finished,
     keeping::{Keeper, Keeping},
     live::Live,
+    options::Options,
     plugins::{
-        self, Now, PATIENCE,
-        apart::{Programs, Stage},
+        self,
+        external::{ExternalPlugins, Stage},
         host::{Fault, PluginHost},
-        lockstep::{Guarded, wall_clock},
+        lockstep::{Guarded, PATIENCE},
         programs,
     },
     recorded::Recorded,
     report::{End, Losses, Report, RunFolder},
-    run::{Finished, Options, RunError, about, system},
+    run_info::about,
 };
 
 /// After so many events they are written.
@@ -56,7 +60,7 @@ pub(super) fn simulate_with(
     text: &str,
     options: &Options,
     patience: Duration,
-    wall: Now,
+    wall: Clock,
     go_on: impl FnMut(Timestamp) -> bool,
 ) -> Result<Finished, RunError> {
     let testbed = Arc::new(testbed);
@@ -86,7 +90,7 @@ pub(super) fn simulate_with(
     let report = Report::new(&testbed, seed).on_disk(folder.path())?;
     let books = Books { report, recorder: recorder.clone(), unwritten: 0, tap, keeper: keeper.clone() };
     let mut underway = Underway { simulation, books, go_on, stopped: false };
-    let mut apart = None;
+    let mut external = None;
     if programs(&testbed).next().is_some() {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let listener = Listener::bind(options.api.unwrap_or(any_port), false, &options.tokens)?;
@@ -106,17 +110,18 @@ pub(super) fn simulate_with(
             wais: api::WaisOptions { callbacks: options.wais_callbacks.clone(), ..Default::default() },
         };
         let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
-        let programs = apart.insert(Programs::serve(listener, options.tokens.clone(), wall, context)?);
+        let programs =
+            external.insert(ExternalPlugins::serve(listener, options.tokens.clone(), wall, context)?);
         programs.start(&testbed, &folder.logs(), underway.simulation.host())?;
     }
     let end = loop {
         // Before the first step, too: programs are there when it begins.
-        if let Some(programs) = &mut apart
+        if let Some(programs) = &mut external
             && !programs.settle(&mut underway)
         {
             break End::Stopped;
         }
-        if apart.is_some() {
+        if external.is_some() {
             let alarm = underway.simulation.host().next_wake();
             underway.simulation.set_alarm(alarm);
         }
@@ -129,10 +134,10 @@ pub(super) fn simulate_with(
         // Programs are told after each moment with events; the history is written after the same step each time.
         let stretch = match HISTORY_PACE.saturating_sub(underway.books.unwritten) {
             0 => Stretch::Step,
-            _ if apart.is_some() => Stretch::Events(1, until),
+            _ if external.is_some() => Stretch::Events(1, until),
             room => Stretch::Events(room, until),
         };
-        if !underway.advance(stretch, apart.as_mut()) {
+        if !underway.advance(stretch, external.as_mut()) {
             break End::Stopped;
         }
         if underway.books.unwritten >= HISTORY_PACE {
@@ -142,7 +147,7 @@ pub(super) fn simulate_with(
             }
         }
     };
-    drop(apart);
+    drop(external);
     let Underway { simulation, mut books, .. } = underway;
     simulation.flow_remarks().into_iter().for_each(|remark| books.keep(Arc::new(remark)));
     books.catch_up()?;
@@ -170,7 +175,7 @@ struct Underway<G> {
 
 impl<G: FnMut(Timestamp) -> bool> Underway<G> {
     /// Goes so far, and tells what happened; gives whether to go on.
-    fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut Programs>) -> bool {
+    fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut ExternalPlugins>) -> bool {
         self.simulation.go(stretch);
         let now = self.simulation.now();
         self.stopped |= !self.simulation.run(&mut || (self.go_on)(now));
@@ -201,7 +206,7 @@ impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
 
     fn instruct(
         &mut self,
-        programs: &mut Programs,
+        programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
@@ -211,7 +216,7 @@ impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
         done
     }
 
-    fn cut_off(&mut self, programs: &mut Programs, plugin: &PluginId, fault: &Fault) {
+    fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault) {
         self.simulation.cut_off(plugin, fault);
         self.advance(Stretch::Settle, Some(programs));
     }

@@ -9,7 +9,7 @@ use cotorra_plugin::{Actions, Plugin, client::ClientError};
 use super::*;
 use crate::{
     Finished, Options,
-    plugins::lockstep::wall_clock,
+    clock::wall_clock,
     report::{Losses, Place, Report},
 };
 

@@ -6,9 +6,10 @@ use cotorra_graph::{Testbed, Timestamp};
 
 use super::{Simulation, Stretch};
 use crate::{
-    plugins::lockstep::{Guarded, wall_clock},
+    clock::wall_clock,
+    error::RunError,
+    plugins::lockstep::Guarded,
     report::{End, Losses, Report, Summary},
-    run::RunError,
 };
 
 /// Events of a run between two calls of `go_on`.

@@ -15,13 +15,15 @@ use cotorra_network_control::InstructionError;
 use tokio::sync::broadcast;
 
 use super::{
-    Now, PluginError, Process,
+    error::PluginError,
     host::{Fault, PluginHost},
+    process::Process,
 };
 use crate::{
     api::{self, ApiError, Listener, Server, Tokens},
-    core_loop::Message,
+    clock::Clock,
     live::Live,
+    message::Message,
 };
 
 /// How often it is looked whether a program that time waits for still runs.
@@ -40,36 +42,36 @@ pub(crate) trait Stage {
     /// Does what somebody asks for. What happens by that is told before the answer to it.
     fn instruct(
         &mut self,
-        programs: &mut Programs,
+        programs: &mut ExternalPlugins,
         plugin: PluginId,
         instruction: Instruction,
         reason: Option<String>,
     ) -> Result<(), InstructionError>;
 
     /// Cuts a program off, and tells that.
-    fn cut_off(&mut self, programs: &mut Programs, plugin: &PluginId, fault: &Fault);
+    fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault);
 
     /// Whether to go on; asked several times a second.
     fn goes_on(&mut self) -> bool;
 }
 
 /// The API and what programs say to it, and those that the testbed started.
-pub(crate) struct Programs {
+pub(crate) struct ExternalPlugins {
     /// Before the processes: streams end first, so that a program can end by itself.
     server: Server,
     processes: BTreeMap<PluginId, Process>,
     inbox: mpsc::Receiver<Message>,
     live: Live,
     stream: broadcast::Sender<Arc<Stamped>>,
-    wall: Now,
+    wall: Clock,
 }
 
-impl Programs {
+impl ExternalPlugins {
     /// Serves the API.
     pub(crate) fn serve(
         listener: Listener,
         tokens: Tokens,
-        wall: Now,
+        wall: Clock,
         context: impl FnOnce(broadcast::Sender<Arc<Stamped>>, mpsc::Sender<Message>) -> api::Context,
     ) -> Result<Self, ApiError> {
         let (core, inbox) = mpsc::channel();

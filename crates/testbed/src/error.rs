@@ -1,0 +1,83 @@
+//! The error of a run.
+
+use std::io;
+
+use cotorra_recording::RecordingError;
+
+use crate::{
+    api::ApiError, plugins::PluginError, real_links::RealLinkError, recorded::BeginError,
+    report::FolderError, robots::RobotError, script::ScriptError,
+};
+
+/// Error of bringing a testbed up or of finishing its run.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A file of the run's folder.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// The history.
+    #[error(transparent)]
+    History(#[from] cotorra_measurements::Error),
+    /// The emulated network's model.
+    #[error(transparent)]
+    Fabric(#[from] cotorra_fabric::GraphError),
+    /// The emulated network's packets.
+    #[error(transparent)]
+    Datapath(#[from] cotorra_datapath::Error),
+    /// The recording, or its live viewers.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// The API.
+    #[error(transparent)]
+    Api(#[from] ApiError),
+    /// A plug-in.
+    #[error(transparent)]
+    Plugin(#[from] PluginError),
+    /// A link over an interface of this machine.
+    #[error(transparent)]
+    RealLink(#[from] RealLinkError),
+    /// A robot.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The map for a robot's localization.
+    #[error(transparent)]
+    NotLocalized(#[from] cotorra_robot_middleware::NotLocalized),
+    /// The script of link conditions.
+    #[error(transparent)]
+    Script(Box<ScriptError>),
+    /// A socket or a thread.
+    #[error("cannot {what}: {source}")]
+    System {
+        /// The failed action.
+        what: String,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The run would never end, as in virtual time without walks.
+    #[error("the testbed has no walk that would end the run: say how long it is to be, as in `--until 60s`")]
+    Endless,
+    /// The core's thread panicked, which is a bug.
+    #[error("the run broke off; please report this as a bug, with the run's folder")]
+    Panicked,
+}
+
+impl From<ScriptError> for RunError {
+    fn from(error: ScriptError) -> Self {
+        Self::Script(Box::new(error))
+    }
+}
+
+impl From<BeginError> for RunError {
+    fn from(error: BeginError) -> Self {
+        match error {
+            BeginError::History(error) => Self::History(error),
+            BeginError::Note(error) => Self::Folder(error),
+        }
+    }
+}
+
+/// Returns the conversion of a system's error while doing `what`.
+pub(crate) fn system(what: impl Into<String>) -> impl FnOnce(io::Error) -> RunError {
+    let what = what.into();
+    move |source| RunError::System { what, source }
+}

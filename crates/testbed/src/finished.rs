@@ -1,0 +1,32 @@
+//! The result of a run.
+
+use std::path::PathBuf;
+
+use cotorra_measurements::RunId;
+use cotorra_recording::RecordingSummary;
+
+use crate::report::{End, Report, Summary};
+
+/// The result of a run.
+#[derive(Debug)]
+pub struct Finished {
+    /// The summary, as in `summary.json`.
+    pub summary: Summary,
+    /// The report that the summary is made from.
+    pub report: Report,
+    /// Absolute path of the run's folder.
+    pub folder: PathBuf,
+    /// The run's number in its history.
+    pub run: RunId,
+    /// The recording's summary, if the run was recorded or watched.
+    pub recording: Option<RecordingSummary>,
+    /// Outputs that could not be written, as on a full disk, each with the error.
+    pub unrecorded: Vec<String>,
+}
+
+impl Finished {
+    /// Whether a user stopped the run before its end.
+    pub fn was_stopped(&self) -> bool {
+        self.summary.ended == End::Stopped.as_str()
+    }
+}

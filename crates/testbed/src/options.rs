@@ -1,0 +1,43 @@
+//! Options of a run.
+
+use std::{net::SocketAddr, time::Duration};
+
+use cotorra_graph::IpNetwork;
+use cotorra_measurements::Location;
+use cotorra_netem::Confirmed;
+use cotorra_plugin::runs::Runs;
+use cotorra_recording::Wanted;
+use cotorra_testbed_file::Setting;
+
+use crate::{api::Tokens, previous_run::PreviousRun, report::Place};
+
+/// Options of a run.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Replaces the testbed file's seed.
+    pub seed: Option<u64>,
+    /// Ends the run after this duration, even if walks are not finished.
+    pub until: Option<Duration>,
+    /// Place of the run's folder.
+    pub folder: Place,
+    /// Address of the API; by default 127.0.0.1:7700, or the next free port if that is taken.
+    pub api: Option<SocketAddr>,
+    /// Folder of sockets through which this user's tools find the run; `None` if they need not find it.
+    pub runs: Option<Runs>,
+    /// Tokens of the API's callers: the operator, and orchestrators of domains.
+    pub tokens: Tokens,
+    /// Whether idle cores may sleep. Packets then wait for cores to wake, and are later.
+    pub save_power: bool,
+    /// Settings that changed the testbed file when it was read.
+    pub settings: Vec<Setting>,
+    /// Networks that the WLAN Access Information Service may send notifications to, beside those of the testbed file.
+    pub wais_callbacks: Vec<IpNetwork>,
+    /// Replaces `history.sqlite` in the run's folder as the history.
+    pub history: Option<Location>,
+    /// Changes to interfaces of this machine that the user confirmed, although they may do harm.
+    pub interfaces: Confirmed,
+    /// Recording and live viewers, beside the history.
+    pub recording: Wanted,
+    /// Notes of the run that this one continues, in real time.
+    pub after: Option<PreviousRun>,
+}

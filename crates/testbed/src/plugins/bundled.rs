@@ -1,0 +1,75 @@
+//! Bundled plug-ins: makes them from a testbed file, or rehearses that.
+
+use cotorra_federation::{Federation, LedgerChoice, Ledgers, Settings};
+use cotorra_graph::{PluginProgram, PluginSpec, Testbed};
+use cotorra_okpi::Okpi;
+use cotorra_pace::Pace;
+use cotorra_plugin::Plugin;
+use cotorra_probing::Probing;
+
+use super::{error::PluginError, programs::check_programs};
+
+/// Makes the bundled plug-ins of a testbed, each when it is asked for.
+pub(crate) struct Bundled<'a> {
+    testbed: &'a Testbed,
+    seed: u64,
+    ledgers: Ledgers,
+}
+
+impl<'a> Bundled<'a> {
+    pub(crate) fn new(testbed: &'a Testbed, seed: u64, ledgers: Ledgers) -> Self {
+        Self { testbed, seed, ledgers }
+    }
+
+    /// What they share, and what is to live as long as they do.
+    pub(crate) fn into_ledgers(self) -> Ledgers {
+        self.ledgers
+    }
+
+    /// The plug-in that a testbed file names.
+    pub(crate) fn make(&mut self, spec: &PluginSpec, name: &str) -> Result<Box<dyn Plugin>, PluginError> {
+        let settings =
+            |e: &dyn ToString| PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() };
+        match name {
+            "federation" => {
+                let domain = spec.domain.as_ref();
+                let orchestrator = Federation::open(&spec.settings, domain, self.seed, &mut self.ledgers);
+                Ok(Box::new(orchestrator.map_err(|e| settings(&e))?))
+            }
+            "okpi" => {
+                let okpi =
+                    Okpi::from_settings(&spec.settings).and_then(|okpi| okpi.for_testbed(self.testbed));
+                Ok(Box::new(okpi.map_err(|e| settings(&e))?))
+            }
+            "pace" => Ok(Box::new(Pace::from_settings(&spec.settings).map_err(|e| settings(&e))?)),
+            "probing" => {
+                let probing = Probing::from_settings(&spec.settings, self.seed);
+                Ok(Box::new(probing.map_err(|e| settings(&e))?))
+            }
+            _ => Err(PluginError::NotBundled { plugin: spec.id.clone(), name: name.to_owned() }),
+        }
+    }
+}
+
+/// Looks whether a run could make the plug-ins. What only a run uses, a real ledger, is left alone.
+pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
+    check_programs(testbed)?;
+    let mut maker = Bundled::new(testbed, testbed.seed, Ledgers::default());
+    for spec in &testbed.plugins {
+        let PluginProgram::Bundled(name) = &spec.program else { continue };
+        if name == "federation" && has_real_ledger(spec) {
+            let mut modelled = spec.clone();
+            modelled.settings.remove("ledger");
+            Bundled::new(testbed, testbed.seed, Ledgers::default()).make(&modelled, name)?;
+        } else {
+            maker.make(spec, name)?;
+        }
+    }
+    Ok(())
+}
+
+/// Whether an orchestrator would reach for a ledger outside of this process. Wrong settings reach for nothing.
+fn has_real_ledger(spec: &PluginSpec) -> bool {
+    let is_real = |choice| !matches!(choice, LedgerChoice::Modelled { .. });
+    cfg!(feature = "ethereum") && Settings::decode(&spec.settings).is_ok_and(|set| is_real(set.ledger))
+}

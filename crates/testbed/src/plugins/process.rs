@@ -1,0 +1,64 @@
+//! The process of a plug-in that is a program.
+
+use std::{
+    fs::File,
+    path::Path,
+    process::{Child, Stdio},
+};
+
+use cotorra_graph::PluginSpec;
+use cotorra_network_control::program_of_others;
+
+use super::{error::PluginError, host::Fault, programs::program};
+use crate::api::{Server, Token};
+
+/// A plug-in that is a program, and runs; killed when this is dropped, or this process is killed.
+pub(super) struct Process(Child);
+
+impl Process {
+    /// Starts it.
+    pub(super) fn start(
+        spec: &PluginSpec,
+        words: &[String],
+        api: &Server,
+        logs: &Path,
+    ) -> Result<Self, PluginError> {
+        let (program, arguments) = program(spec, words)?;
+        let start = || {
+            let log = File::create(logs.join(format!("plugin-{}.log", spec.id)))?;
+            let mut command = program_of_others(program, &spec.env);
+            cotorra_datapath::end_with_us(&mut command);
+            command
+                .args(arguments)
+                .env("COTORRA_API", format!("http://{}", api.address()))
+                .env("COTORRA_PLUGIN", spec.id.as_str())
+                // In place of the operator's.
+                .env("COTORRA_TOKEN", api.plugins().of(&spec.id).map_or("", Token::secret))
+                .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())
+                .stdin(Stdio::null())
+                .stdout(log.try_clone()?)
+                .stderr(log)
+                .spawn()
+        };
+        start().map(Self).map_err(|source| PluginError::Start {
+            plugin: spec.id.clone(),
+            program: program.clone(),
+            source,
+        })
+    }
+
+    /// Why it does not run any more.
+    pub(super) fn fault(&mut self) -> Option<Fault> {
+        match self.0.try_wait() {
+            Ok(status) => status.map(Fault::Ended),
+            Err(error) => Some(Fault::Lost(error)),
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

@@ -1,0 +1,44 @@
+//! Plug-ins of a testbed that are programs.
+
+use std::{env, io, path::Path};
+
+use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed};
+
+use super::error::PluginError;
+
+/// The plug-ins of a testbed that are programs of their own.
+pub(crate) fn programs(testbed: &Testbed) -> impl Iterator<Item = &PluginId> {
+    let is_program = |spec: &&PluginSpec| matches!(spec.program, PluginProgram::Command(_));
+    testbed.plugins.iter().filter(is_program).map(|spec| &spec.id)
+}
+
+/// Looks whether the programs of plug-ins are there.
+pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
+    for spec in &testbed.plugins {
+        let PluginProgram::Command(words) = &spec.program else { continue };
+        let program = program(spec, words)?.0;
+        let is_there = if program.contains('/') {
+            Path::new(program).exists()
+        } else {
+            let folders = env::var_os("PATH").unwrap_or_default();
+            env::split_paths(&folders).any(|folder| folder.join(program).exists())
+        };
+        if !is_there {
+            let source = io::Error::from(io::ErrorKind::NotFound);
+            let plugin = spec.id.clone();
+            return Err(PluginError::Start { plugin, program: program.to_owned(), source });
+        }
+    }
+    Ok(())
+}
+
+/// The program of a plug-in, and its arguments.
+pub(super) fn program<'a>(
+    spec: &PluginSpec,
+    words: &'a [String],
+) -> Result<(&'a String, &'a [String]), PluginError> {
+    words.split_first().ok_or_else(|| PluginError::Settings {
+        plugin: spec.id.clone(),
+        reason: "its command is empty".to_owned(),
+    })
+}

@@ -1,0 +1,80 @@
+//! The third phase of a run: robots are driven, and VNFs can be started.
+
+use std::{collections::BTreeMap, net::UdpSocket, sync::Arc};
+
+use cotorra_datapath::Datapath;
+use cotorra_graph::{Node, NodeId, Testbed};
+use cotorra_network_control::vim::{Cgroups, ProcessEngine};
+use cotorra_robot_middleware::{Nonces, SimulatedRobot};
+
+use super::{launcher::NodeLauncher, network::NetworkUp, prepared::Prepared};
+use crate::{
+    confined::Confined,
+    core::Core,
+    error::{RunError, system},
+    images,
+    real_network::RealNetwork,
+    robots::{Masters, Robots},
+    script::Script,
+};
+
+/// A run whose robots and VNFs are controlled by a core, which does not run yet. Fields are dropped in order: the latest
+/// made first.
+pub(super) struct NodesUp {
+    pub(super) core: Core<RealNetwork, ProcessEngine<NodeLauncher>>,
+    pub(super) masters: Masters,
+    /// Sockets for images, apart from the other sockets: images that wait to be sent hold up nothing else.
+    pub(super) image_sockets: BTreeMap<NodeId, UdpSocket>,
+    /// A socket in each robot.
+    pub(super) sockets: BTreeMap<NodeId, UdpSocket>,
+}
+
+impl NodesUp {
+    /// Opens the robots' sockets, connects to robots, and makes the core.
+    pub(super) fn start(
+        prepared: &Prepared,
+        network: &NetworkUp,
+        real_network: RealNetwork,
+        script: Script,
+        confined: Confined,
+    ) -> Result<Self, RunError> {
+        let (testbed, datapath) = (&prepared.testbed, &network.datapath);
+        let sockets = open_sockets(testbed, datapath, testbed.graph.robots().map(|(node, _)| &node.id))?;
+        let image_sockets = open_sockets(testbed, datapath, images::senders(testbed))?;
+        let launcher = NodeLauncher::new(
+            Arc::clone(testbed),
+            Arc::clone(datapath),
+            prepared.testbed_file.clone(),
+            confined,
+            &prepared.options.settings,
+            network.messages.clone(),
+        );
+        let cgroups = Cgroups::new().inspect_err(|e| tracing::info!("VNFs run without limits: {e}")).ok();
+        let engine = ProcessEngine::new(Arc::new(launcher), prepared.folder.logs(), cgroups);
+        let mut robots = Robots::new(Arc::clone(testbed), Arc::clone(datapath), Arc::clone(&network.now));
+        let core = Core::new(
+            Arc::clone(testbed),
+            prepared.seed,
+            Nonces::unpredictable(),
+            real_network,
+            engine,
+            script,
+            |node: &Node, robot: SimulatedRobot| robots.drive(node, robot),
+        )?;
+        Ok(Self { core, masters: robots.masters(), image_sockets, sockets })
+    }
+}
+
+/// Opens a socket in each of these robots.
+fn open_sockets<'a>(
+    testbed: &Testbed,
+    datapath: &Datapath,
+    robots: impl IntoIterator<Item = &'a NodeId>,
+) -> Result<BTreeMap<NodeId, UdpSocket>, RunError> {
+    let open = |id: &NodeId| {
+        let address = testbed.graph.address(id).expect("a robot is a host");
+        let namespace = datapath.namespace(id)?;
+        namespace.udp_socket((address.ipv4, 0)).map_err(system(format!("open the socket of `{id}`")))
+    };
+    robots.into_iter().map(|robot| Ok((robot.clone(), open(robot)?))).collect()
+}

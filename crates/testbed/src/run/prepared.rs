@@ -1,0 +1,102 @@
+//! The first phase of a run: everything that needs no network. It checks the testbed, makes plug-ins, reserves the API's
+//! address, and opens the folder, recording and history.
+
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr},
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use cotorra_graph::Testbed;
+use cotorra_measurements::{History, Recorder, RunId, RunInfo};
+use cotorra_recording::{Pace, Recording};
+
+use crate::{
+    api::Listener,
+    confined::Confined,
+    error::{RunError, system},
+    keeping::Keeping,
+    options::Options,
+    plugins::running::PreparedPlugins,
+    real_links::RealLinkError,
+    recorded::Recorded,
+    reflected::measure_media,
+    rehearse::interface_plans,
+    report::RunFolder,
+    run_info::{about, run_info},
+    script::Script,
+};
+
+/// Address of the API without `Options::api`.
+const DEFAULT_API: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 7700);
+
+/// A run that is checked and has its folder, but no network yet. Fields are dropped in order: the latest made first.
+pub(super) struct Prepared {
+    pub(super) recorder: Recorder,
+    pub(super) history: Arc<History>,
+    pub(super) run: RunId,
+    pub(super) keeping: Option<Keeping>,
+    pub(super) recording: Option<Recording>,
+    pub(super) testbed_file: PathBuf,
+    pub(super) info: RunInfo,
+    pub(super) folder: RunFolder,
+    pub(super) seed: u64,
+    pub(super) testbed: Arc<Testbed>,
+    pub(super) options: Options,
+}
+
+/// Parts of a run that later phases take over.
+pub(super) struct Unstarted {
+    pub(super) confined: Confined,
+    pub(super) listener: Listener,
+    pub(super) plugins: PreparedPlugins,
+    pub(super) script: Script,
+}
+
+impl Prepared {
+    /// Checks the testbed, and makes the run's folder when nothing in it can be rejected any more.
+    pub(super) fn new(
+        mut testbed: Testbed,
+        text: &str,
+        file: &Path,
+        options: Options,
+    ) -> Result<(Self, Unstarted), RunError> {
+        interface_plans(&testbed, &options.interfaces)?;
+        measure_media(&mut testbed.graph).map_err(RealLinkError::from)?;
+        let testbed = Arc::new(testbed);
+        let seed = options.seed.unwrap_or(testbed.seed);
+        let (script, _) = Script::load(&testbed)?;
+        let mut plugins = PreparedPlugins::of(&testbed, seed)?;
+        if let Some(previous) = &options.after {
+            plugins.resume(previous);
+        }
+        let any_port = options.api.is_none();
+        let listener = Listener::bind(options.api.unwrap_or(DEFAULT_API), any_port, &options.tokens)?;
+        let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
+        let info = run_info(&testbed, seed, text);
+        let testbed_file = file.canonicalize().map_err(system(format!("find {}", file.display())))?;
+        let confined = Confined::new(&testbed, &testbed_file, &options, &folder)
+            .map_err(system("show VNFs the testbed file's folder"))?;
+        let recording =
+            Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Live)?;
+        let keeping = Keeping::begin(&testbed, folder.path(), Pace::Live)
+            .map_err(system("start the thread that keeps large data"))?;
+        let (history, run) = Recorded::begin(&folder, options.history.as_ref(), &info)?;
+        let history = Arc::new(history);
+        let recorder = history.recorder(run)?;
+        let prepared = Self {
+            recorder,
+            history,
+            run,
+            keeping,
+            recording,
+            testbed_file,
+            info,
+            folder,
+            seed,
+            testbed,
+            options,
+        };
+        Ok((prepared, Unstarted { confined, listener, plugins, script }))
+    }
+}

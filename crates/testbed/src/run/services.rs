@@ -1,0 +1,68 @@
+//! The fourth phase of a run: the API is served, and plug-ins run.
+
+use std::sync::Arc;
+
+use cotorra_graph::Stamped;
+use tokio::sync::broadcast;
+
+use super::{network::NetworkUp, prepared::Prepared};
+use crate::{
+    api::{self, Listener, Server},
+    error::RunError,
+    keeping::Keeping,
+    live::Live,
+    plugins::running::{PreparedPlugins, RunningPlugins},
+    run_info::epoch,
+};
+
+/// Events that wait for a reader of the API's stream. A reader that is further behind misses the oldest.
+const STREAM: usize = 4096;
+
+/// The API's server and the plug-ins of a run. Fields are dropped in order: the latest made first.
+pub(super) struct ServicesUp {
+    pub(super) plugins: RunningPlugins,
+    pub(super) server: Server,
+    /// Events to readers of the API's stream.
+    pub(super) stream: broadcast::Sender<Arc<Stamped>>,
+    pub(super) live: Live,
+}
+
+impl ServicesUp {
+    /// Serves the API, and starts plug-ins.
+    pub(super) fn start(
+        prepared: &Prepared,
+        network: &NetworkUp,
+        listener: Listener,
+        plugins: PreparedPlugins,
+    ) -> Result<Self, RunError> {
+        let Prepared { testbed, options, folder, .. } = prepared;
+        let live = Live::default();
+        let (stream, _) = broadcast::channel(STREAM);
+        let namespaces = testbed
+            .graph
+            .hosts()
+            .filter_map(|node| Some((node.id.clone(), network.datapath.namespace(&node.id).ok()?.path())));
+        let context = api::Context {
+            testbed: Arc::clone(testbed),
+            live: live.clone(),
+            history: Arc::clone(&prepared.history),
+            run: prepared.run,
+            events: stream.clone(),
+            core: network.messages.clone(),
+            namespaces: Arc::new(namespaces.collect()),
+            hosted: Arc::new(testbed.plugins.iter().map(|spec| spec.id.clone()).collect()),
+            lockstep: None,
+            replay: false,
+            keeper: prepared.keeping.as_ref().map(Keeping::keeper),
+            wais: api::WaisOptions {
+                clock: Some(Arc::clone(&network.now)),
+                epoch: epoch(&prepared.info),
+                callbacks: options.wais_callbacks.clone(),
+            },
+        };
+        let listener = listener.announced(options.runs.as_ref(), &folder.path().to_string_lossy());
+        let server = Server::start(listener, context, options.tokens.clone())?;
+        let plugins = plugins.start(testbed, &network.now, &server, &folder.logs(), &network.messages)?;
+        Ok(Self { plugins, server, stream, live })
+    }
+}
