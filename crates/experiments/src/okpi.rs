@@ -1,5 +1,5 @@
-//! The COTORRA letter's first validation (arXiv 2101.07676): a robot walks the corridor and back, once with the state
-//! of the art - navigation stays in the cloud, the robot roams by periodic probing - and once orchestrated by OKpi.
+//! The COTORRA letter's first validation (arXiv 2101.07676). A robot walks the corridor and back twice. With the state of
+//! the art, navigation stays in the cloud and the robot roams by periodic probing; the second walk is orchestrated by OKpi.
 
 use std::{collections::BTreeMap, fmt::Write as _, path::Path, time::Duration};
 
@@ -7,12 +7,12 @@ use cotorra_graph::{HardwareGraph, Instruction, NodeId, Position, Program, Servi
 use cotorra_testbed::{FolderError, Panel, Quantiles, Report, draw, service_time_ms, write_file};
 use serde::Serialize;
 
-/// One of those that are compared.
+/// One of the compared approaches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Contender {
-    /// What the figure and the table call it.
+    /// Name in the figure and the table.
     pub name: &'static str,
-    /// The plug-in that decides.
+    /// The deciding plug-in.
     pub plugin: &'static str,
 }
 
@@ -20,10 +20,10 @@ pub struct Contender {
 pub const CONTENDERS: [Contender; 2] =
     [Contender { name: "SoA", plugin: "probing" }, Contender { name: "OKpi", plugin: "okpi" }];
 
-/// The files that [`Comparison::write`] makes.
+/// Files that [`Comparison::write`] makes.
 pub const FILES: [&str; 4] = ["comparison.svg", "comparison.md", "comparison.json", "samples.csv"];
 
-/// A part of the walk, and the medians that were published for it, ms.
+/// A part of the walk, and its published medians, ms.
 struct Published {
     name: &'static str,
     segment: Segment,
@@ -44,7 +44,7 @@ const PUBLISHED: [Published; 5] = {
     ]
 };
 
-/// A published change of radio unit and server: where, as the coordinate that changes there.
+/// A published change of radio unit and server. `metres` is the coordinate along `axis` at which it happened.
 struct PublishedChange {
     leg: Leg,
     axis: Axis,
@@ -65,11 +65,11 @@ const PUBLISHED_CHANGES: [PublishedChange; 6] = {
     ]
 };
 
-/// A sample so soon before or after a handover was completed is one of the handover.
+/// A sample within this time of a completed handover belongs to the handover, seconds.
 const AROUND_HANDOVER_S: f64 = 1.0;
-/// What is decided within this time is one decision: locations come no faster.
+/// Instructions within this time are one decision, seconds: locations are not more frequent.
 const ONE_DECISION_S: f64 = 0.2;
-/// OKpi-t is drawn each so often, seconds.
+/// Interval between points of OKpi-t in the figure, seconds.
 const POINT_EVERY_S: f64 = 2.0;
 
 /// The corridor's segments, each with its radio units.
@@ -114,63 +114,58 @@ impl Axis {
     }
 }
 
-/// The two walks, beside each other and beside what was published.
+/// A comparison of the two walks with each other and with the published ones.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Medians, part by part of the walk.
+    /// Medians of each part of the walk.
     pub parts: Vec<Part>,
-    /// Where OKpi decided to change.
+    /// OKpi's changes of radio unit and server.
     pub changes: Vec<Change>,
-    /// What share of the samples was above the target; those without an answer are.
+    /// Shares of samples above the target. Samples without an answer count as above it.
     pub above_target: Vec<AboveTarget>,
-    /// The target, ms.
     pub target_ms: Option<f64>,
 }
 
-/// A part of the walk: median service times, ms. `None` where there was no sample.
+/// A part of the walk: median service times, ms. `None` without samples.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Part {
-    /// As the letter's regions.
+    /// The letter's name of the region.
     pub name: &'static str,
-    /// The sum of the known link delays for what OKpi decided.
+    /// The sum of the known link delays for OKpi's decisions.
     pub theory_ms: Option<f64>,
-    /// As published.
     pub published_theory_ms: f64,
-    /// OKpi, measured.
+    /// The measured median with OKpi.
     pub okpi_ms: Option<f64>,
-    /// As published.
     pub published_okpi_ms: f64,
-    /// The state of the art, measured.
+    /// The measured median with the state of the art.
     pub soa_ms: Option<f64>,
-    /// As published.
     pub published_soa_ms: f64,
 }
 
 /// A decision for another radio unit or server.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Change {
-    /// When it was taken, seconds.
+    /// Time of the decision, seconds.
     pub at_s: f64,
-    /// Where the robot was; `None` if that was not known yet.
+    /// The robot's position; `None` if it was not known yet.
     pub position: Option<Position>,
-    /// The radio unit from then on.
+    /// The radio unit after the change.
     pub radio_unit: NodeId,
-    /// The server from then on.
+    /// The server after the change.
     pub server: NodeId,
-    /// How far from where it was published, metres; `None` where no such change was.
+    /// Distance from the published place, metres; `None` if no such change was published.
     pub off_published_m: Option<f64>,
 }
 
-/// What share of a contender's samples was above the target.
+/// Shares of one contender's samples above the target.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AboveTarget {
-    /// Whose.
     pub contender: &'static str,
-    /// Of all.
+    /// The share of all samples.
     pub of_all: f64,
-    /// Of those that no handover was near.
+    /// The share of samples that are not near a handover.
     pub away_from_handovers: f64,
-    /// How many samples there are.
+    /// Number of samples.
     pub samples: usize,
 }
 
@@ -216,7 +211,7 @@ impl Comparison {
         }
     }
 
-    /// The table of medians, the changes and the shares, in Markdown. `how` says how the walks were run.
+    /// Returns the tables of medians, changes and shares, in Markdown. `how` says how the walks were run.
     pub fn to_markdown(&self, how: &str) -> String {
         let ms = |value: Option<f64>| value.map_or("-".to_owned(), |ms| format!("{ms:.2}"));
         let mut text = format!("Median service time, ms ({how}; published figures: arXiv 2101.07676)\n\n");
@@ -357,7 +352,7 @@ fn above_target(contender: &'static str, report: &Report, target_ms: f64) -> Opt
     })
 }
 
-/// When a walk turned: its first sample in segment C.
+/// The time at which a walk turned: its first sample in segment C.
 #[derive(Debug)]
 struct Legs {
     turned_s: f64,
@@ -377,7 +372,7 @@ impl Legs {
 
     fn is_in(&self, sample: &ServiceTime, part: &Published) -> bool {
         let segment = sample.attachment.as_ref().and_then(Segment::of);
-        // Segment C is walked out and back in one.
+        // Segment C is walked out and back in one part.
         let leg = part.segment == Segment::C || self.at(sample.emitted.as_secs_f64()) == part.leg;
         segment == Some(part.segment) && leg
     }
@@ -386,16 +381,16 @@ impl Legs {
 /// A radio unit and a server.
 type State = (NodeId, NodeId);
 
-/// What was decided for the robot, over time.
+/// The decisions for the robot, over time.
 #[derive(Debug)]
 struct Decided {
     robot: Option<NodeId>,
-    /// From when on, where the robot was, and what.
+    /// The beginning of each state in seconds, the robot's position then, and the state.
     states: Vec<(f64, Option<Position>, State)>,
 }
 
 impl Decided {
-    /// Follows the decisions for the first service's robot from where it was at the first sample.
+    /// Follows the decisions for the first service's robot, from its state at the first sample.
     fn by(testbed: &Testbed, report: &Report) -> Self {
         let service = testbed.services.first();
         let navigation = service.and_then(|s| s.vnfs.iter().find(|vnf| vnf.program == Program::Navigation));
@@ -416,7 +411,7 @@ impl Decided {
             }
             let (at, state) = (decision.at.as_secs_f64(), (unit.clone(), server.clone()));
             match states.last_mut() {
-                // A new radio unit and a new server in one decision, whose instructions are done one by one.
+                // One decision for a new radio unit and a new server has two instructions.
                 Some(last) if at - last.0 <= ONE_DECISION_S => last.2 = state,
                 Some(last) if last.2 == state => {}
                 _ => states.push((at, decision.position, state)),
@@ -430,7 +425,7 @@ impl Decided {
         self.states.get(next.checked_sub(1)?).map(|(.., state)| state)
     }
 
-    /// The sum of the known link delays in each state, there and back, ms.
+    /// Returns the sum of the known link delays in each state, there and back, ms.
     fn theory(&self, testbed: &Testbed) -> BTreeMap<State, f64> {
         let Some(robot) = &self.robot else { return BTreeMap::new() };
         let with_theory = |(.., state): &(f64, Option<Position>, State)| {

@@ -1,5 +1,5 @@
-//! How fast virtual time goes, on one core: seconds of a testbed's time in a second. Run with
-//! `cargo bench -p cotorra-testbed --bench virtual_time`.
+//! Speed of virtual time on one core: seconds of a testbed's time per second. Run with `cargo bench -p cotorra-testbed
+//! --bench virtual_time`.
 #![allow(
     clippy::disallowed_types,
     clippy::disallowed_methods,
@@ -38,7 +38,7 @@ fn main() {
     row("… and recorded as MCAP", 5, || whole(&hundred, Some(minute), recorded()));
 }
 
-/// Prints the median and the slowest of some runs, of which each gives its virtual seconds.
+/// Prints the median and the slowest of some runs; each returns its virtual seconds.
 fn row(name: &str, runs: usize, mut run: impl FnMut() -> Timestamp) {
     let speed = |_| {
         let began = Instant::now();
@@ -50,7 +50,7 @@ fn row(name: &str, runs: usize, mut run: impl FnMut() -> Timestamp) {
     println!("{name:<58} {:>9.0}× {:>9.0}×", speeds[runs / 2], speeds[0]);
 }
 
-/// Everything but what a run leaves.
+/// Simulates without writing results.
 fn bare(testbed: &Testbed, until: Option<Duration>) -> Timestamp {
     let end = until.map_or(Timestamp::MAX, |until| Timestamp::ZERO + until);
     let mut simulation = Simulation::new(Arc::new(testbed.clone()), 1).unwrap();
@@ -63,12 +63,12 @@ fn bare(testbed: &Testbed, until: Option<Duration>) -> Timestamp {
     }
 }
 
-/// As `--record` has it.
+/// The recording's place with `--record`.
 fn recorded() -> Option<RecordingPlace> {
     Some(RecordingPlace::Folder)
 }
 
-/// What `cotorra run --simulate` does.
+/// Simulates as `cotorra run --simulate` does.
 fn whole(testbed: &Testbed, until: Option<Duration>, file: Option<RecordingPlace>) -> Timestamp {
     let out = tempfile::tempdir().unwrap();
     let folder = Place::In(PathBuf::from(out.path()));
@@ -82,8 +82,8 @@ fn whole(testbed: &Testbed, until: Option<Duration>, file: Option<RecordingPlace
     end
 }
 
-/// A hall of 100 m × 80 m: a radio unit every 20 m, robots that walk to and fro, each with its navigation on one of
-/// three servers, and the state of the art for their roaming.
+/// A hall of 100 m × 80 m with a radio unit every 20 m. Robots walk to and fro, each with its navigation on one of three
+/// servers. They roam by periodic probing.
 fn hundred_robots() -> Testbed {
     let mut nodes = String::from("  lan: { kind: switch }\n");
     let (mut links, mut services, mut walks) = (String::new(), String::new(), String::new());

@@ -1,4 +1,4 @@
-//! Who answers robots: the instances of their navigation and localization VNFs, and which of them a request goes to.
+//! The instances of VNFs that answer robots, and the choice of those that a request goes to.
 
 use cotorra_graph::{NodeId, Program, Requests, Service, Testbed, VnfId};
 use cotorra_network_control::{Network, NetworkControl, vim::Engine};
@@ -8,15 +8,15 @@ use cotorra_plugin::wire;
 #[derive(Debug)]
 pub(crate) struct Answerer {
     pub(crate) vnf: VnfId,
-    /// Where each instance listens, on its node.
+    /// UDP port of each instance on its node.
     pub(crate) port: u16,
     requests: Requests,
-    /// Nodes of its instances, the nearest first, as they were found last.
+    /// Nodes of the instances, the nearest first, as of the last measurement.
     pub(crate) nearest: Vec<NodeId>,
 }
 
 impl Answerer {
-    /// The VNF of a service that runs this program.
+    /// Returns the VNF of a service that runs this program.
     pub(crate) fn of(testbed: &Testbed, service: &Service, program: &Program) -> Option<Self> {
         let vnf = service.vnfs.iter().find(|vnf| vnf.program == *program)?;
         Some(Self {
@@ -27,22 +27,23 @@ impl Answerer {
         })
     }
 
-    /// The first instance of a VNF that serves.
+    /// Returns a VNF of which the first serving instance is used.
     pub(crate) fn first_of(testbed: &Testbed, vnf: &VnfId) -> Option<Self> {
         let (vnf, port) = (vnf.clone(), wire::port(testbed, vnf)?);
         Some(Self { vnf, port, requests: Requests::One, nearest: Vec::new() })
     }
 
-    /// Whether the distances of its instances matter.
+    /// Whether the distances of instances matter.
     pub(crate) fn is_by_distance(&self) -> bool {
         self.requests == Requests::Nearest
     }
 
-    /// The nodes of the instances that a request goes to now; where none serves, the node where one is to.
+    /// Returns the nodes of the instances that a request goes to now. Without a serving instance, the node where one is
+    /// planned.
     pub(crate) fn asked<N: Network, E: Engine>(&self, control: &NetworkControl<N, E>) -> Vec<NodeId> {
         let mut asked = control.serving(&self.vnf);
         if self.is_by_distance() {
-            // One that came since distances were looked at waits for the next look.
+            // An instance that came after the last measurement has to wait for the next one.
             let rank =
                 |node: &&NodeId| self.nearest.iter().position(|near| near == *node).unwrap_or(usize::MAX);
             asked.sort_by_key(rank);

@@ -1,4 +1,4 @@
-//! The bundled VNFs as programs: `cotorra vnf navigation` and `cotorra vnf localization`, started by the VIM in a node's
+//! The bundled VNFs as programs: `cotorra vnf navigation` and `cotorra vnf localization`. The VIM starts them in a node's
 //! namespace.
 
 use std::{convert::Infallible, env, io, net::UdpSocket, path::PathBuf};
@@ -10,75 +10,74 @@ use cotorra_plugin::vnf;
 use cotorra_robot_middleware::{LocalizationVnf, NotLocalized};
 use cotorra_testbed_file::InvalidSetting;
 
-/// The testbed file that the run uses.
+/// Path of the run's testbed file.
 pub(crate) const TESTBED: &str = "COTORRA_TESTBED";
-/// The settings with which the run read it, one a line.
+/// Settings of the testbed file, one per line.
 pub(crate) const SETTINGS: &str = "COTORRA_TESTBED_SETTINGS";
-/// The robot that is served.
+/// Name of the served robot.
 pub(crate) const ROBOT: &str = "COTORRA_ROBOT";
-/// The UDP port where the VNF is to listen.
+/// UDP port of the VNF.
 pub(crate) const PORT: &str = "COTORRA_PORT";
 
-/// Why a bundled VNF does not serve.
+/// Error of a bundled VNF.
 #[derive(Debug, thiserror::Error)]
 pub enum VnfError {
-    /// It was started by hand.
+    /// A variable is missing: the VNF was started by hand.
     #[error("{0} is not set, or none: VNFs are started by `cotorra run`, not by hand")]
     Environment(&'static str),
-    /// The name of the robot is none.
+    /// The robot's name is invalid.
     #[error(transparent)]
     Robot(#[from] cotorra_graph::InvalidId),
-    /// The testbed file changed under the run's feet.
+    /// The testbed file changed during the run.
     #[error("the run's testbed file cannot be read: {0}")]
     Testbed(String),
-    /// A setting is none.
+    /// A setting is invalid.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
-    /// There is nothing to navigate.
+    /// The robot has no walk.
     #[error(transparent)]
     NoWalk(#[from] NoWalk),
-    /// There is nothing to localize.
+    /// The robot is not localized.
     #[error(transparent)]
     NotLocalized(#[from] NotLocalized),
     /// The socket fails.
     #[error("port {port}: {source}")]
     Socket {
-        /// Where it listens.
         port: u16,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// Navigates the robot that `COTORRA_ROBOT` names until the process ends.
+/// Navigates the robot named by `COTORRA_ROBOT` until the process ends.
 ///
 /// # Errors
-/// [`VnfError`]; it never returns otherwise.
+/// [`VnfError`]; never returns otherwise.
 pub fn navigation() -> Result<Infallible, VnfError> {
     let (testbed, robot, port) = asked()?;
     let vnf = NavigationVnf::new(&testbed, &robot)?;
     serve(port, |socket| {
-        // A server's CPUs are its own; those of this machine may be busy with something else. It works for microseconds.
+        // A node's CPUs are its own, but this machine's CPUs may be busy. Navigation works for microseconds.
         cotorra_datapath::be_punctual();
         cotorra_brain::serve(vnf, socket)
     })
 }
 
-/// Localizes the robot that `COTORRA_ROBOT` names until the process ends.
+/// Localizes the robot named by `COTORRA_ROBOT` until the process ends.
 ///
 /// # Errors
-/// [`VnfError`]; it never returns otherwise.
+/// [`VnfError`]; never returns otherwise.
 pub fn localization() -> Result<Infallible, VnfError> {
     let (testbed, robot, port) = asked()?;
     let mut vnf = LocalizationVnf::new(&testbed, &robot, testbed.seed)?;
-    // It works for longer than anyone else may be held up, and nobody measures how fast it answers.
+    // No higher priority: localization works for longer than others can be held up, and its answer time is not measured.
     serve(port, |socket| {
         vnf::log(format_args!("localizing `{}`", vnf.robot()));
         vnf::serve(socket, |datagram, answer| vnf.answer(datagram, answer))
     })
 }
 
-/// The run's testbed, the robot that is to be served, and where.
+/// Returns the run's testbed, the served robot, and the VNF's port.
 fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
     let text = |name| env::var(name).map_err(|_| VnfError::Environment(name));
     let file = PathBuf::from(text(TESTBED)?);
@@ -91,7 +90,7 @@ fn asked() -> Result<(Testbed, NodeId, u16), VnfError> {
     Ok((testbed, robot, port))
 }
 
-/// Says that it is ready once it can be reached, and serves.
+/// Reports that the VNF is ready once it can be reached, and serves.
 fn serve(
     port: u16,
     serve: impl FnOnce(&UdpSocket) -> io::Result<Infallible>,

@@ -1,5 +1,5 @@
-//! What links carried whose packets are not the fabric's: the kernel counts them from the beginning, and λ is the difference
-//! between two looks.
+//! Traffic of links whose packets bypass the fabric. The kernel counts it from the beginning, and λ is the difference
+//! between two readings.
 
 use std::collections::HashMap;
 
@@ -9,11 +9,11 @@ use parking_lot::Mutex;
 /// The counters of links, by direction.
 pub(crate) type Counted = HashMap<(LinkId, Direction), LinkCounters>;
 
-/// What links had carried when they were looked at last.
+/// The traffic of links at the last reading.
 #[derive(Debug, Default)]
 pub(crate) struct Carried(Mutex<Seen>);
 
-/// When that was, and the bytes of each.
+/// The time and the bytes of the last reading.
 #[derive(Debug, Default)]
 struct Seen {
     at: Timestamp,
@@ -21,8 +21,8 @@ struct Seen {
 }
 
 impl Carried {
-    /// Completes the contexts of links that were counted: λ since the last look, and the counters. One link that is asked for
-    /// alone does not begin a new interval for all; that takes `all` of them.
+    /// Completes the contexts of counted links with the counters, and with λ since the last reading. A reading of `all`
+    /// links begins a new interval; one of a single link does not.
     pub(crate) fn complete(
         &self,
         now: Timestamp,

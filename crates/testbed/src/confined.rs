@@ -1,5 +1,5 @@
-//! What VNFs of others are shown of this machine, and what is kept from them: histories, sockets of runs, and files that
-//! plug-ins' settings name, which may hold keys.
+//! Access of others' VNFs to files of this machine. Hidden from them are histories, sockets of runs, and files named in
+//! plug-ins' settings, which may hold keys.
 
 use std::{
     env, fs, io,
@@ -17,22 +17,22 @@ use crate::{
     report::{Place, RunFolder},
 };
 
-/// Processes and threads of all confined programs together, where no control group limits them.
+/// Maximum number of processes and threads of all confined programs together, where no control group limits them.
 const PROCESSES: u64 = 1024;
 
-/// What a run's confined VNFs have in common.
+/// The common confinement of a run's VNFs.
 #[derive(Debug)]
 pub(crate) struct Confined {
-    /// The testbed file's folder, which all may read.
+    /// The testbed file's folder, which all VNFs can read.
     folder: PathBuf,
-    /// Each has a folder in here.
+    /// Folder of the VNFs' home folders.
     homes: PathBuf,
     hidden: Vec<PathBuf>,
 }
 
 impl Confined {
     /// # Errors
-    /// When the testbed file's folder holds more than a testbed's files, and somebody would be shown it.
+    /// An error if the testbed file's folder holds more than a testbed's files, and a VNF would be shown it.
     pub(crate) fn new(
         testbed: &Testbed,
         file: &Path,
@@ -46,8 +46,8 @@ impl Confined {
             check(&folder)?;
         }
         let mut hidden = vec![run.path().to_owned()];
-        hidden.extend(earlier_runs(&options.folder, &folder));
-        // A socket can be used in a folder that is read-only: who reaches that of a run may control it.
+        hidden.extend(other_runs(&options.folder, &folder));
+        // A socket can be used even in a read-only folder, and whoever reaches a run's socket may control the run.
         hidden.extend(options.runs.iter().flat_map(|runs| runs.folders()).cloned());
         if let Some(Location::File(path)) = &options.history {
             let path = std::path::absolute(path)?;
@@ -65,12 +65,12 @@ impl Confined {
         Ok(Self { folder, homes: run.path().join("vnfs"), hidden })
     }
 
-    /// Where commands start.
+    /// Returns the working folder of commands.
     pub(crate) fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// What confines an instance of a VNF, if anything does. Each replica has a home of its own.
+    /// Returns the confinement of a VNF's instance, if it is confined. Each replica has its own home folder.
     pub(crate) fn of(&self, vnf: &Vnf, replica: u32) -> io::Result<Option<Confinement>> {
         let (Program::Command(_), Rights::Confined(Granted { capabilities, readable })) =
             (&vnf.program, &vnf.rights)
@@ -78,7 +78,7 @@ impl Confined {
             return Ok(None);
         };
         let home = self.homes.join(replica_name(&vnf.id, replica));
-        // Nobody else may look in: what a VNF of root's makes there is root's, whatever its mode.
+        // Closed to others: what a VNF of root creates there belongs to root, whatever its mode.
         fs::DirBuilder::new().recursive(true).mode(0o700).create(&home)?;
         let shown = std::iter::once(self.folder.clone());
         Ok(Some(Confinement {
@@ -92,13 +92,13 @@ impl Confined {
     }
 }
 
-/// The path without symbolic links on the way; its last part may come to be later, as a journal of SQLite's does.
+/// Resolves symbolic links in a path. Its last part may not exist yet, as with a journal of SQLite.
 fn real(path: &Path) -> Option<PathBuf> {
     let beside = || Some(path.parent()?.canonicalize().ok()?.join(path.file_name()?));
     path.canonicalize().ok().or_else(beside)
 }
 
-/// Whether a folder can be shown to programs of others: not one that all users share, or in which a user keeps all.
+/// Checks that a folder can be shown to programs of others. Shared folders and users' home folders cannot.
 fn check(folder: &Path) -> io::Result<()> {
     const OTHERS_WRITE: u32 = 0o2;
     let is_home = env::var_os("HOME")
@@ -113,8 +113,8 @@ fn check(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The folders of runs beside this one: the one that they are all in, unless the testbed file is in there, too.
-fn earlier_runs(place: &Place, testbed: &Path) -> Vec<PathBuf> {
+/// Returns the folders of other runs. That is their common folder, unless the testbed file is inside it.
+fn other_runs(place: &Place, testbed: &Path) -> Vec<PathBuf> {
     let Place::In(parent) = place else { return Vec::new() };
     let Ok(parent) = parent.canonicalize() else { return Vec::new() };
     if !testbed.starts_with(&parent) {
@@ -126,7 +126,7 @@ fn earlier_runs(place: &Place, testbed: &Path) -> Vec<PathBuf> {
     folders.filter(has_history).collect()
 }
 
-/// The files that settings name.
+/// Collects the files that settings name.
 fn named_files(settings: &serde_json::Value, found: &mut Vec<PathBuf>) {
     match settings {
         serde_json::Value::String(text) if Path::new(text).is_file() => found.push(text.into()),
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn earlier_runs_are_hidden_one_by_one_where_the_testbed_file_is_among_them() {
+    fn earlier_runs_are_hidden_one_by_one_if_the_testbed_file_is_among_them() {
         let place = tempfile::tempdir().unwrap();
         let parent = place.path().canonicalize().unwrap();
         let [run, testbed] = ["run", "testbed"].map(|name| parent.join(name));
@@ -151,12 +151,12 @@ mod tests {
         fs::create_dir(&testbed).unwrap();
         fs::write(run.join("history.sqlite"), "").unwrap();
         let runs = Place::In(parent.clone());
-        assert_eq!(earlier_runs(&runs, &testbed), [run]);
-        assert_eq!(earlier_runs(&runs, Path::new("/elsewhere")), [parent]);
+        assert_eq!(other_runs(&runs, &testbed), [run]);
+        assert_eq!(other_runs(&runs, Path::new("/elsewhere")), [parent]);
     }
 
     #[test]
-    fn files_that_settings_name_are_hidden_wherever_they_are_named() {
+    fn files_named_in_settings_are_hidden() {
         let place = tempfile::tempdir().unwrap();
         let file = place.path().join("password");
         fs::write(&file, "").unwrap();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_journal_that_comes_to_be_later_is_hidden_where_it_will_be() {
+    fn a_journal_is_hidden_before_it_exists() {
         let place = tempfile::tempdir().unwrap();
         let link = place.path().join("link");
         std::os::unix::fs::symlink(place.path(), &link).unwrap();
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_that_hold_more_than_a_testbed_are_not_shown() {
+    fn folders_with_more_than_a_testbed_are_not_shown() {
         let place = tempfile::tempdir().unwrap();
         check(place.path()).unwrap();
         fs::set_permissions(place.path(), fs::Permissions::from_mode(0o777)).unwrap();

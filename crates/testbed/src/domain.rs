@@ -1,5 +1,5 @@
-//! What one administrative domain sees of a testbed, and what it may change: its own nodes. Domains do not trust each
-//! other; what they want of each other they agree on over a ledger.
+//! The view of one administrative domain on a testbed, and the instructions that it may give: those for its own nodes.
+//! Domains do not trust each other. They make agreements over a ledger.
 
 use std::{
     borrow::Cow,
@@ -12,30 +12,29 @@ use cotorra_graph::{
     PluginId, RobotContext, Stamped, Testbed, VirtualLinkMapping, VnfId,
 };
 
-/// All domains of a testbed, and the plug-ins that are bound to one.
+/// The domains of a testbed, and the plug-ins that are bound to one.
 pub(crate) struct Domains {
     views: BTreeMap<DomainId, Arc<DomainView>>,
 }
 
 impl Domains {
-    /// Those of a testbed.
     pub(crate) fn new(testbed: &Testbed) -> Self {
         let view = |domain: &DomainId| (domain.clone(), Arc::new(DomainView::new(testbed, domain)));
         Self { views: testbed.graph.domains.iter().map(view).collect() }
     }
 
-    /// What a domain sees.
+    /// Returns the view of a domain.
     pub(crate) fn view(&self, domain: &DomainId) -> Option<&Arc<DomainView>> {
         self.views.get(domain)
     }
 
-    /// What a plug-in sees that is bound to a domain; `None` for one that sees all.
+    /// Returns the view of a plug-in that is bound to a domain; `None` for one that sees everything.
     pub(crate) fn of_plugin(&self, plugin: &PluginId) -> Option<&Arc<DomainView>> {
         self.views.values().find(|view| view.plugins.contains(plugin))
     }
 }
 
-/// What is told of an event to one who sees a domain, or all where there is no view.
+/// Returns an event as a view shows it, or unchanged without a view.
 pub(crate) fn seen(view: Option<&DomainView>, event: &Arc<Stamped>) -> Option<Arc<Stamped>> {
     match view.map(|view| view.event(event)) {
         None | Some(Some(Cow::Borrowed(_))) => Some(Arc::clone(event)),
@@ -44,7 +43,7 @@ pub(crate) fn seen(view: Option<&DomainView>, event: &Arc<Stamped>) -> Option<Ar
     }
 }
 
-/// An instruction that is not one domain's to give.
+/// An instruction for nodes of another domain.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} is not of the domain `{domain}`, whose orchestrator changes its own nodes only")]
 pub(crate) struct NotOwn {
@@ -57,7 +56,7 @@ pub(crate) struct NotOwn {
 pub(crate) struct DomainView {
     domain: DomainId,
     nodes: BTreeSet<NodeId>,
-    /// Nodes of all domains: the ends of wireless links are known by their names.
+    /// Nodes of all domains: wireless links are named after their ends.
     all_nodes: BTreeSet<NodeId>,
     wired: BTreeMap<LinkId, [NodeId; 2]>,
     vnfs: BTreeSet<VnfId>,
@@ -79,7 +78,7 @@ impl DomainView {
         part.plugins.retain(|plugin| plugin.domain.as_ref() == Some(domain));
         let of_services = part.services.iter().flat_map(|service| &service.vnfs).map(|vnf| vnf.id.clone());
         let of_radio_units = part.graph.radio_units().map(|(node, _)| AccessPoint::vnf(&node.id));
-        // Who shows a domain's token and no name goes by the domain's.
+        // A caller with the domain's token and no name uses the domain's name.
         let itself = PluginId::new(domain.as_str()).ok();
         Self {
             domain: domain.clone(),
@@ -92,32 +91,31 @@ impl DomainView {
         }
     }
 
-    /// Which domain.
     pub(crate) fn domain(&self) -> &DomainId {
         &self.domain
     }
 
-    /// The testbed, as far as it is the domain's.
+    /// Returns the domain's part of the testbed.
     pub(crate) fn testbed(&self) -> &Testbed {
         &self.testbed
     }
 
-    /// Whether a node is the domain's.
+    /// Whether a node belongs to the domain.
     pub(crate) fn owns(&self, node: &NodeId) -> bool {
         self.nodes.contains(node)
     }
 
-    /// Whether a plug-in is the domain's, or its token's holder goes by that name.
+    /// Whether a plug-in belongs to the domain, or its name is the domain's.
     pub(crate) fn has_plugin(&self, plugin: &PluginId) -> bool {
         self.plugins.contains(plugin)
     }
 
-    /// Whether it sees a VNF's placement.
+    /// Whether the domain sees a VNF's placement.
     pub(crate) fn sees_vnf(&self, vnf: &VnfId, node: &NodeId) -> bool {
         self.vnfs.contains(vnf) || self.owns(node)
     }
 
-    /// a(n) of one of its VNFs, or of another's as far as that is on its nodes.
+    /// Returns a(n) of one of the domain's VNFs, or the part on its nodes of another's.
     pub(crate) fn placement(&self, placement: &Placement) -> Option<Placement> {
         if self.vnfs.contains(&placement.vnf) {
             return Some(placement.clone());
@@ -126,7 +124,7 @@ impl DomainView {
         Some(Placement { vnf: placement.vnf.clone(), node: Nodes::new(own).ok()? })
     }
 
-    /// Whether it sees a link: one of the two ends is the domain's.
+    /// Whether the domain sees a link: one of the two ends belongs to it.
     pub(crate) fn sees_link(&self, link: &LinkId) -> bool {
         self.ends(link).is_some_and(|ends| ends.iter().any(|end| self.owns(end)))
     }
@@ -143,7 +141,8 @@ impl DomainView {
         name.match_indices('~').find_map(split)
     }
 
-    /// κ of one of its robots: of other domains' radio units it has what the robot hears or is attached to.
+    /// Returns κ of one of the domain's robots. Of other domains' radio units it has those that the robot hears or is
+    /// attached to.
     pub(crate) fn robot(&self, context: &RobotContext) -> Option<RobotContext> {
         if !self.owns(&context.robot) {
             return None;
@@ -153,7 +152,7 @@ impl DomainView {
         Some(context)
     }
 
-    /// a(n1,n2) of a virtual link to or from one of its VNFs, without links of others.
+    /// Returns a(n1,n2) of a virtual link to or from one of the domain's VNFs, without links of others.
     pub(crate) fn virtual_link(&self, mapping: &VirtualLinkMapping) -> Option<VirtualLinkMapping> {
         let own = self.vnfs.contains(&mapping.from) || self.vnfs.contains(&mapping.to);
         let seen = || {
@@ -167,7 +166,7 @@ impl DomainView {
         own.then(seen)
     }
 
-    /// What the domain is told of an event; `None`: nothing.
+    /// Returns an event as the domain sees it; `None` if it does not.
     pub(crate) fn event<'a>(&self, stamped: &'a Stamped) -> Option<Cow<'a, Stamped>> {
         let changed = |event| Some(Cow::Owned(Stamped { at: stamped.at, event }));
         let seen = match &stamped.event {
@@ -178,7 +177,7 @@ impl DomainView {
             Event::VirtualLink(mapping) => {
                 return changed(Event::VirtualLink(self.virtual_link(mapping)?));
             }
-            // A radio unit knows its stations, whosever they are.
+            // A radio unit knows its stations, including those of other domains.
             Event::Radio(context) => self.owns(&context.radio_unit),
             Event::Link(context) => self.sees_link(&context.link),
             Event::Placement(placement) => return changed(Event::Placement(self.placement(placement)?)),
@@ -195,15 +194,15 @@ impl DomainView {
                 self.has_plugin(plugin) || (!is_note && self.check(instruction).is_ok())
             }
             Event::PluginFault { plugin, .. } => self.has_plugin(plugin),
-            // It is the emulator's, and of no node.
+            // Lateness is the emulator's, and belongs to no node.
             Event::Lateness(_) => true,
-            // Its words may be of anything.
+            // A notice may be about anything.
             Event::Notice { .. } => false,
         };
         seen.then_some(Cow::Borrowed(stamped))
     }
 
-    /// What it sees of a handover of another domain's robot: that it came, or that it went.
+    /// Returns the visible part of a handover of another domain's robot: its arrival or its departure.
     fn visitor(&self, handover: &Handover) -> Option<Event> {
         let from = handover.from.clone().filter(|from| self.owns(from));
         if self.owns(&handover.to) {
@@ -212,7 +211,8 @@ impl DomainView {
         from.map(|from| Event::Detached { robot: handover.robot.clone(), from })
     }
 
-    /// Whether an instruction is the domain's to give. Which radio unit a robot may attach to is that one's to say.
+    /// Checks that an instruction is for the domain's nodes. Whether a robot may attach is decided by the radio unit's
+    /// domain.
     pub(crate) fn check(&self, instruction: &Instruction) -> Result<(), NotOwn> {
         let not_own = |what: String| Err(NotOwn { what, domain: self.domain.clone() });
         let node = |node: &NodeId| if self.owns(node) { Ok(()) } else { not_own(format!("`{node}`")) };

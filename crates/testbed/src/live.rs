@@ -1,4 +1,4 @@
-//! What is known right now: the last of every embedding. The API and the terminal read it; only events write it.
+//! The current state: the last of every embedding. The API and the terminal read it; only events change it.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -13,31 +13,31 @@ use serde::Serialize;
 #[derive(Debug, Clone, Default, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Snapshot {
-    /// When the last event happened.
+    /// Time of the last event.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
     /// κ of every robot.
     pub robots: BTreeMap<NodeId, RobotContext>,
     /// ι of every radio unit.
     pub radio_units: BTreeMap<NodeId, RadioContext>,
-    /// When ι was told last.
+    /// Time of the last ι.
     #[serde(rename = "radio_units_at_ns")]
     pub radio_units_at: Timestamp,
     /// d, λ and conditions of every link and direction.
     #[serde(skip)]
     pub links: BTreeMap<(LinkId, Direction), LinkContext>,
-    /// When they were told.
+    /// Times of the last link contexts.
     #[serde(skip)]
     pub links_at: BTreeMap<(LinkId, Direction), Timestamp>,
     /// a(n).
     pub placements: BTreeMap<VnfId, Placement>,
     /// a(n1,n2).
     pub virtual_links: Vec<VirtualLinkMapping>,
-    /// The last word on every VNF's process.
+    /// The last event of every VNF's process.
     pub vnfs: BTreeMap<VnfId, VnfEvent>,
     /// The last service time of every service.
     pub service_times: BTreeMap<ServiceId, ServiceTime>,
-    /// The last reading of every sensor, and when it was told.
+    /// The last reading of every sensor, and the time of its event.
     #[serde(skip)]
     pub sensors: BTreeMap<(NodeId, SensorId), (Timestamp, SensorReading)>,
     /// The emulator's lateness.
@@ -48,12 +48,12 @@ pub struct Snapshot {
     pub plugin_faults: Vec<String>,
 }
 
-/// A snapshot that many read while one writes.
+/// A snapshot with many readers and one writer.
 #[derive(Debug, Clone, Default)]
 pub struct Live(Arc<RwLock<Snapshot>>);
 
 impl Live {
-    /// Reads it.
+    /// Gives access to the snapshot.
     pub fn read<R>(&self, read: impl FnOnce(&Snapshot) -> R) -> R {
         read(&self.0.read())
     }
@@ -83,11 +83,11 @@ impl Live {
             Event::Vnf(event) => {
                 match event.state {
                     VnfState::Started => {
-                        // What else is placed is told apart; of a vAP nothing is.
+                        // Other placements have events of their own. A vAP has none.
                         let placed = || Placement { vnf: event.vnf.clone(), node: event.node.clone().into() };
                         now.placements.entry(event.vnf.clone()).or_insert_with(placed);
                     }
-                    // An instance that another node's took over from is stopped later.
+                    // An instance is stopped after another node's has taken over.
                     VnfState::Stopped
                         if now.placements.get(&event.vnf).and_then(|p| p.node.only())
                             == Some(&event.node) =>

@@ -1,5 +1,5 @@
-//! What a run noted that was broken off: the run after it keeps these notes as its own, from before it began, and its plug-ins
-//! go on where the ledger and the notes say that they were.
+//! Notes of a run that broke off. The next run keeps them as its own, with times before its beginning. Its plug-ins
+//! continue from the state in the ledger and the notes.
 
 use std::time::Duration;
 
@@ -11,45 +11,45 @@ use cotorra_measurements::{History, Kind, PageRequest, Run};
 use cotorra_plugin::Noted;
 use cotorra_testbed_file::Diagnostics;
 
-/// Why no run can go on after another.
+/// Reason for which no run can continue another.
 #[derive(Debug, thiserror::Error)]
 pub enum CannotGoOn {
-    /// It is about something else.
+    /// The testbeds have different names.
     #[error("it was a run of the testbed `{before}`, and this one is of `{now}`")]
     Testbed {
-        /// The name of its testbed.
+        /// Name of the previous run's testbed.
         before: String,
-        /// The name of this one.
+        /// Name of this run's testbed.
         now: String,
     },
-    /// Nobody would go on.
+    /// No plug-in could continue.
     #[error("this testbed has no plug-in `federation`, and no other goes on after a run")]
     Nobody,
-    /// What was negotiated is gone.
+    /// The ledger ended with the previous run.
     #[error(
         "plug-in `{0}`: its ledger begins with the run, and knows nothing of another: only one of the kind `ethereum` outlives it"
     )]
     Ledger(PluginId),
-    /// The contract knows other services.
+    /// The ledgers have different contracts.
     #[error("plug-in `{0}`: that run had another ledger for it, or another contract or domain")]
     OtherLedger(PluginId),
-    /// Its testbed file is none any more.
+    /// The previous run's testbed file is not valid any more.
     #[error("its testbed file cannot be read: {0}")]
     Unreadable(Diagnostics),
-    /// Its history cannot be read.
+    /// The previous run's history cannot be read.
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),
 }
 
-/// What plug-ins noted in an earlier run.
+/// Notes of plug-ins in a previous run.
 #[derive(Debug, Clone)]
 pub struct PreviousRun {
-    /// When each was reached, nanoseconds since 1970, and what was.
+    /// Nanoseconds since 1970 at which each step was reached, and the note.
     notes: Vec<(i64, Decision)>,
 }
 
 impl PreviousRun {
-    /// Reads what a run noted, for one of the testbed `now`; `parse` reads the text of its testbed file.
+    /// Reads the notes of a run, for a run of the testbed `now`. `parse` reads the text of the previous run's testbed file.
     ///
     /// # Errors
     /// [`CannotGoOn`].
@@ -66,7 +66,7 @@ impl PreviousRun {
         Ok(Self::kept(history, run)?)
     }
 
-    /// What a run noted.
+    /// Reads the notes of a run.
     pub(crate) fn kept(history: &History, run: &Run) -> Result<Self, cotorra_measurements::Error> {
         let mut notes = Vec::new();
         let mut request = PageRequest::default();
@@ -78,7 +78,7 @@ impl PreviousRun {
         }
     }
 
-    /// What a plug-in noted.
+    /// Returns the notes of a plug-in.
     pub(crate) fn noted_by(&self, plugin: &PluginId) -> Vec<Noted> {
         let by_it = self.notes.iter().filter(|(_, decision)| decision.plugin == *plugin);
         let noted = by_it.filter_map(|(_, decision)| match &decision.instruction {
@@ -91,12 +91,12 @@ impl PreviousRun {
         noted.collect()
     }
 
-    /// The notes as a run has them at its beginning that began then, in nanoseconds since 1970.
+    /// Returns the notes as events of a run that began at that time, in nanoseconds since 1970.
     pub(crate) fn notes_before(&self, began_unix_ns: i64) -> impl Iterator<Item = Stamped> {
         self.notes.iter().map(move |(at, decision)| {
             let mut decision = decision.clone();
             if let Instruction::Note { ago, .. } = &mut decision.instruction {
-                // A clock that was set back does not make it later than now.
+                // A clock that was set back must not put a note into the future.
                 let before = u64::try_from(began_unix_ns.saturating_sub(*at)).unwrap_or_default();
                 *ago = Some(Duration::from_nanos(before));
             }
@@ -105,7 +105,7 @@ impl PreviousRun {
     }
 }
 
-/// A note that was kept, and when its step was reached.
+/// Returns a recorded note, and the time at which its step was reached.
 fn note(began_unix_ns: i64, Stamped { at, event }: Stamped) -> Option<(i64, Decision)> {
     let Event::Decision(decision) = event else { return None };
     let Instruction::Note { ago, .. } = &decision.instruction else { return None };
@@ -115,7 +115,7 @@ fn note(began_unix_ns: i64, Stamped { at, event }: Stamped) -> Option<(i64, Deci
     decision.refused.is_none().then_some((at, decision))
 }
 
-/// Looks whether a run of one testbed can go on after one of another: the same domains on the same contract.
+/// Checks that a run of one testbed can continue one of another: the same domains on the same contract.
 fn check(before: &Testbed, now: &Testbed) -> Result<(), CannotGoOn> {
     let mut anybody = false;
     for spec in orchestrators(now) {
@@ -130,7 +130,7 @@ fn check(before: &Testbed, now: &Testbed) -> Result<(), CannotGoOn> {
     if anybody { Ok(()) } else { Err(CannotGoOn::Nobody) }
 }
 
-/// The chain and the contract that an orchestrator negotiates on, if its ledger outlives a run.
+/// Returns the chain and the contract of an orchestrator, if its ledger outlives a run.
 fn contract(spec: &PluginSpec) -> Option<(u64, String)> {
     match Settings::decode(&spec.settings).ok()?.ledger {
         LedgerChoice::Ethereum(network) => Some((network.chain_id, network.contract.to_ascii_lowercase())),
@@ -174,7 +174,7 @@ mod tests {
         testbed(&[&ledger])
     }
 
-    /// A run in a history that was kept, and the notes that it has at its beginning and later.
+    /// Records a run, with the notes that it has at its beginning and later.
     fn keep(history: &History, began: i64, notes: impl IntoIterator<Item = Stamped>) -> Run {
         let info =
             RunInfo { name: "federation".into(), seed: 1, started_at_unix_ns: began, testbed: String::new() };
@@ -193,7 +193,7 @@ mod tests {
         Stamped { at: Timestamp::ZERO + Duration::from_secs(at_s), event: Event::Decision(decision) }
     }
 
-    /// The steps of notes and how long ago they were, seconds.
+    /// Returns the steps of notes, and their ages in seconds.
     fn steps(notes: impl Iterator<Item = Stamped>) -> Vec<(String, u64)> {
         notes
             .map(|note| match note.event {
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn notes_go_from_run_to_run_with_when_they_were() {
+    fn notes_pass_from_run_to_run_with_their_times() {
         let history = History::in_memory().unwrap();
         let (second, on) = (1_000_000_000, on("0xAb"));
         let first = keep(
@@ -226,7 +226,7 @@ mod tests {
         let bid = Noted { process: "service-1".into(), step: "bid sent".into(), reason: Some("why".into()) };
         assert_eq!(by, [bid]);
 
-        // The run after it is killed, too.
+        // The next run is killed, too.
         let more = [noted(3, "orchestrator-1", "winner chosen", None)];
         let next = keep(&history, BEGAN + 60 * second, notes.into_iter().chain(more));
         let earlier = PreviousRun::read(&history, &next, &on, |_| Ok(on.clone())).unwrap();
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_go_on_is_told_why() {
+    fn runs_that_cannot_be_continued_name_the_reason() {
         let (here, modelled) = (on("0xab"), testbed(&[]));
         let refused = |before: &Testbed, now: &Testbed| check(before, now).unwrap_err().to_string();
         assert!(check(&on("0xAB"), &here).is_ok(), "an address is the same in capitals");

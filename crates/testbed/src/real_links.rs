@@ -1,5 +1,5 @@
-//! Links over interfaces of this machine: NetEm is on the interface itself, for the packets of whatever programs send there
-//! or hear from there. The fabric keeps the books of these links as of all others; no packet of theirs is in it.
+//! Links over interfaces of this machine. NetEm works on the interface itself, for the packets of any program. The fabric
+//! keeps the state of these links as of all others, but carries none of their packets.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,37 +16,36 @@ use crate::{
     reflected::{Reflected, ReflectorError},
 };
 
-/// Why links cannot lead over interfaces of this machine, or not do what was asked. Nothing has changed then.
+/// Error of a link over an interface of this machine. Nothing has changed then.
 #[derive(Debug, thiserror::Error)]
 pub enum RealLinkError {
-    /// NetEm cannot do that.
+    /// NetEm cannot emulate a condition.
     #[error("link `{link}`: {reason}")]
     Setting {
-        /// The link.
         link: LinkId,
-        /// What it cannot do.
+        /// The condition that NetEm cannot emulate.
         reason: ConditionsError,
     },
     /// A reflector cannot be probed.
     #[error(transparent)]
     Reflector(#[from] ReflectorError),
-    /// An interface, or the kernel.
+    /// An interface or the kernel fails.
     #[error(transparent)]
     Hold(#[from] HoldError),
 }
 
-/// The links of a testbed over interfaces of this machine, which it holds. Dropping it gives them back.
+/// The links of a testbed over interfaces of this machine, which it holds. Dropping it restores the interfaces.
 pub(crate) struct RealLinks {
     links: HashMap<LinkId, Place>,
     hold: Mutex<Hold>,
     carried: Carried,
-    /// Whether no link is emulated as a whole.
+    /// Whether all links of the testbed are such links.
     alone: bool,
-    /// `None` if the testbed is not to be probed.
+    /// `None` if the testbed is not probed.
     probes: Option<Reflected>,
 }
 
-/// Where a link is.
+/// The place of a link in the real network.
 struct Place {
     reached: Reached,
     leaving: Direction,
@@ -58,18 +57,18 @@ impl Place {
         Self { reached: real.reached.clone(), leaving: real.leaving, medium: real.link.medium() }
     }
 
-    /// Which way a direction is: there (0), which leaves here, or back (1).
+    /// Returns 0 for the direction that leaves this machine, and 1 for the way back.
     fn way(&self, direction: Direction) -> usize {
         usize::from(direction != self.leaving)
     }
 
-    /// What is told of the forward and the backward direction, by ways.
+    /// Reorders values of the forward and the backward direction into there and back.
     fn there_and_back<T>(&self, mut directions: [T; 2]) -> [T; 2] {
         directions.rotate_left(self.way(Direction::Forward));
         directions
     }
 
-    /// Which packets of the interface cross the link in a direction.
+    /// Selects the packets of the interface that cross the link in a direction.
     fn packets(&self, direction: Direction) -> (Side, Option<Network>) {
         let side = if direction == self.leaving { Side::Egress } else { Side::Ingress };
         let network = self.reached.address.map(|address| {
@@ -85,7 +84,7 @@ impl Place {
         direction: Direction,
         conditions: &Conditions,
     ) -> Result<Rule, RealLinkError> {
-        // The medium does its part by itself.
+        // The medium itself contributes its delay.
         let delay = self.medium.added_delay(conditions.delay);
         let netem = Netem::try_from(&Conditions { delay, ..conditions.clone() })
             .map_err(|reason| RealLinkError::Setting { link: link.clone(), reason })?;
@@ -94,7 +93,7 @@ impl Place {
     }
 }
 
-/// The rules of each interface, for what the fabric makes of its links.
+/// Returns the rules of each interface for the links' effective conditions in the fabric.
 fn rules<'a>(
     graph: &'a HardwareGraph,
     contexts: &[LinkContext],
@@ -125,7 +124,7 @@ pub(crate) fn interface_plans(
 }
 
 impl RealLinks {
-    /// Lets links of the graph do what the fabric makes of them; `None` if none leads over an interface.
+    /// Applies the fabric's conditions to links over interfaces; `None` without such links.
     ///
     /// # Errors
     /// [`RealLinkError`].
@@ -155,7 +154,7 @@ impl RealLinks {
         Ok(Some(Self { links, hold: Mutex::new(hold), carried: Carried::default(), alone, probes }))
     }
 
-    /// Whether there are no other links, so that nobody else can tell how late packets were.
+    /// Whether there are no other links, so that only probes measure lateness.
     pub(crate) fn are_alone(&self) -> bool {
         self.alone
     }
@@ -165,7 +164,7 @@ impl RealLinks {
         self.links.contains_key(link)
     }
 
-    /// Gives one direction of such a link other conditions, in place; it does so when this returns.
+    /// Changes the conditions of one direction of such a link. They are in force when this returns.
     ///
     /// # Errors
     /// [`RealLinkError`].
@@ -189,13 +188,13 @@ impl RealLinks {
         done.map_err(RealLinkError::from)
     }
 
-    /// By how much longer probes took than they were asked to; of other packets nobody knows.
+    /// Returns how much longer probes took than configured. The lateness of other packets is unknown.
     pub(crate) fn lateness(&self) -> Lateness {
         self.probes.as_ref().map(Reflected::lateness).unwrap_or_default()
     }
 
-    /// Completes the contexts of such links: λ and the counters are the interface's, and probes cross it where a reflector
-    /// answers. Nobody measures what other packets take, and what the fabric's own probes tell is not theirs.
+    /// Completes the contexts of such links. λ and the counters are those of the interface. Delays come from probes if a
+    /// reflector answers. The delay of other packets is not measured, and the fabric's own probes do not cross the link.
     pub(crate) fn complete(&self, now: Timestamp, mut contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         if !contexts.iter().any(|context| self.has(&context.link)) {
             return contexts;

@@ -1,6 +1,6 @@
-//! The emulated network in real time: the fabric on the datapath's thread, and the kernel's NetEm where that carries the
-//! packets. Then the fabric keeps the books - what was asked, scaled and refused is the same for both - and the kernel is
-//! told what follows.
+//! The emulated network in real time: the fabric on the datapath's thread, and the kernel's NetEm where it carries the
+//! packets. In that case the fabric still keeps the state, so that conditions, scales and rejections are the same, and the
+//! kernel applies the results.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use cotorra_network_control::{
 
 use crate::{carried::Carried, real_links::RealLinks};
 
-/// The network that a datapath carries.
+/// The network of a datapath.
 pub(crate) struct RealNetwork {
     handle: Handle,
     kernel: Option<Arc<KernelNetwork>>,
@@ -24,10 +24,12 @@ pub(crate) struct RealNetwork {
     carried: Carried,
 }
 
-/// The kernel's network, if the testbed wants it; where the kernel cannot, it says why, and the fabric does.
+/// Returns the kernel's network, if the testbed wants it. If the kernel cannot emulate the testbed, this logs the reason,
+/// and the fabric carries the packets.
 ///
 /// # Errors
-/// What the fabric could not do without, either.
+///
+/// Errors that the fabric could not work with, either.
 pub(crate) fn kernel_network(
     testbed: &Testbed,
     fabric: &Fabric,
@@ -50,14 +52,14 @@ impl RealNetwork {
         Self { handle: datapath.handle(), kernel: datapath.kernel(), real, carried: Carried::default() }
     }
 
-    /// Those who carry the packets of a link, if the fabric does not.
+    /// Returns the carrier of a link's packets, if it is not the fabric.
     fn carrier(&self, link: &LinkId) -> Option<Carrier<'_>> {
         let real = self.real.as_ref().filter(|real| real.has(link)).map(Carrier::Interface);
         real.or_else(|| self.kernel.as_deref().map(Carrier::Kernel))
     }
 }
 
-/// Who carries the packets of a link in place of the fabric.
+/// Carrier of a link's packets in place of the fabric.
 enum Carrier<'a> {
     Kernel(&'a KernelNetwork),
     Interface(&'a RealLinks),
@@ -96,7 +98,7 @@ impl Network for RealNetwork {
         change: &ConditionChange,
     ) -> Result<Vec<LinkContext>, InstructionError> {
         let Some(carrier) = self.carrier(link) else { return change_fabric(self, link, direction, change) };
-        // Changes nothing, and tells what is.
+        // Changes nothing, and returns the current conditions.
         let before = change_fabric(self, link, None, &ConditionChange::default())?;
         let after = change_fabric(self, link, direction, change)?;
         let mut told: Vec<&LinkContext> = Vec::new();
@@ -105,7 +107,7 @@ impl Network for RealNetwork {
         {
             if let Err(refused) = carrier.set(link, after.direction, &after.effective) {
                 for context in told.into_iter().chain([before]) {
-                    // What was in force can be in force again.
+                    // The previous conditions can be restored.
                     let _ = change_fabric(self, link, Some(context.direction), &context.again());
                     let _ = carrier.set(link, context.direction, &context.effective);
                 }
@@ -141,8 +143,8 @@ impl Network for RealNetwork {
         }
     }
 
-    /// The kernel counts what the fabric does not see, and carries probes. What other packets take nobody measures then: it
-    /// is left out.
+    /// The kernel counts packets that bypass the fabric, and carries probes. The delay of other packets is not measured
+    /// then, and is left out.
     fn complete(&self, now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         let mut contexts = match &self.real {
             Some(real) => real.complete(now, contexts),

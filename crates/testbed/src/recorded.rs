@@ -1,4 +1,4 @@
-//! Which history a run is in: its own, in its folder, or one that it shares with others, which its folder then names.
+//! The location of a run's history: in its own folder, or shared with other runs. A note in the folder names a shared one.
 
 use std::{
     fs, io,
@@ -10,32 +10,32 @@ use serde::{Deserialize, Serialize};
 
 use crate::report::{FolderError, RunFolder, write_file};
 
-/// Names the history of a run that has none of its own.
+/// Note that names the history of a run without one of its own.
 const NOTE: &str = "history.json";
 const OWN: &str = "history.sqlite";
 
-/// Which history a run is in, and which run of it it is.
+/// The location of a run's history, and the run's number in it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Recorded {
-    /// As the text of a [`Location`], without a password.
+    /// The text of a [`Location`], without a password.
     pub history: String,
-    /// `None`: the first of that history.
+    /// `None` for the first run of the history.
     #[serde(default)]
     pub run: Option<RunId>,
 }
 
-/// Why a folder says nothing of where its run was recorded.
+/// Error of finding a run's history by its folder.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordedError {
-    /// No run left this folder.
+    /// The folder is not a run's.
     #[error("{} has neither {OWN} nor {NOTE}: it is not the folder of a run", .0.display())]
     NotARun(PathBuf),
     /// The note cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Unreadable {
-        /// The note.
+        /// Path of the note.
         path: PathBuf,
-        /// What is wrong.
+        /// The system's or the parser's error.
         source: io::Error,
     },
 }
@@ -50,10 +50,10 @@ pub(crate) enum BeginError {
 }
 
 impl Recorded {
-    /// Of the run that left a folder.
+    /// Finds the history of the run that made a folder.
     ///
     /// # Errors
-    /// [`RecordedError`] when the folder is not that of a run.
+    /// [`RecordedError`] if the folder is not a run's, or its note cannot be read.
     pub fn of_folder(folder: &Path) -> Result<Self, RecordedError> {
         let path = folder.join(NOTE);
         match fs::read_to_string(&path) {
@@ -69,7 +69,7 @@ impl Recorded {
         }
     }
 
-    /// Begins the history of a new run: in its folder, or elsewhere, with a note in the folder.
+    /// Begins a run in a history in its folder, or elsewhere, with a note in the folder.
     pub(crate) fn begin(
         folder: &RunFolder,
         elsewhere: Option<&Location>,
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_leads_to_the_history_of_its_run_wherever_that_is() {
+    fn a_folder_leads_to_its_runs_history() {
         let place = tempfile::tempdir().unwrap();
         let shared = place.path().join("shared.sqlite");
         for (name, run) in [("first", "1"), ("second", "2")] {

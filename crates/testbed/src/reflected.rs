@@ -1,6 +1,6 @@
-//! Measures links over real interfaces by STAMP (RFC 8762), where a machine at the other end answers: what the medium takes
-//! by itself, before anything is emulated there, so that no scale ever meets what emulation added; and for as long as the run
-//! goes on what the link then does.
+//! Measures links over real interfaces by STAMP (RFC 8762), where a machine at the other end reflects probes. The medium's
+//! own delay is measured before anything is emulated, so that scales never apply to emulated delay. During the run, probes
+//! measure the links.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -22,35 +22,33 @@ use parking_lot::{Mutex, MutexGuard};
 /// Error of probing a reflector.
 #[derive(Debug, thiserror::Error)]
 pub enum ReflectorError {
-    /// Nobody tells what the medium takes.
+    /// The reflector does not answer.
     #[error(
         "{address} answers no probes of STAMP at port 862, so what the medium of `{link}` takes cannot be measured: run \
          `cotorra stamp reflect` there, or leave out `reflector` and declare a `medium_delay`"
     )]
     NoReflector {
-        /// The link.
         link: LinkId,
-        /// The machine's address.
+        /// Address of the machine.
         address: IpAddr,
     },
-    /// It cannot be asked.
+    /// The reflector cannot be probed.
     #[error("what the medium of `{link}` takes cannot be measured: {source}")]
     Socket {
-        /// The link.
         link: LinkId,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// So many packets, so far apart: a second in all.
+/// Number of packets and interval between them: a second in all.
 const PACKETS: u32 = 20;
 const INTERVAL: Duration = Duration::from_millis(50);
 
-/// How soon the end is noticed, and how old what is told may be.
+/// Longest time to notice the end; also the longest age of measurements.
 const NOTICE: Duration = Duration::from_millis(100);
 
-/// Measures the media of all real links that have a reflector, and notes them in the graph.
+/// Measures the media of all real links that have a reflector, and sets their delays in the graph.
 ///
 /// # Errors
 /// [`ReflectorError`].
@@ -70,7 +68,8 @@ pub(crate) fn measure_media(graph: &mut HardwareGraph) -> Result<(), ReflectorEr
     Ok(())
 }
 
-/// Half of the median round trip, the reflector's rest left out: two machines' clocks do not tell one way from the other.
+/// Returns half of the median round trip, without the time in the reflector. The two machines' clocks cannot separate the
+/// directions.
 fn one_way(link: &LinkId, address: IpAddr) -> Result<Duration, ReflectorError> {
     let none = || ReflectorError::NoReflector { link: link.clone(), address };
     let measured = round_trip(address).map_err(|source| no_socket(link, source))?;
@@ -94,15 +93,15 @@ fn round_trip(address: IpAddr) -> io::Result<Option<Duration>> {
     Ok(measured.and_then(|measured| measured.round_trip).map(|delays| delays.p50))
 }
 
-/// The probes of real links while a run goes on. They end with this.
+/// The probes of real links during a run. They end when this is dropped.
 pub(crate) struct Reflected {
     links: HashMap<LinkId, Arc<Shared>>,
-    /// By how much longer round trips took than both directions were asked to.
+    /// By how much round trips took longer than configured.
     late: Arc<Mutex<Histogram>>,
     threads: Vec<JoinHandle<()>>,
 }
 
-/// What a link's thread and the others see.
+/// The state that a link's thread shares.
 struct Shared {
     clock: Clock,
     stopping: AtomicBool,
@@ -110,17 +109,17 @@ struct Shared {
 }
 
 struct State {
-    /// What the way there and the way back are asked to do, each since a time on; the latest last, and as many before as the
-    /// session looks back.
+    /// Configured conditions of the way there and back, each with the time since which they apply. The latest is last.
+    /// Older ones are kept as long as the session looks back.
     asked: VecDeque<(Utc, [Conditions; 2])>,
-    /// Packets that were sent since then met nothing but the latest.
+    /// Packets sent after this time only met the latest conditions.
     since: Utc,
-    /// What the probes told, and when.
+    /// The last measurements, and their time.
     told: Option<(Utc, [LinkEstimate; 2])>,
 }
 
 impl Reflected {
-    /// Begins to probe links with reflectors at these addresses, whose ways there and back are asked to do this.
+    /// Begins to probe links with reflectors at these addresses. The conditions are those of the way there and back.
     ///
     /// # Errors
     /// [`ReflectorError::Socket`].
@@ -131,7 +130,7 @@ impl Reflected {
         let mut reflected = Self { links: HashMap::new(), late: Arc::default(), threads: Vec::new() };
         for (link, address, asked) in links {
             let mut config = WireProbes::session(&probing, asked.each_ref());
-            // Another run may ask the same reflector from the same address.
+            // Another run may probe the same reflector from the same address.
             config.identifier = std::process::id() as u16;
             let sender = Sender::connect(SocketAddr::new(address, PORT), config);
             let sender = sender.map_err(|source| no_socket(&link, source))?;
@@ -149,7 +148,7 @@ impl Reflected {
         Ok(reflected)
     }
 
-    /// Does what gives the way there (0) or back (1) of a link other conditions.
+    /// Runs `set`, which changes the conditions of the way there (0) or back (1) of a link.
     pub(crate) fn change<E>(
         &self,
         link: &LinkId,
@@ -163,9 +162,9 @@ impl Reflected {
         let mut state = shared.lock();
         let now = shared.clock.now();
         let mut asked = state.asked.back().expect("there is always one").1.clone();
-        // What is sent sooner than that may have to wait for what was sent before, because order is kept.
+        // Packets sent before that time may have to wait for earlier ones, because order is kept.
         state.since = now + asked.iter().map(|before| before.delay).sum();
-        // What was sent meanwhile met the one or the other.
+        // Packets sent during the change may have met either conditions.
         let before = std::mem::replace(&mut asked[way], conditions.clone());
         let mut meanwhile = asked.clone();
         meanwhile[way].delay = before.delay.min(conditions.delay);
@@ -173,7 +172,7 @@ impl Reflected {
         Ok(())
     }
 
-    /// What is known of the way there and the way back of a link; `None` if it is not probed, or not yet.
+    /// Returns the measurements of the way there and back of a link; `None` if it is not probed, or not yet.
     pub(crate) fn probed(&self, link: &LinkId) -> Option<[Probed; 2]> {
         let shared = self.links.get(link)?;
         let (at, told) = shared.lock().told?;
@@ -184,8 +183,8 @@ impl Reflected {
         }))
     }
 
-    /// By how much longer round trips took than links and their media were asked to, on those where no jitter and no
-    /// reordering leaves that to chance.
+    /// Returns by how much round trips took longer than configured, of links and their media. Links with jitter or
+    /// reordering are left out, because their delay is random.
     pub(crate) fn lateness(&self) -> Lateness {
         self.late.lock().summary()
     }
@@ -210,7 +209,7 @@ impl Shared {
         while !self.stopping.load(Ordering::Relaxed) {
             let round_trip = match sender.step(NOTICE) {
                 Ok(round_trip) => round_trip,
-                // A packet that was not sent is lost like any other.
+                // A packet that could not be sent counts as lost.
                 Err(error) => {
                     if !std::mem::replace(&mut fails, true) {
                         tracing::warn!("`{link}` cannot be probed: {error}");
@@ -239,20 +238,20 @@ impl Shared {
 }
 
 impl State {
-    /// How long both ways take at least, for what was sent then.
+    /// Returns the shortest delay of both ways for packets sent at that time.
     fn least(&self, at: Utc) -> [Duration; 2] {
         let until = self.asked.partition_point(|(since, _)| *since <= at);
         let (_, asked) = &self.asked[until.saturating_sub(1)];
         asked.each_ref().map(|way| way.alone(WireProbes::BYTES).unwrap_or(way.delay))
     }
 
-    /// How long a round trip takes now; `None` where chance decides.
+    /// Returns the configured delay of a round trip; `None` if it is random.
     fn alone(&self) -> Option<Duration> {
         let (_, [there, back]) = self.asked.back()?;
         Some(there.alone(WireProbes::BYTES)? + back.alone(WireProbes::BYTES)?)
     }
 
-    /// Nobody looks back further than that.
+    /// Drops conditions that the session does not look back to.
     fn forget(&mut self, from: Utc) {
         while self.asked.get(1).is_some_and(|(since, _)| *since <= from) {
             self.asked.pop_front();

@@ -1,4 +1,4 @@
-//! Keeps a history to what the testbed file says of it while the run goes on: a thread of its own, in nobody's way.
+//! Prunes a history during a run as the testbed file demands, on a thread of its own.
 
 use std::{
     io,
@@ -15,17 +15,17 @@ use cotorra_measurements::{History, Kind, RunId};
 
 use crate::live::Live;
 
-/// Between two looks at what is old.
+/// Interval between checks for old entries.
 const PERIOD: Duration = Duration::from_secs(5);
 
-/// That thread. It ends when this is dropped.
+/// The pruning thread. It ends when this is dropped.
 pub(crate) struct Retaining {
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Retaining {
-    /// `None` where everything is kept.
+    /// Starts the thread; returns `None` if everything is kept.
     pub fn start(
         testbed: &Testbed,
         history: &Arc<History>,

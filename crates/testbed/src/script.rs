@@ -1,5 +1,5 @@
-//! Conditions that change by themselves, over time, where a robot is, or as in a recorded run: what comes when. It asks
-//! for changes as plug-ins do, so that they are told, refused and recorded in the same way, whoever carries packets.
+//! Scripted link conditions: by time, by the place of a robot, or as in a recorded run. Changes are given as instructions
+//! like those of plug-ins, so that they are published, rejected and recorded in the same way.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -15,56 +15,55 @@ use cotorra_measurements::{History, Kind, Location, PageRequest, RunId, export::
 
 use crate::recorded::{Recorded, RecordedError};
 
-/// Events between two questions to a history.
+/// Events per query of a history.
 const STEP: usize = 10_000;
 
-/// Why conditions cannot follow a testbed's script.
+/// Error of a testbed's script.
 #[derive(Debug, thiserror::Error)]
 pub enum ScriptError {
-    /// The folder is that of no run.
+    /// The folder is not a run's.
     #[error("{} is neither the folder of a run nor that of an export: it has no history.sqlite, history.json or run.json", .0.display())]
     NotARun(PathBuf),
-    /// What the folder says of its history cannot be read.
+    /// The folder's note about its history cannot be read.
     #[error(transparent)]
     Recorded(#[from] RecordedError),
-    /// The run is in a history for which a folder has no password.
+    /// The run is in a history that needs a password, which a folder does not have.
     #[error("{} was recorded in {history}: export it (`cotorra history export`), and replay that", folder.display())]
     Elsewhere {
-        /// The run's.
+        /// The run's folder.
         folder: PathBuf,
-        /// Where it is.
+        /// Location of the history.
         history: String,
     },
-    /// The history does not answer.
+    /// The history cannot be read.
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),
     /// The export cannot be read.
     #[error(transparent)]
     Export(#[from] ExportError),
-    /// Nothing of it is about this testbed.
+    /// The recorded run has no link of this testbed.
     #[error("the run in {} tells of no link that this testbed has: it has {there}", folder.display())]
     OtherLinks {
-        /// The run's.
+        /// The run's folder.
         folder: PathBuf,
-        /// Its links.
+        /// Links of the recorded run.
         there: String,
     },
-    /// A link would not do it.
+    /// A link rejects a change.
     #[error("{what}: `{link}` cannot do that: {refusal}")]
     Refused {
-        /// Which part of the script.
+        /// Part of the script.
         what: String,
-        /// The link.
         link: LinkId,
-        /// Why.
+        /// Reason of the rejection.
         refusal: FabricError,
     },
-    /// The testbed makes no network.
+    /// The testbed's graph makes no network.
     #[error(transparent)]
     Fabric(#[from] GraphError),
 }
 
-/// A change of one link, and which part of the script wants it.
+/// A change of one link, and the part of the script that it comes from.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Change {
     link: LinkId,
@@ -80,10 +79,10 @@ impl Change {
     }
 }
 
-/// What is still to come.
+/// The remaining changes of a script.
 #[derive(Debug, Default)]
 pub(crate) struct Script {
-    /// In the order of time.
+    /// In order of time.
     timed: VecDeque<(Timestamp, Change)>,
     areas: Vec<Area>,
 }
@@ -96,19 +95,19 @@ struct Area {
     changes: Vec<Change>,
 }
 
-/// How much a script has.
+/// The size of a script.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rehearsal {
-    /// Changes at a time.
+    /// Number of timed changes.
     pub timed: usize,
-    /// Areas in which changes happen.
+    /// Number of areas with changes.
     pub areas: usize,
-    /// Changes of a recorded run.
+    /// Number of changes from a recorded run.
     pub replayed: usize,
 }
 
 impl Script {
-    /// What a testbed's file scripts, with what a recorded run adds to that, after a look at whether links can do it.
+    /// Loads the script of a testbed file, with the changes of a recorded run, and checks that links accept it.
     ///
     /// # Errors
     /// [`ScriptError`].
@@ -133,14 +132,14 @@ impl Script {
             }
         }
         rehearsal.areas = areas.len();
-        // What stands first happens first.
+        // Stable: changes at the same time keep the file's order.
         timed.sort_by_key(|(at, _)| *at);
         let script = Self { timed: timed.into(), areas };
         script.try_out(&testbed.graph)?;
         Ok((script, rehearsal))
     }
 
-    /// Whether links can do what is scripted: in turn what has a time, and by itself what has a place.
+    /// Checks that links accept the script: timed changes in order, and those of areas each by itself.
     fn try_out(&self, graph: &HardwareGraph) -> Result<(), ScriptError> {
         let mut fabric = Fabric::new(graph, 0)?;
         for area in &self.areas {
@@ -150,17 +149,17 @@ impl Script {
         self.timed.iter().try_for_each(|(at, change)| try_change(&mut fabric, *at, change))
     }
 
-    /// When something is due by itself.
+    /// Returns the time of the next timed change.
     pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
         self.timed.front().map(|(at, _)| *at)
     }
 
-    /// What is due, in turn.
+    /// Returns the next due change.
     pub(crate) fn poll(&mut self, now: Timestamp) -> Option<Change> {
         self.timed.pop_front_if(|(at, _)| *at <= now).map(|(_, change)| change)
     }
 
-    /// What is due where robots are now.
+    /// Returns the changes that robots at these positions trigger.
     pub(crate) fn moved(&mut self, robots: &[(NodeId, Position)]) -> Vec<Change> {
         let mut due = Vec::new();
         for area in &mut self.areas {
@@ -181,7 +180,7 @@ fn try_change(fabric: &mut Fabric, at: Timestamp, change: &Change) -> Result<(),
     done.map_err(|refusal| ScriptError::Refused { what: reason.clone(), link: link.clone(), refusal })
 }
 
-/// What an entry of the schedule asks of its links.
+/// Returns the changes of a schedule's entry.
 fn changes(entry: &Scheduled, number: usize) -> Vec<Change> {
     let reason = match &entry.when {
         When::At(at) => format!("entry {number} of the schedule, at {at:?}"),
@@ -196,7 +195,7 @@ fn changes(entry: &Scheduled, number: usize) -> Vec<Change> {
     entry.links.iter().map(change).collect()
 }
 
-/// What happened to links of this graph in the run of a folder.
+/// Returns the changes of this graph's links in the run of a folder.
 fn replayed(folder: &Path, graph: &HardwareGraph) -> Result<Vec<(Timestamp, Change)>, ScriptError> {
     let (history, run) = open(folder)?;
     let mut last: BTreeMap<(LinkId, Direction), (Conditions, Scale)> = BTreeMap::new();
@@ -244,7 +243,7 @@ fn replayed(folder: &Path, graph: &HardwareGraph) -> Result<Vec<(Timestamp, Chan
     Err(ScriptError::OtherLinks { folder: folder.to_owned(), there })
 }
 
-/// The history of a run's folder, or of an export's, and the run in it.
+/// Opens the history of a run's folder, or of an export's, and returns the run's number in it.
 fn open(folder: &Path) -> Result<(History, RunId), ScriptError> {
     let Recorded { history: name, run } = match Recorded::of_folder(folder) {
         Ok(recorded) => recorded,
@@ -288,8 +287,8 @@ mod tests {
             .unwrap_or_else(|e| panic!("{e}"))
     }
 
-    /// Runs it in virtual time, and gives its folder and what its history says of the link's forward direction: the
-    /// second, ψ, δ, and the delay in ms that it has, at each change.
+    /// Simulates a testbed. Returns the folder, and the changes of the link's forward direction in the history: time in s,
+    /// ψ, δ, and delay in ms.
     fn run(testbed: &Testbed, until_s: u64, out: &Path) -> (PathBuf, Vec<(f64, f64, f64, f64)>) {
         let until = Some(std::time::Duration::from_secs(until_s));
         let options = Options { until, folder: Place::In(out.to_owned()), ..Options::default() };
@@ -316,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_schedule_is_kept_to_the_moment_and_a_replay_repeats_it() {
+    fn a_schedule_is_followed_exactly_and_a_replay_repeats_it() {
         let out = tempfile::tempdir().unwrap();
         let scripted =
             lab("schedule:\n  - { at: 4.5 s, links: a-b, set: { delay_scale: 1, drop_scale: 1 } }\n  \
@@ -334,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_comes_into_an_area_changes_links_each_time() {
+    fn a_robot_that_enters_an_area_changes_links_each_time() {
         let mut script = Script {
             timed: VecDeque::new(),
             areas: vec![Area {
@@ -362,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_told_before_a_run() {
+    fn invalid_scripts_are_rejected_before_a_run() {
         let refused = |more: &str| rehearse(&lab(more)).unwrap_err().to_string();
         assert_eq!(
             refused("schedule:\n  - { at: 1 s, links: a-b, set: { delay_scale: 10000000 } }\n"),

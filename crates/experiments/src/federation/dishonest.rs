@@ -1,5 +1,5 @@
-//! How many robots dishonest providers halt, and what that costs them: the negotiation alone, on the modelled ledger, in
-//! virtual time. A robot needs another domain again and again. Some of the domains that could serve it outbid all others,
+//! Measures how many robots dishonest providers halt, and their cost. Only the negotiation is simulated, on the modelled
+//! ledger, in virtual time. A robot repeatedly needs another domain. Some of the domains near it underbid all others, win,
 //! and do not serve it.
 
 use std::{collections::BTreeSet, fmt::Write as _, time::Duration};
@@ -13,54 +13,54 @@ use cotorra_ledger::{
 
 use crate::sweep::Interval;
 
-/// The shares of dishonest providers, percent.
+/// Shares of dishonest providers, percent.
 const SHARES: [u64; 7] = [0, 1, 5, 10, 20, 30, 50];
-/// How long before a robot leaves coverage a service is announced.
+/// Times between the announcement of a service and the end of coverage.
 const LEADS: [Duration; 2] = [Duration::from_secs(30), Duration::from_secs(60)];
-/// So long before that it is halted.
+/// The robot is halted this long before the end of coverage.
 const STOP: Duration = Duration::from_secs(2);
-/// How long a robot that stands tries to attach.
+/// Time for which a halted robot tries to attach.
 const ATTACH: Duration = Duration::from_secs(5);
 const PERIOD: Duration = Duration::from_secs(5);
 const PROVIDERS: usize = 20;
-/// So many of the providers could serve the robot at each place.
+/// Number of providers that could serve the robot at each place.
 const NEAR: usize = 5;
-/// How often the robot needs another domain.
+/// Number of times that the robot needs another domain.
 const CROSSINGS: u64 = 10;
 const HIGHEST: Price = Price::new(150).unwrap();
 const USE: u32 = 600;
 /// A tenth of the longest use at the highest price.
 const BOND: u64 = 150 * 600 / 10;
-/// What dishonest providers ask for: less than any other.
+/// Price of dishonest providers, below all others.
 const DUMPING: Price = Price::new(15).unwrap();
 const CONSUMER: Account = Account([0xc0; 20]);
 
-/// What dishonest providers do.
+/// Behaviour of dishonest providers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Attack {
-    /// They do not deploy what they won.
+    /// They win, and do not deploy.
     Idle,
-    /// The same, each time with a new account.
+    /// As `Idle`, each time with a new account.
     IdleAnew,
-    /// They say that they have deployed what they have not, each time with a new account.
+    /// They claim a deployment that does not exist, each time with a new account.
     LyingAnew,
 }
 
-/// Whether there are bonds, next bids and a memory.
+/// Whether the creator uses bonds, next bids and a memory of providers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Defence {
     None,
     All,
 }
 
-/// What became of one robot.
+/// The result for one robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Met {
-    /// How often it was halted.
+    /// Number of halts.
     halted: u64,
-    /// What the dishonest lost, wei.
+    /// Wei that the dishonest providers lost.
     lost: u128,
-    /// How many of their transactions are on the chain.
+    /// Number of their transactions on the chain.
     transactions: u64,
 }
 
@@ -68,10 +68,10 @@ struct Operator {
     ledger: ModelledLedger,
     secret: Secret,
     price: Price,
-    /// What it does if it is dishonest.
+    /// Behaviour, if it is dishonest.
     attack: Option<Attack>,
     service: Option<Provider>,
-    /// It won and did not serve.
+    /// Whether it won once and did not serve.
     is_known: bool,
 }
 
@@ -98,7 +98,7 @@ impl Random {
 }
 
 impl World {
-    /// Each provider is dishonest with this probability.
+    /// Creates a world in which each provider is dishonest with this probability.
     fn new(percent: u64, attack: Attack, seed: u64) -> Self {
         let mut world = Self {
             chain: ModelledChain::new(PERIOD),
@@ -115,7 +115,7 @@ impl World {
         world
     }
 
-    /// One with a new account.
+    /// Creates an operator with a new account.
     fn operator(&mut self, attack: Option<Attack>) -> Operator {
         self.accounts += 1;
         let mut secret = [0; 32];
@@ -135,7 +135,7 @@ impl World {
         Operator { ledger, secret, price, attack, service: None, is_known: false }
     }
 
-    /// Those who could serve the robot where it is.
+    /// Returns the providers that could serve the robot at its place.
     fn near(&mut self) -> BTreeSet<usize> {
         let mut near = BTreeSet::new();
         while near.len() < NEAR {
@@ -144,7 +144,7 @@ impl World {
         near
     }
 
-    /// Those who take a new account each time do so.
+    /// Replaces known dishonest operators by ones with a new account, if their attack uses new accounts.
     fn renew(&mut self) {
         for index in 0..self.operators.len() {
             let Operator { attack, is_known, .. } = self.operators[index];
@@ -154,7 +154,7 @@ impl World {
         }
     }
 
-    /// What the attack came to.
+    /// Returns the result of the attack.
     fn met(&self, halted: u64, said: &[Event], bond: u64) -> Met {
         let by_dishonest = said.iter().filter(|event| match event {
             Event::OperatorRegistered { operator: by, .. }
@@ -215,7 +215,7 @@ impl Operator {
     }
 }
 
-/// A robot among providers.
+/// Simulates a robot among providers.
 fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u64) -> Met {
     let mut world = World::new(percent, attack, seed);
     let mut ledger = world.chain.ledger(CONSUMER);
@@ -226,7 +226,7 @@ fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u6
     let bond = if defence == Defence::All { BOND } else { 0 };
     let mut now = Timestamp::ZERO;
     for crossing in 0..CROSSINGS {
-        // All are registered by then. A crossing begins at any time of a block.
+        // By then all are registered. A crossing begins at a random time within a block.
         now = now + 2 * PERIOD + Duration::from_millis(world.random.below(PERIOD.as_millis() as u64));
         let near = world.near();
         let remembered = if defence == Defence::All { record.clone() } else { Record::new(CONSUMER) };
@@ -251,7 +251,7 @@ fn meet(percent: u64, attack: Attack, defence: Defence, lead: Duration, seed: u6
             creator.submit(now, &mut ledger);
             while let Some(step) = creator.poll_step() {
                 match step {
-                    // A robot tries until it has to wait.
+                    // A robot tries until it has to stop.
                     CreatorStep::Deployed(there) if there.radio_unit.is_empty() => {
                         unusable_at = Some(halt.max(now) + ATTACH);
                     }
@@ -293,15 +293,15 @@ fn request(defence: Defence, lead: Duration, bond: u64, record: Record) -> Reque
     };
     let patience = 2 * lead;
     let long = patience.as_secs() as u32;
-    // Before, a winner had as long as all of it may take, so there was no time for another.
+    // Without defence a winner may take all the time there is, which leaves none for another one.
     let deploy_within = if defence == Defence::All { 2 * PERIOD.as_secs() as u32 } else { long };
     let terms = Terms { open_for: long, deploy_within, accept_within: long, use_for: USE, bond };
     let policy = Policy { highest: HIGHEST, collect: PERIOD + PERIOD / 4, enough: NEAR, patience };
     Request { requirements, terms, policy, record }
 }
 
-/// For each lead and share of dishonest providers: the share of crossings on which the robot was halted, without any
-/// defence and under each attack, and what a halt costs the attacker. `robots` for each figure.
+/// Returns the tables for each lead and share of dishonest providers: the share of crossings on which the robot was halted,
+/// without defence and under each attack, and the attacker's cost of a halt. Each figure is over `robots` robots.
 pub fn table(robots: u32) -> String {
     let mut text = format!(
         "{robots} robots for each figure, {CROSSINGS} crossings each; {NEAR} of {PROVIDERS} providers are near each time; \
@@ -334,7 +334,7 @@ fn row(percent: u64, lead: Duration, robots: u32) -> String {
     format!("| {percent} % | {} | {} |", shares.join(" | "), costs.join(" | "))
 }
 
-/// With its interval over robots, for what one robot meets hangs together.
+/// Returns the share of halted crossings with its interval over robots, because the crossings of one robot are correlated.
 fn share(met: &[Met]) -> String {
     let shares: Vec<f64> = met.iter().map(|met| 100.0 * met.halted as f64 / CROSSINGS as f64).collect();
     let Some(Interval { mean, high, .. }) = Interval::of(&shares) else { return String::new() };
@@ -344,7 +344,7 @@ fn share(met: &[Met]) -> String {
     }
 }
 
-/// In bonds and transactions for a halt.
+/// Returns the attacker's cost of a halt, in bonds and transactions.
 fn cost(met: &[Met]) -> String {
     let halted: u64 = met.iter().map(|met| met.halted).sum();
     if halted == 0 {
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn where_all_are_honest_nobody_is_halted_and_nothing_is_lost() {
+    fn honest_providers_halt_nobody_and_lose_nothing() {
         for lead in LEADS {
             for (attack, defence) in [(Attack::Idle, Defence::None), (Attack::LyingAnew, Defence::All)] {
                 assert_eq!(meet(0, attack, defence, lead, 1), Met::default(), "{attack:?} {lead:?}");

@@ -1,5 +1,4 @@
-//! The figure in the letter's layout: what is negotiated and deployed as bars over time, above what the robot is attached
-//! to.
+//! The figure in the letter's layout: negotiation and deployment as bars over time, above the robot's attachment.
 
 use std::sync::Arc;
 
@@ -18,9 +17,9 @@ use super::federated::Federated;
 
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 380.0;
-/// How thick a bar is, pixels.
+/// Thickness of a bar, pixels.
 const BAR: f64 = 34.0;
-/// So much of the attachments is shown before the announcement and after the last step, as a share of the time between.
+/// Time shown before the announcement and after the last step, as a share of the time between them.
 const AROUND: f64 = 0.25;
 
 /// A bar of the figure.
@@ -63,7 +62,7 @@ const BARS: [Bar; 5] = [
     },
 ];
 
-/// What a row of the figure is called.
+/// Returns the name of a row.
 fn row_name(row: f64) -> String {
     let name = match row.round() as i64 {
         1 => "attachment",
@@ -74,7 +73,7 @@ fn row_name(row: f64) -> String {
     name.to_owned()
 }
 
-/// Draws a run as SVG; time begins at the announcement. `ledger` says what was negotiated on.
+/// Draws a run as SVG. Time begins at the announcement; `ledger` names the ledger of the negotiation.
 pub(super) fn draw(run: &Federated, ledger: &str) -> String {
     let begin = run.at(Step::Announced);
     let since = |step: Step| run.at(step) - begin;
@@ -83,7 +82,7 @@ pub(super) fn draw(run: &Federated, ledger: &str) -> String {
     let mut plots = Vec::new();
     let mut names = Vec::new();
     let mut bar = |row: f64, from: f64, to: f64, label: &str, color: &'static str| {
-        // A line has no end shorter than a pixel.
+        // A bar shorter than a pixel would not be drawn.
         let to = to.max(from + 0.002 * (total + 2.0 * around));
         let line =
             LinePlot::new().with_data([(from, row), (to, row)]).with_color(color).with_stroke_width(BAR);

@@ -1,5 +1,5 @@
-//! The ledger of an experiment: how its orchestrators are set to it, and what it is called where its figures are shown, for
-//! a model, a single node and a network of several are not the same thing.
+//! The ledger of an experiment: its settings for orchestrators, and its name in figures. The name distinguishes a model, a
+//! single node and a network of several nodes.
 
 use std::{collections::BTreeSet, fmt, time::Duration};
 
@@ -10,21 +10,21 @@ use serde_json::json;
 /// A ledger.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LedgerBackend {
-    /// A model.
+    /// The modelled ledger.
     Modelled,
     /// An anvil node for each run.
     Anvil,
-    /// A network that is there already.
+    /// An existing network.
     Network {
-        /// It, and how each domain gets there.
+        /// The network, and each domain's access to it.
         network: Network,
-        /// What it is, as its owner says: `a network of a university`.
+        /// The owner's description, as in `a network of a university`.
         called: Option<String>,
     },
 }
 
 impl LedgerBackend {
-    /// The setting `ledger` of a domain's orchestrator; YAML.
+    /// Returns the setting `ledger` of a domain's orchestrator, in YAML.
     pub(super) fn setting(&self, domain: Option<&DomainId>, block_period: Duration) -> String {
         let period = format!("{} s", block_period.as_secs_f64());
         let setting = match self {
@@ -32,7 +32,7 @@ impl LedgerBackend {
             Self::Anvil => json!({ "kind": "anvil", "block_period": period }),
             Self::Network { network, .. } => {
                 let access = network.accesses.iter().find(|access| Some(&access.domain) == domain);
-                // One that has no access is told so by its plug-in.
+                // The plug-in reports that it has no access.
                 access.map_or(json!("ethereum"), |access| {
                     json!({
                         "kind": "ethereum",
@@ -68,12 +68,12 @@ impl fmt::Display for LedgerBackend {
     }
 }
 
-/// The host of a URL: all else but the port may be a password.
+/// Returns the host and port of a URL. Everything else may be a password.
 fn host(url: &str) -> &str {
     let rest = url.split_once("://").map_or(url, |(_, rest)| rest);
     let authority = rest.split(['/', '?', '#']).next().unwrap_or(rest);
     let authority = authority.rsplit('@').next().unwrap_or(authority);
-    // An IPv6 address has colons of its own, in brackets.
+    // An IPv6 address has colons inside its brackets.
     let port = authority.rfind(':').filter(|colon| !authority[*colon..].contains(']'));
     port.map_or(authority, |colon| &authority[..colon])
 }
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_network_is_called_by_its_name_and_shows_no_password() {
+    fn a_network_is_named_and_shows_no_password() {
         let access = |domain: &str, url: &str| Access {
             domain: domain.parse().unwrap(),
             url: url.to_owned(),

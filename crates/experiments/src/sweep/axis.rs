@@ -1,47 +1,47 @@
-//! A setting and the values that it takes in turn.
+//! An axis of a sweep: a setting and its values.
 
 use std::{fmt, str::FromStr};
 
-/// More values than this are surely a mistake.
+/// Highest number of values; more are surely a mistake.
 const MOST: usize = 10_000;
 
-/// A setting and the values that it takes in turn, written `path=value,value` or `path=from..to`, where `to` is one of
-/// them. Steps are of 1 unless a step follows, as in `1..2:0.25`; a unit follows last, as in `5..20:5 ms`.
+/// A setting and its values, written `path=value,value` or `path=from..to`, where `to` is included. The step is 1 unless
+/// one follows, as in `1..2:0.25`. A unit follows last, as in `5..20:5 ms`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Axis {
     path: String,
     values: Vec<String>,
 }
 
-/// Why a text is no axis.
+/// Error of reading an axis.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidAxis {
-    /// There is no `=`, or nothing on one side of it.
+    /// The text has no `=`, or nothing on one side of it.
     #[error("`{0}` has no values: write it like links.*.delay_scale=1..4 or plugin=probing,okpi")]
     Form(String),
-    /// A range whose steps lead nowhere.
+    /// The steps of a range never reach its end.
     #[error("`{0}` leads nowhere: a range goes up, by a step above 0")]
     Range(String),
-    /// A range of very many values.
+    /// A range has too many values.
     #[error("`{0}` are more than {MOST} values")]
     Many(String),
-    /// A value twice.
+    /// A value appears twice.
     #[error("`{0}` is there twice")]
     Twice(String),
 }
 
 impl Axis {
-    /// The setting's path.
+    /// Returns the setting's path.
     pub fn path(&self) -> &str {
         &self.path
     }
 
-    /// Its values; one or more, none twice.
+    /// Returns the values: at least one, and no duplicates.
     pub fn values(&self) -> &[String] {
         &self.values
     }
 
-    /// Its values as numbers, units aside, if all are.
+    /// Returns the values as numbers without their unit, if all are numbers.
     pub fn numbers(&self) -> Option<Vec<f64>> {
         let number =
             |value: &String| value.split_whitespace().next()?.parse().ok().filter(|n: &f64| n.is_finite());
@@ -84,7 +84,7 @@ impl fmt::Display for Axis {
     }
 }
 
-/// Splits at commas that stand in no brackets and in no quotes.
+/// Splits at commas outside brackets and quotes.
 fn split(text: &str) -> Vec<&str> {
     let (mut parts, mut start, mut depth, mut quote) = (Vec::new(), 0, 0_u32, None);
     for (at, c) in text.char_indices() {
@@ -104,7 +104,7 @@ fn split(text: &str) -> Vec<&str> {
     parts
 }
 
-/// The values of a range; `None` if it is none.
+/// Returns the values of a range; `None` if the text is no range.
 fn range(text: &str) -> Option<Result<Vec<String>, InvalidAxis>> {
     let (from, rest) = text.split_once("..")?;
     let from: f64 = from.trim().parse().ok()?;
@@ -120,7 +120,7 @@ fn range(text: &str) -> Option<Result<Vec<String>, InvalidAxis>> {
         return Some(Err(InvalidAxis::Many(text.to_owned())));
     }
     let value = |i: usize| {
-        // As people write it: 0.3, not 0.30000000000000004.
+        // Rounded as people write it: 0.3, not 0.30000000000000004.
         let number = ((from + i as f64 * step) * 1e9).round() / 1e9;
         format!("{number} {}", unit.trim()).trim_end().to_owned()
     };
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_axis_says_so() {
+    fn invalid_axes_are_rejected_with_the_reason() {
         for (text, said) in [
             ("a", "has no values"),
             ("=1", "has no values"),

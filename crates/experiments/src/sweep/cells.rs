@@ -1,46 +1,45 @@
-//! What several runs of one combination say together.
+//! Statistics over the runs of one combination.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::Measured;
 
-/// A combination of values, and what its runs say together.
+/// A combination of values, and the statistics over its runs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cell {
-    /// A value for each axis.
+    /// One value per axis.
     pub values: Vec<String>,
-    /// How many runs.
+    /// Number of runs.
     pub runs: usize,
-    /// Of the runs' median service times, ms.
+    /// The runs' median service times, ms.
     pub service_time_p50_ms: Option<Interval>,
-    /// Of their 99th percentiles, ms.
+    /// The runs' 99th percentiles of the service time, ms.
     pub service_time_p99_ms: Option<Interval>,
-    /// Of their shares of samples above the target.
+    /// The runs' shares of samples above the target.
     pub above_target: Option<Interval>,
-    /// Of their numbers of handovers.
+    /// The runs' numbers of handovers.
     pub handovers: Option<Interval>,
-    /// Of their durations, s.
+    /// The runs' durations, ms.
     pub duration_ms: Option<Interval>,
-    /// Of the ways that robots drove blind, m.
+    /// The runs' distances that robots drove blind, m.
     pub blind_m: Option<Interval>,
-    /// Of the longest of these stretches, m.
+    /// The runs' longest blind stretches, m.
     pub longest_blind_m: Option<Interval>,
 }
 
 /// A mean over runs and its 95 % confidence interval, by Student's t distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
-    /// The mean.
     pub mean: f64,
-    /// From here; `None` for a single run, which says nothing of others.
+    /// Lower bound; `None` for a single run, which has no confidence interval.
     pub low: Option<f64>,
-    /// To here.
+    /// Upper bound; `None` for a single run.
     pub high: Option<f64>,
 }
 
 impl Interval {
-    /// Of these values; `None` if there are none.
+    /// Returns the interval of these values; `None` without values.
     pub fn of(values: &[f64]) -> Option<Self> {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -74,7 +73,7 @@ impl Cell {
         }
     }
 
-    /// The intervals by name, as the table's columns have them.
+    /// Returns the intervals by the names of the table's columns.
     pub(crate) fn intervals(&self) -> [(&'static str, Option<Interval>); 7] {
         [
             ("service_time_p50_ms", self.service_time_p50_ms),
@@ -93,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_interval_is_students() {
+    fn the_interval_follows_students_t() {
         // t for 4 degrees of freedom is 2.776; the standard error of 1 to 5 is sqrt(2.5 / 5).
         let Interval { mean, low, high } = Interval::of(&[1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
         assert_eq!(mean, 3.0);

@@ -13,18 +13,18 @@ const HEIGHT: f64 = 340.0;
 const COLOURS: [&str; 8] =
     ["#1f3b5c", "#d35400", "#3a7d44", "#8e44ad", "#c0392b", "#16808a", "#7f6000", "#555555"];
 
-/// What a panel shows of a cell.
+/// Selects the interval that a panel shows of a cell.
 type Figures = fn(&Cell) -> Option<Interval>;
 
-/// One line of a panel: the cells that differ only in what stands along the horizontal.
+/// One line of a panel: cells that differ only in the value on the horizontal axis.
 struct Series<'a> {
     name: String,
-    /// Where along the horizontal, and what.
+    /// Horizontal position and cell.
     points: Vec<(f64, &'a Cell)>,
 }
 
-/// Draws a sweep: along the horizontal the first axis with several numbers, or else that with several values; a line
-/// for each combination of the others.
+/// Draws a sweep. The horizontal axis is the first with several numbers, or else the first with several values. Each
+/// combination of the other values is a line.
 pub(super) fn draw(sweep: &Sweep, cells: &[Cell]) -> String {
     let several = |axis: &Axis| axis.values().len() > 1;
     let axes = sweep.axes();
@@ -75,12 +75,12 @@ fn series<'a>(axes: &[Axis], along: Option<usize>, cells: &'a [Cell]) -> Vec<Ser
     all
 }
 
-/// The last key of a path: what varies.
+/// Returns the last key of a path.
 fn short(path: &str) -> &str {
     path.rsplit('.').next().unwrap_or(path)
 }
 
-/// Where a value stands along the horizontal: at its number, or in its turn.
+/// Returns the horizontal position of a value: its number, or its index from 1 if values are no numbers.
 fn place(axis: &Axis, value: &str) -> f64 {
     let turn = axis.values().iter().position(|v| v == value).unwrap_or_default();
     axis.numbers().map_or(turn as f64 + 1.0, |numbers| numbers[turn])

@@ -1,4 +1,4 @@
-//! A sweep's folder: a journal to which each run is added when it is done, and the tables and the plot made from it.
+//! A sweep's folder: a journal of finished runs, and the tables and the plot made from it.
 
 use std::{
     collections::HashMap,
@@ -13,12 +13,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{Interval, Measured, Runs, Sweep, figure};
 
-/// What [`SweepFolder::write`] makes: a row a run, a row a combination, a row a region of a run, and the plot.
+/// Files that [`SweepFolder::write`] makes: a row per run, a row per combination, a row per region of a run, and the plot.
 pub const FILES: [&str; 4] = ["runs.csv", "cells.csv", "regions.csv", "sweep.svg"];
 
 const JOURNAL: &str = "journal.jsonl";
 
-/// A sweep's folder. One process at a time can have it.
+/// A sweep's folder. Only one process at a time can open it.
 #[derive(Debug)]
 pub struct SweepFolder {
     path: PathBuf,
@@ -33,10 +33,10 @@ struct Line<M> {
 }
 
 impl SweepFolder {
-    /// Opens a folder, or makes it.
+    /// Opens a folder, or creates it.
     ///
     /// # Errors
-    /// [`FolderError`] if that is not possible, or another process has it.
+    /// [`FolderError`] if that fails, or another process has opened it.
     pub fn open(path: &Path) -> Result<Self, FolderError> {
         let fail = |path: &Path, source| FolderError::new(path, source);
         fs::create_dir_all(path).map_err(|e| fail(path, e))?;
@@ -56,24 +56,24 @@ impl SweepFolder {
         Ok(folder)
     }
 
-    /// Cuts off a last line that was not written to its end.
+    /// Removes an incomplete last line.
     fn mend(&self) -> io::Result<()> {
         let text = fs::read(self.path.join(JOURNAL))?;
         let whole = text.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
         if whole < text.len() { self.journal.set_len(whole as u64) } else { Ok(()) }
     }
 
-    /// Where it is; absolute.
+    /// Returns the absolute path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where a run finds room while it goes on, if it needs any.
+    /// Returns the path of a run's own folder, if the run needs one. `place` is its index among the points.
     pub(crate) fn run(&self, place: usize) -> PathBuf {
         self.path.join(format!("run-{place}"))
     }
 
-    /// Forgets all runs.
+    /// Removes all runs from the journal.
     ///
     /// # Errors
     /// [`FolderError`].
@@ -81,7 +81,7 @@ impl SweepFolder {
         self.journal.set_len(0).map_err(|e| FolderError::new(&self.path.join(JOURNAL), e))
     }
 
-    /// The runs that it has, by name.
+    /// Returns the runs in the journal, by name.
     pub(crate) fn kept(&self) -> Result<HashMap<String, Measured>, FolderError> {
         let path = self.path.join(JOURNAL);
         let fail = |source| FolderError::new(&path, source);
@@ -94,7 +94,7 @@ impl SweepFolder {
         Ok(kept)
     }
 
-    /// Keeps a run. When this returns it survives the end of the process, however that comes.
+    /// Adds a run to the journal. The run survives any end of the process after this returns.
     pub(crate) fn keep(&self, run: &str, measured: &Measured) -> Result<(), FolderError> {
         let line = Line { run: run.to_owned(), measured };
         let mut line = serde_json::to_string(&line).expect("what is measured holds only what JSON can");
@@ -187,7 +187,7 @@ fn heads(sweep: &Sweep) -> String {
     text
 }
 
-/// Cells, each with the comma behind it, quoted where need be (RFC 4180, 2).
+/// Appends fields, each followed by a comma, quoted where necessary (RFC 4180, 2).
 fn values(text: &mut String, values: &[String]) {
     for value in values {
         if value.contains(['"', ',', '\n', '\r']) {
@@ -198,11 +198,11 @@ fn values(text: &mut String, values: &[String]) {
     }
 }
 
-/// A comma and a figure; nothing behind the comma where there is none.
+/// Appends a comma and the figure, if there is one.
 fn push(text: &mut String, figure: Option<f64>) {
     text.push(',');
     if let Some(figure) = figure {
-        // Nanoseconds of a figure in milliseconds.
+        // Nanosecond resolution for figures in milliseconds.
         *text += &format!("{}", (figure * 1e6).round() / 1e6);
     }
 }

@@ -1,45 +1,45 @@
-//! What is kept of one run of a sweep.
+//! Results of one run of a sweep.
 
 use cotorra_graph::{NodeId, Timestamp};
 use cotorra_testbed::{Quantiles, RegionSummary, Summary};
 use serde::{Deserialize, Serialize};
 
-/// What came of a run.
+/// The results of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
-    /// How long it took, in virtual time, ms.
+    /// Duration in virtual time, ms.
     pub duration_ms: f64,
     /// Whether every walk was done.
     pub walked: bool,
-    /// How many service times were measured, unanswered ones included.
+    /// Number of service times, unanswered ones included.
     pub samples: usize,
-    /// How many of them got no answer.
+    /// Number of unanswered ones.
     pub unanswered: usize,
-    /// Share of samples over the target.
+    /// Share of samples above the target.
     pub above_target: Option<f64>,
     /// Median service time, ms.
     pub service_time_p50_ms: Option<f64>,
-    /// Its 95th percentile.
+    /// 95th percentile of the service time, ms.
     pub service_time_p95_ms: Option<f64>,
-    /// Its 99th percentile.
+    /// 99th percentile of the service time, ms.
     pub service_time_p99_ms: Option<f64>,
-    /// The longest.
+    /// Longest service time, ms.
     pub service_time_max_ms: Option<f64>,
-    /// Changes of radio unit.
+    /// Number of changes of radio unit.
     pub handovers: usize,
     /// Median time without connection in a handover, ms.
     pub handover_gap_p50_ms: Option<f64>,
-    /// The longest.
+    /// Longest time without connection in a handover, ms.
     pub handover_gap_max_ms: Option<f64>,
-    /// Changes of where VNFs run, after the start.
+    /// Number of changes of VNFs' nodes after the start.
     pub migrations: usize,
-    /// Plug-ins that were cut off.
+    /// Number of plug-ins that were cut off.
     pub plugin_faults: usize,
-    /// How far all robots drove, metres.
+    /// Distance that all robots drove, metres.
     pub driven_m: f64,
-    /// What of it was driven blind.
+    /// Distance that robots drove blind, metres.
     pub blind_m: f64,
-    /// The longest blind stretch of any robot.
+    /// Longest blind stretch of any robot, metres.
     pub longest_blind_m: f64,
     /// Stretches with one attachment and one server.
     pub regions: Vec<Region>,
@@ -48,21 +48,20 @@ pub struct Measured {
 /// A stretch with one attachment and one server.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Region {
-    /// The robot.
     pub robot: NodeId,
-    /// Its radio unit; `None` while it had none.
+    /// Radio unit; `None` without attachment.
     pub attachment: Option<NodeId>,
-    /// Where navigation ran.
+    /// Node of the navigation VNF.
     pub server: NodeId,
     /// Emission of the first sample.
     #[serde(rename = "from_ns")]
     pub from: Timestamp,
-    /// Of the last.
+    /// Emission of the last sample.
     #[serde(rename = "until_ns")]
     pub until: Timestamp,
-    /// Samples in it.
+    /// Number of samples.
     pub samples: usize,
-    /// Median service time, ms; `None` if no sample was answered.
+    /// Median service time, ms; `None` without an answered sample.
     pub service_time_p50_ms: Option<f64>,
 }
 
@@ -101,7 +100,7 @@ impl Measured {
         }
     }
 
-    /// The figures by name, as the table's columns have them; `None` where there is none.
+    /// Returns the figures by the names of the table's columns; `None` where a figure is missing.
     pub(crate) fn figures(&self) -> [(&'static str, Option<f64>); 17] {
         let count = |n: usize| Some(n as f64);
         [

@@ -1,4 +1,4 @@
-//! Sweeps: one testbed file in virtual time for every combination of some settings' values, each with many seeds.
+//! Sweeps run one testbed file in virtual time for all combinations of some settings' values, each with several seeds.
 //!
 //! ```no_run
 //! use std::path::Path;
@@ -11,7 +11,7 @@
 //!     .axis("plugin=probing,okpi".parse()?)
 //!     .seeds(10);
 //! let folder = SweepFolder::open(&sweep.default_folder(Path::new("sweeps"))?)?;
-//! // Runs that the folder has are not repeated; what runs is kept at once.
+//! Skips the runs that the folder has, and keeps each new one as soon as it is done.
 //! let runs = sweep.run(&folder, std::thread::available_parallelism()?, |done, of| {
 //!     eprintln!("{done} of {of}");
 //!     true
@@ -53,7 +53,7 @@ pub use self::{
     measured::{Measured, Region},
 };
 
-/// A testbed file, the settings to vary, and how often to repeat each combination.
+/// A testbed file, the settings to vary, and the number of seeds.
 #[derive(Debug, Clone)]
 pub struct Sweep {
     source_name: String,
@@ -67,92 +67,89 @@ pub struct Sweep {
 /// One run of a sweep.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Point {
-    /// A value for each axis, in their order.
+    /// One value per axis, in the order of the axes.
     pub values: Vec<String>,
-    /// The run's seed.
     pub seed: u64,
 }
 
-/// A run that is done.
+/// A finished run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
-    /// Which.
     pub point: Point,
-    /// What came of it.
     pub measured: Measured,
 }
 
-/// What a sweep came to.
+/// The result of a sweep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Runs {
-    /// The runs that are done, in the order of [`Sweep::points`].
+    /// The finished runs, in the order of [`Sweep::points`].
     pub done: Vec<Done>,
-    /// How many of them the folder had.
+    /// Number of finished runs that the folder already had.
     pub resumed: usize,
-    /// How many there are in all; more than are done if the sweep was stopped.
+    /// Number of all runs; more than the finished ones if the sweep was stopped.
     pub total: usize,
 }
 
-/// Why a sweep cannot go on. What was done until then is in its folder.
+/// Error that ends a sweep. The runs finished until then are in its folder.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
-    /// The testbed file, or a setting.
+    /// The testbed file or a setting is invalid.
     #[error(transparent)]
     Testbed(#[from] Diagnostics),
-    /// A setting's path or value cannot be one.
+    /// A setting's path or value is malformed.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
-    /// The folder.
+    /// The folder cannot be read or written.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// A run cannot begin.
+    /// A run cannot start.
     #[error("{point}: {source}")]
     Run {
-        /// Which.
+        /// Name of the run.
         point: String,
-        /// Why.
+        /// Error of the run.
         source: RunError,
     },
     /// A run panicked, which is a bug.
-    #[error("{point} broke off, which is a bug: {reason}")]
+    #[error("{point} panicked, which is a bug: {reason}")]
     Panicked {
-        /// Which.
+        /// Name of the run.
         point: String,
-        /// What it said.
+        /// The panic's message.
         reason: String,
     },
 }
 
 impl Sweep {
-    /// A sweep over nothing yet: one run of a testbed file's text. `source_name` is what mistakes are told with, and the
-    /// paths in the file begin at `base_dir`.
+    /// Creates a sweep without axes: one run of a testbed file's text. `source_name` names the file in errors, and paths in
+    /// the file are relative to `base_dir`.
     pub fn new(source_name: &str, text: String, base_dir: &Path) -> Self {
         let (source_name, base_dir) = (source_name.to_owned(), base_dir.to_owned());
         Self { source_name, text, base_dir, axes: Vec::new(), seeds: 1, until: None }
     }
 
-    /// Varies a setting as well.
+    /// Adds an axis.
     pub fn axis(mut self, axis: Axis) -> Self {
         self.axes.push(axis);
         self
     }
 
-    /// Runs each combination with so many seeds, from the file's on.
+    /// Runs each combination with this many seeds, counted up from the file's.
     pub fn seeds(self, seeds: u32) -> Self {
         Self { seeds, ..self }
     }
 
-    /// Ends each run after so long, walks finished or not.
+    /// Ends each run after this duration, even if walks are not finished.
     pub fn until(self, until: Option<Duration>) -> Self {
         Self { until, ..self }
     }
 
-    /// The settings that vary.
+    /// Returns the axes.
     pub fn axes(&self) -> &[Axis] {
         &self.axes
     }
 
-    /// All combinations of the axes' values, the last axis's changing fastest.
+    /// Returns all combinations of the axes' values. The last axis changes fastest.
     pub fn combinations(&self) -> Vec<Vec<String>> {
         self.axes.iter().fold(vec![Vec::new()], |before, axis| {
             let with = |values: &Vec<String>, value: &String| {
@@ -167,7 +164,7 @@ impl Sweep {
         })
     }
 
-    /// All runs: the combinations, each with its seeds.
+    /// Returns all runs: each combination with each seed.
     ///
     /// # Errors
     /// [`SweepError::Testbed`] or [`SweepError::Setting`] for the first combination that cannot be run.
@@ -181,16 +178,16 @@ impl Sweep {
         Ok(points)
     }
 
-    /// A folder in `parent` that is this sweep's alone: its name says the testbed, the settings that vary and, in a few
-    /// letters, all that the runs depend on but the settings' values and the number of seeds. So the same sweep goes
-    /// on in it, and so does one with more values or seeds.
+    /// Returns a folder in `parent` for this sweep alone. Its name has the testbed's name, and a hash of the version, the
+    /// testbed file, the settings' paths and the duration. Values and the number of seeds are left out, so that a sweep
+    /// with more of them continues in the same folder.
     ///
     /// # Errors
     /// [`SweepError::Testbed`] if the file cannot be run as it is.
     pub fn default_folder(&self, parent: &Path) -> Result<PathBuf, SweepError> {
         let testbed = cotorra_testbed_file::parse(&self.source_name, &self.text, &self.base_dir)?;
         let paths: Vec<_> = self.axes.iter().map(Axis::path).collect();
-        // Its map and traces are in it.
+        // The testbed holds its map and traces.
         let depends = format!("{} {testbed:?} {paths:?} {:?}", env!("CARGO_PKG_VERSION"), self.until);
         let digest = seed::split(0, &depends) >> 32;
         Ok(parent.join(format!("{}-{digest:08x}", testbed.name)))
@@ -205,15 +202,16 @@ impl Sweep {
         Ok(cotorra_testbed_file::parse_with(&self.source_name, &self.text, &self.base_dir, &settings)?)
     }
 
-    /// Which run a point is, for people and for the folder.
+    /// Returns the name of a point, as users and the folder have it.
     pub fn name(&self, point: &Point) -> String {
         let settings =
             self.axes.iter().zip(&point.values).map(|(axis, value)| format!("{}={value}", axis.path()));
         settings.chain([format!("seed={}", point.seed)]).collect::<Vec<_>>().join(" ")
     }
 
-    /// Runs all that the folder does not have yet, `jobs` at a time, and keeps each there as soon as it is done.
-    /// `go_on` is told how many are done, of how many, at the beginning and after each; `false` stops the sweep.
+    /// Runs the points that the folder does not have yet, `jobs` at a time, and adds each to the folder as soon as it is
+    /// done. Calls `go_on` with the numbers of finished and of all runs, at the beginning and after each run; `false` stops
+    /// the sweep.
     ///
     /// # Errors
     /// [`SweepError`].
@@ -279,7 +277,7 @@ impl Sweep {
         Ok(Runs { done, resumed, total })
     }
 
-    /// One run; `None` if it was stopped before its end.
+    /// Runs a point; returns `None` if it was stopped before its end.
     fn measure(
         &self,
         point: &Point,
@@ -314,19 +312,19 @@ impl Sweep {
         folder: &Path,
         stop: &AtomicBool,
     ) -> Result<Option<Measured>, RunError> {
-        // What another process left that was killed.
+        // A killed process may have left it.
         let _ = fs::remove_dir_all(folder);
         let place = Place::At(folder.to_owned());
         let options = Options { seed: Some(seed), until: self.until, folder: place, ..Options::default() };
         let finished = simulate(testbed, &self.text, &options, |_| !stop.load(Ordering::Relaxed))?;
         if finished.was_stopped() || finished.summary.plugin_faults.is_empty() {
-            // Nobody needs it any more, and what cannot be removed harms nobody.
+            // The folder is not needed any more; failing to remove it does no harm.
             let _ = fs::remove_dir_all(folder);
         }
         Ok((!finished.was_stopped()).then(|| Measured::of(&finished.summary)))
     }
 
-    /// What the runs say of each combination, in the order of [`Sweep::combinations`]; those without a run are left out.
+    /// Returns the statistics of each combination, in the order of [`Sweep::combinations`], without those that have no run.
     pub fn cells(&self, runs: &Runs) -> Vec<Cell> {
         let of = |values: Vec<String>| {
             let measured: Vec<_> = runs

@@ -29,7 +29,7 @@ fn points_are_all_combinations_with_all_seeds() {
 }
 
 #[test]
-fn a_value_that_cannot_be_is_told_before_anything_runs() {
+fn invalid_values_are_rejected_before_any_run() {
     let SweepError::Testbed(wrong) = sweep(&["links.*.delay=1 ms,2"]).points().unwrap_err() else { panic!() };
     assert!(wrong.to_string().contains("`2` has no unit"), "{wrong}");
 }
@@ -48,7 +48,7 @@ fn twice_the_delay_is_twice_the_service_time_and_more_seeds_narrow_the_interval(
 }
 
 #[test]
-fn a_sweep_that_was_stopped_goes_on_and_ends_with_the_same_bytes() {
+fn a_stopped_sweep_continues_and_ends_with_the_same_bytes() {
     let out = tempfile::tempdir().unwrap();
     let open = |name: &str| SweepFolder::open(&out.path().join(name)).unwrap();
     let sweep = sweep(&["plugin=probing,okpi"]).seeds(3);
@@ -62,7 +62,7 @@ fn a_sweep_that_was_stopped_goes_on_and_ends_with_the_same_bytes() {
         assert!((2..6).contains(&stopped.done.len()), "{}", stopped.done.len());
         folder.path().to_owned()
     };
-    // Killed in the middle of a line.
+    // As if the process was killed while it wrote a line.
     let journal = path.join("journal.jsonl");
     let mut text = fs::read_to_string(&journal).unwrap();
     let lines = text.lines().count();
@@ -104,7 +104,7 @@ fn tables_are_tidy() {
 }
 
 #[test]
-fn two_processes_do_not_share_a_folder() {
+fn a_folder_is_open_in_one_process_only() {
     let out = tempfile::tempdir().unwrap();
     let _first = SweepFolder::open(out.path()).unwrap();
     let second = SweepFolder::open(out.path()).unwrap_err().to_string();
@@ -112,10 +112,10 @@ fn two_processes_do_not_share_a_folder() {
 }
 
 #[test]
-fn programs_take_part_and_leave_their_logs_only_where_they_failed() {
+fn programs_leave_logs_only_where_they_failed() {
     let out = tempfile::tempdir().unwrap();
     let folder = SweepFolder::open(&out.path().join("sweep")).unwrap();
-    // Follows no events: it ends, and is cut off.
+    // The program follows no events: it exits, and is cut off.
     let axis = "plugins=[{id: gone, command: ['true']}],[probing]";
     let sweep = sweep(&[axis]).until(Some(Duration::from_secs(5)));
     let runs = sweep.run(&folder, JOBS, |_, _| true).unwrap();

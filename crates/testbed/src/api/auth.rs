@@ -1,5 +1,5 @@
-//! Who may use the API: everyone on loopback, elsewhere whoever has a token. A browser's page from elsewhere may not. The
-//! operator's token opens all, a domain's what is of its own nodes.
+//! Access control of the API. On loopback everyone is admitted, elsewhere only callers with a token. Web pages from other
+//! origins are rejected. The operator's token opens everything, a domain's token what belongs to its own nodes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -22,30 +22,30 @@ use cotorra_graph::{DomainId, PluginId};
 use super::{connections::Whose, serve::Place, types::Failure};
 use crate::domain::{DomainView, Domains};
 
-/// The secret that a caller shows.
+/// A caller's secret.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// A token; `None` when it is too short to be a secret (fewer than 16 bytes).
+    /// Creates a token; `None` if the text has fewer than 16 bytes, too few for a secret.
     pub fn new(secret: impl Into<String>) -> Option<Self> {
         let secret = secret.into();
         (secret.len() >= 16).then_some(Self(secret))
     }
 
-    /// A new one, which nobody can guess.
+    /// Creates a random token.
     pub(super) fn random() -> io::Result<Self> {
         let mut bytes = [0; 32];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
         Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
     }
 
-    /// What is to be shown.
+    /// Returns the secret.
     pub(crate) fn secret(&self) -> &str {
         &self.0
     }
 
-    /// Compares in a time that does not tell how much of it is right.
+    /// Compares in constant time, which does not reveal how much of a guess is right.
     fn is(&self, shown: &str) -> bool {
         let (secret, shown) = (self.0.as_bytes(), shown.as_bytes());
         let differences = secret.iter().zip(shown).fold(0, |all, (a, b)| all | (a ^ b));
@@ -59,29 +59,29 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// The secrets of a testbed's callers: the operator's, who sees and changes all, and one for each domain whose orchestrator
-/// sees and changes its own nodes.
+/// The tokens of a testbed's callers. The operator sees and changes everything. Each domain's orchestrator sees and changes
+/// its own nodes.
 #[derive(Debug, Clone, Default)]
 pub struct Tokens {
     operator: Option<Token>,
     domains: BTreeMap<DomainId, Token>,
 }
 
-/// Tokens that keep domains apart from nobody.
+/// Error of tokens that would not separate domains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TokensError {
-    /// Who shows no token is the operator.
+    /// The operator has no token, so every caller without one would be the operator.
     #[error(
         "domains have tokens, and the operator has none: whoever shows no token would be the operator; give it one, too"
     )]
     NoOperator,
-    /// One secret for two.
+    /// Two callers have the same secret.
     #[error("two of the tokens are the same: each domain and the operator need their own")]
     Shared,
 }
 
 impl Tokens {
-    /// The tokens of the operator and of domains. Without any, everyone on loopback is the operator.
+    /// Creates the tokens of the operator and of domains. Without any, everyone on loopback is the operator.
     ///
     /// # Errors
     /// [`TokensError`].
@@ -96,24 +96,24 @@ impl Tokens {
         Ok(Self { operator, domains })
     }
 
-    /// Whether callers have to show one.
+    /// Whether callers need a token.
     pub(super) fn are_needed(&self) -> bool {
         self.operator.is_some()
     }
 
-    /// The domains that have one.
+    /// Returns the domains with a token.
     pub(super) fn domains(&self) -> impl Iterator<Item = &DomainId> {
         self.domains.keys()
     }
 }
 
-/// The secrets of the plug-ins that a run starts as programs. Each finds its own in its environment, and its name follows from
-/// that: nobody else can take it.
+/// The tokens of the plug-ins that a run starts as programs. Each plug-in finds its own in its environment. The token
+/// implies the plug-in's name, which nobody else can use.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct PluginTokens(BTreeMap<PluginId, Token>);
 
 impl PluginTokens {
-    /// One for each of these.
+    /// Creates a token for each of these plug-ins.
     pub(super) fn new<'a>(plugins: impl IntoIterator<Item = &'a PluginId>) -> io::Result<Self> {
         plugins
             .into_iter()
@@ -122,28 +122,28 @@ impl PluginTokens {
             .map(Self)
     }
 
-    /// That of a plug-in.
+    /// Returns the token of a plug-in.
     pub(crate) fn of(&self, plugin: &PluginId) -> Option<&Token> {
         self.0.get(plugin)
     }
 }
 
-/// The secret that was shown, among several. All are compared, so that the time does not tell whose it is.
+/// Returns the owner of a token. All tokens are compared, so that the time does not reveal the owner.
 fn find<'a, K>(tokens: &'a BTreeMap<K, Token>, shown: &str) -> Option<&'a K> {
     tokens.iter().fold(None, |found, (whose, token)| if token.is(shown) { Some(whose) } else { found })
 }
 
-/// Who asks, and whom that speaks for: the operator, or one domain.
+/// The caller of a request: the operator, or one domain.
 #[derive(Clone, Default)]
 pub(super) struct Caller {
-    /// What it sees and changes, if that is one domain's.
+    /// The domain's view; `None` for the operator.
     pub(super) view: Option<Arc<DomainView>>,
-    /// The plug-in that it is, by its secret.
+    /// The plug-in that the token belongs to.
     plugin: Option<PluginId>,
 }
 
 impl Caller {
-    /// Refuses what only the operator may see.
+    /// Rejects callers other than the operator.
     pub(super) fn operator(&self) -> Result<(), Failure> {
         match &self.view {
             None => Ok(()),
@@ -154,7 +154,7 @@ impl Caller {
         }
     }
 
-    /// Refuses what is not the caller's to see.
+    /// Rejects callers that do not see an object.
     pub(super) fn sees(
         &self,
         what: &impl std::fmt::Display,
@@ -166,7 +166,7 @@ impl Caller {
         }
     }
 
-    /// Whose connections it uses.
+    /// Returns the owner of the caller's connections.
     pub(super) fn whose(&self) -> Whose {
         match (&self.plugin, &self.view) {
             (Some(plugin), _) => Whose::Plugin(plugin.clone()),
@@ -175,8 +175,9 @@ impl Caller {
         }
     }
 
-    /// The name under which it asks, which it may choose (`named`) if it is nobody else's. `hosted` are the plug-ins of this
-    /// run. Whoever shows a domain's token can be one of its plug-ins elsewhere, or go by the domain's name.
+    /// Returns the name that the caller gives instructions under. It may choose one (`named`) that belongs to nobody else.
+    /// `hosted` are the plug-ins of this run. A caller with a domain's token can use the name of one of its plug-ins
+    /// elsewhere, or the domain's name.
     pub(super) fn name(
         &self,
         named: Option<PluginId>,
@@ -204,13 +205,13 @@ impl Caller {
         }
     }
 
-    /// Keeps what the caller sees.
+    /// Whether the caller sees an object, for filters.
     pub(super) fn keeps(&self, is_seen: impl FnOnce(&DomainView) -> bool) -> bool {
         self.view.as_deref().is_none_or(is_seen)
     }
 }
 
-/// What is needed to know callers.
+/// The state that identifies callers.
 #[derive(Clone)]
 pub(super) struct Gate {
     tokens: Arc<Tokens>,
@@ -223,7 +224,7 @@ impl Gate {
         Self { tokens: Arc::new(tokens), plugins, domains }
     }
 
-    /// Who sends these headers, if whoever does is let in.
+    /// Identifies the caller by a request's headers, or rejects it.
     fn caller(&self, headers: &HeaderMap) -> Result<Caller, Failure> {
         let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
         let shown = text(AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
@@ -234,8 +235,8 @@ impl Gate {
             });
         }
         let Some(operator) = &self.tokens.operator else {
-            // Without a token a page that a browser loaded from elsewhere could reach a loopback address, by its own
-            // name (Origin) or by one that it lets point there (Host).
+            // Without tokens, a page from elsewhere in a user's browser could reach a loopback address, under its own name
+            // (Origin) or under one that it points there (Host).
             let foreign = text(ORIGIN).is_some() || text(HOST).is_some_and(|host| !is_loopback(host));
             return if foreign { Err(Failure::forbidden()) } else { Ok(Caller::default()) };
         };
@@ -262,7 +263,7 @@ pub(super) async fn check(
     Ok(next.run(request).await)
 }
 
-/// The same for the WLAN Access Information Service, which tells problems as its standard does, and has a service for each
+/// Checks callers of the WLAN Access Information Service. It reports problems as its standard does, and has a service per
 /// domain.
 pub(super) async fn check_wais(
     State(gate): State<Gate>,
@@ -288,7 +289,7 @@ pub(super) async fn check_wais(
     }
 }
 
-/// Whether a `Host` names this machine: a name or an address, and nothing but a port after it.
+/// Whether a `Host` names this machine: a loopback name or address, with nothing but a port after it.
 fn is_loopback(host: &str) -> bool {
     let (name, port) = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some(parts) => parts,
@@ -304,7 +305,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_the_whole_token_opens() {
+    fn only_the_whole_token_is_accepted() {
         let token = Token::new("0123456789abcdef").unwrap();
         assert!(token.is("0123456789abcdef"));
         for wrong in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
@@ -314,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn domains_are_kept_apart_only_where_everyone_has_a_token_of_its_own() {
+    fn domains_are_separated_only_if_every_caller_has_its_own_token() {
         let token = |digit: &str| Token::new(digit.repeat(16)).unwrap();
         let domain = |name: &str| DomainId::new(name).unwrap();
         let one = BTreeMap::from([(domain("one"), token("1"))]);
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_is_known_by_name_and_by_address() {
+    fn loopback_is_recognized_by_name_and_by_address() {
         for host in ["localhost", "localhost:7700", "127.0.0.1:7700", "127.0.0.1", "[::1]:7700"] {
             assert!(is_loopback(host), "{host}");
         }

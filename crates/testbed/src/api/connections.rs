@@ -1,8 +1,8 @@
-//! Which connections the API keeps open, decided without a socket or a clock.
+//! Admission of the API's connections, decided without a socket or a clock.
 //!
-//! A connection is a stranger's until a request on it was let in. Strangers have few places, and a new one takes that of
-//! the oldest: whoever opens many connections and says nothing pushes out its own, and cannot keep others from being
-//! heard. Whom the API let in has places apart, of which only those are taken back where nothing is being answered.
+//! A connection is a stranger's until a request on it is admitted. Strangers have few places, and a new one takes the place
+//! of the oldest. A client that opens many connections and sends nothing only pushes out its own, and cannot keep others
+//! from being served. Admitted callers have separate places. Only idle connections among them give up their place.
 
 use std::{
     collections::BTreeMap,
@@ -11,24 +11,25 @@ use std::{
 
 use cotorra_graph::{DomainId, PluginId};
 
-/// How many connections there may be.
+/// Maximum numbers of connections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Limits {
-    /// Of strangers. Half of them at most are of one address.
+    /// Connections of strangers. At most half of them are from one address.
     pub(super) strangers: usize,
-    /// Of the operator, and as many of all domains and plug-ins together. Half of them at most are streams.
+    /// Connections of the operator, and as many of all domains and plug-ins together. At most half of them are streams.
     pub(super) callers: usize,
 }
 
 impl Limits {
-    /// Leaves most of the files that the process may have open to the core: an eighth is for strangers, an eighth for the
-    /// operator and an eighth for domains and plug-ins, and never more than is of use.
+    /// Returns limits that leave most of the process's open files to the core. Strangers, the operator, and domains with
+    /// plug-ins have an eighth each, up to a useful maximum.
     pub(super) fn of(open_files: u64) -> Self {
         let share = usize::try_from(open_files / 8).unwrap_or(usize::MAX);
         Self { strangers: share.clamp(16, 256), callers: share.clamp(16, 1024) }
     }
 
-    /// Those of the socket for the run's own user: places apart, so that strangers on the port take none of them.
+    /// Returns the limits of the socket for the run's own user. Its places are separate, so that strangers on the port take
+    /// none.
     pub(super) fn of_user(self) -> Self {
         Self { strangers: self.strangers / 4, callers: self.callers / 4 }
     }
@@ -42,16 +43,16 @@ impl Limits {
     }
 }
 
-/// Whose a connection is.
+/// Owner of a connection.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Whose {
     Operator,
     Domain(DomainId),
-    /// One that the run started.
+    /// A plug-in that the run started.
     Plugin(PluginId),
 }
 
-/// The places of a caller are taken, all by what is still being answered.
+/// All places of a caller are in use by requests that are being answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{limit} {what} are open, which is the most that this API serves you: close one and ask again")]
 pub(super) struct Full {
@@ -59,12 +60,12 @@ pub(super) struct Full {
     what: &'static str,
 }
 
-/// All connections, each with what closes it when it is dropped.
+/// The open connections. Each has a handle that closes it when it is dropped.
 #[derive(Debug)]
 pub(super) struct Connections<H> {
     limits: Limits,
     last: u64,
-    /// By number, so the oldest first.
+    /// By number, i.e. the oldest first.
     strangers: BTreeMap<u64, Stranger<H>>,
     callers: BTreeMap<u64, Caller<H>>,
 }
@@ -102,7 +103,7 @@ impl<H> Connections<H> {
         self.last
     }
 
-    /// A new connection, which gets a number.
+    /// Adds a new connection, and returns its number.
     pub(super) fn arrive(&mut self, from: IpAddr, handle: H) -> u64 {
         let from = network(from);
         let neighbours = self.strangers.iter().filter(|(_, stranger)| stranger.from == from);
@@ -118,7 +119,7 @@ impl<H> Connections<H> {
         number
     }
 
-    /// A request on a connection is let in.
+    /// Admits a request on a connection.
     pub(super) fn let_in(&mut self, number: u64, whose: Whose) -> Result<(), Full> {
         let Limits { callers, .. } = self.limits;
         let what = "connections";
@@ -138,7 +139,7 @@ impl<H> Connections<H> {
         Ok(())
     }
 
-    /// Closes the connection that was idle for longest, if as many others as the limit are of those.
+    /// Closes the connection that was idle for longest, if the number of those selected by `of` has reached the limit.
     fn make_room(&mut self, number: u64, limit: usize, of: impl Fn(&Caller<H>) -> bool) -> Result<(), ()> {
         let others = || self.callers.iter().filter(|(other, caller)| **other != number && of(caller));
         if others().count() < limit {
@@ -153,7 +154,7 @@ impl<H> Connections<H> {
         Ok(())
     }
 
-    /// What a connection is answered does not end by itself.
+    /// Marks a connection as answered by a stream, which does not end by itself.
     pub(super) fn stream(&mut self, number: u64) -> Result<(), Full> {
         let Some(whose) = self.callers.get(&number).map(|caller| caller.whose.clone()) else {
             return Ok(());
@@ -167,30 +168,30 @@ impl<H> Connections<H> {
         Ok(())
     }
 
-    /// A connection's request was answered.
+    /// Marks a connection as idle.
     pub(super) fn rest(&mut self, number: u64) {
         let since = self.next();
         self.callers.entry(number).and_modify(|caller| caller.doing = Doing::Nothing { since });
     }
 
-    /// A connection is closed.
+    /// Removes a closed connection.
     pub(super) fn leave(&mut self, number: u64) {
         self.strangers.remove(&number);
         self.callers.remove(&number);
     }
 
-    /// Whether a request on it was let in.
+    /// Whether a request on the connection was admitted.
     pub(super) fn is_let_in(&self, number: u64) -> bool {
         self.callers.contains_key(&number)
     }
 
-    /// The process has no file left: gives up what a stranger has.
+    /// Closes a stranger's connection, because the process has no file left.
     pub(super) fn shed(&mut self) {
         self.strangers.pop_first();
     }
 }
 
-/// What counts as one address: of IPv6 the network, in which a machine may choose addresses as it likes.
+/// Returns what counts as one address: for IPv6 the network, in which a machine can choose any address.
 fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) if !v6.is_loopback() => {
@@ -208,7 +209,7 @@ mod tests {
 
     const LIMITS: Limits = Limits { strangers: 8, callers: 8 };
 
-    /// Connections, each of which knows whether it was closed.
+    /// Connections whose handles show whether they were closed.
     struct Rig {
         connections: Connections<Rc<()>>,
     }
@@ -224,7 +225,7 @@ mod tests {
             (self.connections.arrive(from.parse().unwrap(), handle), is_open)
         }
 
-        /// A connection that is answered.
+        /// Adds a connection that is being answered.
         fn caller(&mut self, domain: Option<&str>) -> Result<(u64, Weak<()>), Full> {
             let (number, is_open) = self.arrive("127.0.0.1");
             let whose = domain.map_or(Whose::Operator, |name| Whose::Domain(DomainId::new(name).unwrap()));
@@ -258,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn strangers_push_out_nobody_who_was_let_in() {
+    fn strangers_push_out_no_admitted_connection() {
         let mut rig = Rig::new();
         let answered = rig.caller(None).unwrap();
         let idle = rig.caller(None).unwrap();
@@ -268,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_let_in_takes_the_place_of_who_is_idle_for_longest_and_never_of_who_is_answered() {
+    fn an_admitted_connection_replaces_the_longest_idle_and_no_active_one() {
         let mut rig = Rig::new();
         let callers: Vec<_> = (0..8).map(|_| rig.caller(None).unwrap()).collect();
         let full = rig.caller(None).unwrap_err();
@@ -280,13 +281,13 @@ mod tests {
         let expected = [true, true, true, true, true, false, true, true];
         assert_eq!(open(&callers), expected, "5 was idle before 3");
         assert_eq!(open(&[next]), [true]);
-        // Another request on a connection that is there needs no other place.
+        // A second request on an open connection needs no second place.
         rig.connections.let_in(callers[3].0, Whose::Operator).unwrap();
         assert_eq!(open(&callers), expected);
     }
 
     #[test]
-    fn no_domain_takes_the_places_of_another_or_of_the_operator() {
+    fn a_domain_takes_no_places_of_another_or_of_the_operator() {
         let mut rig = Rig::new();
         for domain in ["one", "two"] {
             for _ in 0..2 {

@@ -21,7 +21,7 @@ pub(super) const BLOCKING_THREADS: usize = 16;
 /// A handler's body, or a failure.
 pub(super) type Answer<T> = Result<Json<T>, Failure>;
 
-/// What the API's handlers need.
+/// The state of the API's handlers.
 #[derive(Clone)]
 pub(crate) struct Context {
     pub(crate) testbed: Arc<Testbed>,
@@ -31,33 +31,33 @@ pub(crate) struct Context {
     pub(crate) events: broadcast::Sender<Arc<Stamped>>,
     pub(crate) core: mpsc::Sender<Message>,
     pub(crate) namespaces: Arc<BTreeMap<NodeId, PathBuf>>,
-    /// The plug-ins of this run, in process or started by it: nobody else goes by their names.
+    /// The plug-ins of this run, in process or started by it. Nobody else can use their names.
     pub(crate) hosted: Arc<BTreeSet<PluginId>>,
-    /// In virtual time only.
+    /// Set in virtual time only.
     pub(crate) lockstep: Option<Lockstep>,
-    /// What is told was recorded before: the history knows more than the present of the run.
+    /// Whether events come from a recording: the history then reaches beyond the present of the run.
     pub(crate) replay: bool,
-    /// Large data of sensors, where any has that.
+    /// Large data of sensors, if any sensor has such.
     pub(crate) keeper: Option<Keeper>,
     pub(crate) wais: WaisOptions,
 }
 
-/// What is different in virtual time, which stands still while a plug-in answers.
+/// The difference in virtual time, which stands still while a plug-in answers.
 #[derive(Clone)]
 pub(crate) struct Lockstep {
-    /// For whom it does; `None` for whoever follows under a name.
+    /// The plug-ins that time waits for; `None` for every follower with a name.
     pub(crate) plugins: Option<Arc<BTreeSet<PluginId>>>,
-    /// Made durable before the history is asked, so that an answer does not depend on the writer's speed; `None` where
-    /// nothing is recorded.
+    /// Flushed before a query of the history, so that answers do not depend on the writer's speed. `None` if nothing is
+    /// recorded.
     pub(crate) recorder: Option<PacedRecorder>,
 }
 
-/// What the service needs beside what the API knows.
+/// Options of the WLAN Access Information Service.
 #[derive(Clone, Default)]
 pub(crate) struct WaisOptions {
-    /// The run's clock; without one it is the time of the last event.
+    /// The run's clock; without one the time is that of the last event.
     pub(crate) clock: Option<Clock>,
-    /// When the run began; 0 in virtual time.
+    /// Calendar time of the run's beginning; 0 in virtual time.
     pub(crate) epoch: Epoch,
     /// Networks that notifications may be sent to, beside those of the testbed file.
     pub(crate) callbacks: Vec<IpNetwork>,

@@ -45,7 +45,7 @@ use super::{measurements, routes, sensors, stream};
 )]
 struct Document;
 
-/// The OpenAPI document of the API.
+/// Returns the OpenAPI document of the API.
 pub fn openapi() -> String {
     let mut document = Document::openapi();
     describe_answers(&mut document);
@@ -55,9 +55,8 @@ pub fn openapi() -> String {
     serde_json::to_string_pretty(&document).expect(expected) + "\n"
 }
 
-/// Describes all answers of every operation. One that succeeds is what the operation's first sentence says. What can go wrong
-/// with any is added: a request that cannot be, a caller who is not let in, something that is not there, a body that cannot
-/// be read, an API whose run has ended.
+/// Describes the answers of every operation. The description of a success is the operation's first sentence. Failures are
+/// added: an invalid request, a rejected caller, a missing object, an unreadable body, and an ended run.
 fn describe_answers(document: &mut utoipa::openapi::OpenApi) {
     use utoipa::openapi::{Ref, RefOr, ResponseBuilder, content::ContentBuilder};
     let always = [

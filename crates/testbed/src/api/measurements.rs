@@ -1,4 +1,4 @@
-//! What was: the history of the run, and of others that share it.
+//! The history of the run, and of other runs in the same history.
 
 use std::{borrow::Cow, ops::Bound};
 
@@ -22,25 +22,25 @@ use super::{
     types::{Failure, GapBody, Path, Query, RunBody},
 };
 
-/// Which part of the history.
+/// A part of the history.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Part {
-    /// From here on, nanoseconds since the run began.
+    /// Beginning, nanoseconds since the run began.
     #[serde(default)]
     from_ns: Timestamp,
-    /// Up to here, this excluded, nanoseconds since the run began; to the end if it is left out.
+    /// End, exclusive, nanoseconds since the run began; the run's end by default.
     until_ns: Option<Timestamp>,
-    /// How many at the most; 1000 if it is left out, never more than 10000.
+    /// Maximum number of items; 1000 by default, 10000 at most.
     limit: Option<usize>,
-    /// The `next` of the page before.
+    /// The `next` of the previous page.
     #[cfg_attr(feature = "openapi", param(value_type = Option<String>))]
     after: Option<Cursor>,
-    /// One direction of the link, `forward` if it is left out; for links only.
+    /// Direction of a link, `forward` by default; for links only.
     direction: Option<Direction>,
-    /// Kinds of events, with commas between, all if it is left out; for events only.
+    /// Kinds of events, separated by commas, all by default; for events only.
     kinds: Option<String>,
     /// The number of another run of the same history, in place of this one.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
@@ -52,7 +52,7 @@ impl Part {
         PageRequest { limit: self.limit.unwrap_or(PageRequest::default().limit), after: self.after }
     }
 
-    /// The range of time, up to the present of a run.
+    /// Returns the range of time, up to the present of a run.
     fn until(&self, present: Timestamp) -> Span {
         span(self.from_ns, self.until_ns, present)
     }
@@ -65,10 +65,10 @@ fn span(from: Timestamp, until: Option<Timestamp>, present: Timestamp) -> Span {
     (Bound::Included(from), until.map_or(Bound::Included(present), Bound::Excluded))
 }
 
-/// Questions to the history that are answered at the same time. Others wait, and go away with whoever asked them.
+/// Concurrent queries of the history. Others wait, and are dropped with their caller's connection.
 static QUESTIONS: Semaphore = Semaphore::const_new(BLOCKING_THREADS);
 
-/// Asks the history where that may take its time: about this run or another, with the time up to which it is known.
+/// Queries the history on another thread, about this run or another. Passes on the time up to which the run is known.
 async fn ask<T: Send + 'static>(
     context: Context,
     other: Option<RunId>,
@@ -99,12 +99,12 @@ async fn ask<T: Send + 'static>(
     }
 }
 
-/// Other runs may be of other testbeds, with other domains: they are the operator's.
+/// Rejects queries of other runs by anyone but the operator: other runs may have other testbeds with other domains.
 fn this_run(caller: &Caller, run: Option<RunId>) -> Result<(), Failure> {
     if run.is_some() { caller.operator() } else { Ok(()) }
 }
 
-/// κ of a robot over time.
+/// Returns κ of a robot over time.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/robots/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
     responses((status = 200, body = Page<Sample<RobotContext>>))))]
@@ -131,7 +131,7 @@ pub(super) async fn robot_history(
     .await
 }
 
-/// d, λ and conditions of one direction of a link over time.
+/// Returns d, λ and conditions of one direction of a link over time.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/links/{id}", tag = "measurements",
     params(("id" = String, Path), Part),
     responses((status = 200, body = Page<Sample<LinkContext>>))))]
@@ -156,7 +156,7 @@ pub(super) async fn link_history(
     .await
 }
 
-/// Service times.
+/// Returns service times.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/service-times", tag = "measurements",
     params(Part),
     responses((status = 200, body = Page<Sample<ServiceTime>>))))]
@@ -174,8 +174,8 @@ pub(super) async fn service_times(
     .await
 }
 
-/// How far samples of a run were rolled up, by kind: what is told of the time before has one sample a step, and figures
-/// are of all that there were. None if all are as they were recorded.
+/// Returns up to when samples of a run were rolled up, by kind. Before that time there is one sample per step, and figures
+/// are computed from all original samples. Kinds that are fully recorded are left out.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/retained", tag = "measurements",
     params(OfRun),
     responses((status = 200, body = Vec<Retained>))))]
@@ -188,7 +188,7 @@ pub(super) async fn retained(
     ask(context, of.run, |history, run, _| history.retained(run)).await
 }
 
-/// Which run.
+/// A run.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
@@ -199,7 +199,7 @@ pub(super) struct OfRun {
     run: Option<RunId>,
 }
 
-/// Handovers.
+/// Returns handovers.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/handovers", tag = "measurements",
     params(Part),
     responses((status = 200, body = Page<Sample<Handover>>))))]
@@ -215,8 +215,8 @@ pub(super) async fn handovers(
     .await
 }
 
-/// Events of any kind, as they were told. Where a domain's token is shown, a page has fewer than its limit: the others are
-/// not the domain's.
+/// Returns events of any kind, in order. With a domain's token a page may have fewer events than its limit: events of other
+/// domains are left out.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/events", tag = "measurements",
     params(Part),
     responses((status = 200, body = Page<Stamped>))))]
@@ -238,7 +238,7 @@ pub(super) async fn event_history(
     .await
 }
 
-/// Where events were lost.
+/// Returns the gaps where events were lost.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/gaps", tag = "measurements",
     params(Part),
     responses((status = 200, body = Page<GapBody>))))]
@@ -255,35 +255,34 @@ pub(super) async fn gaps(
     .await
 }
 
-/// Which figure, and how.
+/// A figure, and its resolution.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
-    /// The figure and what it is of: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward if
-    /// no direction is said); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
-    /// `nearest_obstacle:…`;
-    /// `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or `handover_gap:ROBOT` (of all if they
-    /// are left out); `lateness_p50`, `lateness_p99` or `lateness_max`.
+    /// The figure and its object: `delay:LINK:DIRECTION`, `throughput:…`, `delay_scale:…` or `drop_scale:…` (forward
+    /// without a direction); `x:ROBOT`, `y:…`, `z:…`, `heading:…`, `linear:…`, `vertical:…`, `angular:…` or
+    /// `nearest_obstacle:…`; `signal:ROBOT:RADIO_UNIT`; `load:RADIO_UNIT`; `service_time:SERVICE:ROBOT` or
+    /// `handover_gap:ROBOT` (of all without an object); `lateness_p50`, `lateness_p99` or `lateness_max`.
     #[cfg_attr(feature = "openapi", param(value_type = String))]
     figure: Figure,
-    /// From here on, nanoseconds since the run began.
+    /// Beginning, nanoseconds since the run began.
     #[serde(default)]
     from_ns: Timestamp,
-    /// Up to here, this excluded, nanoseconds since the run began; to the end if it is left out.
+    /// End, exclusive, nanoseconds since the run began; the run's end by default.
     until_ns: Option<Timestamp>,
-    /// In how many points at the most; 1000 if it is left out, never more than 10000.
+    /// Maximum number of points; 1000 by default, 10000 at most.
     points: Option<usize>,
-    /// Quantiles that each point is to have, as shares from 0 to 1 with commas between; 0.5 if it is left out.
+    /// Quantiles of each point, as shares from 0 to 1 separated by commas; 0.5 by default.
     quantiles: Option<String>,
     /// The number of another run of the same history, in place of this one.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
-/// A figure over time in a bounded number of points: of each the count, least, greatest, mean, last and quantiles of its
-/// samples, and whether events were lost.
+/// Returns a figure over time in a bounded number of points. Each has count, minimum, maximum, mean, last and quantiles of
+/// its samples, and whether events were lost.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/series", tag = "measurements",
     params(Which),
     responses((status = 200, body = Curve))))]
@@ -308,20 +307,20 @@ pub(super) async fn series(
     .await
 }
 
-/// Which runs.
+/// A page of runs.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Runs {
-    /// Those after this one.
+    /// Only runs after this one.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     after: Option<RunId>,
-    /// How many at the most; 1000 if it is left out, never more than 10000.
+    /// Maximum number of runs; 1000 by default, 10000 at most.
     limit: Option<usize>,
 }
 
-/// The runs that share this run's history, the oldest first.
+/// Returns the runs in this run's history, the oldest first.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/runs", tag = "measurements",
     params(Runs),
     responses((status = 200, body = Vec<RunBody>))))]
@@ -339,21 +338,21 @@ pub(super) async fn runs(
     .await
 }
 
-/// Which runs are compared.
+/// Two runs to compare.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Pair {
-    /// The number of the one run.
+    /// The number of the first run.
     #[cfg_attr(feature = "openapi", param(value_type = i64))]
     a: RunId,
-    /// The number of the other; this one if it is left out.
+    /// The number of the second run; this run by default.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     b: Option<RunId>,
 }
 
-/// Two runs of this run's history side by side.
+/// Compares two runs of this run's history.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/difference", tag = "measurements",
     params(Pair),
     responses((status = 200, body = Difference), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
@@ -370,20 +369,20 @@ pub(super) async fn difference(
     ask(context, Some(b), move |history, b, _| history.difference(a, b)).await
 }
 
-/// At which time.
+/// A time.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct At {
-    /// Nanoseconds since the run began; if it is left out, now, and of another run its end.
+    /// Nanoseconds since the run began. The default is now, and for another run its end.
     at_ns: Option<Timestamp>,
     /// The number of another run of the same history, in place of this one.
     #[cfg_attr(feature = "openapi", param(value_type = Option<i64>))]
     run: Option<RunId>,
 }
 
-/// The whole graph at a time: of everything the last that was known.
+/// Returns the whole graph at a time, with the last known state of every object.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/measurements/state", tag = "measurements",
     params(At),
     responses((status = 200, body = GraphState))))]

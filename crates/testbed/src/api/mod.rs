@@ -1,5 +1,5 @@
-//! The HTTP API: what is known, what was, what happens, and instructions. Everything that the bundled plug-ins can do,
-//! a script can do here. Described at `/openapi.json`.
+//! The HTTP API: the current state, the history, events, and instructions. A script can do everything here that bundled
+//! plug-ins can. The API is described at `/openapi.json`.
 
 mod auth;
 mod connections;
@@ -35,34 +35,33 @@ pub use document::openapi;
 #[cfg(test)]
 mod tests;
 
-/// Why the API cannot be served.
+/// Error of serving the API.
 #[derive(Debug, thiserror::Error)]
 pub enum ApiError {
-    /// The address is taken, or not this machine's.
+    /// The address is in use, or not this machine's.
     #[error("cannot serve the API on {address}: {source}")]
     Bind {
-        /// Where.
         address: SocketAddr,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A token for nobody.
+    /// A token is for a domain that does not exist.
     #[error("there is no domain `{0}` that a token could be for")]
     NoSuchDomain(cotorra_graph::DomainId),
-    /// The system does not say how many files may be open.
+    /// The limit of open files cannot be read.
     #[error("cannot tell how many connections the API may have: {0}")]
     OpenFiles(cotorra_datapath::Error),
-    /// The system refuses a thread or a runtime.
+    /// A thread or a runtime cannot be started.
     #[error("cannot start the API's server: {0}")]
     Start(std::io::Error),
-    /// Another address than loopback needs a token.
+    /// An address other than loopback needs a token.
     #[error(
         "{0} is not a loopback address: set COTORRA_TOKEN, so that not everyone on the network can move the robots"
     )]
     TokenMissing(SocketAddr),
 }
 
-/// Every path, and what answers there: [`openapi`] describes the same.
+/// Returns all paths with their handlers. [`openapi`] describes the same.
 fn paths() -> [(&'static str, MethodRouter<Context>); 25] {
     [
         ("/api/v1/testbed", get(routes::testbed)),
@@ -93,8 +92,8 @@ fn paths() -> [(&'static str, MethodRouter<Context>); 25] {
     ]
 }
 
-/// The OpenAPI document of the API as it is checked in. The feature `openapi` derives it from the code, and the tests compare
-/// the two: a first build need not compile what derives it.
+/// Returns the OpenAPI document as it is checked in. The feature `openapi` derives it from the code, and the tests compare
+/// the two. A first build then does not compile the derivation.
 #[cfg(not(feature = "openapi"))]
 pub fn openapi() -> String {
     include_str!("../../../../docs/openapi.json").to_owned()
@@ -110,17 +109,17 @@ pub(crate) struct Server {
     _delivery: cotorra_wais::http::Delivery,
 }
 
-/// Connections that wait to be accepted; one that finds no room tries again a second later.
+/// Connections that wait to be accepted. A client that finds no room retries a second later.
 const BACKLOG: i32 = 4096;
 
-/// An address that is reserved; nothing is served there yet.
+/// A reserved address, where nothing is served yet.
 pub(crate) struct Listener {
     tcp: std::net::TcpListener,
     announced: Option<Announced>,
 }
 
 impl Listener {
-    /// Reserves an address; the next free port where it may be `moved`.
+    /// Reserves an address, or the next free port if it may be `moved`.
     pub(crate) fn bind(address: SocketAddr, moved: bool, tokens: &Tokens) -> Result<Self, ApiError> {
         if !address.ip().is_loopback() && !tokens.are_needed() {
             return Err(ApiError::TokenMissing(address));
@@ -137,7 +136,7 @@ impl Listener {
         Ok(listener)
     }
 
-    /// Lets tools of this user find it among these runs; `what` tells them which it is.
+    /// Lets tools of this user find the API among these runs. `what` describes the run to them.
     pub(crate) fn announced(self, runs: Option<&Runs>, what: &str) -> Self {
         let announced = runs.and_then(|runs| {
             let told = |error: &RunsError| {
@@ -160,7 +159,7 @@ impl Server {
         Self::start_within(listener, context, tokens, Limits::of(open_files), Patience::default())
     }
 
-    /// The same, with other limits.
+    /// Serves the API with other limits.
     fn start_within(
         listener: Listener,
         context: Context,
@@ -220,7 +219,8 @@ impl Server {
                             None => std::future::pending().await,
                         }
                     };
-                    // An open event stream must not keep a finished run alive: stop at once, not gracefully.
+                    // An open event stream must not keep a finished run alive, so this stops at once rather than
+                    // gracefully.
                     tokio::select! {
                         () = serve::serve(tcp, app.clone(), limits, patience) => {}
                         () = to_user => {}
@@ -236,7 +236,7 @@ impl Server {
         self.address
     }
 
-    /// What the run's own programs show.
+    /// Returns the tokens of the run's own programs.
     pub(crate) fn plugins(&self) -> &PluginTokens {
         &self.plugins
     }
@@ -244,7 +244,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // First, so that nobody finds a run that answers nobody.
+        // Dropped first, so that nobody finds a run that does not answer any more.
         self.announced = None;
         if let Some(stop) = self.stop.take() {
             let _ = stop.send(());

@@ -1,4 +1,4 @@
-//! What is known right now, and instructions.
+//! The current state, and instructions.
 
 use axum::{Extension, Json, extract::State, http::HeaderMap};
 use cotorra_graph::{
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::message::Message;
 
-/// The testbed: graph, services, walks and plug-ins.
+/// Returns the testbed: graph, services, walks and plug-ins.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/testbed", tag = "network",
     responses((status = 200, body = TestbedBody))))]
 pub(super) async fn testbed(
@@ -27,7 +27,7 @@ pub(super) async fn testbed(
     Json(TestbedBody::from(caller.view.as_ref().map_or(&*context.testbed, |view| view.testbed())))
 }
 
-/// A node, its addresses and its namespace.
+/// Returns a node, its addresses and its namespace.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/nodes/{id}", tag = "network",
     params(("id" = String, Path)),
     responses((status = 200, body = NodeBody))))]
@@ -43,7 +43,7 @@ pub(super) async fn node(
     Ok(Json(NodeBody { node: node.clone(), address: graph.address(&id), namespace }))
 }
 
-/// κ of every robot.
+/// Returns κ of every robot.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots", tag = "robots",
     responses((status = 200, body = Vec<RobotContext>))))]
 pub(super) async fn robots(
@@ -57,7 +57,7 @@ pub(super) async fn robots(
     Json(context.live.read(|now| now.robots.values().filter_map(seen).collect()))
 }
 
-/// κ of a robot.
+/// Returns κ of a robot.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}", tag = "robots",
     params(("id" = String, Path)),
     responses((status = 200, body = RobotContext))))]
@@ -77,7 +77,7 @@ pub(super) async fn robot(
         .ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`, or nothing is known of it yet")))
 }
 
-/// d, λ and conditions of every link, in both directions.
+/// Returns d, λ and conditions of every link, in both directions.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/links", tag = "network",
     responses((status = 200, body = Vec<LinkBody>))))]
 pub(super) async fn links(
@@ -91,10 +91,10 @@ pub(super) async fn links(
     }))
 }
 
-/// Test what one direction of a wired link carries, by packets that cross it.
+/// Measures the throughput of one direction of a wired link, by packets that cross it.
 ///
-/// It is bounded: 10 s and 1 Gbit/s at most, one test of a direction at a time, and none for four times as long
-/// afterwards. What came of it is in the link's `tested` a second after the last packet.
+/// A test is bounded: 10 s and 1 Gbit/s at most, one test of a direction at a time, and a pause of four times its duration
+/// afterwards. The result is in the link's `tested` a second after the last packet.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/network/links/{id}/throughput-test", tag = "network",
     params(("id" = String, Path), ("X-Cotorra-Plugin" = Option<String>, Header)), request_body = ThroughputTestBody,
     responses((status = 200, body = Done), (status = 409, description = "refused, for the reason in the body", body = FailureBody))))]
@@ -116,7 +116,7 @@ pub(super) async fn test_throughput(
     give(&context, &caller, &headers, InstructionBody { instruction, reason: None }).await
 }
 
-/// ι of every radio unit.
+/// Returns ι of every radio unit.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/radio-units", tag = "network",
     responses((status = 200, body = Vec<RadioContext>))))]
 pub(super) async fn radio_units(
@@ -127,7 +127,7 @@ pub(super) async fn radio_units(
     Json(context.live.read(|now| now.radio_units.values().filter(seen).cloned().collect()))
 }
 
-/// a(n): where every VNF runs.
+/// Returns a(n): the node of every VNF.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/placements", tag = "network",
     responses((status = 200, body = Vec<Placement>))))]
 pub(super) async fn placements(
@@ -141,7 +141,7 @@ pub(super) async fn placements(
     Json(context.live.read(|now| now.placements.values().filter_map(seen).collect()))
 }
 
-/// a(n1,n2): which links carry each direction of every virtual link, and why these.
+/// Returns a(n1,n2): the links that carry each direction of every virtual link, and the reason for them.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/network/virtual-links", tag = "network",
     responses((status = 200, body = Vec<VirtualLinkMapping>))))]
 pub(super) async fn virtual_links(
@@ -155,7 +155,7 @@ pub(super) async fn virtual_links(
     Json(context.live.read(|now| now.virtual_links.iter().filter_map(seen).collect()))
 }
 
-/// Who asks: as the caller's secret says, or the header.
+/// Returns the caller's plug-in, by its token or by the header.
 pub(super) fn plugin(
     context: &Context,
     caller: &Caller,
@@ -166,11 +166,11 @@ pub(super) fn plugin(
     caller.name(named, &context.hosted)
 }
 
-/// Give an instruction: move, send, slow, halt or attach a robot, report its sensor, place a VNF, map a path, deploy a
+/// Gives an instruction: move, send, slow, halt or attach a robot, report its sensor, place a VNF, map a path, deploy a
 /// vAP, change a link.
 ///
-/// The decision is recorded under the name of who asks. A plug-in that the run started is known by its secret; anybody else
-/// chooses a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.
+/// The decision is recorded under the caller's name. A plug-in that the run started is identified by its token. Other
+/// callers choose a name with the header `X-Cotorra-Plugin`, but not one of the run's plug-ins.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/instructions", tag = "instructions",
     request_body = InstructionBody,
     params(("X-Cotorra-Plugin" = Option<String>, Header)),
@@ -184,7 +184,7 @@ pub(super) async fn instruct(
     give(&context, &caller, &headers, body).await
 }
 
-/// Gives an instruction to the core, and waits for what comes of it.
+/// Gives an instruction to the core, and waits for the outcome.
 async fn give(
     context: &Context,
     caller: &Caller,

@@ -1,4 +1,4 @@
-//! The sensors that robots declare, and what they read last.
+//! The declared sensors of robots, and their last readings.
 
 use std::{
     collections::BTreeMap,
@@ -30,18 +30,18 @@ use super::{
     types::{Failure, Path},
 };
 
-/// So many readings with large data are given to one caller at the same time; others wait. Each is in memory until it is
-/// taken.
+/// Readings with large data that one caller can fetch at the same time. Others wait, because each is in memory until it is
+/// sent.
 const GIVEN: usize = 4;
 
-/// Whose turns are whose: nobody takes those of another.
+/// The callers' turns. Nobody takes those of another.
 static TURNS: Mutex<BTreeMap<Whose, Arc<Semaphore>>> = Mutex::new(BTreeMap::new());
 
-/// A sensor, and what it read last.
+/// A sensor and its last reading.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct SensorBody {
-    /// As the testbed file declares it.
+    /// The declaration in the testbed file.
     declared: Sensor,
     /// The numbers of a reading.
     components: Vec<ComponentBody>,
@@ -49,17 +49,16 @@ pub(super) struct SensorBody {
     last: Option<Sample<SensorReading>>,
 }
 
-/// One of the numbers of a reading.
+/// One number of a reading.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct ComponentBody {
-    /// Its name.
     component: ComponentId,
-    /// Its unit; empty for a share.
+    /// The unit; empty for a share.
     unit: String,
 }
 
-/// The sensors of a robot beside what its context has, each with its last reading.
+/// Returns the sensors of a robot beside those in its context, each with its last reading.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}/sensors", tag = "robots",
     params(("id" = String, Path)),
     responses((status = 200, body = Vec<SensorBody>))))]
@@ -83,14 +82,14 @@ pub(super) async fn sensors(
     Ok(Json(declared.iter().map(body).collect()))
 }
 
-/// The sensors that a robot declares.
+/// Returns the declared sensors of a robot.
 fn declared<'a>(context: &'a Context, id: &NodeId) -> Result<&'a [Sensor], Failure> {
     let mut robots = context.testbed.graph.robots();
     let robot = robots.find(|(node, _)| node.id == *id).map(|(_, robot)| &*robot.sensors);
     robot.ok_or_else(|| Failure::not_found(format!("there is no robot `{id}`")))
 }
 
-/// Which reading of a sensor.
+/// Selects a reading of a sensor.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(try_from = "String")]
 pub(super) enum Which {
@@ -106,16 +105,16 @@ impl TryFrom<String> for Which {
     }
 }
 
-/// Bytes as they are.
+/// A body of raw bytes.
 #[cfg(feature = "openapi")]
 #[derive(utoipa::ToSchema)]
 #[schema(value_type = String, format = Binary)]
 #[expect(dead_code, reason = "it describes the body")]
 struct LargeBytes(Vec<u8>);
 
-/// Large data of a sensor, such as an image: the bytes of a reading.
+/// Returns the bytes of a reading with large data, such as an image.
 ///
-/// Readings have numbers, from 0. A run keeps the last ones, as many as the sensor's `keep` has room for.
+/// Readings are numbered from 0. A run keeps the last ones, as many as the sensor's `keep` has room for.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/robots/{id}/sensors/{name}/{reading}", tag = "robots",
     params(("id" = String, Path), ("name" = String, Path),
         ("reading" = String, Path, description = "the number of a reading, or `latest` for the last that is kept")),
@@ -176,7 +175,7 @@ fn written(StoredData { measured, data, bytes }: StoredData, turn: OwnedSemaphor
     (headers, Body::new(Given { body: bytes.into(), _turn: turn })).into_response()
 }
 
-/// A body that counts as given until all of it is taken.
+/// A body that holds its caller's turn until all of it is sent.
 struct Given {
     body: Body,
     _turn: OwnedSemaphorePermit,

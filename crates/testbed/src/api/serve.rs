@@ -1,4 +1,4 @@
-//! Serves connections: accepts them, gives up those that are too many or too slow, and bounds what each keeps in memory.
+//! Serves connections: accepts them, closes those that are too many or too slow, and bounds the memory of each.
 
 use std::{
     convert::Infallible,
@@ -44,19 +44,19 @@ use super::{
     types::Failure,
 };
 
-/// Bytes that a connection keeps in each direction; a request's head is no longer.
+/// Buffer of a connection per direction, bytes; also the longest head of a request.
 const BUFFER: usize = 16 << 10;
-/// The longest body of a request.
+/// Longest body of a request, bytes.
 const LONGEST_BODY: usize = 256 << 10;
-/// How long nothing is accepted when the system has no descriptor left.
+/// Pause in accepting when the system has no descriptor left.
 const BREATH: Duration = Duration::from_millis(10);
 
-/// How long the API waits for whoever it serves.
+/// Deadlines of the API for its clients.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patience {
-    /// For a request's head, after the one before, too.
+    /// For a request's head, also after a previous request.
     pub(super) head: Duration,
-    /// For its body.
+    /// For a request's body.
     pub(super) body: Duration,
     /// For some of an answer to be taken.
     pub(super) answer: Duration,
@@ -74,12 +74,11 @@ impl Default for Patience {
     }
 }
 
-/// Where connections come from.
+/// A listener of any kind.
 pub(super) trait Accept {
-    /// A connection.
     type Stream: AsyncRead + AsyncWrite + Unpin + Send + 'static;
 
-    /// The next one, and whose neighbours share its places.
+    /// Accepts the next connection. Returns the address whose connections share places with it, too.
     async fn accept(&self) -> io::Result<(Self::Stream, IpAddr)>;
 }
 
@@ -88,7 +87,7 @@ impl Accept for TcpListener {
 
     async fn accept(&self) -> io::Result<(TcpStream, IpAddr)> {
         let (stream, from) = self.accept().await?;
-        // What happens is told at once, not when the reader acknowledges what it heard before.
+        // Events are sent at once, without waiting for the reader's acknowledgement of earlier ones.
         let _ = stream.set_nodelay(true);
         Ok((stream, from.ip()))
     }
@@ -109,7 +108,7 @@ pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, pa
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(patience.head).max_buf_size(BUFFER);
     let app = TowerToHyperService::new(app);
-    // Far fewer than have a place; more than one, because each look costs a call to the system.
+    // Far fewer than there are places. More than one, because each pause costs a system call.
     let (batch, mut accepted) = ((limits.strangers / 8).max(1), 0_usize);
     loop {
         let (stream, from) = match listener.accept().await {
@@ -134,12 +133,12 @@ pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, pa
         let connection = http.serve_connection(TokioIo::new(stream), service).with_upgrades();
         tokio::spawn(async move {
             tokio::select! {
-                // A client that breaks off harms only itself.
+                // A client that breaks off only harms itself.
                 _ = connection => {}
                 _ = closed => {}
             }
         });
-        // Requests that are there already are looked at before other connections can push them out.
+        // Requests that have arrived are handled before other connections can push them out.
         accepted += 1;
         if accepted % batch == 0 {
             tokio::task::yield_now().await;
@@ -147,7 +146,7 @@ pub(super) async fn serve(listener: impl Accept, app: Router, limits: Limits, pa
     }
 }
 
-/// Whether accepting failed because that one connection is gone.
+/// Whether accepting failed only for that one connection, which is gone.
 fn is_of_connection(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
@@ -155,7 +154,7 @@ fn is_of_connection(error: &io::Error) -> bool {
 
 type Close = oneshot::Sender<Infallible>;
 
-/// A connection's place among all; given back when the connection is closed.
+/// A connection's place; released when the connection is closed.
 pub(super) struct Place {
     connections: Arc<Mutex<Connections<Close>>>,
     number: u64,
@@ -163,7 +162,7 @@ pub(super) struct Place {
 }
 
 impl Place {
-    /// Lets a request in, and reads its body.
+    /// Admits a request, and reads its body.
     pub(super) async fn let_in(&self, whose: Whose, request: Request) -> Result<Request, Failure> {
         self.connections.lock().let_in(self.number, whose)?;
         let (head, body) = request.into_parts();
@@ -190,7 +189,7 @@ impl From<Full> for Failure {
     }
 }
 
-/// Reads a body that is not too long.
+/// Reads a body of bounded length.
 async fn read(body: Body) -> Result<Bytes, Failure> {
     let too_long = || {
         Failure::new(
@@ -212,7 +211,7 @@ async fn read(body: Body) -> Result<Bytes, Failure> {
     Ok(all.into())
 }
 
-/// Keeps count of what each connection is answered.
+/// Tracks whether each connection is being answered.
 pub(super) async fn attend(
     Extension(place): Extension<Arc<Place>>,
     request: Request,
@@ -220,7 +219,7 @@ pub(super) async fn attend(
 ) -> Response {
     let mut response = next.run(request).await;
     if !place.connections.lock().is_let_in(place.number) {
-        // The place is for somebody else.
+        // The place goes to another connection.
         response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
         return response;
     }
@@ -238,7 +237,7 @@ pub(super) async fn attend(
     response.map(|body| Body::new(Answer { body, place }))
 }
 
-/// An answer's body, which says when the answer is over.
+/// An answer's body, which reports the end of the answer.
 struct Answer {
     body: Body,
     place: Arc<Place>,
@@ -270,7 +269,7 @@ impl Drop for Answer {
     }
 }
 
-/// A connection that fails when nothing of what is to be sent is taken for too long.
+/// A connection that fails when the client takes nothing of an answer for too long.
 struct Impatient<S> {
     stream: S,
     wait: Option<Pin<Box<Sleep>>>,

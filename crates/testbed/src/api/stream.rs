@@ -1,4 +1,4 @@
-//! What happens, as it happens: server-sent events; and in virtual time, when a plug-in has taken them in.
+//! Server-sent events as they happen, and the marks of plug-ins that virtual time waits for.
 
 use std::{convert::Infallible, pin::Pin, sync::Arc};
 
@@ -27,24 +27,24 @@ use crate::{
     message::Message,
 };
 
-/// Which events.
+/// A selection of events.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Which {
-    /// Kinds of events, with commas between; all if it is left out.
+    /// Kinds of events, separated by commas; all by default.
     kinds: Option<String>,
-    /// Names of sensors, with commas between, of which readings are told; all if it is left out.
+    /// Names of sensors, separated by commas, whose readings are sent; all by default.
     sensors: Option<String>,
 }
 
-/// Events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody: an event named
-/// `missed` tells it how many it lost there, of all kinds, as its data.
+/// Streams events as they happen. A reader that is more than 4096 events behind loses the oldest, and slows nobody down. An
+/// event named `missed` has the number of lost events, of all kinds, as its data.
 ///
-/// In virtual time a plug-in that the testbed started, which its secret says, loses none: at once, and then after
-/// the events of each moment, its stream has an event named `mark`, with a number as its `id` and the time, in
-/// nanoseconds, as its data. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
+/// In virtual time, a plug-in that the testbed started, identified by its token, loses no events. Its stream has an event
+/// named `mark` at once, and then after the events of each moment. The mark's `id` is a number, and its data the time in
+/// nanoseconds. Time stands still until the plug-in has posted that number to `/api/v1/marks/{number}`.
 #[cfg_attr(feature = "openapi", utoipa::path(get, path = "/api/v1/events", tag = "events",
     params(Which, ("X-Cotorra-Plugin" = Option<String>, Header)),
     responses((status = 200, body = String, content_type = "text/event-stream",
@@ -83,18 +83,18 @@ pub(super) async fn events(
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
-/// When a plug-in wants to be woken.
+/// The next wake-up of a plug-in.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::IntoParams))]
 #[serde(deny_unknown_fields)]
 #[cfg_attr(feature = "openapi", into_params(parameter_in = Query))]
 pub(super) struct Wake {
-    /// At this time at the latest, nanoseconds since the run began, there is another mark, events or not.
+    /// Time of the next mark at the latest, nanoseconds since the run began, even without events.
     wake_at_ns: Option<u64>,
 }
 
-/// Say that all events before a mark were taken in, and all instructions that they call for were given: virtual time
-/// goes on. In real time, which waits for nobody, it does nothing.
+/// Returns a mark: the plug-in has handled all events before it, and has given its instructions. Virtual time goes on. In
+/// real time, which waits for nobody, this does nothing.
 #[cfg_attr(feature = "openapi", utoipa::path(post, path = "/api/v1/marks/{number}", tag = "events",
     params(("number" = u64, Path), ("X-Cotorra-Plugin" = Option<String>, Header), Wake),
     responses((status = 200, body = Done))))]
@@ -105,7 +105,7 @@ pub(super) async fn done(
     headers: HeaderMap,
     Query(wake): Query<Wake>,
 ) -> Answer<Done> {
-    // Nobody is done with what another one was told.
+    // A plug-in can only return marks that it was sent itself.
     if let Some(plugin) = plugin(&context, &caller, &headers)?.filter(|_| context.lockstep.is_some()) {
         let wake_at = wake.wake_at_ns.map(Timestamp::from_nanos);
         context.core.send(Message::Done { plugin, mark, wake_at }).map_err(|_| Failure::ended())?;
@@ -113,13 +113,13 @@ pub(super) async fn done(
     Ok(Json(Done { done: true }))
 }
 
-/// Names of sensors with commas between.
+/// Parses names of sensors, separated by commas.
 fn parse_sensors(names: &str) -> Result<Vec<SensorId>, Failure> {
     let parse = |name: &str| SensorId::new(name.trim()).map_err(|e| Failure::bad_request(e.to_string()));
     names.split(',').map(parse).collect()
 }
 
-/// Names of kinds with commas between.
+/// Parses names of kinds, separated by commas.
 pub(super) fn parse_kinds(names: &str) -> Result<Vec<Kind>, Failure> {
     let parse = |name: &str| {
         name.trim()

@@ -1,5 +1,4 @@
-//! The API as a caller has it, over a socket: what it answers is what the history answers, and who reads too slowly
-//! harms nobody.
+//! The API over a socket, as a caller uses it: its answers equal the history's, and slow readers harm nobody.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -20,7 +19,7 @@ use tokio::sync::broadcast;
 use super::*;
 use crate::{keeping::Keeper, live::Live, message::Message};
 
-/// A served history without a testbed that runs.
+/// A served history without a running testbed.
 struct Served {
     server: Server,
     history: Arc<History>,
@@ -35,7 +34,7 @@ fn notice(at: u64) -> Stamped {
     Stamped { at: Timestamp::from_nanos(at), event: Event::Notice { message: format!("{at:>250}") } }
 }
 
-/// A service time of as many milliseconds as the second it was in.
+/// A service time with as many milliseconds as its second of the run.
 fn sample(second: u64) -> Stamped {
     let at = second * 1_000_000_000;
     let event = json!({
@@ -77,7 +76,7 @@ links: [{ ends: [left, ap] }]
     for (run, seconds) in runs.into_iter().zip([10, 20]) {
         let recorder = history.paced_recorder(run).unwrap();
         (0..seconds).for_each(|second| recorder.record(sample(second)));
-        // What no history can hold leaves a gap.
+        // An event that the history cannot hold leaves a gap.
         recorder.record(Stamped { at: Timestamp::from_nanos(u64::MAX), ..notice(0) });
         recorder.flush().unwrap();
     }
@@ -126,7 +125,7 @@ fn answer(stream: TcpStream) -> (u16, BufReader<TcpStream>) {
 }
 
 impl Served {
-    /// Asks, and reads the answer's head.
+    /// Sends a request, and reads the answer's head.
     fn open(&self, path: &str) -> (u16, BufReader<TcpStream>) {
         let mut stream = TcpStream::connect(self.server.address()).unwrap();
         write!(stream, "GET /api/v1/{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
@@ -178,7 +177,7 @@ fn curves_gaps_runs_and_differences_are_what_the_history_answers() {
 }
 
 #[test]
-fn what_cannot_be_answered_says_why() {
+fn invalid_requests_name_the_reason() {
     let served = serve(false);
     for (path, expected, part) in [
         ("measurements/series", 400, "figure"),
@@ -195,7 +194,7 @@ fn what_cannot_be_answered_says_why() {
 }
 
 #[test]
-fn large_data_is_given_as_it_is_and_what_was_lost_is_gone() {
+fn large_data_is_served_unchanged_and_lost_data_is_gone() {
     let served = serve(false);
     let path = |reading: &str| format!("robots/robot/sensors/front/{reading}");
     let status = |path: &str| served.get(path).0;
@@ -259,7 +258,7 @@ fn large_data_is_given_as_it_is_and_what_was_lost_is_gone() {
 }
 
 #[test]
-fn a_replay_tells_nothing_of_what_is_to_come() {
+fn a_replay_reveals_nothing_of_the_future() {
     let served = serve(true);
     let [first, this] = served.runs;
     served.live.absorb(&sample(5));
@@ -271,23 +270,23 @@ fn a_replay_tells_nothing_of_what_is_to_come() {
     assert_eq!(curve["points"][0]["count"], 6);
     assert_eq!(served.answer("measurements/state?at_ns=100000000000")["at_ns"], 5_000_000_000_u64);
     assert_eq!(served.get(&format!("measurements/difference?a={this}&b={first}")).0, 409);
-    // What other runs were is past.
+    // Other runs are entirely in the past.
     assert_eq!(count(&format!("measurements/service-times?run={first}")), 10);
 }
 
 #[test]
-fn a_reader_that_does_not_read_loses_the_oldest_is_told_how_many_and_slows_nobody() {
-    // More bytes than the kernel keeps for a socket.
+fn a_stalled_reader_loses_the_oldest_learns_the_number_and_slows_nobody() {
+    // More bytes than the kernel buffers for a socket.
     const EVENTS: u64 = 100_000;
     let served = serve(false);
     let (_, mut stalled) = served.open("events");
     let (_, mut picky) = served.open("events?kinds=handover,notice");
     let mut all = served.events.subscribe();
     for at in 0..EVENTS {
-        // Sends whether or not anybody reads: if it waited for the stalled reader, this would never end.
+        // Does not wait for readers: if it waited for the stalled one, this would never end.
         served.events.send(Arc::new(notice(at))).unwrap();
         if at % 1000 == 999 {
-            // Meanwhile others are told everything, and answered.
+            // Meanwhile other readers receive every event, and requests are answered.
             (0..1000).for_each(|_| drop(all.try_recv().expect("one who reads misses nothing")));
         }
     }
@@ -319,7 +318,7 @@ fn a_reader_that_does_not_read_loses_the_oldest_is_told_how_many_and_slows_nobod
 }
 
 #[test]
-fn sensors_tell_what_they_are_and_what_they_read_last_and_are_followed_by_name() {
+fn sensors_show_their_last_reading_and_are_followed_by_name() {
     let served = serve(false);
     let reading = |at: u64, sensor: &str, values: Value| -> Stamped {
         let event = json!({
@@ -360,7 +359,7 @@ fn sensors_tell_what_they_are_and_what_they_read_last_and_are_followed_by_name()
     assert_eq!(served.get("events?sensors=a,%20,b").0, 400);
 }
 
-/// A testbed of two domains, each with a token of its own; the first has a robot.
+/// A testbed of two domains with a token each; the first has a robot.
 struct Domains {
     server: Server,
     events: broadcast::Sender<Arc<Stamped>>,
@@ -451,7 +450,7 @@ plugins:
 }
 
 #[test]
-fn a_domains_token_opens_what_is_of_its_own_nodes_and_nothing_else() {
+fn a_domains_token_opens_its_own_nodes_and_nothing_else() {
     let served = Domains::serve();
     let nodes = |token| {
         let (_, testbed) = served.get(token, "/api/v1/testbed");
@@ -546,7 +545,7 @@ fn a_domain_has_notifications_posted_to_no_loopback_address() {
 }
 
 #[test]
-fn nobody_at_the_api_is_taken_for_a_plugin_of_the_run() {
+fn no_caller_can_pose_as_a_plugin_of_the_run() {
     let mut served = Domains::serve();
     let scan = json!({ "instruction": { "instruction": "scan", "robot": "robot" } }).to_string();
     let instruct = |served: &Domains, token: &str, name: &str| {
@@ -584,7 +583,7 @@ fn nobody_at_the_api_is_taken_for_a_plugin_of_the_run() {
 }
 
 #[test]
-fn the_stream_of_a_domain_has_no_events_of_others() {
+fn a_domains_stream_has_no_events_of_others() {
     let served = Domains::serve();
     let (status, mut one) = served.ask(ONE, "GET /api/v1/events", "");
     let (_, mut two) = served.ask(TWO, "GET /api/v1/events", "");
@@ -607,14 +606,14 @@ fn the_stream_of_a_domain_has_no_events_of_others() {
 
 const FEW: Limits = Limits { strangers: 16, callers: 8 };
 
-/// A connection that says something and no more.
+/// Opens a connection that sends this text and no more.
 fn say(server: &Server, text: &str) -> TcpStream {
     let mut stream = TcpStream::connect(server.address()).unwrap();
     stream.write_all(text.as_bytes()).unwrap();
     stream
 }
 
-/// What is still said until a connection is closed, however it is.
+/// Reads until the connection is closed, in whatever way.
 fn until_closed(mut stream: TcpStream) -> String {
     let mut said = Vec::new();
     let _ = stream.read_to_end(&mut said);
@@ -622,7 +621,7 @@ fn until_closed(mut stream: TcpStream) -> String {
 }
 
 #[test]
-fn who_never_ends_a_request_keeps_nobody_from_being_answered() {
+fn unfinished_requests_keep_nobody_from_being_answered() {
     let served = serve_within(false, FEW, Patience::default());
     let mut open = Vec::new();
     for part in
@@ -631,7 +630,7 @@ fn who_never_ends_a_request_keeps_nobody_from_being_answered() {
         open.extend((0..150).map(|_| say(&served.server, part)));
         assert_eq!(served.answer("robots"), json!([]));
     }
-    // It holds no more than what is for one address.
+    // Only as many as are allowed for one address.
     open.truncate(450 - FEW.strangers / 2);
     for stream in open {
         assert_eq!(until_closed(stream), "");
@@ -639,7 +638,7 @@ fn who_never_ends_a_request_keeps_nobody_from_being_answered() {
 }
 
 #[test]
-fn who_shows_no_token_keeps_nobody_from_being_answered() {
+fn callers_without_a_token_keep_nobody_from_being_answered() {
     let served = Domains::serve();
     let request = "GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n";
     let refused: Vec<_> = (0..300).map(|_| say(&served.server, request)).collect();
@@ -651,7 +650,7 @@ fn who_shows_no_token_keeps_nobody_from_being_answered() {
 }
 
 #[test]
-fn a_request_that_does_not_go_on_is_given_up() {
+fn a_stalled_request_is_given_up() {
     let at_once = std::time::Duration::from_millis(1);
     let patience = Patience { head: at_once, ..Patience::default() };
     let served = serve_within(false, FEW, patience);
@@ -666,7 +665,7 @@ fn a_request_that_does_not_go_on_is_given_up() {
 }
 
 #[test]
-fn requests_are_no_longer_than_the_api_keeps() {
+fn requests_are_bounded_in_length() {
     let served = serve(false);
     let long = "x".repeat(64 << 10);
     let head = format!("GET / HTTP/1.1\r\nHost: localhost\r\nX: {long}\r\n\r\n");
@@ -680,7 +679,7 @@ fn requests_are_no_longer_than_the_api_keeps() {
     for _ in 0..4 {
         write!(stream, "{:x}\r\n{long}\r\n", long.len()).unwrap();
     }
-    // One byte more than is taken.
+    // One byte more than the limit.
     stream.write_all(b"1\r\nx\r\n").unwrap();
     assert_eq!(answer(stream).0, 413);
 }
@@ -691,7 +690,7 @@ fn a_reader_that_takes_nothing_is_cut_off() {
     let served = serve_within(false, FEW, Patience { answer: at_once, ..Patience::default() });
     let (status, stalled) = served.open("events");
     assert_eq!(status, 200);
-    // What the kernel keeps for it is full at some time; then it has a millisecond.
+    // The kernel's buffers fill up at some time; then the reader has a millisecond.
     for at in 0.. {
         if served.events.send(Arc::new(notice(at))).is_err() {
             break;
@@ -723,7 +722,7 @@ fn the_document_has_every_path() {
 }
 
 #[test]
-fn tools_of_its_user_find_a_run_and_ask_it_where_nobody_else_can_listen() {
+fn tools_of_the_user_find_a_run_where_nobody_else_can_listen() {
     let folder = tempfile::tempdir().unwrap();
     let runs = Runs::in_folder(folder.path().join("cotorra"));
     let served =
@@ -740,7 +739,7 @@ fn tools_of_its_user_find_a_run_and_ask_it_where_nobody_else_can_listen() {
 }
 
 #[test]
-fn the_socket_of_its_user_asks_for_the_token_too() {
+fn the_users_socket_needs_the_token_too() {
     let folder = tempfile::tempdir().unwrap();
     let runs = Runs::in_folder(folder.path().join("cotorra"));
     let served = Domains::serve_found_in(Some(&runs));
@@ -752,16 +751,16 @@ fn the_socket_of_its_user_asks_for_the_token_too() {
 }
 
 #[test]
-fn strangers_that_flood_the_port_take_no_place_from_tools_of_the_user() {
+fn strangers_on_the_port_take_no_place_from_the_users_tools() {
     let folder = tempfile::tempdir().unwrap();
     let runs = Runs::in_folder(folder.path().join("cotorra"));
     let limits = Limits { strangers: 16, callers: 16 };
     let served = serve_found_in(Some(&runs), false, limits, Patience::default());
-    // Both were there first, and say nothing yet.
+    // Both connected first, and send nothing yet.
     let mut early = TcpStream::connect(served.server.address()).unwrap();
     let mut tool = runs.find(None).unwrap().connect().unwrap();
     let flood: Vec<_> = (0..64).map(|_| TcpStream::connect(served.server.address()).unwrap()).collect();
-    // Closed: the flood was accepted before anything else is said.
+    // Closed: the flood was accepted before anything else was sent.
     let mut end = Vec::new();
     let _ = early.read_to_end(&mut end);
     assert!(end.is_empty());

@@ -1,4 +1,4 @@
-//! What the API takes and gives beside the types of the graph.
+//! The API's types beside those of the graph.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -25,7 +25,7 @@ pub(super) struct TestbedBody {
     services: Vec<Service>,
     walks: Vec<Walk>,
     plugins: Vec<PluginSpec>,
-    /// Events that came after this are newer than what other paths say.
+    /// Version of cotorra.
     version: &'static str,
 }
 
@@ -43,26 +43,26 @@ impl From<&Testbed> for TestbedBody {
     }
 }
 
-/// A node and how to reach it.
+/// A node and its addresses.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct NodeBody {
     #[serde(flatten)]
     pub(super) node: Node,
-    /// Its addresses; none for a switch and a real machine.
+    /// Addresses; none for a switch and a real machine.
     pub(super) address: Option<HostAddress>,
-    /// Its network namespace, for `nsenter --net=`; none for a switch and a real machine.
+    /// Network namespace, for `nsenter --net=`; none for a switch and a real machine.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>))]
     pub(super) namespace: Option<PathBuf>,
 }
 
-/// One direction of a link, and how long ago it was told so. Ages of what was measured actively count up to then.
+/// One direction of a link, and the age of this context. Ages of active measurements count up to the context's time.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct LinkBody {
     #[serde(flatten)]
     context: LinkContext,
-    /// Milliseconds.
+    /// Age, milliseconds.
     age_ms: f64,
 }
 
@@ -77,12 +77,11 @@ impl LinkBody {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub(super) struct ThroughputTestBody {
-    /// Which direction.
     pub(super) direction: Direction,
-    /// How long packets are sent: 10 ms to 10 s; a second without it.
+    /// Duration of sending: 10 ms to 10 s; one second by default.
     #[serde(default)]
     pub(super) duration_ms: Option<f64>,
-    /// How fast, bit/s; without it a tenth faster than the link is asked to be, and 1 Gbit/s at most.
+    /// Rate of sending, bit/s; by default a tenth above the link's configured rate, and 1 Gbit/s at most.
     #[serde(default)]
     pub(super) rate_limit_bps: Option<BitRate>,
 }
@@ -93,15 +92,15 @@ pub(super) struct ThroughputTestBody {
 pub(super) struct RunBody {
     #[cfg_attr(feature = "openapi", schema(value_type = i64))]
     run: RunId,
-    /// The testbed's.
+    /// Name of the testbed.
     name: String,
     seed: u64,
-    /// When it began, nanoseconds since 1970-01-01 UTC; 0 in virtual time.
+    /// Beginning, nanoseconds since 1970-01-01 UTC; 0 in virtual time.
     started_at_unix_ns: i64,
-    /// When it ended, nanoseconds since it began; null while it goes on, and for good when it was killed.
+    /// End, nanoseconds since the beginning; null while the run goes on, and forever if it was killed.
     #[serde(rename = "ended_ns")]
     ended: Option<Timestamp>,
-    /// Whether it is the one that this API is of.
+    /// Whether this API serves that run.
     this: bool,
 }
 
@@ -112,17 +111,17 @@ impl RunBody {
     }
 }
 
-/// Events that were lost: [`cotorra_measurements::Gap`] as it is shown.
+/// Lost events: [`cotorra_measurements::Gap`] as the API shows it.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct GapBody {
-    /// Time of the earliest that is missing, nanoseconds since the run began.
+    /// Time of the earliest lost event, nanoseconds since the run began.
     #[serde(rename = "from_ns")]
     from: Timestamp,
-    /// Time of the latest that is missing.
+    /// Time of the latest lost event.
     #[serde(rename = "until_ns")]
     until: Timestamp,
-    /// How many are.
+    /// Number of lost events.
     events: u64,
 }
 
@@ -132,25 +131,25 @@ impl From<Gap> for GapBody {
     }
 }
 
-/// An instruction and why it is given.
+/// An instruction and its reason.
 #[derive(Debug, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub(super) struct InstructionBody {
     pub(super) instruction: Instruction,
-    /// Kept with the decision.
+    /// Recorded with the decision.
     #[serde(default)]
     pub(super) reason: Option<String>,
 }
 
-/// An instruction was done, or its doing began.
+/// The instruction was applied, or its application has begun.
 #[derive(Debug, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub(super) struct Done {
     pub(super) done: bool,
 }
 
-/// Why something was not done.
+/// Reason for which a request failed.
 #[derive(Debug)]
 pub(super) struct Failure {
     status: StatusCode,
@@ -158,13 +157,13 @@ pub(super) struct Failure {
     reason: String,
 }
 
-/// The body of a failure: `error` for a request that cannot be, `refused` for one that the testbed does not do.
+/// The body of a failure: `error` for an invalid request, `refused` for one that the testbed rejects.
 #[cfg(feature = "openapi")]
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct FailureBody {
-    /// What is wrong with the request.
+    /// The mistake in the request.
     error: Option<String>,
-    /// Why the testbed does not do it.
+    /// Reason for which the testbed rejects the request.
     refused: Option<String>,
 }
 
@@ -185,7 +184,7 @@ impl Failure {
         Self::new(StatusCode::FORBIDDEN, "web pages may not use this API; run it with a token to allow that")
     }
 
-    /// It is of another domain than the caller's.
+    /// The object belongs to another domain than the caller's.
     pub(super) fn not_own(reason: impl Into<String>) -> Self {
         Self::new(StatusCode::FORBIDDEN, reason)
     }
@@ -202,7 +201,7 @@ impl Failure {
         Self::unavailable("the run has ended")
     }
 
-    /// As the standards of ETSI MEC tell it.
+    /// Returns the failure in the form of the ETSI MEC standards.
     pub(super) fn into_problem(self) -> Response {
         cotorra_wais::http::problem(self.status, self.reason)
     }

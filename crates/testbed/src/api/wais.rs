@@ -16,17 +16,17 @@ use super::{
 };
 use crate::message::Message;
 
-/// Answers are this old at the most where time goes on by itself.
+/// Longest age of answers in real time.
 const FRESHNESS: Duration = Duration::from_millis(20);
 
-/// The services' paths, and what delivers their notifications.
+/// Returns the services' paths, and the delivery of their notifications.
 pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delivery)> {
     let graph = &context.testbed.graph;
     let settings = &context.testbed.wais;
     let WaisOptions { epoch, callbacks, .. } = &context.wais;
     let allowed = Allowed::new(settings.callbacks.iter().chain(callbacks).copied());
     let testbed: Arc<dyn Testbed> = Arc::new(Known(context.clone()));
-    // A domain may not have this machine post to the services of others here.
+    // A domain may not make this machine post to other services on it.
     let of_scope = |scope: &Scope| match scope {
         Scope::Testbed => allowed.clone().and_loopback(),
         Scope::Domain(_) => allowed.clone(),
@@ -56,7 +56,7 @@ pub(super) fn serve(context: &Context, gate: Gate) -> io::Result<(Router, Delive
     Ok((router, Delivery::start(services)?))
 }
 
-/// What the API knows, as the service asks for it.
+/// The API's state, in the form that the service needs.
 struct Known(Context);
 
 impl Testbed for Known {
@@ -72,7 +72,7 @@ impl Testbed for Known {
     }
 
     fn freshness(&self) -> Duration {
-        // Where time stands still while an answer is awaited, the same question always has the same answer.
+        // While virtual time stands still, the same request always has the same answer.
         if self.0.wais.clock.is_some() { FRESHNESS } else { Duration::ZERO }
     }
 

@@ -55,14 +55,14 @@ fn stamped(event: Event) -> Stamped {
     Stamped { at: Timestamp::ZERO, event }
 }
 
-/// What each of the two domains is told of an event.
+/// Returns an event as each of the two domains sees it.
 fn told(event: Event) -> [Option<Event>; 2] {
     let stamped = stamped(event);
     views().map(|view| view.event(&stamped).map(|seen| seen.into_owned().event))
 }
 
 #[test]
-fn a_domain_knows_its_own_part_of_the_testbed() {
+fn a_domain_sees_its_own_part_of_the_testbed() {
     let [one, _] = views();
     let names: Vec<_> = one.testbed().graph.nodes.iter().map(|node| node.id.to_string()).collect();
     assert_eq!(names, ["r1", "A", "s1"]);
@@ -114,7 +114,7 @@ fn events_of_other_domains_are_not_seen() {
 }
 
 #[test]
-fn of_anothers_vnf_a_domain_sees_the_instances_on_its_nodes() {
+fn a_domain_sees_the_instances_of_anothers_vnf_on_its_nodes() {
     let placement = |nodes: &[&str]| {
         let node = Nodes::new(nodes.iter().map(|name| id(name)).collect()).unwrap();
         Event::Placement(Placement { vnf: id("nav1"), node })
@@ -128,7 +128,7 @@ fn decision(plugin: &str, instruction: Instruction) -> Event {
 }
 
 #[test]
-fn of_other_domains_radio_units_a_robot_has_what_it_hears() {
+fn a_robots_context_has_the_other_domains_radio_units_that_it_hears() {
     let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
     let attachment = |radio_unit: &str, attached, signal: Option<f64>| Attachment {
         radio_unit: id(radio_unit),
@@ -157,7 +157,7 @@ fn of_other_domains_radio_units_a_robot_has_what_it_hears() {
 }
 
 #[test]
-fn a_visiting_robot_comes_and_goes() {
+fn a_visiting_robot_arrives_and_departs() {
     let handover = |from: Option<&str>, to: &str| {
         Event::Handover(Handover {
             robot: id("r1"),
@@ -207,7 +207,7 @@ fn a_domain_changes_its_own_nodes_and_no_others() {
             assert!(refused.contains(&format!("is not of the domain `{}`", view.domain())), "{refused}");
         }
     }
-    // Between two domains, and to a place in the other's.
+    // Between two domains, and to a node of the other domain.
     for instruction in [
         Instruction::Condition { link: id("A-B"), direction: None, change: ConditionChange::default() },
         Instruction::Condition { link: id("r1~B"), direction: None, change: ConditionChange::default() },

@@ -1,4 +1,4 @@
-//! Bundled plug-ins: makes them from a testbed file, or rehearses that.
+//! Bundled plug-ins: makes them from a testbed file, in a run or in a rehearsal.
 
 use cotorra_federation::{Federation, LedgerChoice, Ledgers, Settings};
 use cotorra_graph::{PluginProgram, PluginSpec, Testbed};
@@ -9,7 +9,7 @@ use cotorra_probing::Probing;
 
 use super::{error::PluginError, programs::check_programs};
 
-/// Makes the bundled plug-ins of a testbed, each when it is asked for.
+/// Makes the bundled plug-ins of a testbed.
 pub(crate) struct Bundled<'a> {
     testbed: &'a Testbed,
     seed: u64,
@@ -21,12 +21,12 @@ impl<'a> Bundled<'a> {
         Self { testbed, seed, ledgers }
     }
 
-    /// What they share, and what is to live as long as they do.
+    /// Returns the ledgers that the plug-ins share. They have to live as long as the plug-ins.
     pub(crate) fn into_ledgers(self) -> Ledgers {
         self.ledgers
     }
 
-    /// The plug-in that a testbed file names.
+    /// Makes a plug-in by its bundled name.
     pub(crate) fn make(&mut self, spec: &PluginSpec, name: &str) -> Result<Box<dyn Plugin>, PluginError> {
         let settings =
             |e: &dyn ToString| PluginError::Settings { plugin: spec.id.clone(), reason: e.to_string() };
@@ -51,7 +51,7 @@ impl<'a> Bundled<'a> {
     }
 }
 
-/// Looks whether a run could make the plug-ins. What only a run uses, a real ledger, is left alone.
+/// Checks that a run could make the plug-ins. Real ledgers, which only a run uses, are not contacted.
 pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
     check_programs(testbed)?;
     let mut maker = Bundled::new(testbed, testbed.seed, Ledgers::default());
@@ -68,7 +68,7 @@ pub(crate) fn rehearse(testbed: &Testbed) -> Result<(), PluginError> {
     Ok(())
 }
 
-/// Whether an orchestrator would reach for a ledger outside of this process. Wrong settings reach for nothing.
+/// Whether an orchestrator would use a ledger outside this process. Invalid settings use none.
 fn has_real_ledger(spec: &PluginSpec) -> bool {
     let is_real = |choice| !matches!(choice, LedgerChoice::Modelled { .. });
     cfg!(feature = "ethereum") && Settings::decode(&spec.settings).is_ok_and(|set| is_real(set.ledger))

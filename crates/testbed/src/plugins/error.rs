@@ -4,36 +4,32 @@ use std::io;
 
 use cotorra_graph::PluginId;
 
-/// Why a plug-in cannot be started.
+/// Error of starting a plug-in.
 #[derive(Debug, thiserror::Error)]
 pub enum PluginError {
-    /// No such plug-in is bundled.
+    /// No bundled plug-in has this name.
     #[error("plug-in `{plugin}`: `{name}` is not bundled; bundled are: federation, okpi, pace, probing")]
     NotBundled {
-        /// Which.
         plugin: PluginId,
         /// The name in the file.
         name: String,
     },
-    /// Its settings are wrong.
+    /// The plug-in's settings are invalid.
     #[error("plug-in `{plugin}`: {reason}")]
     Settings {
-        /// Which.
         plugin: PluginId,
-        /// What is wrong.
+        /// The mistake in the settings.
         reason: String,
     },
-    /// It needs the API, which only a whole run serves.
+    /// The plug-in is a program. It needs the API, which only a whole run serves.
     #[error("plug-in `{0}` is a program of its own: it takes part in a run, not in a bare simulation")]
     NeedsRun(PluginId),
-    /// Its program cannot be started.
+    /// The plug-in's program cannot be started.
     #[error("plug-in `{plugin}`: cannot start `{program}`: {source}")]
     Start {
-        /// Which.
         plugin: PluginId,
-        /// The program.
         program: String,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }

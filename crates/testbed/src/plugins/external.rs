@@ -1,6 +1,6 @@
-//! Programs that time waits for, in virtual time and in a replay: they are served the API, and told one after the other, in
-//! the order in which the host has them. What they do so depends on what happened alone, not on how fast they are. This is
-//! the shell that waits for them on the wall clock.
+//! Plug-ins that are programs, in virtual time and in a replay. They are served the API, and each has its turn in the
+//! host's order. Time waits for them, so their instructions depend on the events alone, not on their speed. This shell
+//! waits for them in real time.
 
 use std::{
     collections::BTreeMap,
@@ -26,20 +26,19 @@ use crate::{
     message::Message,
 };
 
-/// How often it is looked whether a program that time waits for still runs.
+/// Interval at which an awaited program is checked for its end.
 const LOOK: Duration = Duration::from_millis(20);
-/// Events that wait for a reader that time does not wait for; one that is further behind misses the oldest.
+/// Events that wait for a reader that time does not wait for. A reader that is further behind misses the oldest.
 const STREAM: usize = 4096;
 
-/// What programs take part in.
+/// A simulation or replay in which programs take part.
 pub(crate) trait Stage {
-    /// The time, which stands still.
+    /// Returns the current time, which stands still.
     fn now(&self) -> Timestamp;
 
-    /// Who decides about plug-ins.
     fn host(&mut self) -> &mut PluginHost;
 
-    /// Does what somebody asks for. What happens by that is told before the answer to it.
+    /// Applies an instruction. Its events are published before the instruction is answered.
     fn instruct(
         &mut self,
         programs: &mut ExternalPlugins,
@@ -48,16 +47,16 @@ pub(crate) trait Stage {
         reason: Option<String>,
     ) -> Result<(), InstructionError>;
 
-    /// Cuts a program off, and tells that.
+    /// Cuts a program off, and publishes the event.
     fn cut_off(&mut self, programs: &mut ExternalPlugins, plugin: &PluginId, fault: &Fault);
 
-    /// Whether to go on; asked several times a second.
+    /// Whether to go on; called several times a second.
     fn goes_on(&mut self) -> bool;
 }
 
-/// The API and what programs say to it, and those that the testbed started.
+/// The API, its messages, and the programs that the testbed started.
 pub(crate) struct ExternalPlugins {
-    /// Before the processes: streams end first, so that a program can end by itself.
+    /// Dropped before the processes: streams end first, so that a program can exit by itself.
     server: Server,
     processes: BTreeMap<PluginId, Process>,
     inbox: mpsc::Receiver<Message>,
@@ -67,7 +66,6 @@ pub(crate) struct ExternalPlugins {
 }
 
 impl ExternalPlugins {
-    /// Serves the API.
     pub(crate) fn serve(
         listener: Listener,
         tokens: Tokens,
@@ -82,7 +80,7 @@ impl ExternalPlugins {
         Ok(Self { server, processes: BTreeMap::new(), inbox, live, stream, wall })
     }
 
-    /// Starts the programs of a testbed, which time waits for from now on.
+    /// Starts the programs of a testbed. Time waits for them from now on.
     pub(crate) fn start(
         &mut self,
         testbed: &Testbed,
@@ -99,21 +97,20 @@ impl ExternalPlugins {
         Ok(())
     }
 
-    /// Where the API listens.
+    /// Returns the API's address.
     pub(crate) fn api_address(&self) -> SocketAddr {
         self.server.address()
     }
 
-    /// Something happened.
+    /// Publishes an event to programs and to other readers of the API's stream.
     pub(crate) fn publish(&self, event: &Arc<Stamped>, host: &mut PluginHost) {
         self.live.absorb(event);
         host.publish(event);
-        // Nobody may be listening.
+        // There may be no reader.
         let _ = self.stream.send(Arc::clone(event));
     }
 
-    /// Lets the programs take in what happened up to now, and do what they want to do about it; false if it is not to go
-    /// on.
+    /// Lets the programs handle all events up to now and give their instructions. Returns false to stop.
     pub(crate) fn settle(&mut self, stage: &mut impl Stage) -> bool {
         while let Ok(message) = self.inbox.try_recv() {
             self.take(message, stage);
@@ -128,7 +125,7 @@ impl ExternalPlugins {
         true
     }
 
-    /// Hears what is said within a time, and all that was said before; gives whether to go on.
+    /// Handles messages that wait, and the first that comes within a time. Returns whether to go on.
     pub(crate) fn listen(&mut self, within: Duration, stage: &mut impl Stage) -> bool {
         let mut next = self.inbox.recv_timeout(within).ok();
         while let Some(message) = next {
@@ -138,7 +135,7 @@ impl ExternalPlugins {
         stage.goes_on()
     }
 
-    /// Waits until a program is there and is done with all that it was told, or is cut off.
+    /// Waits until a program follows the events and has handled all of them, or is cut off.
     fn wait_for(&mut self, program: &PluginId, stage: &mut impl Stage) -> bool {
         let mut heard = (self.wall)();
         while stage.host().is_busy(program) {
@@ -165,7 +162,7 @@ impl ExternalPlugins {
         true
     }
 
-    /// Does what somebody says; gives which plug-in that was.
+    /// Handles a message. Returns the plug-in that sent it.
     fn take(&mut self, message: Message, stage: &mut impl Stage) -> Option<PluginId> {
         match message {
             Message::Follow(follower) => {

@@ -1,6 +1,6 @@
-//! The plug-in host as a state machine: which plug-in may ask for what, which one is cut off and why, and which one time
-//! waits for. It has no clock, thread or socket. Real time, virtual time and replays put a shell around it, which calls
-//! plug-ins and ends them.
+//! The plug-in host as a state machine. It decides which instructions are admitted, which plug-in is cut off and why, and
+//! which one time waits for. It has no clock, thread or socket. Shells for real time, virtual time and replays call
+//! plug-ins and end them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -15,12 +15,12 @@ use cotorra_plugin::Actions;
 
 use crate::follower::{Follower, PluginMessage};
 
-/// A plug-in may ask for so much in a second; a burst of the same size is allowed.
+/// Instructions that a plug-in may give per second; also the size of a burst.
 const INSTRUCTIONS_PER_SECOND: f64 = 1000.0;
-/// Bytes of the reason that an instruction is given with.
+/// Maximum length of an instruction's reason, bytes.
 const MAX_REASON: usize = 1024;
 
-/// Why a plug-in is cut off.
+/// Reason for which a plug-in is cut off.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Fault {
     #[error("panicked: {0}")]
@@ -42,7 +42,7 @@ pub(crate) enum Fault {
     Lost(std::io::Error),
 }
 
-/// Why an instruction is not even tried.
+/// Reason for which an instruction is not applied.
 #[derive(Debug, thiserror::Error)]
 enum NotTriedError {
     #[error("this plug-in was cut off")]
@@ -53,9 +53,9 @@ enum NotTriedError {
     TooMany,
 }
 
-/// What plug-ins control: a testbed, or a recorded run, which refuses everything.
+/// The object of plug-ins' instructions: a testbed, or a recorded run, which rejects them all.
 pub(crate) trait Controlled {
-    /// Does what a plug-in asks for, and tells the decision.
+    /// Applies an instruction, and publishes the decision.
     fn instruct(
         &mut self,
         now: Timestamp,
@@ -64,11 +64,11 @@ pub(crate) trait Controlled {
         reason: Option<String>,
     ) -> Result<(), InstructionError>;
 
-    /// Stops the robots that a plug-in moved, which is cut off, and tells why it is.
+    /// Stops the robots that a plug-in moved, and publishes the reason for which the plug-in is cut off.
     fn cut_off(&mut self, now: Timestamp, plugin: PluginId, fault: &Fault, robots: &[NodeId]);
 }
 
-/// How many instructions a plug-in has left; a token bucket.
+/// Instructions that a plug-in has left; a token bucket.
 #[derive(Debug)]
 struct Budget {
     left: f64,
@@ -86,11 +86,11 @@ impl Budget {
     }
 }
 
-/// A plug-in that follows the API's stream of events, and that time waits for.
+/// A plug-in that follows the API's events, and that time waits for.
 struct Program {
     id: PluginId,
     streams: Vec<Stream>,
-    /// Waited for from the beginning on; another one only while it follows.
+    /// Whether time waits for it from the beginning. Time waits for another program only while it follows.
     is_expected: bool,
 }
 
@@ -98,21 +98,21 @@ struct Program {
 struct Stream {
     follower: Follower,
     untold: Vec<Arc<Stamped>>,
-    /// The mark that it was told last, until it is done with that.
+    /// The last mark sent, until the program has returned it.
     owes: Option<u64>,
     wake_at: Option<Timestamp>,
-    /// Told now, events or not: it is new, or its time to be woken has come.
+    /// Whether a mark is due even without events: the stream is new, or its wake-up time has come.
     is_due: bool,
 }
 
 impl Program {
-    /// Whether time cannot go on without it: it is not there yet, has not heard everything, or is not done with it.
+    /// Whether time waits for it: it does not follow yet, has unsent events, or has not returned a mark.
     fn is_waited_for(&self) -> bool {
         let waits = |s: &Stream| s.is_due || s.owes.is_some() || !s.untold.is_empty();
         (self.streams.is_empty() && self.is_expected) || self.streams.iter().any(waits)
     }
 
-    /// Tells each stream that is done with what it was told the rest, and that this is all up to now.
+    /// Sends each stream without an open mark its events and a new mark.
     fn tell(&mut self, now: Timestamp, marks: &mut u64) {
         self.streams.retain_mut(|stream| {
             if stream.owes.is_some() || (stream.untold.is_empty() && !stream.is_due) {
@@ -127,25 +127,25 @@ impl Program {
     }
 }
 
-/// All plug-ins of a run.
+/// The plug-ins of a run.
 pub(crate) struct PluginHost {
     members: BTreeSet<PluginId>,
     cut: BTreeSet<PluginId>,
     budgets: BTreeMap<PluginId, Budget>,
-    /// Whose instructions are paid from a budget of their own, beside members: callers of the API in the name of a domain.
+    /// Callers of the API on behalf of a domain. Beside the members, they have a budget each.
     domains: BTreeSet<PluginId>,
-    /// What all others at the API share: another name is not another budget.
+    /// Budget that all other callers of the API share, so that another name is no new budget.
     others: Option<Budget>,
     movers: BTreeMap<NodeId, PluginId>,
-    /// In the order in which they are told.
+    /// In the order in which they are sent events.
     programs: Vec<Program>,
     marks: u64,
-    /// A plug-in that says nothing for longer is cut off.
+    /// Longest silence of a plug-in before it is cut off.
     patience: Duration,
 }
 
 impl PluginHost {
-    /// The host of these plug-ins.
+    /// Creates a host of these plug-ins.
     pub(crate) fn new(members: impl IntoIterator<Item = PluginId>, patience: Duration) -> Self {
         Self {
             members: members.into_iter().collect(),
@@ -160,33 +160,32 @@ impl PluginHost {
         }
     }
 
-    /// The same, where callers of the API may speak for these domains.
+    /// Gives callers on behalf of these domains a budget each.
     pub(crate) fn with_domains(mut self, domains: &[DomainId]) -> Self {
         self.domains = domains.iter().filter_map(|domain| PluginId::new(domain.as_str()).ok()).collect();
         self
     }
 
-    /// Hosts another one.
+    /// Adds a plug-in.
     pub(crate) fn add(&mut self, plugin: PluginId) {
         self.members.insert(plugin);
     }
 
-    /// How long a plug-in may say nothing.
+    /// Returns the longest silence of a plug-in before it is cut off.
     pub(crate) fn patience(&self) -> Duration {
         self.patience
     }
 
-    /// Changes that.
     pub(crate) fn set_patience(&mut self, patience: Duration) {
         self.patience = patience;
     }
 
-    /// Whether a plug-in was cut off, and is to be ended.
+    /// Whether a plug-in was cut off; its shell has to end it.
     pub(crate) fn is_cut_off(&self, plugin: &PluginId) -> bool {
         self.cut.contains(plugin)
     }
 
-    /// Does what somebody asked for at `now`, if it is admitted. A plug-in that asks too often is cut off.
+    /// Applies an instruction given at `now`, if it is admitted. A plug-in that gives too many is cut off.
     pub(crate) fn instruct(
         &mut self,
         now: Timestamp,
@@ -216,7 +215,7 @@ impl PluginHost {
         Ok(())
     }
 
-    /// A call of a plug-in came back at `now`: does what it left, until it is cut off.
+    /// Applies the outcome of a plug-in's call that returned at `now`, until the plug-in is cut off.
     pub(crate) fn returned(
         &mut self,
         now: Timestamp,
@@ -232,12 +231,12 @@ impl PluginHost {
             if self.is_cut_off(plugin) {
                 return;
             }
-            // A refusal is told with the decision.
+            // A rejection is part of the published decision.
             let _ = self.instruct(now, plugin.clone(), instruction, reason, controlled);
         }
     }
 
-    /// Cuts a plug-in off; only its first fault counts.
+    /// Cuts a plug-in off. Only its first fault counts.
     pub(crate) fn cut_off(
         &mut self,
         now: Timestamp,
@@ -268,21 +267,21 @@ impl PluginHost {
         if budget.take(now) {
             return Ok(());
         }
-        // Somebody at the API is no plug-in, and welcome again later.
+        // A caller of the API that is no plug-in may come back later.
         let is_plugin = self.members.contains(plugin);
         Err(if is_plugin { NotTriedError::Fault(Fault::Flooded) } else { NotTriedError::TooMany })
     }
 }
 
-/// The protocol of following and marks, by which time waits for programs.
+/// The protocol of streams and marks, by which time waits for programs.
 impl PluginHost {
-    /// From the beginning on time waits for this program.
+    /// Makes time wait for this program from the beginning.
     pub(crate) fn expect(&mut self, plugin: PluginId) {
         self.members.insert(plugin.clone());
         self.programs.push(Program { id: plugin, streams: Vec::new(), is_expected: true });
     }
 
-    /// A program follows: it is told a mark at once.
+    /// Adds a program's stream, and sends it a mark at once.
     pub(crate) fn follow(&mut self, now: Timestamp, follower: Follower) {
         if self.is_cut_off(&follower.plugin) {
             return;
@@ -299,40 +298,40 @@ impl PluginHost {
         program.tell(now, &mut self.marks);
     }
 
-    /// A program is done with a mark; gives whether it was told that one.
+    /// Takes a mark back from a program. Returns whether the program had been sent that mark.
     pub(crate) fn done(&mut self, plugin: &PluginId, mark: u64, wake_at: Option<Timestamp>) -> bool {
         let own = self.programs.iter_mut().filter(|program| program.id == *plugin);
         let told = own.flat_map(|program| &mut program.streams).find(|stream| stream.owes == Some(mark));
         told.map(|stream| (stream.owes, stream.wake_at) = (None, wake_at)).is_some()
     }
 
-    /// Something happened: programs are told with their next mark.
+    /// Queues an event for the programs. They are sent it with their next mark.
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
             stream.untold.extend(stream.follower.sees(event));
         }
     }
 
-    /// It is a later time: programs that wanted to be woken by then are told a mark.
+    /// Makes a mark due for programs whose wake-up time has come.
     pub(crate) fn wake(&mut self, now: Timestamp) {
         for stream in self.programs.iter_mut().flat_map(|program| &mut program.streams) {
             stream.is_due |= stream.wake_at.take_if(|at| *at <= now).is_some();
         }
     }
 
-    /// When a program wants to be woken next.
+    /// Returns the next wake-up time of a program.
     pub(crate) fn next_wake(&self) -> Option<Timestamp> {
         self.programs.iter().flat_map(|program| &program.streams).filter_map(|stream| stream.wake_at).min()
     }
 
-    /// The first program that time waits for. It is told what it has not heard yet.
+    /// Sends programs their events, and returns the first program that time waits for.
     pub(crate) fn next_awaited(&mut self, now: Timestamp) -> Option<PluginId> {
         let program = self.programs.iter_mut().find(|program| program.is_waited_for())?;
         program.tell(now, &mut self.marks);
         Some(program.id.clone())
     }
 
-    /// Whether a program is still to say that it is done, or even to follow.
+    /// Whether a program has not returned its mark yet, or does not follow yet.
     pub(crate) fn is_busy(&self, plugin: &PluginId) -> bool {
         let program = self.programs.iter().find(|program| program.id == *plugin);
         program.is_some_and(|program| match &program.streams[..] {
@@ -341,7 +340,7 @@ impl PluginHost {
         })
     }
 
-    /// Why a program is cut off that was silent for longer than the host's patience.
+    /// Returns the fault of a program that was silent for longer than the host's patience.
     pub(crate) fn silence(&self, plugin: &PluginId) -> Fault {
         let mut streams = self.programs.iter().filter(|p| p.id == *plugin).flat_map(|p| &p.streams);
         let patience = self.patience;
@@ -351,7 +350,7 @@ impl PluginHost {
         }
     }
 
-    /// Forgets streams that nobody reads any more.
+    /// Removes streams without a reader.
     pub(crate) fn forget_gone(&mut self) {
         for program in &mut self.programs {
             program.streams.retain(|stream| !stream.follower.is_gone());
@@ -359,7 +358,7 @@ impl PluginHost {
         self.programs.retain(|program| program.is_expected || !program.streams.is_empty());
     }
 
-    /// How many streams are followed.
+    /// Returns the number of streams.
     pub(crate) fn followers(&self) -> usize {
         self.programs.iter().map(|program| program.streams.len()).sum()
     }
@@ -370,7 +369,7 @@ mod tests {
     use super::*;
     use crate::follower::EventFilter;
 
-    /// Does everything, and keeps what was cut off.
+    /// Applies every instruction, and records faults.
     #[derive(Default)]
     struct Obedient {
         done: usize,
@@ -399,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flood_is_refused_and_the_robots_that_it_moved_are_named() {
+    fn a_flood_is_rejected_and_names_the_robots_it_moved() {
         let (flooding, somebody): (PluginId, PluginId) =
             ("flooding".parse().unwrap(), "somebody".parse().unwrap());
         let mut host = PluginHost::new([flooding.clone()], Duration::from_secs(1));
@@ -417,7 +416,7 @@ mod tests {
         assert_eq!(testbed.faults, [(format!("flooding: {flooded}"), vec![robot])]);
         let later = now + Duration::from_secs(1);
         assert_eq!(ask(later, &flooding, &mut testbed), Err("this plug-in was cut off".to_owned()));
-        // Somebody at the API is not a plug-in: refused, and welcome again later.
+        // A caller that is no plug-in is rejected, and may come back later.
         for _ in 0..1000 {
             ask(now, &somebody, &mut testbed).unwrap();
         }
@@ -428,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reason_beyond_the_bound_is_refused_and_nothing_is_done() {
+    fn an_overlong_reason_is_rejected_with_its_instruction() {
         let plugin: PluginId = "plugin".parse().unwrap();
         let mut host = PluginHost::new([plugin.clone()], Duration::from_secs(1));
         let mut testbed = Obedient::default();
@@ -443,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_done_with_what_another_was_told() {
+    fn a_mark_is_taken_back_only_from_its_receiver() {
         let (own, other): (PluginId, PluginId) = ("own".parse().unwrap(), "other".parse().unwrap());
         let mut host = PluginHost::new([], Duration::from_secs(1));
         host.expect(own.clone());
@@ -455,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn another_name_is_not_another_budget() {
+    fn another_name_shares_the_same_budget() {
         let name = |text: String| PluginId::new(&text).unwrap();
         let domain: DomainId = "lab".parse().unwrap();
         let mut host =

@@ -1,9 +1,9 @@
-//! Plug-ins in process where time stands still while they are called: in virtual time, and in a replay.
+//! Plug-ins in process, where time stands still during their calls: in virtual time, and in a replay.
 //!
-//! A call needs no other thread, so that virtual time is fast; and yet a plug-in that hangs must not take with it what
-//! called it. So what goes in lockstep with plug-ins ([`Lockstep`]) runs on a thread of [`Guarded`] and is left at a door
-//! during each call. Who waits for that thread takes it from there if the call lasts too long, and goes on with it on
-//! another thread; the thread that hangs finds nothing at the door any more.
+//! A call needs no other thread, so that virtual time is fast. A plug-in that hangs must not take its caller with it.
+//! Therefore the caller ([`Lockstep`]) runs on a thread of [`Guarded`], and is left in a shared slot ([`Slot`]) during each
+//! call. If the call lasts too long, the waiting thread takes the caller from the slot and continues it on another thread.
+//! The hanging thread finds the slot empty when it returns.
 
 use std::{
     collections::VecDeque,
@@ -31,27 +31,27 @@ use crate::{
     domain::{self, DomainView},
 };
 
-/// Longest wait for a plug-in that says nothing, where time waits for plug-ins; after it the plug-in counts as hung.
+/// Longest wait for a silent plug-in where time waits for it. After that it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How often who waits for a call looks how long it has lasted.
+/// Interval at which the length of a call is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What goes on only while no plug-in is called.
+/// A state machine that makes progress only between calls of plug-ins.
 pub(crate) trait Lockstep: Send + 'static {
-    /// How long a call may last.
+    /// Returns the longest duration of a call.
     fn patience(&self) -> Duration;
 
-    /// The next call that is due.
+    /// Returns the next call that is due.
     fn next_call(&mut self) -> Option<Call>;
 
-    /// What came of the call.
+    /// Handles the outcome of a call.
     fn returned(&mut self, returned: Returned);
 
-    /// Goes on, now that all calls that were due were made; false when it is not to.
+    /// Makes progress after all due calls returned. Returns false at the end.
     fn go_on(&mut self) -> bool;
 
-    /// Goes on for as long as it is to, making calls on this thread: a plug-in that hangs hangs its caller.
+    /// Runs to the end, making calls on this thread: a plug-in that hangs also hangs its caller.
     fn run(&mut self) {
         loop {
             while let Some(call) = self.next_call() {
@@ -64,34 +64,33 @@ pub(crate) trait Lockstep: Send + 'static {
     }
 }
 
-/// A call of a plug-in, which owns all that it needs.
+/// A call of a plug-in; owns everything that it needs.
 pub(crate) struct Call {
     pub(crate) plugin: Box<dyn Plugin>,
     pub(crate) now: Timestamp,
     pub(crate) occasion: Occasion,
 }
 
-/// What a plug-in is called for.
+/// The reason for a call.
 pub(crate) enum Occasion {
     Start(Arc<Testbed>, Option<Arc<DomainView>>),
     Event(Arc<Stamped>),
     Deadline,
 }
 
-/// What came of a call.
+/// The outcome of a call.
 pub(crate) type Returned = Result<Answer, Fault>;
 
 /// A plug-in after a call.
 pub(crate) struct Answer {
     pub(crate) plugin: Box<dyn Plugin>,
-    /// What it wants done.
     pub(crate) actions: Actions,
-    /// When it wants to be called next, by itself.
+    /// Time of the plug-in's next call without an event.
     pub(crate) next_deadline: Option<Timestamp>,
 }
 
 impl Call {
-    /// Makes it; a panic stays with the plug-in.
+    /// Makes the call. A panic becomes a fault of the plug-in.
     pub(crate) fn make(mut self) -> Returned {
         let mut actions = Actions::default();
         let (now, plugin) = (self.now, &mut self.plugin);
@@ -103,7 +102,7 @@ impl Call {
                 Occasion::Event(event) => plugin.handle(now, &event.event, &mut actions),
                 Occasion::Deadline => plugin.expire(now, &mut actions),
             }
-            // Asked here, where it cannot do harm either.
+            // Called here, where a panic or hang does no harm either.
             plugin.next_deadline()
         }));
         match called {
@@ -113,28 +112,28 @@ impl Call {
     }
 }
 
-/// Plug-ins in process, in the order in which they are called.
+/// Plug-ins in process, in the order of their calls.
 #[derive(Default)]
 pub(crate) struct Locals {
     all: Vec<Local>,
-    /// Calls to make, by place.
+    /// Due calls, with the index of the plug-in.
     due: VecDeque<(usize, Occasion)>,
-    /// Those from this place on are still to be asked whether their deadline has come.
+    /// Index of the first plug-in whose deadline has not been checked since the last wake.
     unasked: Option<usize>,
-    /// The place of the one that is called now.
+    /// Index of the plug-in in a call.
     called: usize,
 }
 
 struct Local {
     id: PluginId,
-    /// `None` while it is called, and after it was cut off.
+    /// `None` during a call, and after it was cut off.
     plugin: Option<Box<dyn Plugin>>,
-    /// What it sees, if that is one domain.
+    /// The plug-in's view, if it is bound to a domain.
     view: Option<Arc<DomainView>>,
 }
 
 impl Locals {
-    /// Adds a plug-in, which will be started.
+    /// Adds a plug-in; its first call starts it.
     pub(crate) fn add(
         &mut self,
         id: PluginId,
@@ -146,23 +145,21 @@ impl Locals {
         self.all.push(Local { id, plugin: Some(plugin), view });
     }
 
-    /// Whether there is none.
     pub(crate) fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
 
-    /// When the next deadline comes. Asked anew each time: orchestrators share a ledger, so that a call of one may change
-    /// another's.
+    /// Returns the next deadline. Not cached: orchestrators share a ledger, so a call of one may change another's deadline.
     pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
         self.all.iter().filter_map(|local| local.plugin.as_ref()?.next_deadline()).min()
     }
 
-    /// It is a later time: those whose deadline has come will be called.
+    /// Makes calls due for plug-ins whose deadline has come.
     pub(crate) fn wake(&mut self) {
         self.unasked = Some(0);
     }
 
-    /// Something happened: those who see it will be called.
+    /// Makes calls due for plug-ins that see an event.
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for (place, local) in self.all.iter().enumerate() {
             if local.plugin.is_some()
@@ -173,7 +170,7 @@ impl Locals {
         }
     }
 
-    /// The next call that is due.
+    /// Returns the next due call.
     pub(crate) fn next_call(&mut self, now: Timestamp) -> Option<Call> {
         while let Some((place, occasion)) = self.due.pop_front() {
             if let Some(plugin) = self.all[place].plugin.take() {
@@ -193,7 +190,7 @@ impl Locals {
         None
     }
 
-    /// Takes the plug-in back that was called; gives what it wants, or why it is to be cut off.
+    /// Takes the called plug-in back. Returns its actions, or the fault for which to cut it off.
     pub(crate) fn returned(&mut self, returned: Returned) -> (PluginId, Result<Actions, Fault>) {
         let local = &mut self.all[self.called];
         let outcome = returned.map(|answer| {
@@ -209,7 +206,7 @@ impl Locals {
     }
 }
 
-/// What goes in lockstep with plug-ins, safe from those that hang.
+/// Runs a [`Lockstep`] safely with plug-ins that may hang.
 pub(crate) struct Guarded<L> {
     /// `None` while it runs.
     inner: Option<Box<L>>,
@@ -217,30 +214,30 @@ pub(crate) struct Guarded<L> {
     wall: Clock,
 }
 
-/// The thread that it runs on.
+/// The thread on which the [`Lockstep`] runs.
 struct Worker<L> {
     thread: thread::JoinHandle<()>,
     run: mpsc::Sender<Box<L>>,
     ran: mpsc::Receiver<Box<L>>,
-    door: Arc<Door<L>>,
+    slot: Arc<Slot<L>>,
 }
 
-/// Where what runs is left during a call.
-struct Door<L> {
+/// Holds the [`Lockstep`] during a call.
+struct Slot<L> {
     left: Mutex<Option<Box<L>>>,
-    /// How many calls were made.
+    /// Number of calls made.
     calls: AtomicU64,
 }
 
 impl<L: Lockstep> Guarded<L> {
-    /// Calls last as long as the clock `wall` says.
+    /// Measures calls by the clock `wall`.
     pub(crate) fn new(inner: L, wall: Clock) -> Self {
         Self { inner: Some(Box::new(inner)), worker: None, wall }
     }
 
-    /// Goes on for as long as it is to. Asks `is_wanted` now and then while that takes long; gives false when that does.
+    /// Runs to the end. Calls `is_wanted` repeatedly while that takes long. Returns false if `is_wanted` did.
     pub(crate) fn run(&mut self, is_wanted: &mut dyn FnMut() -> bool) -> bool {
-        // Who once did not want it may not be asked again.
+        // Once it returned false it may not be called again.
         let mut wanted = true;
         let mut ask = || {
             wanted = wanted && is_wanted();
@@ -250,7 +247,7 @@ impl<L: Lockstep> Guarded<L> {
             let inner = self.inner.take().expect("it is here while nothing runs");
             let patience = inner.patience();
             let worker = self.worker.get_or_insert_with(Worker::start);
-            // Should it be gone, that shows below.
+            // If the thread is gone, `wait` returns `Panicked`.
             let _ = worker.run.send(inner);
             match worker.wait(patience, &self.wall, &mut ask) {
                 Waited::Ran(inner) => {
@@ -290,12 +287,12 @@ impl<L> DerefMut for Guarded<L> {
     }
 }
 
-/// How waiting ended.
+/// The result of waiting.
 enum Waited<L> {
     Ran(Box<L>),
-    /// It is in a call that lasts too long.
+    /// A call lasts too long.
     Hung(Box<L>),
-    /// Nobody wants it to go on; it was in a call.
+    /// `is_wanted` returned false during a call.
     Unwanted(Box<L>),
     Panicked,
 }
@@ -304,8 +301,8 @@ impl<L: Lockstep> Worker<L> {
     fn start() -> Self {
         let (run, jobs) = mpsc::channel::<Box<L>>();
         let (tell, ran) = mpsc::channel();
-        let door = Arc::new(Door { left: Mutex::new(None), calls: AtomicU64::new(0) });
-        let inside = Arc::clone(&door);
+        let slot = Arc::new(Slot { left: Mutex::new(None), calls: AtomicU64::new(0) });
+        let inside = Arc::clone(&slot);
         let work = move || {
             for job in jobs {
                 let Some(done) = inside.run(job) else { return };
@@ -315,10 +312,10 @@ impl<L: Lockstep> Worker<L> {
             }
         };
         let thread = thread::Builder::new().name("lockstep".to_owned()).spawn(work);
-        Self { thread: thread.expect("the system has room for a thread"), run, ran, door }
+        Self { thread: thread.expect("the system has room for a thread"), run, ran, slot }
     }
 
-    /// Waits until it ran, or is stuck.
+    /// Waits until the run ends, or a call hangs.
     fn wait(&self, patience: Duration, wall: &Clock, is_wanted: &mut dyn FnMut() -> bool) -> Waited<L> {
         let mut seen = None;
         loop {
@@ -327,11 +324,11 @@ impl<L: Lockstep> Worker<L> {
                 Err(mpsc::RecvTimeoutError::Disconnected) => return Waited::Panicked,
                 Err(mpsc::RecvTimeoutError::Timeout) => {}
             }
-            let (calls, now) = (self.door.calls.load(Ordering::Acquire), wall());
+            let (calls, now) = (self.slot.calls.load(Ordering::Acquire), wall());
             match seen {
-                // The very same call as then, if it is in one.
+                // Still the same call, if it is in one.
                 Some((same, since)) if same == calls && now.since(since) > patience => {
-                    if let Some(inner) = self.door.left.lock().take() {
+                    if let Some(inner) = self.slot.left.lock().take() {
                         return Waited::Hung(inner);
                     }
                 }
@@ -339,7 +336,7 @@ impl<L: Lockstep> Worker<L> {
                 _ => seen = Some((calls, now)),
             }
             if !is_wanted()
-                && let Some(inner) = self.door.left.lock().take()
+                && let Some(inner) = self.slot.left.lock().take()
             {
                 return Waited::Unwanted(inner);
             }
@@ -347,8 +344,8 @@ impl<L: Lockstep> Worker<L> {
     }
 }
 
-impl<L: Lockstep> Door<L> {
-    /// Runs it for as long as it is to; `None` if it was taken away in a call.
+impl<L: Lockstep> Slot<L> {
+    /// Runs to the end; returns `None` if the inner value was taken from the slot during a call.
     fn run(&self, mut inner: Box<L>) -> Option<Box<L>> {
         loop {
             while let Some(call) = inner.next_call() {

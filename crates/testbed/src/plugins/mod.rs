@@ -1,5 +1,5 @@
-//! The plug-ins of a testbed: how they are made and started, and what runs them so that none can harm the testbed. One that
-//! panics, hangs, floods or dies is cut off and reported, and the testbed goes on.
+//! The plug-ins of a testbed: makes, starts and calls them so that none can harm the testbed. One that panics, hangs,
+//! floods or dies is cut off and reported, and the testbed goes on.
 //!
 //! [`host::PluginHost`] decides; it is the same in real time, in virtual time and in a replay. [`running`] calls plug-ins
 //! in real time. Where time waits for plug-ins, [`lockstep`] calls those in process and [`external`] serves programs.

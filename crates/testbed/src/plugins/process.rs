@@ -12,11 +12,10 @@ use cotorra_network_control::program_of_others;
 use super::{error::PluginError, host::Fault, programs::program};
 use crate::api::{Server, Token};
 
-/// A plug-in that is a program, and runs; killed when this is dropped, or this process is killed.
+/// The running program of a plug-in. It is killed when this is dropped, or when this process is killed.
 pub(super) struct Process(Child);
 
 impl Process {
-    /// Starts it.
     pub(super) fn start(
         spec: &PluginSpec,
         words: &[String],
@@ -32,7 +31,7 @@ impl Process {
                 .args(arguments)
                 .env("COTORRA_API", format!("http://{}", api.address()))
                 .env("COTORRA_PLUGIN", spec.id.as_str())
-                // In place of the operator's.
+                // Replaces the operator's token.
                 .env("COTORRA_TOKEN", api.plugins().of(&spec.id).map_or("", Token::secret))
                 .env("COTORRA_SETTINGS", serde_json::Value::Object(spec.settings.clone()).to_string())
                 .stdin(Stdio::null())
@@ -47,7 +46,7 @@ impl Process {
         })
     }
 
-    /// Why it does not run any more.
+    /// Returns the fault if the process does not run any more.
     pub(super) fn fault(&mut self) -> Option<Fault> {
         match self.0.try_wait() {
             Ok(status) => status.map(Fault::Ended),

@@ -6,13 +6,13 @@ use cotorra_graph::{PluginId, PluginProgram, PluginSpec, Testbed};
 
 use super::error::PluginError;
 
-/// The plug-ins of a testbed that are programs of their own.
+/// Returns the plug-ins of a testbed that are programs.
 pub(crate) fn programs(testbed: &Testbed) -> impl Iterator<Item = &PluginId> {
     let is_program = |spec: &&PluginSpec| matches!(spec.program, PluginProgram::Command(_));
     testbed.plugins.iter().filter(is_program).map(|spec| &spec.id)
 }
 
-/// Looks whether the programs of plug-ins are there.
+/// Checks that the programs of plug-ins exist.
 pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
     for spec in &testbed.plugins {
         let PluginProgram::Command(words) = &spec.program else { continue };
@@ -32,7 +32,7 @@ pub(crate) fn check_programs(testbed: &Testbed) -> Result<(), PluginError> {
     Ok(())
 }
 
-/// The program of a plug-in, and its arguments.
+/// Splits a plug-in's command into the program and its arguments.
 pub(super) fn program<'a>(
     spec: &PluginSpec,
     words: &'a [String],

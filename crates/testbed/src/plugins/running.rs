@@ -1,4 +1,4 @@
-//! Plug-ins in real time, which waits for nobody: each in process has a thread, the others are processes.
+//! Plug-ins in real time, which waits for nobody. Each bundled plug-in has a thread; the others are processes.
 
 use std::{
     collections::BTreeMap,
@@ -33,21 +33,21 @@ use crate::{
     previous_run::PreviousRun,
 };
 
-/// A call that takes longer than this counts as hung.
+/// Longest duration of a call. A longer one counts as hung.
 const LONGEST_CALL: Duration = Duration::from_secs(2);
-/// Events that wait for a plug-in; one that is further behind misses the oldest.
+/// Events that wait for a plug-in. One that is further behind misses the oldest.
 const QUEUE: usize = 4096;
 const IDLE: u64 = u64::MAX;
 
-/// The plug-ins of a testbed, checked and made, before anything of the run is there: a mistake in a testbed file, or a ledger
-/// that cannot be had, leaves nothing behind.
+/// The plug-ins of a testbed, checked and made before anything else of the run. A mistake in a testbed file or an
+/// unreachable ledger then leaves nothing behind.
 pub(crate) struct PreparedPlugins {
     bundled: BTreeMap<PluginId, Box<dyn Plugin>>,
     ledgers: Ledgers,
 }
 
 impl PreparedPlugins {
-    /// Makes what is bundled, and looks for the programs of the others.
+    /// Makes the bundled plug-ins, and checks that the programs of the others exist.
     pub(crate) fn of(testbed: &Testbed, seed: u64) -> Result<Self, PluginError> {
         check_programs(testbed)?;
         let mut maker = Bundled::new(testbed, seed, Ledgers::default());
@@ -60,12 +60,12 @@ impl PreparedPlugins {
         Ok(Self { bundled, ledgers: maker.into_ledgers() })
     }
 
-    /// Tells those that are bundled what they noted in an earlier run.
+    /// Gives bundled plug-ins the notes that they took in the previous run.
     pub(crate) fn resume(&mut self, earlier: &PreviousRun) {
         self.bundled.iter_mut().for_each(|(id, plugin)| plugin.resume(earlier.noted_by(id)));
     }
 
-    /// Starts all of them. Those in process say on `tell` what they want.
+    /// Starts all plug-ins. Those in process send their instructions to `tell`.
     pub(crate) fn start(
         mut self,
         testbed: &Arc<Testbed>,
@@ -97,31 +97,31 @@ impl PreparedPlugins {
     }
 }
 
-/// Where a plug-in runs.
+/// The thread or process of a plug-in.
 enum Place {
     Thread {
-        /// What it sees, if that is one domain.
+        /// The plug-in's view, if it is bound to a domain.
         view: Option<Arc<DomainView>>,
         events: mpsc::SyncSender<Arc<Stamped>>,
-        /// When the call that it is in began, in nanoseconds; [`IDLE`] between calls.
+        /// Beginning of the current call, nanoseconds; [`IDLE`] between calls.
         busy_since: Arc<AtomicU64>,
-        /// Set when it is cut off: what it still says is not passed on.
+        /// Set when the plug-in is cut off. Its instructions are dropped from then on.
         cut: Arc<AtomicBool>,
     },
     Process(Process),
 }
 
-/// All plug-ins of a run in real time. Threads end when their channel closes; a hung one ends with the process.
+/// The plug-ins of a run in real time. Threads end when their channel closes; a hung one ends with the process.
 pub(crate) struct RunningPlugins {
     host: PluginHost,
     places: BTreeMap<PluginId, Place>,
     missed: u64,
-    /// What bundled ones share: it ends with them.
+    /// Ledgers that bundled plug-ins share. They end with them.
     _ledgers: Ledgers,
 }
 
 impl RunningPlugins {
-    /// None yet.
+    /// Creates an empty set of plug-ins.
     pub(crate) fn new(host: PluginHost, ledgers: Ledgers) -> Self {
         Self { host, places: BTreeMap::new(), missed: 0, _ledgers: ledgers }
     }
@@ -154,7 +154,7 @@ impl RunningPlugins {
         self.places.insert(id, Place::Thread { view, events, busy_since, cut });
     }
 
-    /// Passes an event on to all plug-ins in process; those apart follow the API's stream.
+    /// Passes an event on to the plug-ins in process. Programs follow the API's stream.
     pub(crate) fn publish(&mut self, event: &Arc<Stamped>) {
         for place in self.places.values() {
             let Place::Thread { view, events, .. } = place else { continue };
@@ -165,7 +165,7 @@ impl RunningPlugins {
         }
     }
 
-    /// Does what somebody asks for.
+    /// Applies an instruction, if it is admitted.
     pub(crate) fn instruct(
         &mut self,
         now: Timestamp,
@@ -179,7 +179,7 @@ impl RunningPlugins {
         done
     }
 
-    /// A call of a plug-in in process came back at `at`.
+    /// Applies the outcome of a call of a plug-in in process, which returned at `at`.
     pub(crate) fn returned(
         &mut self,
         at: Timestamp,
@@ -219,7 +219,7 @@ impl RunningPlugins {
     }
 }
 
-/// Calls a plug-in so that what it does wrong stays with it.
+/// Calls a plug-in so that its faults affect nobody else.
 struct Guard {
     id: PluginId,
     now: Clock,
@@ -244,7 +244,7 @@ impl Guard {
         }
     }
 
-    /// One call; gives the plug-in back, with its next deadline, unless it was the last.
+    /// Makes a call. Returns the plug-in with its next deadline, unless this was its last call.
     fn call(
         &self,
         plugin: Box<dyn Plugin>,
@@ -286,7 +286,7 @@ mod tests {
         }
     }
 
-    /// Keeps what was cut off.
+    /// Records faults.
     #[derive(Default)]
     struct Faults(Vec<(PluginId, String)>);
 
@@ -333,7 +333,7 @@ mod tests {
         "scripted".parse().unwrap()
     }
 
-    /// One plug-in in process, and what it says.
+    /// Starts one plug-in in process. Returns its messages, too.
     fn running(script: fn(&mut Actions)) -> (RunningPlugins, mpsc::Receiver<Message>) {
         let mut plugins = RunningPlugins::new(PluginHost::new([id()], LONGEST_CALL), Ledgers::default());
         let (tell, said) = mpsc::channel();
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_plugin_asks_for_arrives_with_its_reason() {
+    fn an_instruction_arrives_with_its_reason() {
         let (_plugins, said) = running(|actions| {
             actions.instruct_because(Instruction::Scan { robot: "robot".parse().unwrap() }, "time to look");
         });
@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn a_plugin_that_does_not_return_is_cut_off() {
-        // Not as soon as it is busy: the call that starts it is one, too, and returns.
+        // The plug-in hangs only later: the call that starts it makes it busy, too, and has to return.
         static HANGS: AtomicBool = AtomicBool::new(false);
         let (mut plugins, _said) = running(|_| {
             HANGS.store(true, Ordering::Release);

@@ -1,4 +1,4 @@
-//! The same plug-in misbehaves in real time, in virtual time and in a replay: what is recorded of it is the same.
+//! The same misbehaving plug-in in real time, in virtual time and in a replay: the recorded events are the same.
 
 use std::{
     collections::BTreeMap,
@@ -45,7 +45,7 @@ links:
   - { ends: [R1, server], delay: 1 ms, rate: 1 Gbit/s }
 ";
 
-/// Long for a call that does nothing on a machine that does much else.
+/// Long enough for a call without work on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(30);
 const UNTIL: Timestamp = Timestamp::from_nanos(2_000_000_000);
 
@@ -56,7 +56,7 @@ enum Misdeed {
     Hang,
 }
 
-/// Moves a robot, and does its misdeed once it is told that the robot moves.
+/// Moves a robot, and misbehaves once it receives the event that the robot moves.
 struct Misbehaving {
     misdeed: Misdeed,
     moved: Option<Timestamp>,
@@ -89,11 +89,11 @@ impl Plugin for Misbehaving {
     }
 }
 
-/// What was recorded of the plug-in.
+/// The recorded events of the plug-in.
 #[derive(Debug, PartialEq)]
 struct Recorded {
     faults: Vec<(PluginId, String)>,
-    /// Instructions of the flood that were decided about, and whether one came after the plug-in was cut off.
+    /// Decisions about the flood's instructions, and whether one followed after the plug-in was cut off.
     flood: usize,
     any_later: bool,
 }
@@ -127,7 +127,7 @@ fn id() -> PluginId {
 }
 
 impl Misdeed {
-    /// The plug-in, and a flag that it raises when it hangs.
+    /// Returns the plug-in, and a flag that it sets when it hangs.
     fn plugin(self) -> (Box<dyn Plugin>, Arc<AtomicBool>) {
         let hangs = Arc::new(AtomicBool::new(false));
         (Box::new(Misbehaving { misdeed: self, moved: None, hangs: Arc::clone(&hangs) }), hangs)
@@ -136,7 +136,7 @@ impl Misdeed {
     fn in_real_time(self) -> Vec<Stamped> {
         let (testbed, (plugin, hangs)) = (testbed(), self.plugin());
         let wall = wall_clock();
-        // A call that hangs is a long time ago at once.
+        // A call that hangs is at once past its limit.
         let now: Clock = Arc::new(move || {
             let late = if hangs.load(Ordering::Acquire) {
                 PATIENCE + Duration::from_secs(1)
@@ -198,7 +198,7 @@ impl Misdeed {
         std::iter::from_fn(|| simulation.poll_event()).collect()
     }
 
-    /// Replays a run to it; gives what was told of it.
+    /// Replays a run to the plug-in; returns the events about it.
     fn in_a_replay(self, run: &[Stamped]) -> Vec<Stamped> {
         let (plugin, hangs) = self.plugin();
         let replay = replay(run, 0, hangs).to(id(), plugin, &testbed(), PATIENCE);
@@ -207,7 +207,7 @@ impl Misdeed {
         told
     }
 
-    /// The same to a program.
+    /// Replays a run to the same plug-in as a program.
     fn in_a_replay_apart(self, run: &[Stamped]) -> Vec<Stamped> {
         let (mut plugin, hangs) = self.plugin();
         let replay = replay(run, 1, hangs);
@@ -222,7 +222,7 @@ impl Misdeed {
     }
 }
 
-/// A replay of a run, which waits for so many followers.
+/// A replay of a run that waits for this number of followers.
 fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
     let history = History::in_memory().unwrap();
     let id = history.begin_run(&info()).unwrap();
@@ -243,7 +243,7 @@ fn replay(run: &[Stamped], followers: usize, hangs: Arc<AtomicBool>) -> Replay {
     Replay::by_the_clock(Testbed::clone(&testbed()), history, id, options, jumping(hangs)).unwrap()
 }
 
-/// Plays it; gives what was told of plug-ins.
+/// Plays a replay; returns the events about plug-ins.
 fn play(replay: Replay) -> (Vec<Stamped>, ReplayEnd) {
     let mut told = Vec::new();
     let end = replay.play(|played| {
@@ -255,7 +255,7 @@ fn play(replay: Replay) -> (Vec<Stamped>, ReplayEnd) {
     (told, end.unwrap())
 }
 
-/// A clock that stands still, and jumps on at each look once a call hangs.
+/// A clock that stands still, and jumps ahead at each reading once a call hangs.
 fn jumping(hangs: Arc<AtomicBool>) -> Clock {
     let looks = AtomicU64::new(0);
     Arc::new(move || {
@@ -268,7 +268,7 @@ fn info() -> RunInfo {
     RunInfo { name: "hall".to_owned(), seed: 1, started_at_unix_ns: 0, testbed: TESTBED.to_owned() }
 }
 
-/// The network in memory, by a clock.
+/// The network in memory, with a clock.
 struct Ticking {
     network: VirtualNetwork,
     now: Clock,
@@ -285,7 +285,7 @@ impl Network for Ticking {
 }
 
 #[test]
-fn what_a_plugin_does_wrong_ends_the_same_in_real_time_virtual_time_and_a_replay() {
+fn faults_end_the_same_in_real_time_virtual_time_and_replay() {
     for (misdeed, reason, flood) in [
         (Misdeed::Panic, "panicked: by design", 0),
         (Misdeed::Flood, "it asked for more than 1000 things in a second", 1000),
@@ -297,7 +297,7 @@ fn what_a_plugin_does_wrong_ends_the_same_in_real_time_virtual_time_and_a_replay
         assert_eq!(Recorded::of(&misdeed.in_real_time()), expected, "{misdeed:?} in real time");
         let replayed = misdeed.in_a_replay(&played);
         assert_eq!(Recorded::of(&replayed), expected, "{misdeed:?} in a replay");
-        // At the very same times.
+        // At exactly the same times.
         let times = |events: &[Stamped]| {
             let is_its = |e: &&Stamped| matches!(e.event, Event::Decision(_) | Event::PluginFault { .. });
             events.iter().filter(is_its).map(|event| event.at).collect::<Vec<_>>()
@@ -308,7 +308,7 @@ fn what_a_plugin_does_wrong_ends_the_same_in_real_time_virtual_time_and_a_replay
 }
 
 #[test]
-fn a_program_that_floods_or_hangs_is_cut_off_in_a_replay_too() {
+fn a_program_that_floods_or_hangs_is_cut_off_in_a_replay() {
     for (misdeed, reason, flood) in [
         (Misdeed::Flood, "it asked for more than 1000 things in a second", 1000),
         (Misdeed::Hang, "was not done with mark ", 0),
@@ -323,7 +323,7 @@ fn a_program_that_floods_or_hangs_is_cut_off_in_a_replay_too() {
     }
 }
 
-/// The robot moved, and stands long before its command would have timed out.
+/// Asserts that the robot moved, and stopped long before its command would have timed out.
 fn assert_stops(events: &[Stamped]) {
     let speeds: Vec<_> = events
         .iter()

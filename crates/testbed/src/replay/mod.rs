@@ -1,5 +1,5 @@
-//! A recorded run, played through the API as if it went on: so that a plug-in can be developed against it. What was
-//! decided is played, too; what anyone asks for now is refused and told, and changes nothing.
+//! A recorded run, played through the API as if it went on, for developing plug-ins. Recorded decisions are played, too.
+//! New instructions are rejected and reported, and change nothing.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -35,66 +35,65 @@ use crate::{
     run_info::{about, epoch},
 };
 
-/// How often it is asked whether to go on.
+/// Interval between questions whether to go on.
 const LOOK: Duration = Duration::from_millis(50);
-/// Events between two questions to the history.
+/// Events per query of the history.
 const STEP: usize = 1000;
 const REFUSAL: &str = "this is a replay: what was recorded is played, and nothing can change it";
 
-/// How fast a run is played.
+/// Speed of a replay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Speed {
-    /// So many seconds of the run in one.
+    /// Seconds of the run per second.
     Times(f64),
-    /// As fast as those who follow take it in, by the marks of virtual time.
+    /// As fast as the followers handle events, by the marks of virtual time.
     Max {
-        /// So many must follow, each under a name, before it begins.
+        /// Number of followers, each with a name, that must follow before the replay begins.
         followers: usize,
     },
 }
 
-/// How a run is to be played.
+/// Options of a replay.
 #[derive(Debug, Clone)]
 pub struct ReplayOptions {
-    /// Where the API listens; by default on 127.0.0.1:7700, or the next free port if that is taken.
+    /// Address of the API; by default 127.0.0.1:7700, or the next free port if that is taken.
     pub api: Option<SocketAddr>,
-    /// Where tools of this user find the replay, and as what; `None` where they need not.
+    /// Folder through which this user's tools find the replay, and its description there; `None` if they need not find it.
     pub known: Option<(Runs, String)>,
-    /// What callers of the API must show.
+    /// Tokens of the API's callers.
     pub tokens: Tokens,
-    /// The run's folder, which has large data of its sensors; `None` if that is not known.
+    /// The run's folder with large data of its sensors; `None` if unknown.
     pub folder: Option<PathBuf>,
-    /// How fast.
     pub speed: Speed,
-    /// From here on; what was before is known at the beginning.
+    /// Beginning; the state before it is known from the start.
     pub from: Timestamp,
-    /// Up to here, this excluded.
+    /// End, exclusive.
     pub to: Option<Timestamp>,
-    /// Where what is played is served to Foxglove, too.
+    /// Address at which the replay is also served to Foxglove.
     pub foxglove: Option<SocketAddr>,
-    /// Whether it is played to the testbed's plug-ins, too, which are to be bundled ones.
+    /// Whether the replay is played to the testbed's plug-ins, too. All of them must be bundled.
     pub to_plugins: bool,
 }
 
-/// What happens in a replay.
+/// Progress of a replay.
 #[derive(Debug)]
 pub enum Played<'a> {
-    /// It is this time of the run.
+    /// The time of the run.
     Time(Timestamp),
-    /// Somebody asked for something, which is refused.
+    /// An instruction was given, and rejected.
     Refused(&'a Stamped),
-    /// A plug-in was cut off, and is not waited for any more.
+    /// A plug-in was cut off; the replay does not wait for it any more.
     CutOff(&'a Stamped),
 }
 
-/// How a replay ended.
+/// The end of a replay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReplayEnd {
-    /// All was played.
+    /// Everything was played.
     Played,
-    /// All who followed went away.
+    /// All followers left.
     Alone,
-    /// It was not to go on.
+    /// The caller stopped it.
     Stopped,
 }
 
@@ -113,16 +112,16 @@ pub struct Replay {
 struct Audience {
     host: PluginHost,
     locals: Locals,
-    /// What bundled ones share.
+    /// Ledgers that bundled plug-ins share.
     _ledgers: Ledgers,
     record: Record,
     now: Timestamp,
 }
 
-/// A recorded run as what plug-ins control: it refuses everything.
+/// A recorded run as the object of instructions: it rejects all of them.
 #[derive(Default)]
 struct Record {
-    /// What plug-ins did, to be told.
+    /// Events about plug-ins that were not published yet.
     told: VecDeque<Stamped>,
 }
 
@@ -175,10 +174,10 @@ impl Audience {
         Ok(())
     }
 
-    /// When a plug-in wants to be woken next.
+    /// Returns the next wake-up time of a plug-in.
     fn next_wake(&self) -> Option<Timestamp> {
         let wake = self.host.next_wake().into_iter().chain(self.locals.next_deadline()).min();
-        // One that was met is not to come again at the same time.
+        // A wake-up that was met must not come again at the same time.
         wake.map(|wake| wake.max(self.now + Duration::from_nanos(1)))
     }
 }
@@ -207,7 +206,7 @@ impl Replay {
     /// Serves the API of a run that is about to be played.
     ///
     /// # Errors
-    /// [`ApiError`] when it cannot be served; [`PluginError`] when a plug-in cannot be made; the history's errors.
+    /// [`ApiError`] if the API cannot be served; [`PluginError`] if a plug-in cannot be made; errors of the history.
     pub fn new(
         testbed: Testbed,
         history: History,
@@ -217,7 +216,7 @@ impl Replay {
         Self::by_the_clock(testbed, history, run, options, wall_clock())
     }
 
-    /// The same, plug-ins taking as long as the clock `wall` says.
+    /// Creates a replay that measures the calls of plug-ins by the clock `wall`.
     pub(crate) fn by_the_clock(
         testbed: Testbed,
         history: History,
@@ -243,7 +242,7 @@ impl Replay {
         if options.from > Timestamp::ZERO {
             know(&live, tap.as_ref(), history.state_at(run, before)?);
         }
-        // Others take part as they like: in a replay, plug-ins that are programs are started by whoever watches.
+        // Others choose whether to follow: in a replay, the user starts plug-ins that are programs.
         let hosted = if options.to_plugins {
             testbed.plugins.iter().map(|spec| spec.id.clone()).collect()
         } else {
@@ -271,7 +270,7 @@ impl Replay {
         Ok(Self { programs, audience: Guarded::new(audience, wall), history, run, options, watched, tap })
     }
 
-    /// Plays it to a plug-in in process, too.
+    /// Adds a plug-in in process.
     #[cfg(test)]
     pub(crate) fn to(
         mut self,
@@ -286,20 +285,20 @@ impl Replay {
         self
     }
 
-    /// Where the API listens.
+    /// Returns the API's address.
     pub fn api_address(&self) -> SocketAddr {
         self.programs.api_address()
     }
 
-    /// Where it serves Foxglove, if it does.
+    /// Returns the address for Foxglove, if it is served.
     pub fn foxglove_address(&self) -> Option<SocketAddr> {
         self.watched.as_ref().and_then(Recording::foxglove)
     }
 
-    /// Plays the run. `tell` is told what happens, at least several times a second, and says whether to go on.
+    /// Plays the run. `tell` receives the progress, at least several times a second, and returns whether to go on.
     ///
     /// # Errors
-    /// The history's.
+    /// Errors of the history.
     #[allow(clippy::disallowed_types, reason = "a replay at a speed goes by the wall clock")]
     pub fn play(self, tell: impl FnMut(Played<'_>) -> bool) -> Result<ReplayEnd, ReplayError> {
         let Self { mut programs, audience, history, run, options, watched: _watched, tap } = self;
@@ -320,7 +319,7 @@ impl Replay {
         loop {
             let page = history.events(run, &[], (Bound::Included(options.from), end), request)?;
             moment.extend(page.items);
-            // The last moment of a page may go on in the next one.
+            // The last moment of a page may continue in the next page.
             let open = page.next.and(moment.back().map(|last| last.at));
             while let Some(at) = moment.front().map(|event| event.at).filter(|at| Some(*at) != open) {
                 // Plug-ins may want to be woken before.
@@ -353,12 +352,12 @@ impl Replay {
     }
 }
 
-/// A run that is played.
+/// A replay in progress.
 struct Playing<T> {
     audience: Guarded<Audience>,
     tap: Option<Tap>,
     tell: T,
-    /// It was not to go on: whoever said so may not say so again.
+    /// Set once the caller returned false, because it may not do so again.
     stopped: bool,
 }
 
@@ -371,13 +370,13 @@ impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
         }
     }
 
-    /// Lets plug-ins take in what happened up to now, first those in process; gives whether to go on.
+    /// Lets plug-ins handle all events up to now, first those in process. Returns whether to go on.
     fn settle(&mut self, programs: &mut ExternalPlugins) -> bool {
         self.audience.locals.wake();
         let now = self.audience.now;
         self.stopped |= !self.audience.run(&mut || (self.tell)(Played::Time(now)));
         self.tell_decisions();
-        // At least what was said already.
+        // Handles at least the messages that have arrived.
         !self.stopped && programs.listen(Duration::ZERO, self) && programs.settle(self)
     }
 
@@ -391,7 +390,7 @@ impl<T: FnMut(Played<'_>) -> bool> Playing<T> {
         }
     }
 
-    /// Whether nobody is there any more.
+    /// Whether all followers left.
     fn is_alone(&mut self) -> bool {
         self.audience.host.forget_gone();
         self.audience.host.followers() == 0 && self.audience.locals.is_empty()
@@ -433,7 +432,7 @@ impl<T: FnMut(Played<'_>) -> bool> Stage for Playing<T> {
     }
 }
 
-/// Makes a state known as what happened last.
+/// Publishes a state as the last known one.
 fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
     let told = |event: Stamped| {
         live.absorb(&event);
@@ -454,24 +453,24 @@ fn know(live: &Live, tap: Option<&Tap>, state: GraphState) {
     each(told, state.sensors, Event::Sensor);
 }
 
-/// Why a run cannot be played.
+/// Error of playing a run.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// The API.
+    /// The API cannot be served.
     #[error(transparent)]
     Api(#[from] ApiError),
     /// A plug-in cannot be made.
     #[error(transparent)]
     Plugin(#[from] PluginError),
-    /// A plug-in that is a program follows by itself.
+    /// A plug-in that is a program has to be started by the user.
     #[error(
         "plug-in `{0}` is a program of its own: start it beside the replay, with COTORRA_API and COTORRA_PLUGIN set"
     )]
     Program(PluginId),
-    /// Who watches.
+    /// The live viewers cannot be served.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// The history.
+    /// The history cannot be read.
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),
 }

@@ -1,41 +1,40 @@
-//! How far robots drive blind: after the answer that they follow got older than it would be if each came in time.
+//! Measures how far robots drive blind: while the answer that they follow is older than it would be with timely answers.
 
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{Event, NodeId, Program, Stamped, Testbed, Timestamp};
 use serde::Serialize;
 
-/// How far a robot drove.
+/// Distances that a robot drove.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DrivingSummary {
-    /// The robot.
     pub robot: NodeId,
-    /// Its way, metres, by its odometry.
+    /// Distance by odometry, metres.
     pub driven_m: f64,
-    /// What of it was driven while the newest answer was to a position packet that is older than the target and one
-    /// interval between packets together.
+    /// Distance driven blind, metres: while the newest answer belongs to a position packet older than the target plus one
+    /// interval between packets.
     pub blind_m: f64,
-    /// The longest of these stretches.
+    /// The longest blind stretch, metres.
     pub longest_blind_m: f64,
 }
 
-/// All robots that are navigated along a walk.
+/// The robots that are navigated along a walk.
 #[derive(Debug, Default)]
 pub(super) struct Driving(BTreeMap<NodeId, Driven>);
 
 #[derive(Debug)]
 struct Driven {
-    /// So old may the position be that the newest answer is to.
+    /// Highest age of the position packet that the newest answer belongs to.
     fresh: Duration,
-    /// When that was emitted.
+    /// Emission of that packet.
     answered: Timestamp,
-    /// Up to when the ways below are added up.
+    /// Time up to which the distances are summed up.
     at: Timestamp,
-    /// m/s, since then.
+    /// Speed since then, m/s.
     speed: f64,
     driven_m: f64,
     blind_m: f64,
-    /// The blind stretch that goes on.
+    /// Length of the current blind stretch.
     stretch_m: f64,
     longest_m: f64,
 }
@@ -88,7 +87,7 @@ impl Driven {
         Self { fresh, answered, at, speed: 0.0, driven_m: 0.0, blind_m: 0.0, stretch_m: 0.0, longest_m: 0.0 }
     }
 
-    /// Adds up to `now`, at the speed of the last context.
+    /// Adds the distance up to `now`, at the speed of the last context.
     fn advance(&mut self, now: Timestamp) {
         let blind_from = self.at.max(self.answered + self.fresh);
         let blind = now.since(blind_from);
@@ -113,8 +112,8 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_drives_blind_from_when_its_newest_answer_is_too_old_until_the_next() {
-        // A target of 20 ms, and a packet each 50 ms.
+    fn a_robot_drives_blind_while_its_newest_answer_is_too_old() {
+        // A target of 20 ms, and a packet every 50 ms.
         let mut driven = Driven::new(Duration::from_millis(70));
         driven.speed = 2.0;
         let mut answer = |emitted: u64, arrived: u64| {
@@ -126,7 +125,7 @@ mod tests {
         assert_eq!(answer(0, 10), [0.02, 0.0, 0.0]);
         assert_eq!(answer(50, 70), [0.14, 0.0, 0.0], "in time");
         assert_eq!(answer(100, 150), [0.3, 0.06, 0.06], "30 ms too late");
-        // Two that come when they are too old themselves: it goes on blind.
+        // Two answers that are too old on arrival: the robot stays blind.
         assert_eq!(answer(150, 270), [0.54, 0.26, 0.2]);
         assert_eq!(answer(200, 290), [0.58, 0.3, 0.24]);
         assert_eq!(answer(180, 300), [0.6, 0.32, 0.26], "an older one changes nothing");

@@ -1,4 +1,4 @@
-//! The service time over time in the published figure's layout: the target dashed, the attachment shaded and named.
+//! The service time over time in the layout of the published figure: the target dashed, the attachment shaded and named.
 
 use cotorra_graph::{ServiceId, ServiceTime};
 use kuva::{
@@ -16,34 +16,34 @@ use super::{
     summary::{RegionSummary, Report, ServiceSummary, service_time_ms},
 };
 
-/// The published figure ends here, milliseconds; spikes above are cut. One whose target is high ends at twice that.
+/// Upper end of the published figure, milliseconds; higher spikes are cut. With a high target the figure ends at twice the
+/// target.
 const TOP_MS: f64 = 40.0;
 const WIDTH: f64 = 1100.0;
 const HEIGHT: f64 = 360.0;
-/// Regions in turn; light enough for a line in front.
+/// Colours of regions, light enough for a line in front.
 const SHADES: [&str; 6] = ["#4e79a7", "#f28e2b", "#59a14f", "#e15759", "#b07aa1", "#9c755f"];
 
 /// One panel of the figure.
 #[derive(Debug)]
 pub struct Panel<'a> {
-    /// Written above it.
+    /// Title above the panel.
     pub title: String,
-    /// Its samples.
     pub samples: &'a Samples,
-    /// Of this service alone, or all.
+    /// Restricts samples to this service.
     pub service: Option<ServiceId>,
-    /// Its shading.
+    /// Shaded regions.
     pub regions: Vec<RegionSummary>,
-    /// The dashed line.
+    /// Position of the dashed line, milliseconds.
     pub target_ms: Option<f64>,
-    /// What the line is called; with this or points there is a legend.
+    /// Name of the line; a name here or for points adds a legend.
     pub line: Option<&'static str>,
-    /// Points and what they are called: seconds, milliseconds.
+    /// Name of points, and the points: seconds, milliseconds.
     pub points: Option<(&'static str, Vec<(f64, f64)>)>,
 }
 
 impl<'a> Panel<'a> {
-    /// The service times of a run.
+    /// Creates a panel with the service times of a run.
     pub fn of(title: String, report: &'a Report) -> Self {
         let (samples, regions) = (report.samples(), report.regions());
         Self {
@@ -57,7 +57,7 @@ impl<'a> Panel<'a> {
         }
     }
 
-    /// The service times of a run: a panel for each service that has some.
+    /// Creates a panel for each service that has samples.
     pub fn of_services(title: &str, report: &'a Report) -> Vec<Self> {
         let services: Vec<_> = report.services().into_iter().filter(|its| its.samples > 0).collect();
         if services.len() < 2 {
@@ -79,7 +79,7 @@ impl<'a> Panel<'a> {
 /// Draws the panels, one below the other, as SVG.
 pub fn draw(panels: &[Panel<'_>]) -> String {
     let end = panels.iter().map(|panel| panel.samples.end().as_secs_f64()).fold(1.0, f64::max);
-    // A radio unit has one colour in all panels.
+    // A radio unit has the same colour in all panels.
     let mut names: Vec<&str> = Vec::new();
     for region in panels.iter().flat_map(|panel| &panel.regions) {
         let name = name(region);
@@ -113,7 +113,7 @@ fn name(region: &RegionSummary) -> &str {
 }
 
 fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout) {
-    // A sample without an answer is drawn where it would be at best: at the top.
+    // A sample without an answer is drawn at the top, its best case.
     let top_ms = panel.target_ms.map_or(TOP_MS, |target| TOP_MS.max(target * 2.0));
     let point = |s: ServiceTime| (s.emitted.as_secs_f64(), service_time_ms(&s).unwrap_or(top_ms).min(top_ms));
     let is_its = |s: &ServiceTime| panel.service.as_ref().is_none_or(|service| *service == s.service);
@@ -148,7 +148,7 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
             .with_color(SHADES[shade % SHADES.len()])
             .with_opacity(0.22);
         layout = layout.with_shaded_region(shading);
-        // A name needs some room to be read.
+        // Names are only drawn where there is room.
         if (to - region.from.as_secs_f64()) / end > 0.03 {
             let middle = (region.from.as_secs_f64() + to) / 2.0;
             layout =
@@ -158,10 +158,10 @@ fn draw_panel(panel: &Panel<'_>, end: f64, names: &[&str]) -> (Vec<Plot>, Layout
     (plots, layout)
 }
 
-/// Of the points in each column of the figure the lowest and the highest, in order: all that can be seen.
+/// Returns the lowest and the highest point of each column of the figure, in order: everything that is visible.
 fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
     let mut thinned = Vec::new();
-    // The column, and the first of its lowest and of its highest.
+    // The column, and the first of its lowest and of its highest points.
     let mut open: Option<(u32, [(f64, f64); 2])> = None;
     let mut close = |open: Option<(u32, [(f64, f64); 2])>| {
         if let Some((_, [low, high])) = open {
@@ -190,7 +190,7 @@ fn thin(points: impl Iterator<Item = (f64, f64)>, end: f64) -> Vec<(f64, f64)> {
     thinned
 }
 
-/// Regions with the time up to which each is shaded: the next one's beginning.
+/// Returns regions with the end of their shading: the beginning of the next region.
 fn close_gaps(regions: &[RegionSummary]) -> impl Iterator<Item = (&RegionSummary, f64)> {
     let ends = regions
         .iter()

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A file of the run's folder cannot be written.
+/// A file of a results folder cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {source}", path.display())]
 pub struct FolderError {
@@ -14,18 +14,18 @@ pub struct FolderError {
 }
 
 impl FolderError {
-    /// An error on a path.
+    /// Creates an error on a path.
     pub fn new(path: &Path, source: io::Error) -> Self {
         Self { path: path.to_owned(), source }
     }
 }
 
-/// Where a run's folder is made.
+/// Place of a results folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
-    /// In this folder, named after the testbed and the time.
+    /// Inside this folder, named after the testbed and the time.
     In(PathBuf),
-    /// It is this one, which does not exist yet.
+    /// Exactly this folder, which must not exist yet.
     At(PathBuf),
 }
 
@@ -36,10 +36,10 @@ impl Default for Place {
 }
 
 impl Place {
-    /// Makes the folder, and those above it; gives its absolute path.
+    /// Creates the folder and its parents. Returns its absolute path.
     ///
     /// # Errors
-    /// [`FolderError`] when that is not possible, or [`Place::At`] is there already.
+    /// [`FolderError`] if that fails, or [`Place::At`] exists.
     pub fn create(&self, name: &str) -> Result<PathBuf, FolderError> {
         let fail = |path: &Path| {
             let path = path.to_owned();
@@ -50,7 +50,7 @@ impl Place {
             Self::In(parent) => {
                 let time = chrono::Local::now().format("%Y%m%d-%H%M%S");
                 let stem = format!("{name}-{time}");
-                // Two runs within one second each get their own.
+                // Runs that start within the same second have different names.
                 let names = std::iter::once(stem.clone()).chain((2..1000).map(|i| format!("{stem}-{i}")));
                 (&**parent, names.map(|name| parent.join(name)).collect())
             }
@@ -71,13 +71,13 @@ impl Place {
     }
 }
 
-/// Writes a file whole or not at all: a reader never sees half of one.
+/// Writes a file completely or not at all: a reader never sees half of one.
 pub fn write_file(folder: &Path, name: &str, text: &str) -> Result<(), FolderError> {
     let path = folder.join(name);
     let draft = folder.join(format!(".{name}.part"));
     fs::write(&draft, text)
         .and_then(|()| fs::rename(&draft, &path))
-        // It may not be there.
+        // The draft may not exist.
         .inspect_err(|_| drop(fs::remove_file(&draft)))
         .map_err(|source| FolderError { path, source })
 }

@@ -1,5 +1,5 @@
-//! What a run leaves: the summary, the samples, the published figure's layout. All but how far
-//! off localization was is read off the events.
+//! The results of a run: summary, samples, and the figure in the published layout. Everything is computed from events,
+//! except localization errors.
 
 mod driving;
 mod end;

@@ -19,10 +19,10 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Makes it and `logs/` in it, and puts the testbed file there.
+    /// Creates the folder and its `logs/`, and writes the testbed file there.
     ///
     /// # Errors
-    /// [`FolderError`] when that is not possible.
+    /// [`FolderError`] if that fails.
     pub fn create(place: &Place, name: &str, testbed_text: &str) -> Result<Self, FolderError> {
         let path = place.create(name)?;
         let logs = path.join("logs");
@@ -31,17 +31,17 @@ impl RunFolder {
         Ok(Self { path })
     }
 
-    /// Where it is; absolute.
+    /// Returns the absolute path.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The run's history.
+    /// Returns the path of the run's history.
     pub fn history(&self) -> PathBuf {
         self.path.join("history.sqlite")
     }
 
-    /// The VNFs' and plug-ins' logs.
+    /// Returns the path of the VNFs' and plug-ins' logs.
     pub fn logs(&self) -> PathBuf {
         self.path.join("logs")
     }

@@ -1,4 +1,4 @@
-//! The service times of a run. The newest are in memory, and older ones in a file that has no name: a run may last for days.
+//! The service times of a run, which may last for days. The newest are in memory, older ones in a file without a name.
 
 use std::{
     cmp::Reverse,
@@ -12,12 +12,12 @@ use std::{
 
 use cotorra_graph::{NodeId, ServiceId, ServiceTime, Timestamp};
 
-/// So many are in memory at most, unless they cannot be written.
+/// Maximum number of samples in memory, unless they cannot be written.
 const IN_MEMORY: usize = 1 << 16;
-/// What stands for no answer, and for no radio unit.
+/// Stands for a missing answer, and for a missing radio unit.
 const NONE: u64 = u64::MAX;
 
-/// A sample, with names by their places: 40 bytes.
+/// A sample, with indices instead of names: 40 bytes.
 type Packed = [u64; 5];
 const SIZE: usize = size_of::<Packed>();
 
@@ -26,22 +26,22 @@ const SIZE: usize = size_of::<Packed>();
 pub struct Samples {
     services: Names<ServiceId>,
     nodes: Names<NodeId>,
-    /// The newest.
+    /// The newest samples.
     recent: Vec<Packed>,
-    /// All before them.
+    /// All older samples.
     written: Option<File>,
     count_written: usize,
     /// The latest emission.
     end: Timestamp,
-    /// How long before that a sample was emitted that came after it, at most.
+    /// The most by which a later sample was emitted before an earlier one.
     disorder: Duration,
 }
 
 impl Samples {
-    /// Keeps older samples in a file in this folder. It has no name once this returns, and ends with the process.
+    /// Keeps older samples in a file in this folder. The file has no name once this returns, and ends with the process.
     ///
     /// # Errors
-    /// As [`File::options`].
+    /// Errors of [`File::options`].
     pub fn in_folder(folder: &Path) -> io::Result<Self> {
         let path = folder.join("samples");
         let file = File::options().read(true).write(true).create_new(true).open(&path)?;
@@ -49,22 +49,22 @@ impl Samples {
         Ok(Self { written: Some(file), ..Self::default() })
     }
 
-    /// How many there are.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.count_written + self.recent.len()
     }
 
-    /// Whether there is none.
+    /// Whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The latest emission.
+    /// Returns the latest emission.
     pub fn end(&self) -> Timestamp {
         self.end
     }
 
-    /// All, by emission; those emitted at once in the order in which they came.
+    /// Returns all samples by emission. Those emitted at the same time keep their order of arrival.
     pub fn iter(&self) -> impl Iterator<Item = ServiceTime> + '_ {
         let mut came = (0..self.len()).map_while(|place| self.read(place)).enumerate();
         let mut waiting = BinaryHeap::new();
@@ -100,7 +100,7 @@ impl Samples {
         }
     }
 
-    /// Moves what is in memory into the file. Where that fails, it stays, and the next time all is written.
+    /// Moves samples from memory into the file. If that fails they stay, and the next call writes all of them.
     fn write(&mut self) {
         let Some(file) = &self.written else { return };
         let bytes: Vec<u8> = self.recent.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
@@ -139,7 +139,7 @@ impl Samples {
     }
 }
 
-/// Names, each with a place.
+/// Names with their indices.
 #[derive(Debug)]
 struct Names<T> {
     list: Vec<T>,
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_has_a_bound_and_loses_nothing() {
+    fn memory_is_bounded_and_nothing_is_lost() {
         let folder = tempfile::tempdir().unwrap();
         let mut samples = Samples::in_folder(folder.path()).unwrap();
         let count = 3 * IN_MEMORY + 5;

@@ -1,4 +1,4 @@
-//! Turns the events of a run into its summary.
+//! Computes a run's summary from its events.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -16,41 +16,40 @@ use super::{
     samples::Samples,
 };
 
-/// Lateness above which a run's figures are not to be trusted, at the 99th percentile.
+/// Highest trusted lateness at the 99th percentile, µs.
 const VALID_P99_US: f64 = 1000.0;
-/// The same at the median.
+/// Highest trusted lateness at the median, µs.
 const VALID_P50_US: f64 = 250.0;
-/// Share of frames that may be lost though nobody asked for it.
+/// Highest trusted share of frames lost unintentionally.
 const VALID_DROPPED: f64 = 1e-4;
-/// With fewer probes than this, nothing is known of one in a hundred.
+/// Lowest number of probes that says something about one in a hundred.
 const VALID_PROBES: u64 = 100;
-/// So many notices are kept.
+/// Maximum number of notices.
 const MOST_NOTICES: usize = 100;
 
-/// What `summary.json` holds.
+/// The content of `summary.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
-    /// The testbed's name.
+    /// Name of the testbed.
     pub name: String,
-    /// The version of cotorra that ran it.
+    /// Version of cotorra in the run.
     pub version: &'static str,
-    /// The run's seed.
     pub seed: u64,
-    /// How long it ran, milliseconds.
+    /// Duration, milliseconds.
     pub duration_ms: f64,
-    /// Why it ended.
+    /// Reason for the end.
     pub ended: &'static str,
-    /// How many service times were measured, unanswered ones included.
+    /// Number of service times, unanswered ones included.
     pub samples: usize,
-    /// How many of them got no answer within the robot's command timeout.
+    /// Number of service times without an answer within the robot's command timeout.
     pub unanswered: usize,
-    /// The target service time of the first service.
+    /// Target service time of the first service, milliseconds.
     pub service_time_target_ms: Option<f64>,
-    /// Share of samples over the target of their service; an unanswered one is over any.
+    /// Share of samples above the target of their service. Unanswered ones count as above it.
     pub above_target: Option<f64>,
-    /// Service time over all answered samples.
+    /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
-    /// The same of each service that is measured, in the file's order.
+    /// Summaries of the measured services, in the file's order.
     pub services: Vec<ServiceSummary>,
     /// Stretches with one attachment and one server, in order.
     pub regions: Vec<RegionSummary>,
@@ -58,50 +57,47 @@ pub struct Summary {
     pub handovers: Vec<HandoverRecord>,
     /// Placements, in order, those at the start included.
     pub placements: Vec<PlacementRecord>,
-    /// Whether the emulator did what it was asked.
+    /// Verdict on the emulation.
     pub fidelity: Fidelity,
-    /// Where the robots' poses came from, as told last; `None` where there is no robot.
+    /// Last source of the robots' poses; `None` without robots.
     pub pose_source: Option<PoseSource>,
-    /// How far off localization was, of each robot that a VNF localized and whose place is known.
+    /// Localization errors of each robot that a VNF localized and whose true position is known.
     pub localization: Vec<LocalizationSummary>,
-    /// How far each robot drove that is navigated along a walk, and what of it blind.
+    /// Distances of each robot that is navigated along a walk.
     pub driving: Vec<DrivingSummary>,
-    /// Plug-ins that were cut off, with the reason.
+    /// Plug-ins that were cut off, each with the reason.
     pub plugin_faults: Vec<String>,
-    /// Notices, the first hundred.
+    /// The first hundred notices.
     pub notices: Vec<String>,
-    /// Events that the history had no room for.
+    /// Number of events that the history had no room for.
     pub history_dropped: u64,
 }
 
 /// The service times of one service.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ServiceSummary {
-    /// The service.
     pub service: ServiceId,
-    /// How many were measured, unanswered ones included.
+    /// Number of service times, unanswered ones included.
     pub samples: usize,
-    /// How many of them got no answer in time.
+    /// Number of service times without an answer in time.
     pub unanswered: usize,
-    /// The target.
+    /// Target, milliseconds.
     pub service_time_target_ms: f64,
-    /// Share of samples over the target; an unanswered one is over any.
+    /// Share of samples above the target. Unanswered ones count as above it.
     pub above_target: Option<f64>,
-    /// Over all answered samples.
+    /// Service times of all answered samples, milliseconds.
     pub service_time_ms: Option<Quantiles>,
 }
 
-/// How far off a robot's localization was, each time that κ was collected.
+/// Errors of a robot's localization at each collection of κ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LocalizationSummary {
-    /// The robot.
     pub robot: NodeId,
-    /// How often it was compared.
+    /// Number of comparisons.
     pub samples: usize,
-    /// From where it was believed to be to where it was, metres.
+    /// Distance from the estimated to the true position, metres.
     pub error_m: Quantiles,
-    /// Mean of the normalized estimation error squared: 3 if the covariance is as large as the errors, more if it is too
-    /// small.
+    /// Mean of the normalized estimation error squared: 3 if the covariance matches the errors, more if it is too small.
     pub nees: f64,
 }
 
@@ -119,7 +115,7 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    /// Of these values; `None` if there are none.
+    /// Returns the quantiles of these values; `None` without values.
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let max = *values.last()?;
@@ -135,84 +131,77 @@ impl Quantiles {
 /// A stretch of a service with one attachment and one server.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RegionSummary {
-    /// The robot.
     pub robot: NodeId,
-    /// The service.
     pub service: ServiceId,
-    /// Its radio unit; `None` while it had none.
+    /// Radio unit; `None` without attachment.
     pub attachment: Option<NodeId>,
-    /// Where navigation ran, or the server of the service's flow. Where all instances are asked, the one that answered the
-    /// first sample.
+    /// Node of the navigation VNF, or of the server of the service's flow. If requests go to all instances, the node that
+    /// answered the first sample.
     pub server: NodeId,
-    /// The first sample's emission.
+    /// Emission of the first sample.
     #[serde(rename = "from_ns")]
     pub from: Timestamp,
-    /// The last sample's emission.
+    /// Emission of the last sample.
     #[serde(rename = "until_ns")]
     pub until: Timestamp,
-    /// Samples in it.
+    /// Number of samples.
     pub samples: usize,
-    /// Median service time; `None` if no sample was answered.
+    /// Median service time, milliseconds; `None` without an answered sample.
     pub service_time_p50_ms: Option<f64>,
 }
 
 /// A change of attachment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct HandoverRecord {
-    /// When it was complete.
+    /// Time of completion.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
-    /// The robot.
     pub robot: NodeId,
-    /// Before.
+    /// The radio unit before.
     pub from: Option<NodeId>,
-    /// After.
+    /// The radio unit after.
     pub to: NodeId,
-    /// How long no frame could pass.
+    /// Time without frames, milliseconds.
     pub gap_ms: f64,
     /// Whether fast transition was used.
     pub fast: bool,
-    /// Where the robot was; `None` if that is not known.
+    /// The robot's position; `None` if it is not known.
     pub position: Option<Position>,
 }
 
-/// A VNF on a node, or on several.
+/// The placement of a VNF on a node, or on several.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlacementRecord {
-    /// When.
     #[serde(rename = "at_ns")]
     pub at: Timestamp,
-    /// The VNF.
     pub vnf: VnfId,
-    /// The node, or those of its instances.
+    /// The node, or the nodes of the instances.
     pub node: Nodes,
-    /// Where its service's robot was; `None` if that is not known.
+    /// The position of the service's robot; `None` if it is not known.
     pub position: Option<Position>,
 }
 
-/// Something that a plug-in asked for and got: another radio unit, or another node for a VNF.
+/// An applied instruction of a plug-in: another radio unit, or another node for a VNF.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecisionRecord {
-    /// When.
     pub at: Timestamp,
-    /// What.
     pub instruction: Instruction,
-    /// Where the robot was that it is about; `None` if that is not known.
+    /// The position of the robot concerned; `None` if it is not known.
     pub position: Option<Position>,
 }
 
-/// Whether the emulator did what it was asked.
+/// Verdict on the emulation: whether it did what the testbed file demands.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Fidelity {
     /// Whether the figures can be trusted.
     pub valid: bool,
-    /// How late frames were delivered.
+    /// Lateness of frames, µs.
     pub lateness_us: LatenessSummary,
-    /// Frames that it speaks of: all, or only probes where the kernel's NetEm carried them.
+    /// Number of frames in the verdict: all, or only probes if the kernel's NetEm carried the frames.
     pub frames: u64,
-    /// Frames that were lost though nobody asked for it: an interface was down, or its queue full.
+    /// Frames lost unintentionally: an interface was down, or its queue was full.
     pub frames_dropped: u64,
-    /// Why it is valid or not, with the limits.
+    /// Reason for the verdict, with the limits.
     pub reason: String,
 }
 
@@ -237,11 +226,11 @@ impl Summary {
 /// Frames whose lateness is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Known {
-    /// Of all, because the fabric carried them.
+    /// All frames, because the fabric carried them.
     All,
-    /// Of those that the fabric carried; others crossed interfaces of this machine.
+    /// The frames that the fabric carried; others crossed interfaces of this machine.
     Emulated,
-    /// Of probes alone, because the kernel carried them.
+    /// Probes alone, because the kernel carried the frames.
     Probes,
 }
 
@@ -296,12 +285,12 @@ impl Fidelity {
     }
 }
 
-/// What was lost though nobody asked for it.
+/// Unintentional losses.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Losses {
-    /// Frames, at hosts' interfaces.
+    /// Frames lost at hosts' interfaces.
     pub frames_dropped: u64,
-    /// Events, on their way into the history.
+    /// Events that did not reach the history.
     pub history_dropped: u64,
 }
 
@@ -311,9 +300,9 @@ pub struct Report {
     name: String,
     seed: u64,
     known: Known,
-    /// The services, the target of each in milliseconds, and whether it is measured without fail.
+    /// The services, each with its target in milliseconds, and whether it is measured even without samples.
     services: Vec<(ServiceId, f64, bool)>,
-    /// Services in which all instances are asked.
+    /// Services whose requests go to all instances.
     asking_all: Vec<ServiceId>,
     samples: Samples,
     driving: Driving,
@@ -327,12 +316,12 @@ pub struct Report {
     pose_source: Option<PoseSource>,
     /// The robot of each VNF.
     robots: BTreeMap<VnfId, NodeId>,
-    /// Where each robot was last.
+    /// The last position of each robot.
     positions: BTreeMap<NodeId, Position>,
 }
 
 impl Report {
-    /// Of a run with that seed.
+    /// Creates the report of a run with that seed.
     pub fn new(testbed: &Testbed, seed: u64) -> Self {
         Self {
             name: testbed.name.clone(),
@@ -371,21 +360,21 @@ impl Report {
         }
     }
 
-    /// The same, which keeps older samples on disk, in a file in this folder.
+    /// Keeps older samples on disk, in a file in this folder.
     ///
     /// # Errors
-    /// [`FolderError`] if the file cannot be made.
+    /// [`FolderError`] if the file cannot be created.
     pub(crate) fn on_disk(self, folder: &Path) -> Result<Self, FolderError> {
         let samples = Samples::in_folder(folder).map_err(|source| FolderError::new(folder, source))?;
         Ok(Self { samples, ..self })
     }
 
-    /// The same, of a run in which the kernel carried the frames, and lateness is that of probes.
+    /// Marks the kernel as the carrier of frames; lateness is then that of probes.
     pub(crate) fn by_the_kernel(self) -> Self {
         Self { known: Known::Probes, ..self }
     }
 
-    /// Takes an event in.
+    /// Adds an event.
     pub fn absorb(&mut self, stamped: &Stamped) {
         self.driving.absorb(stamped);
         let Stamped { at, event } = stamped;
@@ -431,7 +420,7 @@ impl Report {
         }
     }
 
-    /// Takes in how far off localization was; no event tells it, because nobody who decides may know.
+    /// Adds localization errors. They are in no event, because nobody who decides may know them.
     pub(crate) fn localized<'a>(&mut self, errors: impl Iterator<Item = (&'a NodeId, &'a Errors)>) {
         let summary = |(robot, errors): (&NodeId, &Errors)| {
             let error_m = Quantiles { max: errors.farthest(), ..Quantiles::of(errors.positions().to_vec())? };
@@ -445,32 +434,32 @@ impl Report {
         self.positions.get(self.robots.get(vnf)?).copied()
     }
 
-    /// Changes of attachment, in order.
+    /// Returns the changes of attachment, in order.
     pub fn handovers(&self) -> &[HandoverRecord] {
         &self.handovers
     }
 
-    /// What plug-ins asked for and got, in order.
+    /// Returns the applied instructions of plug-ins, in order.
     pub fn decisions(&self) -> &[DecisionRecord] {
         &self.decisions
     }
 
-    /// The service times so far.
+    /// Returns the service times so far.
     pub fn samples(&self) -> &Samples {
         &self.samples
     }
 
-    /// The target of the first service, milliseconds.
+    /// Returns the target of the first service, milliseconds.
     pub fn service_time_target_ms(&self) -> Option<f64> {
         self.services.first().map(|(_, target_ms, _)| *target_ms)
     }
 
-    /// The service times of each service that has some, or a flow, in the file's order.
+    /// Returns the summaries of services that have samples or a flow, in the file's order.
     pub fn services(&self) -> Vec<ServiceSummary> {
         self.summarize(self.by_service())
     }
 
-    /// The samples of each service that has some.
+    /// Groups samples by service.
     fn by_service(&self) -> BTreeMap<ServiceId, OfService> {
         let mut all: BTreeMap<ServiceId, OfService> = BTreeMap::new();
         for sample in self.samples.iter() {
@@ -500,7 +489,7 @@ impl Report {
         self.services.iter().filter_map(summary).collect()
     }
 
-    /// The summary, for a run that ended at `end`.
+    /// Returns the summary of a run that ended at `end`.
     pub fn summary(&self, end: Timestamp, ended: &'static str, losses: Losses) -> Summary {
         let by_service = self.by_service();
         let answered: Vec<f64> = by_service.values().flat_map(|its| &its.answered).copied().collect();
@@ -536,7 +525,7 @@ impl Report {
         }
     }
 
-    /// Stretches with one attachment and one server, robot by robot and service by service.
+    /// Returns the stretches with one attachment and one server, by robot and service.
     pub fn regions(&self) -> Vec<RegionSummary> {
         type Its = Vec<(RegionSummary, Vec<f64>)>;
         let mut robots: BTreeMap<(NodeId, ServiceId), Its> = BTreeMap::new();
@@ -580,18 +569,18 @@ impl Report {
 #[derive(Debug, Default)]
 struct OfService {
     samples: usize,
-    /// What each answered one took, milliseconds.
+    /// Service times of the answered samples, milliseconds.
     answered: Vec<f64>,
 }
 
 impl OfService {
-    /// How many took longer than that; an unanswered one did.
+    /// Returns the number of samples above the target. Unanswered ones count as above it.
     fn above(&self, target_ms: f64) -> usize {
         self.samples - self.answered.iter().filter(|ms| **ms <= target_ms).count()
     }
 }
 
-/// What a sample took, in milliseconds.
+/// Returns a sample's service time in milliseconds.
 pub fn service_time_ms(sample: &ServiceTime) -> Option<f64> {
     sample.took.map(millis::of)
 }
@@ -631,7 +620,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unanswered_sample_is_over_any_target() {
+    fn an_unanswered_sample_is_above_any_target() {
         let mut report = report();
         for (i, took) in [Some(10), Some(16), None, Some(14)].into_iter().enumerate() {
             report.absorb(&sample(i as u32, "R1", took));
@@ -642,7 +631,7 @@ mod tests {
     }
 
     #[test]
-    fn services_have_figures_targets_and_regions_of_their_own() {
+    fn services_have_their_own_figures_targets_and_regions() {
         let mut report = report();
         for (i, took) in [Some(10), Some(16)].into_iter().enumerate() {
             report.absorb(&sample(i as u32, "R1", took));
@@ -677,7 +666,7 @@ mod tests {
     }
 
     #[test]
-    fn regions_do_not_split_where_another_of_all_instances_answers() {
+    fn regions_do_not_split_where_another_instance_answers() {
         let servers = |asking_all: &[&str]| {
             let asking_all = asking_all.iter().map(|id| id.parse().unwrap()).collect();
             let mut report = Report { asking_all, ..report() };
@@ -695,7 +684,7 @@ mod tests {
     }
 
     #[test]
-    fn regions_split_where_the_attachment_changes_and_not_where_answers_overtake() {
+    fn regions_split_at_a_new_attachment_and_not_where_answers_overtake() {
         let mut report = report();
         for (sequence, attachment) in [(0, "R1"), (2, "R1"), (1, "R1"), (3, "R3"), (4, "R1")] {
             report.absorb(&sample(sequence, attachment, Some(11)));
@@ -719,12 +708,12 @@ mod tests {
         assert!(!late.valid && late.reason.contains("1500"), "{late:?}");
         let real = Fidelity::of(Known::Emulated, Lateness::default(), 0);
         assert!(!real.valid && real.reason.contains("NetEm"), "{real:?}");
-        // What the fabric carried beside real links is known.
+        // The fabric's own frames are known, beside real links.
         assert!(Fidelity::of(Known::Emulated, good, 0).valid);
     }
 
     #[test]
-    fn of_what_the_kernel_carried_probes_tell_if_they_are_enough() {
+    fn with_the_kernel_carrying_frames_enough_probes_decide() {
         let fidelity = |frames, p99_us| {
             Fidelity::of(Known::Probes, Lateness { frames, p50_us: 20.0, p99_us, max_us: 5000.0 }, 0)
         };

@@ -1,5 +1,5 @@
-//! What runs VNFs in virtual time: the bundled ones, as parts of the simulation. Others do not
-//! run: what comes to them is lost at their nodes, and nothing answers.
+//! VNFs in virtual time. Bundled ones are parts of the simulation. Others do not run: datagrams to them are lost, and
+//! nothing answers.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -24,7 +24,7 @@ enum Bundled {
 }
 
 impl Bundled {
-    /// Writes the answer to a datagram; false if there is none.
+    /// Writes the answer to a datagram; returns false if there is none.
     fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> bool {
         match self {
             Self::Navigation(vnf) => vnf.answer(datagram, answer).is_ok(),
@@ -34,15 +34,15 @@ impl Bundled {
     }
 }
 
-/// How an instance answers.
+/// The way in which an instance answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Mood {
-    /// At once.
+    /// Answers at once.
     #[default]
     Prompt,
-    /// So much later.
+    /// Answers after this delay.
     Slow(Duration),
-    /// Never.
+    /// Never answers.
     Hung,
 }
 
@@ -57,10 +57,10 @@ struct Instance {
 
 #[derive(Default)]
 struct Instances {
-    /// By node, in the order in which they were started.
+    /// By node, in the order of their start.
     by_node: BTreeMap<NodeId, Vec<Instance>>,
     happened: VecDeque<EngineEvent>,
-    /// Instances that are started become ready only once this ends.
+    /// Whether started instances stay unready until this ends.
     starts_held: bool,
 }
 
@@ -79,8 +79,7 @@ impl Instances {
 pub(crate) struct Serving(Arc<Mutex<Instances>>);
 
 impl Serving {
-    /// Writes what the VNFs on a node answer to a datagram that came to that port, and gives how much later they do;
-    /// `None` if none does.
+    /// Writes the answer of a node's VNFs to a datagram at that port, and returns its delay; `None` without an answer.
     pub(super) fn answer(
         &self,
         node: &NodeId,
@@ -101,9 +100,9 @@ impl Serving {
     }
 }
 
-/// What can go wrong with instances.
+/// Faults of instances.
 impl Serving {
-    /// All instances of a VNF die.
+    /// Kills all instances of a VNF.
     pub(crate) fn kill(&self, vnf: &VnfId) {
         let mut all = self.0.lock();
         let mut killed = Vec::new();
@@ -115,7 +114,7 @@ impl Serving {
         }
     }
 
-    /// The instance of a VNF on a node dies.
+    /// Kills the instance of a VNF on a node.
     #[cfg(test)]
     pub(crate) fn kill_on(&self, vnf: &VnfId, node: &NodeId) {
         let mut all = self.0.lock();
@@ -124,12 +123,12 @@ impl Serving {
         killed.into_iter().for_each(|instance| all.tell(instance, Outcome::Died("killed".to_owned())));
     }
 
-    /// All instances of a VNF answer so from now on.
+    /// Sets how all instances of a VNF answer from now on.
     pub(crate) fn set_mood(&self, vnf: &VnfId, mood: Mood) {
         self.0.lock().all().filter(|i| i.vnf == *vnf).for_each(|instance| instance.mood = mood);
     }
 
-    /// From now on instances that are started do not become ready until this is called with `false`.
+    /// Keeps instances that are started unready, until this is called with `false`.
     pub(crate) fn hold_starts(&self, held: bool) {
         let mut all = self.0.lock();
         all.starts_held = held;
@@ -141,7 +140,7 @@ impl Serving {
         ready.into_iter().for_each(|instance| all.tell(instance, Outcome::Ready));
     }
 
-    /// What runs, ready or not.
+    /// Returns the running instances, ready or not.
     pub(crate) fn running(&self) -> Vec<InstanceId> {
         let mut running: Vec<_> = self.0.lock().all().map(|instance| instance.id).collect();
         running.sort_unstable();
@@ -149,9 +148,9 @@ impl Serving {
     }
 }
 
-/// Runs the bundled VNFs as parts of the simulation; an instance is ready at once.
+/// Runs bundled VNFs as parts of the simulation. An instance is ready at once.
 pub(crate) struct VirtualEngine {
-    /// What an instance begins as, and its port, by VNF.
+    /// The initial state of an instance, and its port, by VNF.
     planned: BTreeMap<VnfId, (u16, Bundled)>,
     serving: Serving,
 }

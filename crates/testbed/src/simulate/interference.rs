@@ -1,4 +1,4 @@
-//! Faults between robots and VNFs that no link causes: answers that come late, again or forged, and silent robots.
+//! Faults between robots and VNFs that no link causes: late, repeated or forged answers, and silent robots.
 
 use std::{
     collections::{BTreeMap, VecDeque},
@@ -17,10 +17,10 @@ pub(super) struct Held {
 
 #[derive(Default)]
 pub(super) struct Interference {
-    /// By the time at which they are due.
+    /// In the order of their due times.
     held: VecDeque<(Timestamp, Held)>,
     silent: Vec<NodeId>,
-    /// The last answer that each robot received, if they are kept.
+    /// The last answer that each robot received, if answers are tapped.
     answers: Option<BTreeMap<NodeId, (SocketAddrV4, Vec<u8>)>>,
 }
 
@@ -39,7 +39,7 @@ impl Interference {
         self.held.front().map(|(at, _)| *at)
     }
 
-    /// Lets a robot neither send nor hear, or do both again.
+    /// Sets whether a robot neither sends nor receives.
     pub(super) fn set_silent(&mut self, robot: &NodeId, silent: bool) {
         self.silent.retain(|other| other != robot);
         if silent {
@@ -51,7 +51,7 @@ impl Interference {
         self.silent.contains(robot)
     }
 
-    /// Keeps the last answers from now on.
+    /// Records the last answers from now on.
     pub(super) fn tap_answers(&mut self) {
         self.answers.get_or_insert_default();
     }

@@ -1,5 +1,5 @@
-//! A testbed in virtual time: the very same core, fabric, robots and plug-ins, driven by their own deadlines instead of
-//! a clock. Nothing sleeps, nothing is random but by the seed, and the same seed gives the same events.
+//! A testbed in virtual time: the same core, fabric, robots and plug-ins as in real time, driven by their deadlines instead
+//! of a clock. Nothing sleeps, all randomness comes from the seed, and the same seed gives the same events.
 
 mod engine;
 mod interference;
@@ -46,12 +46,12 @@ use crate::{
     script::Script,
 };
 
-/// The port from which robots send; any would do.
+/// Source port of robots; any would do.
 const ROBOT_PORT: u16 = 40_000;
-/// The port from which their cameras do.
+/// Source port of robots' cameras.
 const IMAGE_PORT: u16 = 40_001;
 
-/// A testbed in virtual time, from its beginning.
+/// A testbed in virtual time.
 pub struct Simulation {
     core: Core<VirtualNetwork, VirtualEngine>,
     network: VirtualNetwork,
@@ -59,45 +59,46 @@ pub struct Simulation {
     interference: Interference,
     host: PluginHost,
     locals: Locals,
-    /// What orchestrators share.
+    /// Ledgers that orchestrators share.
     ledgers: Ledgers,
     ports: HashMap<Ipv4Addr, PortId>,
     happened: VecDeque<Happened>,
-    /// Events among that.
+    /// Number of events in `happened`.
     events: usize,
-    /// When somebody outside wants a step.
+    /// Time of a step that is requested from outside.
     alarm: Option<Timestamp>,
-    /// Up to where [`Lockstep::run`] goes.
+    /// Extent of the next [`Lockstep::run`].
     stretch: Stretch,
-    /// When it began.
+    /// Beginning of the stretch.
     stretch_began: Timestamp,
-    /// Whether the next step is not the first.
+    /// Whether the first step was made.
     begun: bool,
 }
 
-/// Something that a simulation tells, in order.
+/// An output of a simulation.
 pub(crate) enum Happened {
     Event(Arc<Stamped>),
     Scan(SensedScan),
     Data(SensedData),
 }
 
-/// How far to go on without being looked after.
+/// Extent of a run without supervision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Stretch {
-    /// No step: only what plug-ins want to do about what happened.
+    /// No step; only plug-ins react to events.
     Settle,
     /// One step.
     Step,
-    /// Steps until so many events wait to be polled, the alarm has come, all walks are done, or it is this time.
+    /// Steps until this number of events waits to be polled, the alarm has come, all walks are done, or this time is
+    /// reached.
     Events(usize, Option<Timestamp>),
 }
 
 impl Simulation {
-    /// A simulation of a testbed at time zero.
+    /// Creates a simulation of a testbed at time zero.
     ///
     /// # Errors
-    /// [`RunError`] when the graph, a robot or a plug-in cannot be; a plug-in that is a program of its own cannot.
+    /// [`RunError`] if the graph, a robot or a plug-in cannot be simulated. A plug-in that is a program cannot.
     pub fn new(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
         if let Some(program) = programs(&testbed).next() {
             return Err(PluginError::NeedsRun(program.clone()).into());
@@ -105,12 +106,12 @@ impl Simulation {
         Self::without_programs(testbed, seed)
     }
 
-    /// The same, leaving out plug-ins that are programs of their own.
+    /// Creates a simulation without the plug-ins that are programs.
     fn without_programs(testbed: Arc<Testbed>, seed: u64) -> Result<Self, RunError> {
         Self::on(testbed, seed, Ledgers::in_virtual_time(), None)
     }
 
-    /// The same, on ledgers that may know of runs before, and with what one of these noted.
+    /// Creates a simulation on ledgers that may know previous runs, with the notes of one of these.
     fn on(
         testbed: Arc<Testbed>,
         seed: u64,
@@ -174,7 +175,7 @@ impl Simulation {
         })
     }
 
-    /// The same with another plug-in in process.
+    /// Adds a plug-in in process.
     pub(crate) fn with_plugin(
         mut self,
         id: PluginId,
@@ -186,45 +187,45 @@ impl Simulation {
         self
     }
 
-    /// The same with another patience for plug-ins.
+    /// Sets the longest wait for a plug-in.
     pub(crate) fn with_patience(mut self, patience: Duration) -> Self {
         self.host.set_patience(patience);
         self
     }
 
-    /// Goes on to the next thing that is due, and does it; gives the time. Events are to be polled after each step.
-    /// Plug-ins are called on this thread: one that hangs hangs it.
+    /// Makes the next step, and returns its time. Poll events after each step. Plug-ins are called on this thread: one that
+    /// hangs also hangs the thread.
     pub fn step(&mut self) -> Timestamp {
         self.go(Stretch::Step);
         self.run();
         self.now()
     }
 
-    /// Says how far to go next.
+    /// Sets the extent of the next run.
     pub(crate) fn go(&mut self, stretch: Stretch) {
         self.stretch = stretch;
         self.stretch_began = self.now();
     }
 
-    /// The time.
+    /// Returns the current time.
     pub(crate) fn now(&self) -> Timestamp {
         self.network.now()
     }
 
-    /// Goes to the next thing that is due, and does it, but for what plug-ins want.
+    /// Makes the next step, without the reactions of plug-ins.
     fn begin_step(&mut self) {
         if self.begun {
             self.network.set_now(self.next_time());
         }
         self.begun = true;
         let now = self.now();
-        // In memory nothing can be gone.
+        // The network in memory cannot be gone.
         let _ = self.core.advance(now);
         self.carry(now);
         self.locals.wake();
     }
 
-    /// When the next thing is due.
+    /// Returns the time of the next step.
     fn next_time(&self) -> Timestamp {
         let now = self.now();
         let plugins = self.locals.next_deadline();
@@ -232,21 +233,20 @@ impl Simulation {
         let held = self.interference.next_deadline();
         let others = plugins.into_iter().chain(fabric).chain(self.alarm).chain(held);
         let next = others.fold(self.core.next_deadline(), Timestamp::min);
-        // A deadline that is not in the future was met by this step; time must not stand still.
+        // This step met all deadlines that are not in the future; time must not stand still.
         next.max(now + Duration::from_nanos(1))
     }
 
-    /// Lets the next step be at that time at the latest.
+    /// Makes the next step no later than that time.
     pub(crate) fn set_alarm(&mut self, at: Option<Timestamp>) {
         self.alarm = at;
     }
 
-    /// Who decides about plug-ins.
     pub(crate) fn host(&mut self) -> &mut PluginHost {
         &mut self.host
     }
 
-    /// Does what somebody outside asks for, now. What plug-ins in process want to do about it is still to be done.
+    /// Applies an instruction from outside now. The reactions of plug-ins in process follow in the next run.
     pub(crate) fn instruct(
         &mut self,
         plugin: PluginId,
@@ -254,7 +254,7 @@ impl Simulation {
         reason: Option<String>,
     ) -> Result<(), InstructionError> {
         let done = self.host.instruct(self.network.now(), plugin, instruction, reason, &mut self.core);
-        // It may have gone by the name of one in process.
+        // The caller may have used the name of a plug-in in process.
         self.locals.end_cut_off(&self.host);
         done
     }
@@ -315,7 +315,7 @@ impl Simulation {
         }
     }
 
-    /// What happened, oldest first; scans and large data are left out.
+    /// Returns the oldest event; scans and large data are skipped.
     pub fn poll_event(&mut self) -> Option<Stamped> {
         loop {
             match self.poll()? {
@@ -325,34 +325,34 @@ impl Simulation {
         }
     }
 
-    /// What happened, oldest first.
+    /// Returns the oldest output.
     pub(crate) fn poll(&mut self) -> Option<Happened> {
         let happened = self.happened.pop_front()?;
         self.events -= usize::from(matches!(happened, Happened::Event(_)));
         Some(happened)
     }
 
-    /// From now on scans are told, too: after the events of each step.
+    /// Outputs scans from now on, after the events of each step.
     pub(crate) fn tap_scans(&mut self) {
         self.core.tap_scans();
     }
 
-    /// How far off localization was so far, of each robot that a VNF localizes.
+    /// Returns the localization errors so far, of each robot that a VNF localizes.
     pub fn localization_errors(&self) -> impl Iterator<Item = (&NodeId, &Errors)> {
         self.core.localization_errors()
     }
 
-    /// What is to be told of services' flows at the end.
+    /// Returns the events to publish about services' flows at the end.
     pub(crate) fn flow_remarks(&self) -> Vec<Stamped> {
         self.core.flow_remarks(self.now())
     }
 
-    /// Whether every walk is done; never where there is none.
+    /// Whether every walk is done; false without walks.
     pub fn is_finished(&self) -> bool {
         self.core.is_finished()
     }
 
-    /// Lets packets go as far as they get at this time.
+    /// Carries packets as far as they get at this time.
     fn carry(&mut self, now: Timestamp) {
         while let Some(datagram) = self.core.poll_transmit(now) {
             let (Some(from), Some(to)) = (self.port(&datagram.robot), self.port_at(*datagram.to.ip())) else {
@@ -443,11 +443,11 @@ impl Lockstep for Simulation {
             if let Some(call) = self.locals.next_call(self.network.now()) {
                 return Some(call);
             }
-            // Plug-ins are started before anything is told.
+            // Plug-ins are started before any event is published.
             if !self.begun {
                 return None;
             }
-            // It is there when its event is told.
+            // The data is available when its event is published.
             self.happened.extend(std::iter::from_fn(|| self.core.poll_data()).map(Happened::Data));
             let event = Arc::new(self.core.poll_event()?);
             self.locals.publish(&event);
@@ -463,7 +463,7 @@ impl Lockstep for Simulation {
     }
 
     fn go_on(&mut self) -> bool {
-        // They come after the events of their step.
+        // Scans follow the events of their step.
         self.happened.extend(std::iter::from_fn(|| self.core.poll_scan()).map(Happened::Scan));
         let goes_on = match self.stretch {
             Stretch::Settle => false,
@@ -471,7 +471,7 @@ impl Lockstep for Simulation {
             Stretch::Events(wanted, until) => {
                 let now = self.now();
                 let has_come = |at: Option<Timestamp>| at.is_some_and(|at| now >= at);
-                // Time goes on even where the alarm is set to the past.
+                // Time goes on even if the alarm is in the past.
                 let is_woken = now > self.stretch_began && has_come(self.alarm);
                 self.events < wanted && !self.is_finished() && !is_woken && !has_come(until)
             }

@@ -1,4 +1,4 @@
-//! The emulated network in virtual time: the fabric itself, within reach.
+//! The emulated network in virtual time: direct access to the fabric.
 
 use std::sync::{
     Arc,
@@ -10,7 +10,7 @@ use cotorra_graph::{Stamped, Timestamp};
 use cotorra_network_control::{Network, NetworkGone};
 use parking_lot::{Mutex, MutexGuard};
 
-/// The emulated network in virtual time. One thread at a time has it.
+/// The emulated network in virtual time. One thread at a time uses it.
 #[derive(Clone)]
 pub(crate) struct VirtualNetwork {
     fabric: Arc<Mutex<Fabric>>,
@@ -18,7 +18,7 @@ pub(crate) struct VirtualNetwork {
 }
 
 impl VirtualNetwork {
-    /// At time zero.
+    /// Creates the network at time zero.
     pub(crate) fn new(fabric: Fabric) -> Self {
         Self { fabric: Arc::new(Mutex::new(fabric)), now_ns: Arc::default() }
     }

@@ -1,4 +1,4 @@
-//! A whole run in virtual time: what a run leaves, in a folder.
+//! A whole run in virtual time, with a folder of results.
 
 use std::{
     collections::BTreeMap,
@@ -34,12 +34,12 @@ use crate::{
     run_info::about,
 };
 
-/// After so many events they are written.
+/// Number of events in each write to the history.
 const HISTORY_PACE: usize = 10_000;
 
-/// Runs a testbed in virtual time to the end of its walks, or up to `options.until`, and leaves what a run leaves; gives
-/// what it came to. `go_on` is asked now and then, with the time, whether to. The API is served where a plug-in is a
-/// program of its own, which time waits for; by default on any free port of 127.0.0.1.
+/// Runs a testbed in virtual time to the end of its walks, or up to `options.until`. Leaves the same folder as a run in
+/// real time. `go_on` is called now and then with the time; false stops the run. If a plug-in is a program, the API is
+/// served, by default on any free port of 127.0.0.1, and time waits for the program.
 ///
 /// The same testbed, seed and version give the same bytes in every file but the log.
 ///
@@ -54,7 +54,7 @@ pub fn simulate(
     simulate_with(testbed, text, options, PATIENCE, wall_clock(), go_on)
 }
 
-/// The same with another patience for plug-ins, by another clock on the wall.
+/// Simulates with this longest wait for plug-ins, measured by the clock `wall`.
 pub(super) fn simulate_with(
     testbed: Testbed,
     text: &str,
@@ -73,7 +73,7 @@ pub(super) fn simulate_with(
     let simulation = Simulation::without_programs(Arc::clone(&testbed), seed)?.with_patience(patience);
     let mut simulation = Guarded::new(simulation, Arc::clone(&wall));
     let folder = RunFolder::create(&options.folder, &testbed.name, text)?;
-    // The calendar is not part of virtual time.
+    // Calendar time is not part of virtual time.
     let info = RunInfo { name: testbed.name.clone(), seed, started_at_unix_ns: 0, testbed: text.to_owned() };
     let recording =
         Recording::begin(&options.recording, folder.path(), &testbed, about(&info), Pace::Waiting)?;
@@ -115,7 +115,7 @@ pub(super) fn simulate_with(
         programs.start(&testbed, &folder.logs(), underway.simulation.host())?;
     }
     let end = loop {
-        // Before the first step, too: programs are there when it begins.
+        // Also before the first step: programs follow when it begins.
         if let Some(programs) = &mut external
             && !programs.settle(&mut underway)
         {
@@ -131,7 +131,7 @@ pub(super) fn simulate_with(
         if until.is_some_and(|until| underway.simulation.now() >= until) {
             break End::Until;
         }
-        // Programs are told after each moment with events; the history is written after the same step each time.
+        // Programs receive events after each moment with events. The history is written after the same steps each time.
         let stretch = match HISTORY_PACE.saturating_sub(underway.books.unwritten) {
             0 => Stretch::Step,
             _ if external.is_some() => Stretch::Events(1, until),
@@ -164,17 +164,17 @@ pub(super) fn simulate_with(
     Ok(Finished { summary, report, folder, run, recording, unrecorded })
 }
 
-/// A simulation whose events are kept.
+/// A simulation whose events are recorded.
 struct Underway<G> {
     simulation: Guarded<Simulation>,
     books: Books,
     go_on: G,
-    /// It was not to go on: whoever said so may not say so again.
+    /// Set once `go_on` returned false, because it may not do so again.
     stopped: bool,
 }
 
 impl<G: FnMut(Timestamp) -> bool> Underway<G> {
-    /// Goes so far, and tells what happened; gives whether to go on.
+    /// Runs a stretch, and publishes its outputs. Returns whether to go on.
     fn advance(&mut self, stretch: Stretch, mut programs: Option<&mut ExternalPlugins>) -> bool {
         self.simulation.go(stretch);
         let now = self.simulation.now();
@@ -227,7 +227,7 @@ impl<G: FnMut(Timestamp) -> bool> Stage for Underway<G> {
     }
 }
 
-/// Where what happens is kept.
+/// Records a simulation's outputs.
 struct Books {
     report: Report,
     recorder: PacedRecorder,

@@ -17,8 +17,7 @@ pub(super) struct Datagram<'a> {
     pub(super) payload: &'a [u8],
 }
 
-/// Writes a frame with a datagram to `frame`, in place of what it held. RFC 894, RFC 791, RFC 768; without a UDP
-/// checksum, as RFC 768 allows.
+/// Replaces `frame` by a frame with a datagram. RFC 894, RFC 791, RFC 768; without a UDP checksum, as RFC 768 allows.
 pub(super) fn build(frame: &mut Vec<u8>, from: (PortId, u16), to: (PortId, u16), payload: &[u8]) {
     let (sender, receiver) = (HostAddress::of(from.0.0), HostAddress::of(to.0.0));
     let length =
@@ -44,7 +43,7 @@ pub(super) fn build(frame: &mut Vec<u8>, from: (PortId, u16), to: (PortId, u16),
     frame.extend_from_slice(payload);
 }
 
-/// The datagram in a frame; `None` if there is none.
+/// Returns the datagram in a frame; `None` if there is none.
 pub(super) fn parse(frame: &[u8]) -> Option<Datagram<'_>> {
     let packet = frame.get(ETHERNET..).filter(|_| frame[12..14] == [0x08, 0x00])?;
     let header = packet.get(..IPV4).filter(|header| header[0] == 0x45 && header[9] == 17)?;
@@ -60,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_built_is_parsed_and_its_header_sums_to_zero() {
+    fn a_built_frame_parses_and_its_header_sums_to_zero() {
         let mut frame = vec![1, 2, 3];
         build(&mut frame, (PortId(0), 40_000), (PortId(7), 7711), b"where to?");
         let datagram = parse(&frame).unwrap();
@@ -72,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_no_datagram() {
+    fn other_frames_have_no_datagram() {
         let mut frame = Vec::new();
         build(&mut frame, (PortId(0), 1), (PortId(1), 2), b"x");
         for end in 0..frame.len() {
