@@ -18,7 +18,7 @@ impl Draw {
 
     fn next(&mut self) -> u64 {
         self.drawn += 1;
-        // Weyl's sequence, so that no two draws mix the same number.
+        // A Weyl sequence, so that no two draws mix the same number.
         seed::split(self.seed.wrapping_add(self.drawn.wrapping_mul(0x9e37_79b9_7f4a_7c15)), "draw")
     }
 
@@ -46,7 +46,7 @@ impl Draw {
         Duration::from_secs_f64(self.number(from, to))
     }
 
-    /// Returns one of at least one.
+    /// Returns one of the elements; there must be at least one.
     pub(super) fn one<'a, T>(&mut self, of: &'a [T]) -> &'a T {
         &of[self.whole(0..=of.len() - 1)]
     }

@@ -5,15 +5,15 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A reason for which runs with faults cannot be done.
+/// Error of a test with faults.
 #[derive(Debug, thiserror::Error)]
 pub enum FaultTestError {
-    /// The generator is wrong.
+    /// The generator made an invalid testbed.
     #[error("seed {seed} gives no testbed that can be run, which is a mistake in the generator: {reason}")]
     Testbed {
         /// Seed of the testbed.
         seed: u64,
-        /// Its mistakes.
+        /// The testbed's mistakes.
         reason: String,
     },
     /// A folder cannot be written.
@@ -24,7 +24,7 @@ pub enum FaultTestError {
         /// The system's error.
         cause: io::Error,
     },
-    /// A history cannot be made.
+    /// A history cannot be opened.
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::draw::Draw;
 
-/// A testbed file, and the map that it names, if it names one.
+/// A testbed file, and the map that it names, if any.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Generated {
     pub(super) text: String,
@@ -22,9 +22,9 @@ pub(super) struct Map {
 pub(super) const MAP_YAML: &str = "room.yaml";
 pub(super) const MAP_PGM: &str = "room.pgm";
 
-/// Metres between a waypoint and a wall, at least.
+/// Least distance between a waypoint and a wall, metres.
 const CLEARANCE: f64 = 1.0;
-/// Metres of a pixel.
+/// Size of a pixel, metres.
 const RESOLUTION: f64 = 0.1;
 
 /// Returns the testbed of a seed: one to four robots, one to four radio units, one or two switches, and two to four
@@ -35,9 +35,9 @@ pub(super) fn testbed(seed: u64) -> Generated {
     let (switches, servers) = (draw.whole(1..=2), draw.whole(2..=4));
     let has_map = draw.chance(0.1);
     let (width, height) = if has_map { (12.0, 8.0) } else { (30.0, 20.0) };
-    // One robot at most: localization takes most of a run's time.
+    // At most one robot: localization takes most of a run's time.
     let localized = has_map && draw.chance(0.7);
-    // Other domains, which offer virtual access points over a ledger.
+    // Other domains that offer virtual access points over a ledger.
     let partners = if !has_map && draw.chance(0.15) { draw.whole(1..=3) } else { 0 };
 
     let mut text = format!("name: faults-{seed}\nseed: {seed}\n");
@@ -66,7 +66,7 @@ pub(super) fn testbed(seed: u64) -> Generated {
     for unit in 1..=units {
         let (x, y) = (draw.number(0.0, width), draw.number(0.0, height));
         let channel = draw.one(&[1, 6, 11]);
-        // Robots begin at the first. Now and then they find none.
+        // Robots attach to the first at the start. If it is off, some find none.
         let off = draw.chance(if unit == 1 { 0.1 } else { 0.3 });
         let off = if off { ", serving: false, deployment: 300 ms" } else { "" };
         line(format_args!(
@@ -74,7 +74,7 @@ pub(super) fn testbed(seed: u64) -> Generated {
         ));
     }
     for partner in 1..=partners {
-        // In the middle, where they are heard on most walks.
+        // Placed in the middle, within range of most walks.
         let (x, y) = (draw.number(10.0, 20.0), draw.number(6.0, 14.0));
         line(format_args!(
             "  partner-unit-{partner}: {{ kind: radio_unit, domain: partner-{partner}, position: [{x}, {y}], \
@@ -116,7 +116,7 @@ pub(super) fn testbed(seed: u64) -> Generated {
         line(format_args!("  - {{ ends: [switch-1, switch-2]{} }}", conditions(&mut draw)));
     }
 
-    // Each less than the narrowest link carries, several more.
+    // Each rate is below the narrowest link's; several together are above it.
     let mut rates = Draw::new(seed, "rates");
     let mut requests = Draw::new(seed, "requests");
     line(format_args!("services:"));

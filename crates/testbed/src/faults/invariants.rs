@@ -1,5 +1,5 @@
-//! Checkers of what a testbed promises whatever goes wrong. They take events and the state of the core after each step,
-//! and know nothing of simulations.
+//! Checkers of a testbed's promises under faults. They take the events and the core's state after each step, and know
+//! nothing of simulations.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,7 +22,7 @@ pub enum Invariant {
     Slow,
     /// One instance of a VNF at most serves on a node, and every instance that runs is managed.
     Served,
-    /// A VNF without an instance is started again.
+    /// A VNF without an instance is restarted.
     Restarted,
     /// No node carries more than it has, and no link has more reserved than it carries.
     Fits,
@@ -68,12 +68,12 @@ impl Invariant {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Broken(pub(super) Invariant, pub(super) String);
 
-/// Number of checks of an invariant, and of those in a state in which it could have been broken.
+/// Number of checks of an invariant, and of those that could have failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Checked {
     /// All checks.
     pub checks: u64,
-    /// Checks of a state in which it could have been broken.
+    /// Checks of a state in which the promise could have been broken.
     pub exercised: u64,
 }
 
@@ -92,13 +92,13 @@ pub(super) struct View<'a> {
     /// Instances that really run.
     pub(super) running: Vec<InstanceId>,
     pub(super) packets: Balance,
-    /// Directions of links of which mappings reserve something: so much, of so much, bit/s.
+    /// Directions of links with reservations: the reserved and the available rate, bit/s.
     pub(super) reserved: Vec<(LinkId, Direction, [f64; 2])>,
 }
 
 /// The base's deceleration, m/s² and rad/s².
 const BRAKES: (f64, f64) = (0.6, 4.2);
-/// The most that noise of wheels and gyro adds to a velocity, m/s and rad/s.
+/// Highest noise that wheels and gyro add to a velocity, m/s and rad/s.
 const NOISE: (f64, f64) = (0.03, 0.05);
 
 /// [`Invariant::Stops`].
@@ -122,7 +122,7 @@ impl Stops {
             Event::Robot(context) => {
                 let robot = &context.robot;
                 let commanded = self.commanded.get(robot);
-                // It reports its last step, and brakes from the next one on.
+                // The base reports its last step, and brakes from the next one on.
                 let follows = COMMAND_TIMEOUT + 2 * SimulatedRobot::STEP;
                 let braked = match commanded {
                     Some(at) if stamped.at.since(*at) <= follows => {
@@ -164,7 +164,7 @@ impl Stops {
 /// [`Invariant::Slow`].
 #[derive(Default)]
 pub(super) struct Slow {
-    /// Each robot's limit, m/s, and since when it has it.
+    /// Each robot's limit, m/s, and the time since which it applies.
     limits: BTreeMap<NodeId, (f64, Timestamp)>,
 }
 
@@ -179,7 +179,7 @@ impl Slow {
         if kept.0 != limit {
             *kept = (limit, stamped.at);
         }
-        // It follows what it was told before, and brakes then.
+        // The robot follows its previous command until then, and brakes afterwards.
         let follows = COMMAND_TIMEOUT + 2 * SimulatedRobot::STEP;
         let braked = stamped.at.since(kept.1).saturating_sub(follows).as_secs_f64();
         let allowed = limit.max(MAX_SPEED - BRAKES.0 * braked) + NOISE.0;
@@ -325,18 +325,18 @@ pub(super) fn conserved(view: &View<'_>, checked: &mut Checked) -> Result<(), Br
     Err(Broken(Invariant::Conserved, format!("sent and duplicated are not what became of them: {packets:?}")))
 }
 
-/// [`Invariant::Decided`]. The reason of an instruction is its number, from 0 on for everyone who gives some.
+/// [`Invariant::Decided`]. The reason of an instruction is its number, counted from 0 for each sender.
 #[derive(Default)]
 pub(super) struct Decided {
-    /// The instruction without a decision so far, and the refusal that was returned for it.
+    /// The instruction without a decision so far, and the rejection that was returned for it.
     undecided: Option<(PluginId, usize, Option<String>)>,
-    /// Number of decisions for each.
+    /// Number of decisions for each sender.
     decided: Vec<(PluginId, usize)>,
     cut_off: Vec<PluginId>,
 }
 
 impl Decided {
-    /// Notes an instruction and what was returned for it.
+    /// Records an instruction and its returned rejection, if any.
     pub(super) fn asked(&mut self, who: &PluginId, number: usize, refused: Option<String>) {
         self.undecided = Some((who.clone(), number, refused));
     }
@@ -393,7 +393,7 @@ impl Decided {
     /// Checks, at the end, that a plug-in's instructions were decided up to the host's bound.
     pub(super) fn all_of(&self, who: &PluginId, asked: usize) -> Result<(), Broken> {
         let decided = self.decided_for(who);
-        // The bound that docs/plugins.md states.
+        // The bound in docs/plugins.md.
         let expected = asked.min(1000);
         let enough = if asked > expected { decided >= expected } else { decided == expected };
         if enough {
@@ -403,7 +403,7 @@ impl Decided {
     }
 }
 
-/// Who gives the plan's own instructions.
+/// Sender of the plan's own instructions.
 pub(super) const OURS: &str = "fault-test";
 /// Prefix of the names of plug-ins that misbehave.
 pub(super) const SABOTEUR: &str = "saboteur-";
@@ -415,7 +415,7 @@ fn is_ours(plugin: &PluginId) -> bool {
 /// [`Invariant::Kept`]: compares a history after a crash with what it acknowledged, in the order of recording.
 pub(super) fn kept(acknowledged: &[Stamped], found: &[Stamped], checked: &mut Checked) -> Result<(), Broken> {
     checked.note(!acknowledged.is_empty());
-    // A history is in the order of time, and simultaneous events in that of recording.
+    // A history is ordered by time, and simultaneous events by their recording.
     let mut expected: Vec<&Stamped> = Vec::with_capacity(acknowledged.len());
     for stamped in acknowledged {
         let earlier = expected.iter().rev().take_while(|other| other.at > stamped.at).count();

@@ -1,5 +1,5 @@
 //! Fault injection in virtual time: random testbeds, random faults at random times, and invariants that are checked after
-//! each step. A seed is a run: it repeats to the last event.
+//! each step. The same seed repeats a run to the last event.
 
 mod draw;
 mod error;
@@ -36,18 +36,18 @@ pub struct FaultTest {
     pub keep: Option<PathBuf>,
 }
 
-/// The sum of runs with faults.
+/// The results of runs with faults.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FaultTested {
-    /// Runs that were done.
+    /// Number of finished runs.
     pub runs: u64,
-    /// Events that happened in them.
+    /// Number of events.
     pub events: u64,
     /// Faults by kind.
     pub faults: BTreeMap<&'static str, u64>,
     /// Checks of each invariant, in the order of [`Invariant::ALL`].
     pub checked: [Checked; Invariant::ALL.len()],
-    /// By seed.
+    /// In the order of their seeds.
     pub violations: Vec<Violation>,
 }
 
@@ -67,7 +67,7 @@ pub struct Violation {
 }
 
 impl FaultTest {
-    /// Runs them all. Calls `go_on` with the number of finished runs, first with 0; `false` ends the test early.
+    /// Runs all tests. Calls `go_on` with the number of finished runs, first with 0; `false` ends the test early.
     ///
     /// # Errors
     /// [`FaultTestError`]. A broken promise is no error, but part of the result.

@@ -12,23 +12,23 @@ use super::{draw::Draw, invariants::SABOTEUR};
 /// A fault, or its end.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Fault {
-    /// An instruction, which may be refused. Links are cut and mended by instructions, too.
+    /// An instruction, which may be rejected. Links are also cut and repaired by instructions.
     Instruct { kind: &'static str, instruction: Instruction },
     /// All instances of a VNF die.
     Kill(VnfId),
     /// All its instances stop answering.
     Hang(VnfId),
-    /// All its instances answer so much later.
+    /// All its instances answer after this delay.
     Slow(VnfId, Duration),
     /// All its instances answer at once again.
     Recover(VnfId),
     /// Instances that are started do not become ready.
     HoldStarts,
-    /// They do again.
+    /// Started instances become ready again.
     ReleaseStarts,
-    /// A robot neither sends nor hears.
+    /// A robot neither sends nor receives.
     Silence(NodeId),
-    /// It does both again.
+    /// A robot sends and receives again.
     Hear(NodeId),
     /// A robot receives its last answer once more.
     Replay(NodeId),
@@ -38,7 +38,7 @@ pub(super) enum Fault {
     FillDisk,
     /// The disk has room again.
     FreeDisk,
-    /// So many of the ledger's last blocks with calls are reorganised away.
+    /// The ledger's last blocks with calls are reorganised away, this many.
     Reorganise(usize),
     /// A plug-in misbehaves.
     Sabotage(Saboteur),
@@ -58,7 +58,7 @@ pub(super) enum Sabotage {
     Panic,
     /// It does not return from a call.
     Hang,
-    /// It gives far too many instructions at once.
+    /// It gives far too many instructions at once, i.e. a flood.
     Flood,
 }
 
@@ -111,7 +111,7 @@ pub(super) struct Plan {
     pub(super) until: Timestamp,
     /// Whether the history is in a file, which a full disk stops from growing.
     pub(super) on_disk: bool,
-    /// In the order of time.
+    /// In order of time.
     pub(super) faults: Vec<(Timestamp, Fault)>,
 }
 
@@ -124,7 +124,7 @@ impl fmt::Display for Plan {
     }
 }
 
-/// What faults are about.
+/// The objects of faults.
 struct Names {
     robots: Vec<NodeId>,
     units: Vec<NodeId>,
@@ -143,7 +143,7 @@ impl Plan {
         let graph = &testbed.graph;
         let vnfs = testbed.services.iter().flat_map(|service| &service.vnfs);
         let has_ledger = graph.domains.len() > 1;
-        // Negotiations take some blocks.
+        // A negotiation takes some blocks.
         let (least, most) = if has_ledger { (12.0, 24.0) } else { (6.0, 14.0) };
         let until = Timestamp::ZERO + draw.duration(least, most);
         let on_disk = draw.chance(0.25);
@@ -173,7 +173,7 @@ impl Plan {
         for _ in 0..limits.whole(0..=4) {
             let at = Timestamp::ZERO + limits.duration(0.2, until.as_secs_f64() - 0.2);
             let robot = limits.one(&names.robots).clone();
-            // A few are none.
+            // Some limits are negative, i.e. invalid.
             let speed_limit_mps = (!limits.chance(0.2)).then(|| limits.number(-0.05, 0.5));
             let instruction = Instruction::LimitSpeed { robot, speed_limit_mps };
             insert(&mut faults, (at, Fault::Instruct { kind: "speed limited", instruction }));
@@ -195,12 +195,12 @@ impl Plan {
     }
 }
 
-/// Inserts a fault behind those that come before it or at once.
+/// Inserts a fault after those that are earlier or at the same time.
 fn insert(faults: &mut Vec<(Timestamp, Fault)>, fault: (Timestamp, Fault)) {
     faults.insert(faults.partition_point(|(at, _)| *at <= fault.0), fault);
 }
 
-/// Draws a mapping between a robot and a server: mostly the path that is there, else one with a gap, or none.
+/// Draws a mapping between a robot and a server: mostly the existing path, sometimes one with a gap, or none.
 fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
     let graph = &testbed.graph;
     let all = |is_one: fn(&NodeKind) -> bool| {
@@ -209,7 +209,7 @@ fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
     let robot = draw.one(&all(|kind| matches!(kind, NodeKind::Robot(_)))).clone();
     let unit = draw.one(&all(|kind| matches!(kind, NodeKind::RadioUnit(_)))).clone();
     let servers = all(|kind| matches!(kind, NodeKind::Server(_)));
-    // Navigation begins on the first.
+    // Navigation starts on the first server.
     let server = if draw.chance(0.6) { &servers[0] } else { draw.one(&servers) }.clone();
     let route = graph.route(&robot, &server, |_| Some(&unit));
     let mut links = route.map_or_else(Vec::new, |route| route.links);
@@ -226,7 +226,7 @@ fn mapping(draw: &mut Draw, testbed: &Testbed) -> Instruction {
     Instruction::Map { from, to, links }
 }
 
-/// Draws a goal for a robot: mostly near a place of a walk, else anywhere, or none.
+/// Draws a goal for a robot: mostly near a place of a walk, sometimes anywhere, or none.
 fn goal(draw: &mut Draw, testbed: &Testbed) -> Instruction {
     let robots: Vec<_> = testbed.graph.robots().map(|(node, _)| node.id.clone()).collect();
     let places: Vec<_> = testbed.walks.iter().flat_map(|walk| walk.waypoints.iter().copied()).collect();
@@ -241,7 +241,7 @@ fn goal(draw: &mut Draw, testbed: &Testbed) -> Instruction {
 }
 
 impl Names {
-    /// Draws a fault, and what ends it.
+    /// Draws a fault and its end.
     fn fault(&self, draw: &mut Draw, at: Timestamp) -> Vec<(Timestamp, Fault)> {
         let later = at + draw.duration(0.0, 4.0);
         let (vnf, robot) = (draw.one(&self.vnfs).clone(), draw.one(&self.robots).clone());
@@ -295,7 +295,7 @@ impl Names {
         Instruction::Place { vnf, node: Nodes::new(nodes).expect("they differ, and are few") }
     }
 
-    /// Draws any instruction. It may be refused.
+    /// Draws any instruction. It may be rejected.
     fn instruction(&self, draw: &mut Draw, robot: NodeId) -> Instruction {
         let radio_unit = draw.one(&self.units).clone();
         let link = draw.one(&self.links).clone();
@@ -330,7 +330,7 @@ impl Names {
         }
     }
 
-    /// Draws an instruction that no testbed can follow.
+    /// Draws an instruction that is invalid in every testbed.
     fn nonsense(&self, draw: &mut Draw) -> Instruction {
         let nobody = NodeId::new("nobody").expect("it is a name");
         let change = ConditionChange { delay_ms: Some(-1.0), ..ConditionChange::default() };

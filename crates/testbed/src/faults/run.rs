@@ -31,7 +31,7 @@ use crate::{
     simulate::{Mood, Simulation, Stretch},
 };
 
-/// Events of a write to the history.
+/// Number of events in each write to the history.
 const BATCH: usize = 500;
 /// File name of a history.
 const HISTORY: &str = "history.sqlite";
@@ -68,7 +68,7 @@ pub(super) fn run(seed: u64) -> Result<Outcome, FaultTestError> {
 }
 
 impl Outcome {
-    /// Writes testbed, plan and history of the run; returns the folder.
+    /// Writes testbed, plan and history of the run. Returns the folder.
     pub(super) fn keep(&self, seed: u64, folder: &Path) -> Result<PathBuf, FaultTestError> {
         let folder = folder.join(format!("seed-{seed}"));
         let write = || {
@@ -92,7 +92,7 @@ fn info(seed: u64, text: &str) -> RunInfo {
     RunInfo { name: format!("faults-{seed}"), seed, started_at_unix_ns: 0, testbed: text.to_owned() }
 }
 
-/// A run that goes on.
+/// A run in progress.
 struct Run<'a> {
     testbed: Arc<Testbed>,
     simulation: Simulation,
@@ -167,7 +167,7 @@ impl<'a> Run<'a> {
         self.crash(plan.on_disk)
     }
 
-    /// Goes on, calling plug-ins on this thread. A call that stands for one that hangs is reported as hung.
+    /// Runs a stretch, calling plug-ins on this thread. A call that simulates a hang is reported as hung.
     fn advance(&mut self, stretch: Stretch) -> Result<(), Broken> {
         self.simulation.go(stretch);
         loop {
@@ -228,7 +228,7 @@ impl<'a> Run<'a> {
                 self.flush()?;
             }
             Fault::Reorganise(depth) => simulation.reorganise_ledger(*depth),
-            // The plug-in has a deadline for it.
+            // The plug-in's own deadline triggers it.
             Fault::Sabotage(_) => {}
         }
         Ok(())
@@ -243,7 +243,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Reads the history as kill -9 leaves it: all that it acknowledged must be there.
+    /// Reads the history as `kill -9` leaves it. It must hold everything that it acknowledged.
     fn crash(&mut self, on_disk: bool) -> Result<(), Broken> {
         let found = if on_disk {
             let copy = self.folder.join("crashed");
@@ -313,7 +313,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // A folder that stays is in the way of nobody.
+        // A folder that stays does no harm.
         let _ = fs::remove_dir_all(&self.0);
     }
 }

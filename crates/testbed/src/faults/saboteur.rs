@@ -14,17 +14,17 @@ use cotorra_plugin::{Actions, Plugin};
 
 use super::plan::{Sabotage, Saboteur};
 
-/// It moves a robot so long before it misbehaves. The robot must stop then.
+/// Time between moving a robot and misbehaving. The robot must stop afterwards.
 const LEAD: Duration = Duration::from_millis(200);
-/// Instructions of a flood.
+/// Number of instructions in a flood.
 const FLOOD: usize = 1500;
 
-/// What a misbehaving plug-in did, shared with the run.
+/// The deeds of a misbehaving plug-in, shared with the run.
 #[derive(Clone, Default)]
 pub(super) struct Deeds {
-    /// Instructions that it gave.
+    /// Number of instructions that it gave.
     asked: Arc<AtomicUsize>,
-    /// Whether the call that just returned stands for one that never does.
+    /// Whether the call that just returned simulates one that never returns.
     hangs: Arc<AtomicBool>,
 }
 
@@ -75,7 +75,7 @@ impl Plugin for Misbehaving {
         }
         self.next = None;
         match self.saboteur.how {
-            // Without the message that a panic prints.
+            // Avoids the message that `panic!` prints.
             Sabotage::Panic => resume_unwind(Box::new("by design")),
             Sabotage::Hang => self.deeds.hangs.store(true, Ordering::Relaxed),
             Sabotage::Flood => {

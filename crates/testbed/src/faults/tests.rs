@@ -25,7 +25,7 @@ fn node(name: &str) -> NodeId {
     name.parse().unwrap()
 }
 
-/// Two servers, of which each has room for one of the two VNFs, and a radio unit.
+/// Two servers and a radio unit; each server has room for one of the two VNFs.
 fn lab() -> Testbed {
     let text = "
 name: lab
@@ -61,7 +61,7 @@ fn managed<'a>(vnf: &'a Vnf, instances: &[(u64, &'a NodeId, Stage)]) -> Managed<
     Managed { vnf, node: vnf.node.first(), instances, restart_at: None }
 }
 
-/// What the core looks like with these VNFs; all their instances run.
+/// A core's state with these VNFs, all of whose instances run.
 fn view<'a>(testbed: &'a Testbed, managed: Vec<Managed<'a>>) -> View<'a> {
     let running = managed.iter().flat_map(|managed| managed.instances.iter().map(|(id, ..)| *id)).collect();
     View {
@@ -91,7 +91,7 @@ fn a_seed_repeats_to_the_last_event_and_another_gives_another_run() {
     assert_ne!(run(1).events, run(2).events);
 }
 
-/// Each seed gives a testbed that passes the checks of a user's, and all there is to draw is drawn.
+/// Each seed gives a testbed that passes a user's checks, and all kinds of faults are drawn.
 #[test]
 fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
     let mut kinds = std::collections::BTreeSet::new();
@@ -99,7 +99,7 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
     let mut sizes = std::collections::BTreeSet::new();
     for seed in 0..300 {
         let generated = generator::testbed(seed);
-        // What a map says is checked where a run has its folder.
+        // The map is only checked in a run, which has its folder.
         let text = generated.text.replace(&format!("map: {}\n", generator::MAP_YAML), "");
         if text.contains("program: localization") {
             continue;
@@ -120,9 +120,9 @@ fn every_testbed_is_valid_and_every_kind_of_fault_is_planned() {
     assert_eq!(kinds.len(), 24, "{kinds:?}");
 }
 
-/// The sum of all runs, whoever did them.
+/// The results are the same for any number of threads.
 #[test]
-fn as_many_jobs_as_there_are_come_to_the_same() {
+fn results_do_not_depend_on_the_number_of_jobs() {
     let test = |jobs| {
         let jobs = NonZero::new(jobs).unwrap();
         FaultTest { first_seed: 20, runs: 6, jobs, keep: None }.run(&mut |_| true).unwrap()
@@ -133,7 +133,7 @@ fn as_many_jobs_as_there_are_come_to_the_same() {
 }
 
 #[test]
-fn a_run_that_is_kept_has_its_testbed_plan_and_history() {
+fn a_kept_run_has_its_testbed_plan_and_history() {
     let folder = tempfile::tempdir().unwrap();
     let outcome = run::run(5).unwrap();
     let kept = outcome.keep(5, folder.path()).unwrap();
@@ -178,7 +178,7 @@ fn sample(took: Option<Duration>) -> Event {
 }
 
 #[test]
-fn a_robot_that_moves_on_without_fresh_commands_is_found() {
+fn a_robot_that_moves_without_fresh_commands_is_found() {
     let moved = |commands: Event, seconds: f64, linear: f64, angular: f64| {
         let (mut stops, mut checked) = (Stops::default(), Checked::default());
         stops.event(&stamped(1.0, commands), &mut checked).unwrap();
@@ -186,19 +186,19 @@ fn a_robot_that_moves_on_without_fresh_commands_is_found() {
         (told.is_some(), checked.exercised)
     };
     let answered = || sample(Some(Duration::from_millis(20)));
-    // Within the timeout it may do what it was told, and nothing is learnt.
+    // Within the timeout it may follow its command, and the check counts as not exercised.
     assert_eq!(moved(answered(), 1.6, 0.7, 3.0), (false, 0));
     // Then it brakes from 0.7 m/s with 0.6 m/s², and from 3.14 rad/s with 4.2 rad/s².
     assert_eq!(moved(answered(), 2.0, 0.5, 0.0), (false, 1));
     assert_eq!(moved(answered(), 2.0, 0.6, 0.0), (true, 1));
     assert_eq!(moved(answered(), 2.0, 0.0, 1.6), (false, 1));
     assert_eq!(moved(answered(), 2.0, 0.0, 2.0), (true, 1));
-    // While it still rolls, its gyro is noisy; not so once it stands.
+    // While it rolls its gyro is noisy; at rest it is not.
     assert_eq!(moved(answered(), 2.5, 0.15, 0.004), (false, 1));
     assert_eq!(moved(answered(), 3.0, 0.001, 0.0), (true, 1));
     assert_eq!(moved(answered(), 3.0, 0.0, 0.004), (true, 1));
     assert_eq!(moved(answered(), 3.0, 0.0, 0.0), (false, 1));
-    // No answer is no command, and neither is an instruction that was refused.
+    // An unanswered packet is no command, and neither is a rejected instruction.
     assert!(moved(sample(None), 1.1, 0.1, 0.0).0);
     let order = |refused: Option<&str>| {
         let instruction =
@@ -212,7 +212,7 @@ fn a_robot_that_moves_on_without_fresh_commands_is_found() {
 }
 
 #[test]
-fn a_robot_that_goes_on_faster_than_its_limit_is_found() {
+fn a_robot_above_its_speed_limit_is_found() {
     let limited = |limit: Option<f64>, speeds: &[(f64, f64)]| {
         let (mut slow, mut checked) = (Slow::default(), Checked::default());
         let told = speeds.iter().find_map(|(seconds, speed)| {
@@ -222,7 +222,7 @@ fn a_robot_that_goes_on_faster_than_its_limit_is_found() {
         });
         (told.is_some(), checked.exercised > 0)
     };
-    // It may do what it was told before the limit, and then it brakes.
+    // It may follow its command from before the limit, and brakes then.
     assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (1.6, 0.7), (2.0, 0.5), (3.0, 0.2)]), (false, true));
     assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (2.0, 0.6)]), (true, true));
     assert_eq!(limited(Some(0.2), &[(1.0, 0.7), (3.0, 0.3)]), (true, true));
@@ -231,7 +231,7 @@ fn a_robot_that_goes_on_faster_than_its_limit_is_found() {
 }
 
 #[test]
-fn a_vnf_that_two_instances_serve_is_found() {
+fn a_vnf_served_by_two_instances_is_found() {
     let testbed = lab();
     let (vnf, one, two) = (brain(&testbed), node("one"), node("two"));
     let mut checked = Checked::default();
@@ -259,7 +259,7 @@ fn a_vnf_that_two_instances_serve_is_found() {
 }
 
 #[test]
-fn an_instance_that_nobody_manages_or_that_does_not_run_is_found() {
+fn an_unmanaged_or_missing_instance_is_found() {
     let testbed = lab();
     let one = node("one");
     let check = |running: &[u64]| {
@@ -273,7 +273,7 @@ fn an_instance_that_nobody_manages_or_that_does_not_run_is_found() {
 }
 
 #[test]
-fn a_vnf_that_is_left_dead_is_found() {
+fn a_vnf_left_dead_is_found() {
     let testbed = lab();
     let two = node("two");
     let mut checked = Checked::default();
@@ -289,7 +289,7 @@ fn a_vnf_that_is_left_dead_is_found() {
 }
 
 #[test]
-fn a_node_that_carries_more_than_it_has_is_found() {
+fn an_overloaded_node_is_found() {
     let testbed = lab();
     let vnf = brain(&testbed);
     let other = Vnf { id: "other".parse().unwrap(), node: node("two").into(), ..vnf.clone() };
@@ -300,13 +300,13 @@ fn a_node_that_carries_more_than_it_has_is_found() {
         |fits: &Fits, all: Vec<Managed<'_>>| found(fits.state(&view(&testbed, all), &mut checked));
     let apart = || vec![managed(vnf, &[(1, &one, Stage::Serving)]), managed(&other, &[])];
     assert_eq!(check(&fits, apart()), None);
-    // It is about to serve where the other is.
+    // A VNF is about to serve on the node of the other one.
     let moves = [(1, &one, Stage::Serving), (2, &two, Stage::Starting)];
     assert_eq!(
         check(&fits, vec![managed(vnf, &moves), managed(&other, &[])]).unwrap(),
         "two has 1 CPUs and 1000 MB, and carries 2.000 CPUs and 512 MB: brain, other"
     );
-    // So does a virtual access point, as long as it is there.
+    // A virtual access point also uses its node while it is deployed.
     let at_unit = Vnf { node: node("unit").into(), ..vnf.clone() };
     let access_point = |state| {
         let (vnf, node) = ("vAP-unit".parse().unwrap(), node("unit"));
@@ -320,7 +320,7 @@ fn a_node_that_carries_more_than_it_has_is_found() {
 }
 
 #[test]
-fn a_link_of_which_more_is_reserved_than_it_carries_is_found() {
+fn an_overreserved_link_is_found() {
     let testbed = lab();
     let mut checked = Checked::default();
     let mut check = |reserved| {
@@ -334,7 +334,7 @@ fn a_link_of_which_more_is_reserved_than_it_carries_is_found() {
 }
 
 #[test]
-fn a_packet_that_vanishes_or_comes_from_nowhere_is_found() {
+fn a_lost_or_invented_packet_is_found() {
     let testbed = lab();
     let even =
         Balance { sent: 9, duplicated: 1, delivered: 4, lost: 2, overflowed: 1, stranded: 1, under_way: 2 };
@@ -368,7 +368,7 @@ fn an_instruction_without_a_decision_or_with_two_is_found() {
     );
     decided.asked(&us, 1, None);
     assert!(tell(&mut decided, &decision(&us, "1", Some("it is busy"))).unwrap().contains("number 1"));
-    // A plug-in that was cut off decides nothing, and one that was not gets a decision for all it asked.
+    // A plug-in that was cut off gets no further decisions; another one gets a decision for each instruction.
     let saboteur = PluginId::new("saboteur-1").unwrap();
     assert_eq!(tell(&mut decided, &decision(&saboteur, "0", None)), None);
     assert_eq!(found(decided.all_of(&saboteur, 1)), None);
@@ -385,7 +385,7 @@ fn an_instruction_without_a_decision_or_with_two_is_found() {
 }
 
 #[test]
-fn an_event_that_the_history_acknowledged_and_lost_is_found() {
+fn a_lost_acknowledged_event_is_found() {
     let notice = |seconds, message: &str| stamped(seconds, Event::Notice { message: message.to_owned() });
     let (a, b, c) = (notice(2.0, "a"), notice(1.0, "b"), notice(3.0, "c"));
     let acknowledged = [a.clone(), b.clone()];
@@ -402,9 +402,9 @@ fn an_event_that_the_history_acknowledged_and_lost_is_found() {
     found(kept(&[], &[a], &mut Checked::default())).unwrap();
 }
 
-/// Who asks for all invariants at once gets what each says.
+/// Checking all invariants at once gives the result of each.
 #[test]
-fn the_watch_asks_every_checker() {
+fn the_watch_runs_every_checker() {
     let testbed = lab();
     let one = node("one");
     let good = || view(&testbed, vec![managed(brain(&testbed), &[(1, &one, Stage::Serving)])]);
@@ -437,9 +437,9 @@ fn the_watch_asks_every_checker() {
     }
 }
 
-/// Every kind of fault happens, and every promise is tried. scripts/test does many more runs.
+/// Every kind of fault happens, and every promise is exercised. scripts/test does many more runs.
 #[test]
-fn whatever_goes_wrong_no_promise_is_broken() {
+fn no_fault_breaks_a_promise() {
     let runs = 30;
     let jobs = std::thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
     let tested = FaultTest { first_seed: 100_001, runs, jobs, keep: None }.run(&mut |_| true).unwrap();
@@ -451,7 +451,7 @@ fn whatever_goes_wrong_no_promise_is_broken() {
     assert_eq!(tested.faults.len(), 24, "{:?}", tested.faults);
 }
 
-/// Faults leave the ledger something to do.
+/// Faults leave the ledger working.
 #[test]
 fn a_robot_is_handed_over_although_the_ledger_is_reorganised() {
     let outcome = run::run(354).unwrap();

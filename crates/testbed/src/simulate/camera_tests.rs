@@ -36,7 +36,7 @@ fn events(camera: &str) -> Vec<Stamped> {
     events
 }
 
-/// Bytes that crossed a link in that time, packets that it dropped aside.
+/// Bytes that crossed a link in that time, without dropped packets.
 fn bytes(events: &[Stamped], link: &str, direction: Direction) -> u64 {
     let mut of_link = events.iter().filter_map(|stamped| match &stamped.event {
         Event::Link(context) if context.link == *link && context.direction == direction => {
@@ -78,7 +78,7 @@ fn images_load_the_links_and_raise_the_service_time() {
     let sent = (320.0 * 240.0) * 15.0 * SECONDS;
     for link in ["robot~unit", "unit-edge"] {
         let [alone, beside] = [&alone, &beside].map(|events| bytes(events, link, Direction::Forward) as f64);
-        // Headers are 86 of 1366 bytes; what is on its way, and what crossed before links were looked at last, is less.
+        // Headers are 86 of 1366 bytes. Packets in flight and those before the last link context are missing.
         assert!(alone < 0.02 * sent, "{link}: {alone} bytes");
         let share = (beside - alone) / sent;
         assert!((1.0..1.08).contains(&share), "{link}: {share} of what the camera sends");
@@ -91,7 +91,7 @@ fn images_load_the_links_and_raise_the_service_time() {
         beside.len()
     );
     let at = |times: &[f64], share: f64| times[(times.len() as f64 * share) as usize];
-    // An image of 60 packets takes the air for more than ten milliseconds.
+    // An image of 60 packets takes more than ten milliseconds of airtime.
     assert!(at(&beside, 0.95) > at(&alone, 0.95) + 10.0, "{} and {}", at(&beside, 0.95), at(&alone, 0.95));
     assert!(at(&beside, 0.25) < at(&alone, 0.75) + 1.0, "between images there is room");
 }

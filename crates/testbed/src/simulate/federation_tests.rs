@@ -1,5 +1,5 @@
-//! A robot leaves its domain's coverage, end to end in virtual time: what happens when all is well, and that with anything
-//! that goes wrong it stands still before it leaves coverage, and everything is put back.
+//! A robot leaves its domain's coverage, end to end in virtual time. It is handed over if all goes well. After any fault it
+//! stops inside its own coverage, and everything is restored.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -11,7 +11,7 @@ use cotorra_testbed_file::Setting;
 
 use super::*;
 
-/// The steps from the announcement to the attachment where nothing goes wrong.
+/// Returns the steps from the announcement to the attachment without faults.
 fn steps_to_attachment() -> impl Iterator<Item = Step> {
     let failures = [Step::BidRejected, Step::DeploymentFailed];
     let steps = Step::ALL.into_iter().take_while(|step| *step != Step::OwnRadioUnitReleased);
@@ -21,13 +21,13 @@ fn steps_to_attachment() -> impl Iterator<Item = Step> {
 /// The edge of domain 1's coverage on the walk of `testbeds/federation.yaml`.
 const EDGE_M: f64 = 23.8;
 
-/// Nobody but domain 2 bids.
+/// Only domain 2 bids.
 const ALONE: &str = "plugins.orchestrator-3.settings.behaviour=silent";
 
 fn testbed(settings: &[&str]) -> Arc<Testbed> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/federation.yaml");
     let text = std::fs::read_to_string(&path).unwrap();
-    // From there on the announcement comes at 15.8 s.
+    // From there, the announcement comes at 15.8 s.
     let walk = &"walks.robot.waypoints=[[10, 0], [34, 0]]";
     let settings = std::iter::once(walk).chain(settings);
     let settings: Vec<Setting> = settings.map(|setting| setting.parse().unwrap()).collect();
@@ -36,17 +36,17 @@ fn testbed(settings: &[&str]) -> Arc<Testbed> {
     Arc::new(testbed.unwrap_or_else(|e| panic!("{e:?}")))
 }
 
-/// What happened in a run.
+/// The events of a run.
 #[derive(Default)]
 struct Told {
-    /// Service, step, by whom and when.
+    /// Service, step, plug-in and time.
     notes: Vec<(String, String, String, f64)>,
     robots: Vec<(f64, RobotContext)>,
-    /// What runs on radio units.
+    /// Whether each vAP runs.
     vaps: BTreeMap<String, bool>,
     handovers: Vec<(f64, String, bool)>,
     detached: usize,
-    /// Service times without an answer.
+    /// Number of service times without an answer.
     lost: usize,
     faults: Vec<String>,
     finished: bool,
@@ -96,7 +96,7 @@ impl Told {
         self.robots.iter().map(|(_, context)| context.sensors.pose.x).fold(0.0, f64::max)
     }
 
-    /// The robot was halted inside its domain's coverage and stayed attached, and everything is as it was before.
+    /// Asserts that the robot stopped inside its domain's coverage, stayed attached, and everything is as before.
     fn assert_halted_and_put_back(&self, simulation: &Simulation) {
         let detail = self.detail();
         assert!(self.faults.is_empty(), "{:?}", self.faults);
@@ -113,7 +113,7 @@ impl Told {
     }
 }
 
-/// A run of 180 s with something that goes wrong.
+/// Simulates 180 s with a fault.
 fn goes_wrong(settings: &[&str]) -> Told {
     let mut simulation = Simulation::new(testbed(settings), 1).unwrap();
     let told = Told::of(&mut simulation, 180.0);
@@ -132,7 +132,7 @@ fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     let times: Vec<f64> =
         steps.map(|step| told.when(step).unwrap_or_else(|| panic!("{step}: {detail}"))).collect();
     assert!(times.is_sorted(), "{detail}");
-    // One block for the announcement, two for bid and choice, one for the confirmation; the rest is the handover.
+    // One block for the announcement, two for bid and choice, one for the confirmation. The rest is the handover.
     let total = times[10] - times[0];
     assert!((15.0..20.2).contains(&total), "{total}: {detail}");
     assert!((times[7] - times[6] - 0.4).abs() < 1e-6, "the deployment takes what the radio unit says");
@@ -143,13 +143,13 @@ fn a_robot_walks_from_domain_to_domain_and_back_without_stopping() {
     let slowest = walking.map(|(_, context)| context.sensors.velocity.linear).fold(f64::INFINITY, f64::min);
     assert!(slowest > 0.28, "its speed never falls: {slowest}");
     assert_eq!(told.vaps, BTreeMap::from([("R3".to_owned(), true), ("n_AP".to_owned(), false)]));
-    // The cheaper of the two that answered was paid for what was used.
+    // The cheaper of the two bidders was paid for the use.
     assert!(told.notes.iter().all(|(_, step, by, _)| *step != "winner received" || by == "orchestrator-2"));
     assert_eq!(simulation.ledgers.chain().unwrap().contract().holds(), Wei(0), "all were paid out");
 }
 
 #[test]
-fn keys_are_told_to_nobody() {
+fn keys_are_never_published() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
     let mut access_points = 0;
     while simulation.step().as_secs_f64() < 40.0 {
@@ -200,7 +200,7 @@ fn the_provider_lies_about_its_deployment() {
 }
 
 #[test]
-fn where_the_winner_fails_the_robot_goes_on_with_the_next_bid() {
+fn if_the_winner_fails_the_robot_continues_with_the_next_bid() {
     for failing in [
         "plugins.orchestrator-2.settings.behaviour=idle",
         "nodes.n_AP.cpus=0",
@@ -239,7 +239,7 @@ fn the_ledger_is_out_of_the_creators_reach() {
 }
 
 #[test]
-fn the_ledger_was_never_there() {
+fn the_ledger_never_exists() {
     let ledger =
         "plugins.orchestrator-1.settings.ledger={kind: modelled, block_period: 5 s, outage: [1 ms, 500 s]}";
     let mut simulation = Simulation::new(testbed(&[ledger]), 1).unwrap();
@@ -258,7 +258,7 @@ fn the_ledger_is_out_of_the_winners_reach() {
 }
 
 #[test]
-fn a_ledger_that_is_back_in_time_does_no_harm() {
+fn a_ledger_that_returns_in_time_does_no_harm() {
     let mut simulation = Simulation::new(
         testbed(&["plugins.orchestrator-1.settings.ledger={kind: modelled, block_period: 5 s, outage: [22 s, 27 s]}"]),
         1,
@@ -269,7 +269,7 @@ fn a_ledger_that_is_back_in_time_does_no_harm() {
 }
 
 #[test]
-fn an_announcement_that_is_replayed_changes_nothing() {
+fn a_replayed_announcement_changes_nothing() {
     let mut simulation = Simulation::new(testbed(&[]), 1).unwrap();
     Told::of(&mut simulation, 21.0);
     let chain = simulation.ledgers.chain().unwrap().clone();
@@ -282,7 +282,7 @@ fn an_announcement_that_is_replayed_changes_nothing() {
         }
         _ => None,
     });
-    // What is on the chain does not say the salt: a copy has another, and so another id, and is Eve's own.
+    // The chain does not contain the salt. A copy needs another salt, gets another id, and belongs to Eve.
     let (key, requirements, terms) = announced.unwrap();
     eve.submit(now, Call::Register { name: "Eve".to_owned() });
     for salt in [[1; 32], [1; 32], [2; 32]] {
@@ -301,8 +301,8 @@ fn an_announcement_that_is_replayed_changes_nothing() {
 }
 
 #[test]
-fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
-    // Before the announcement, between all of its steps, and while the vAP is used.
+fn a_restarted_core_continues_from_the_chain() {
+    // Before the announcement, between all steps, and during the vAP's use.
     for stopped_at in [10.0, 17.0, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
         let mut before = Simulation::new(testbed(&[]), 1).unwrap();
         let told = Told::of(&mut before, stopped_at);
@@ -310,7 +310,7 @@ fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
         let ledgers = std::mem::take(&mut before.ledgers);
         drop(before);
         ledgers.chain().unwrap().begin_run(Timestamp::from_secs_f64(stopped_at));
-        // The robot is where it was; all else begins as the file says.
+        // The robot stays where it was; everything else starts as in the file.
         let walk = format!("walks.robot.waypoints=[[{at}, 0], [34, 0]]");
         let testbed = testbed(&[&walk, "walks.robot.and_back=false"]);
         let mut after = Simulation::on(testbed, 1, ledgers, None).unwrap();
@@ -328,7 +328,7 @@ fn a_core_that_is_started_again_goes_on_where_the_chain_is() {
     }
 }
 
-/// The notes of a simulation until then, or its end.
+/// Returns the notes of a simulation until then, or until its end.
 fn notes(simulation: &mut Simulation, until_s: f64) -> (Vec<Stamped>, f64) {
     let (mut notes, mut x) = (Vec::new(), 0.0);
     while !simulation.is_finished() && simulation.step().as_secs_f64() < until_s {
@@ -347,9 +347,9 @@ fn notes(simulation: &mut Simulation, until_s: f64) -> (Vec<Stamped>, f64) {
 }
 
 #[test]
-fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
+fn a_restarted_core_with_its_notes_has_the_whole_timeline_and_no_step_twice() {
     use Step::*;
-    // After each step of the way, and while the vAP is used.
+    // After each step, and during the vAP's use.
     for stopped_at in [16.5, 22.0, 27.0, 30.2, 33.0, 36.0, 42.0, 60.0] {
         let mut before = Simulation::new(testbed(&[]), 1).unwrap();
         let (noted, x) = notes(&mut before, stopped_at);
@@ -397,7 +397,7 @@ fn a_core_that_is_started_again_with_its_notes_has_the_whole_timeline_and_no_ste
 }
 
 #[test]
-fn one_that_provides_no_longer_stops_the_robot_that_it_serves() {
+fn a_provider_that_stops_serving_stops_its_robot() {
     // The longest use ends while the robot is away.
     let mut simulation =
         Simulation::new(testbed(&["plugins.orchestrator-1.settings.use_for=20 s"]), 1).unwrap();

@@ -18,7 +18,7 @@ fn testbeds() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds")
 }
 
-/// The corridor, its robot with sensors.
+/// The corridor with these sensors on its robot.
 fn text(sensors: &str) -> String {
     let text = fs::read_to_string(testbeds().join("corridor.yaml")).unwrap();
     let with_sensors = text.replace("robot: { kind: robot,", &format!("robot: {{ kind: robot, {sensors},"));
@@ -31,7 +31,7 @@ fn parse(text: &str) -> Testbed {
 }
 
 #[test]
-fn large_data_comes_before_its_event_and_is_what_that_says() {
+fn large_data_precedes_its_event_and_matches_it() {
     let mut simulation = Simulation::new(Arc::new(parse(&text(SENSORS))), 1).unwrap();
     let (mut told, mut readings) = (VecDeque::new(), BTreeMap::<_, Vec<SensorReading>>::new());
     while simulation.now().as_secs_f64() < 10.0 {
@@ -53,7 +53,7 @@ fn large_data_comes_before_its_event_and_is_what_that_says() {
         }
     }
     assert!(told.is_empty());
-    // It turns ten times a second, however often it is read.
+    // The lidar turns ten times a second, however often it is read.
     for (sensor, expected) in [("front", 95..=101), ("fast", 95..=101), ("slow", 18..=21)] {
         let readings = &readings[sensor];
         assert!(expected.contains(&readings.len()), "{sensor}: {}", readings.len());
@@ -66,7 +66,7 @@ fn large_data_comes_before_its_event_and_is_what_that_says() {
     }
 }
 
-/// Every file in a folder and below, with what it has.
+/// Returns all files in a folder and below, with their content.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! VNFs with several instances: who is asked, who answers, and what happens when instances come and go.
+//! VNFs with several instances: where requests go, who answers, and what changes as instances come and go.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use cotorra_graph::{
 
 use super::*;
 
-/// From one position packet to the next.
+/// Interval between position packets.
 const INTERVAL: Duration = Duration::from_millis(50);
 
 /// The corridor without plug-ins, with navigation on these nodes.
@@ -44,7 +44,7 @@ fn place(simulation: &mut Simulation, nodes: &[&str]) {
     instruct(simulation, Instruction::Place { vnf: navigation(), node: nodes });
 }
 
-/// Both directions of the link lose that share.
+/// Makes both directions of a link lose this share of packets.
 fn lose(simulation: &mut Simulation, link: &str, share: f64) {
     let loss = Some(Loss::Independent { rate: Probability::new(share).unwrap() });
     let change = ConditionChange { loss, ..ConditionChange::default() };
@@ -54,7 +54,7 @@ fn lose(simulation: &mut Simulation, link: &str, share: f64) {
     );
 }
 
-/// What a run tells: service times of navigation, and what the robot rejected in all.
+/// The outputs of a run: service times of navigation, and the number of answers that the robot rejected.
 #[derive(Default)]
 struct Told {
     samples: Vec<ServiceTime>,
@@ -72,7 +72,7 @@ impl Told {
         }
     }
 
-    /// How many were not answered within the target of 15 ms.
+    /// Returns the number of samples not answered within the target of 15 ms.
     fn late(&self) -> usize {
         let late = |sample: &&ServiceTime| sample.took.is_none_or(|took| took > Duration::from_millis(15));
         self.samples.iter().filter(late).count()
@@ -84,7 +84,7 @@ impl Told {
         took[took.len() / 2]
     }
 
-    /// Who answered, without repetitions.
+    /// Returns the answering nodes in order, without repetitions.
     fn servers(&self) -> Vec<&str> {
         let mut servers: Vec<_> = self.samples.iter().map(|sample| sample.server.as_str()).collect();
         servers.dedup();
@@ -92,7 +92,7 @@ impl Told {
     }
 }
 
-/// What a run of 40 s tells, in which the links between the robot and the edge lose packets.
+/// Simulates 40 s in which the links between the robot and the edge lose packets.
 fn lossy(nodes: &str, requests: &str, share: f64) -> Told {
     let mut simulation = Simulation::new(corridor(nodes, requests), 1).unwrap();
     let mut told = Told::default();
@@ -105,21 +105,21 @@ fn lossy(nodes: &str, requests: &str, share: f64) -> Told {
 }
 
 #[test]
-fn all_asks_every_instance_and_takes_the_first_answer() {
+fn with_all_every_instance_is_asked_and_the_first_answer_counts() {
     let [edge, fog] = ["edge", "fog"].map(|node| lossy(node, "one", 0.0));
     let one = lossy("edge, fog", "one", 0.1);
     let all = lossy("edge, fog", "all", 0.1);
     assert!(all.samples.len() > 700, "{} samples", all.samples.len());
     assert_eq!(one.servers(), ["edge"]);
-    // 19 % of the packets or answers get lost by way of the edge.
+    // 19 % of the packets or answers over the edge are lost.
     assert!(one.late() > one.samples.len() / 10, "{} late", one.late());
     assert!(all.late() <= 2, "{} late", all.late());
     let by_fog = all.samples.iter().filter(|sample| sample.server == "fog").count();
     assert!(by_fog > all.samples.len() * 9 / 10, "fog is faster, though the edge is preferred: {by_fog}");
-    // The best of both, but for the time that the second copy waits on the air.
+    // The best of both, except for the second copy's airtime.
     let best = edge.median().min(fog.median());
     assert!(all.median() < best + Duration::from_millis(1), "{:?} beside {best:?}", all.median());
-    // Each sample counts once, and an answer that is not the first is neither forged nor repeated.
+    // Each sample counts once, and a later answer counts neither as forged nor as repeated.
     assert!(all.samples.iter().zip(0..).all(|(sample, number)| sample.sequence == number));
     let rejected = all.rejected.unwrap();
     assert!(rejected.redundant > 500, "{rejected:?}");
@@ -128,7 +128,7 @@ fn all_asks_every_instance_and_takes_the_first_answer() {
 }
 
 #[test]
-fn a_packet_that_none_of_all_answers_is_unanswered_once() {
+fn a_packet_without_any_answer_is_unanswered_once() {
     let mut simulation = Simulation::new(corridor("edge, fog", "all"), 1).unwrap();
     let mut told = Told::default();
     let mut cut = false;
@@ -146,14 +146,14 @@ fn a_packet_that_none_of_all_answers_is_unanswered_once() {
 }
 
 #[test]
-fn when_the_first_instance_dies_the_next_packet_goes_to_another() {
+fn after_the_first_instance_dies_the_next_packet_goes_to_another() {
     let mut simulation = Simulation::new(corridor("edge, fog", "one"), 1).unwrap();
     let mut told = Told::default();
-    // It is started again after 0.1 s, 0.2 s, … and killed again as soon as it serves.
+    // It is restarted after 0.1 s, 0.2 s, …, and killed again as soon as it serves.
     let mut killed = 0;
     while simulation.step().as_secs_f64() < 20.0 {
         told.poll(&mut simulation);
-        // Two brains, and localization.
+        // Two instances of navigation, and one of localization.
         let serves = simulation.serving().running().len() == 3;
         if simulation.now().as_secs_f64() > 5.0 && killed < 6 && serves {
             killed += 1;
@@ -161,7 +161,7 @@ fn when_the_first_instance_dies_the_next_packet_goes_to_another() {
         }
     }
     assert_eq!(killed, 6);
-    // What was under way to it may be lost, one packet each time: no more.
+    // Each kill may lose the one packet that is under way.
     let answered: Vec<_> = told.samples.iter().filter(|sample| sample.took.is_some()).collect();
     let gaps = answered.windows(2).map(|pair| pair[1].emitted.since(pair[0].emitted));
     assert!(gaps.max().unwrap() <= 2 * INTERVAL);
@@ -171,7 +171,7 @@ fn when_the_first_instance_dies_the_next_packet_goes_to_another() {
     assert!((110..140).contains(&by_fog), "{by_fog}");
     assert_eq!((told.servers()[0], *told.servers().last().unwrap()), ("edge", "edge"));
 
-    // Where there is one instance, the robot waits until it is started again.
+    // A single instance leaves the robot waiting for its restart.
     let mut alone = Simulation::new(corridor("edge", "one"), 1).unwrap();
     let (mut told, mut killed) = (Told::default(), false);
     while alone.step().as_secs_f64() < 8.0 {
@@ -186,7 +186,7 @@ fn when_the_first_instance_dies_the_next_packet_goes_to_another() {
 
 #[test]
 fn nearest_follows_the_robot_and_the_conditions_of_links() {
-    // Fog is nearest at R1, R3 and R5, edge at R2 and R4; the cloud never is.
+    // Fog is nearest at R1, R3 and R5, edge at R2 and R4, and the cloud nowhere.
     let roams = |text: String| text.replace("roaming: instructed", "roaming: signal");
     let testbed = changed("cloud, edge, fog", "nearest", roams);
     let mut simulation = Simulation::new(testbed, 1).unwrap();
@@ -209,7 +209,7 @@ fn nearest_follows_the_robot_and_the_conditions_of_links() {
     visited.dedup();
     assert!(visited.len() >= 5, "{visited:?}");
 
-    // A link becomes slow, another is cut: it goes elsewhere within two collections of κ.
+    // One link becomes slow, then another is cut: requests go elsewhere within two collections of κ.
     let mut simulation = Simulation::new(corridor("cloud, edge, fog", "nearest"), 1).unwrap();
     let (mut told, mut changes) = (Told::default(), 0);
     while simulation.step().as_secs_f64() < 9.0 {
@@ -235,7 +235,7 @@ fn nearest_follows_the_robot_and_the_conditions_of_links() {
 }
 
 #[test]
-fn whenever_instances_come_and_go_every_position_packet_is_answered() {
+fn every_position_packet_is_answered_while_instances_come_and_go() {
     for requests in ["one", "nearest", "all"] {
         let mut simulation = Simulation::new(corridor("cloud", requests), 1).unwrap();
         let all: [&[&str]; 6] = [
@@ -292,7 +292,7 @@ fn localization_by_several_instances_never_loses_the_robot() {
 }
 
 #[test]
-fn virtual_links_are_told_between_each_pair_of_instances() {
+fn virtual_links_are_reported_between_each_pair_of_instances() {
     let mut simulation = Simulation::new(corridor("edge, fog", "all"), 1).unwrap();
     let mut last = None;
     let mut note = |simulation: &mut Simulation, until: f64| {

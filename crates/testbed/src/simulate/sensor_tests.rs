@@ -34,7 +34,7 @@ fn room(with_sensors: bool) -> Arc<Testbed> {
     Arc::new(cotorra_testbed_file::parse("room.yaml", &text, std::path::Path::new("")).unwrap())
 }
 
-/// All events of 30 s, in which the gripper feels 3 and 4 N at 10.1 s, and then nothing any more.
+/// Returns the events of 30 s. The gripper reports 3 and 4 N at 10.1 s, and nothing afterwards.
 fn events(testbed: Arc<Testbed>) -> Vec<Stamped> {
     let has_sensors = testbed.graph.robots().any(|(_, robot)| !robot.sensors.is_empty());
     let mut simulation = Simulation::new(testbed, 1).unwrap();
@@ -68,7 +68,7 @@ fn events(testbed: Arc<Testbed>) -> Vec<Stamped> {
     events
 }
 
-/// Times, s, and readings of a sensor.
+/// Returns the times, s, and readings of a sensor.
 fn readings<'a>(events: &'a [Stamped], sensor: &str) -> Vec<(f64, &'a SensorReading)> {
     let of = events.iter().filter_map(|stamped| match &stamped.event {
         Event::Sensor(reading) if reading.sensor == *sensor => Some((stamped.at.as_secs_f64(), reading)),
@@ -83,7 +83,7 @@ fn values(readings: &[(f64, &SensorReading)], component: &str) -> Vec<f64> {
 }
 
 #[test]
-fn sensors_are_read_at_their_rates_and_tell_what_the_robot_does() {
+fn sensors_are_read_at_their_rates_and_show_what_the_robot_does() {
     let events = events(room(true));
     for (sensor, rate) in [("battery", 2.0), ("imu", 50.0), ("wheels", 20.0)] {
         let found = readings(&events, sensor);
@@ -118,7 +118,7 @@ fn sensors_are_read_at_their_rates_and_tell_what_the_robot_does() {
 }
 
 #[test]
-fn a_vector_tells_the_last_report_once_and_when_that_was() {
+fn a_vector_has_the_last_report_once_with_its_time() {
     let events = events(room(true));
     let gripper = readings(&events, "gripper");
     let [(at, reading)] = gripper[..] else { panic!("{gripper:?}") };
@@ -127,7 +127,7 @@ fn a_vector_tells_the_last_report_once_and_when_that_was() {
 }
 
 #[test]
-fn readings_are_the_same_by_seed_and_without_sensors_there_are_none() {
+fn readings_depend_on_the_seed_and_exist_only_with_sensors() {
     let with = events(room(true));
     assert_eq!(with, events(room(true)));
     let without = events(room(false));

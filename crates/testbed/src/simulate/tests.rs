@@ -22,7 +22,7 @@ fn loaded(name: &str) -> Arc<Testbed> {
     Arc::new(cotorra_testbed_file::load(file).unwrap())
 }
 
-/// All events of the first seconds.
+/// Returns the events of the first seconds.
 fn events_of(testbed: &Arc<Testbed>, seed: u64, seconds: f64) -> Vec<Stamped> {
     let mut simulation = Simulation::new(Arc::clone(testbed), seed).unwrap();
     let mut events = Vec::new();
@@ -51,13 +51,13 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
         .collect();
     let names: Vec<_> = regions.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["R1", "R3", "R2", "R4", "R5", "R4", "R2", "R3", "R1"]);
-    // The state of the art as published, ms. Emulation adds some 0.1 ms of this machine to ours.
+    // The published state of the art, ms. In real time, this machine's emulation adds some 0.1 ms.
     for (region, published) in
         regions.iter().zip([11.80, 11.80, 20.35, 20.35, 28.91, 20.32, 20.32, 11.46, 11.46])
     {
         assert!((region.1 - published).abs() <= 0.65, "{region:?} against {published}");
     }
-    // Each probe, every 20 to 25 s, shows as a spike of 40 to 180 ms, and nothing else does.
+    // Each probe, every 20 to 25 s, causes a spike of 40 to 180 ms, and nothing else does.
     let probes = events.iter().filter(|e| matches!(e.event, Event::Scanned { .. })).count();
     assert!((16..=21).contains(&probes), "{probes} probes");
     let spikes: Vec<_> =
@@ -70,7 +70,7 @@ fn the_whole_walk_has_the_published_regions_and_medians() {
 }
 
 #[test]
-fn a_quadrotor_flies_its_walk_and_hears_radio_units_by_its_height() {
+fn a_quadrotor_flies_its_walk_and_hears_radio_units_according_to_height() {
     let testbed = loaded("hall.yaml");
     let uav = testbed.graph.robots().next().unwrap().0.id.clone();
     let walk = testbed.walk(&uav).unwrap().clone();
@@ -96,7 +96,7 @@ fn a_quadrotor_flies_its_walk_and_hears_radio_units_by_its_height() {
             near.flat_map(|context| &context.attachments).find(|a| a.radio_unit.as_str() == unit);
         attachment.unwrap().signal.unwrap().0
     };
-    // From the same spot of the floor, 10.9 m and 16.4 m from the lower one, 9.2 m and 2.8 m from the upper one.
+    // Above the same spot of the floor, 10.9 m and 16.4 m from the lower one, 9.2 m and 2.8 m from the upper one.
     let [low, high] = [walk.waypoints[2], walk.waypoints[3]];
     assert!(heard_at(high, "high") > heard_at(low, "high") + 10.0);
     let attached: Vec<_> = contexts.iter().filter_map(|context| context.attached_to()).collect();
@@ -112,7 +112,7 @@ fn the_same_seed_gives_the_same_events_and_another_seed_others() {
     assert_ne!(first, events_of(&testbed, 8, 60.0));
 }
 
-/// Gives each of these instructions at its time, s, and returns all events until `seconds`.
+/// Gives each instruction at its time, s, and returns all events until `seconds`.
 fn instructed(testbed: Arc<Testbed>, instructions: &[(f64, Instruction)], seconds: f64) -> Vec<Stamped> {
     let mut simulation = Simulation::new(testbed, 1).unwrap();
     let (mut left, mut events) = (instructions.iter().peekable(), Vec::new());
@@ -128,7 +128,7 @@ fn instructed(testbed: Arc<Testbed>, instructions: &[(f64, Instruction)], second
     events
 }
 
-/// What a robot's contexts say, with their times.
+/// Returns a robot's contexts with their times.
 fn contexts(events: &[Stamped]) -> impl Iterator<Item = (f64, &RobotContext)> {
     events.iter().filter_map(|stamped| match &stamped.event {
         Event::Robot(context) => Some((stamped.at.as_secs_f64(), context)),
@@ -136,9 +136,9 @@ fn contexts(events: &[Stamped]) -> impl Iterator<Item = (f64, &RobotContext)> {
     })
 }
 
-/// On the ground and in the air, and navigation knows nothing of it.
+/// On the ground and in the air, without navigation's knowledge.
 #[test]
-fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
+fn a_robot_obeys_its_speed_limit_until_it_is_lifted() {
     for (file, limit, brakes_for) in [("corridor.yaml", 0.1, 1.5), ("hall.yaml", 0.4, 3.0)] {
         let testbed = loaded(file);
         let robot = testbed.graph.robots().next().unwrap().0.id.clone();
@@ -154,7 +154,7 @@ fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
         assert!((0.8 * limit..1.1 * limit).contains(&slow), "{file}: {slow} m/s");
         assert!(fastest(0.0, from) > 2.0 * limit && fastest(to, 50.0) > 2.0 * limit, "{file}");
         for (at, context) in contexts(&events) {
-            // κ of the very moment may come before the instruction or after it.
+            // κ at the very moment may precede or follow the instruction.
             let expected = (from + 0.1..to - 0.1).contains(&at).then_some(limit);
             if expected.is_some() || !(from - 0.1..to + 0.1).contains(&at) {
                 assert_eq!(context.speed_limit_mps, expected, "{file}: at {at}");
@@ -163,9 +163,9 @@ fn a_robot_is_as_slow_as_it_is_told_until_that_is_taken_back() {
     }
 }
 
-/// The plug-in is told of no answers, only of ι(R).
+/// The plug-in sees no answers, only ι(R).
 #[test]
-fn pace_lets_a_robot_drive_less_far_blind_for_a_longer_walk() {
+fn pace_shortens_blind_driving_for_a_longer_walk() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/aisle.yaml");
     let walked = |paced: bool| {
         let setting = format!("plugins.pace.enabled={paced}").parse().unwrap();
@@ -183,7 +183,7 @@ fn pace_lets_a_robot_drive_less_far_blind_for_a_longer_walk() {
     };
     let [(none, fast), (limits, slow)] = [walked(false), walked(true)];
     assert_eq!(none, 0);
-    // Four passes between two radio units; shadowing adds some.
+    // Four passes between two radio units, plus some from shadowing.
     assert!((8..60).contains(&limits), "{limits} limits");
     let [fast_drive, slow_drive] = [&fast, &slow].map(|summary| &summary.driving[0]);
     for driven in [fast_drive, slow_drive] {
@@ -206,7 +206,7 @@ fn goal_events(events: &[Stamped]) -> Vec<(f64, &GoalEvent)> {
     of.collect()
 }
 
-/// One node, or several with commas between.
+/// Returns the nodes of a list with commas.
 fn on(nodes: &str) -> Nodes {
     Nodes::new(nodes.split(',').map(|node| node.parse().unwrap()).collect()).unwrap()
 }
@@ -215,9 +215,9 @@ fn navigate_to(robot: &str, goal: Option<Position>) -> Instruction {
     Instruction::NavigateTo { robot: robot.parse().unwrap(), goal }
 }
 
-/// Back from its walk, and served by another instance on the way.
+/// The robot leaves its walk, and another instance takes over on the way.
 #[test]
-fn a_robot_goes_to_its_goal_stands_there_and_goes_on_with_its_walk() {
+fn a_robot_reaches_its_goal_waits_and_continues_its_walk() {
     let goal = Position::new(25.4, -27.6);
     let place = Instruction::Place { vnf: "navigation".parse().unwrap(), node: on("edge") };
     let (left, moved, back) = (15.0, 18.0, 45.0);
@@ -232,7 +232,7 @@ fn a_robot_goes_to_its_goal_stands_there_and_goes_on_with_its_walk() {
     assert!((8..25).contains(&progress), "{progress} s of progress");
     for pair in told[1..=progress].windows(2) {
         assert!((1.0..1.1).contains(&(pair[1].0 - pair[0].0)), "{pair:?}");
-        // Until it has turned round it rolls on.
+        // It rolls on until it has turned round.
         let turned = pair[0].0 > left + 5.0;
         assert!(!turned || pair[1].1.remaining_m < pair[0].1.remaining_m, "{pair:?}");
     }
@@ -260,7 +260,7 @@ fn a_robot_goes_to_its_goal_stands_there_and_goes_on_with_its_walk() {
 }
 
 #[test]
-fn a_quadrotor_has_goals_above_the_floor() {
+fn a_quadrotor_accepts_goals_above_the_floor() {
     let goal = Position::new(8.0, 2.5).at_height(5.0);
     let events = instructed(loaded("hall.yaml"), &[(5.0, navigate_to("uav", Some(goal)))], 40.0);
     let told = goal_events(&events);
@@ -271,7 +271,7 @@ fn a_quadrotor_has_goals_above_the_floor() {
 }
 
 #[test]
-fn a_goal_behind_a_wall_fails_with_the_reason_and_the_robot_stands() {
+fn a_goal_behind_a_wall_fails_with_the_reason_and_the_robot_stops() {
     let mut testbed = Testbed::clone(&corridor());
     let map = testbed.map.as_ref().unwrap();
     // Across the whole corridor, ahead of the robot.
@@ -294,7 +294,7 @@ fn a_goal_behind_a_wall_fails_with_the_reason_and_the_robot_stands() {
 }
 
 #[test]
-fn goals_are_refused_where_no_navigation_vnf_serves_the_robot() {
+fn goals_are_rejected_without_a_serving_navigation_vnf() {
     let refused = |testbed: Arc<Testbed>, robot: &str| {
         let mut simulation = Simulation::new(testbed, 1).unwrap();
         simulation.step();
@@ -311,9 +311,9 @@ fn goals_are_refused_where_no_navigation_vnf_serves_the_robot() {
     assert_eq!(reason, "no navigation VNF serves robot `robot`, and nobody else takes goals");
 }
 
-/// Navigation whose answers are 3 s old would drive the robot from what it saw then.
+/// Navigation whose answers are 3 s old would drive the robot by outdated positions.
 #[test]
-fn a_robot_that_only_hears_stale_answers_stops_within_its_command_timeout() {
+fn a_robot_with_only_stale_answers_stops_within_its_command_timeout() {
     let mut simulation = Simulation::new(corridor(), 1).unwrap();
     let delay = ConditionChange { delay_ms: Some(1500.0), ..ConditionChange::default() };
     let mut last_heard = None;
@@ -325,7 +325,7 @@ fn a_robot_that_only_hears_stale_answers_stops_within_its_command_timeout() {
             simulation.instruct("test".parse().unwrap(), change, None).unwrap();
         }
         while let Some(stamped) = simulation.poll_event() {
-            // 0.6 s for a TurtleBot 2, and as long for what it brakes.
+            // 0.6 s for a TurtleBot 2, and as long again for braking.
             let stale = last_heard.is_some_and(|heard| stamped.at.since(heard) > Duration::from_millis(1200));
             if let Event::Robot(context) = &stamped.event
                 && stale
@@ -338,7 +338,7 @@ fn a_robot_that_only_hears_stale_answers_stops_within_its_command_timeout() {
 }
 
 #[test]
-fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
+fn a_moving_vnf_leaves_no_position_packet_unanswered() {
     let testbed = corridor();
     let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
     let mut servers = Vec::new();
@@ -360,11 +360,11 @@ fn a_vnf_that_moves_leaves_no_position_packet_without_an_answer() {
     assert_eq!(servers, ["cloud", "edge"]);
 }
 
-/// The testbed with another service: a flow that is what the robot and its navigation say to each other.
+/// Returns the testbed with a second service: a flow of the robot's traffic with its navigation.
 fn with_navigation_as_a_flow() -> Arc<Testbed> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
     let port = cotorra_plugin::wire::port(&corridor(), &"navigation".parse().unwrap()).unwrap();
-    // An answer has the nonce of its position packet; a TurtleBot 2 waits 0.6 s for it.
+    // An answer has the nonce of its position packet. A TurtleBot 2 waits 0.6 s for it.
     let flow = format!("protocol: udp, port: {port}, id: {{ offset: 24, length: 8 }}, timeout: 600 ms");
     let service = format!(
         "\nservices:\n  flow:\n    robot: robot\n    kpis: {{ service_time: 15 ms, flow: {{ {flow} }} }}\n    vnfs: {{}}\n"
@@ -375,7 +375,7 @@ fn with_navigation_as_a_flow() -> Arc<Testbed> {
 }
 
 #[test]
-fn a_flow_on_navigations_port_has_the_times_of_navigation() {
+fn a_flow_on_navigations_port_has_navigations_times() {
     let testbed = with_navigation_as_a_flow();
     let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
     let loss = Loss::Independent { rate: Probability::new(0.05).unwrap() };
@@ -406,10 +406,10 @@ fn a_flow_on_navigations_port_has_the_times_of_navigation() {
 }
 
 #[test]
-fn whenever_a_vnf_moves_every_position_packet_is_answered() {
+fn every_position_packet_is_answered_whenever_a_vnf_moves() {
     let testbed = corridor();
     let mut simulation = Simulation::new(Arc::clone(&testbed), 1).unwrap();
-    // To and fro, each time at another moment between two position packets, which go out every 50 ms.
+    // To and fro, each time at another moment between two position packets, which are 50 ms apart.
     let mut moves =
         (0..100_u16).map(|i| (Timestamp::from_secs_f64(1.0 + 0.1525 * f64::from(i)), i % 2)).peekable();
     let (mut node, mut switched, mut samples) = ("cloud".to_owned(), Vec::new(), 0);
@@ -424,7 +424,7 @@ fn whenever_a_vnf_moves_every_position_packet_is_answered() {
                 }
                 Event::ServiceTime(sample) => {
                     assert!(sample.took.is_some(), "sample {} got no answer", sample.sequence);
-                    // Packets go where the VNF is placed when they are emitted.
+                    // Packets go to the VNF's placement at their emission.
                     let placed = switched.iter().rev().find(|(at, _)| *at <= sample.emitted);
                     assert_eq!(placed.unwrap().1, sample.server.as_str());
                     samples += 1;
@@ -442,7 +442,7 @@ fn whenever_a_vnf_moves_every_position_packet_is_answered() {
     assert!(samples > 330, "{samples} samples");
 }
 
-/// Where localization ran, and how far off it was, over the first minute; it goes to each of these nodes in turn.
+/// Returns localization's nodes and errors over the first minute, in which it moves to each of these nodes in turn.
 fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajectory::Errors) {
     let mut simulation = Simulation::new(corridor(), 1).unwrap();
     let mut moves = nodes.iter().enumerate();
@@ -474,7 +474,7 @@ fn localized_on(nodes: &[&str]) -> (Vec<String>, cotorra_localization::trajector
 }
 
 #[test]
-fn localization_goes_from_node_to_node_and_never_loses_the_robot() {
+fn localization_moves_between_nodes_and_never_loses_the_robot() {
     let (stayed, there) = localized_on(&[]);
     let (served, errors) = localized_on(&["fog", "robot", "cloud", "edge"]);
     assert_eq!(stayed, ["edge"]);
@@ -487,7 +487,7 @@ fn localization_goes_from_node_to_node_and_never_loses_the_robot() {
 }
 
 #[test]
-fn a_robot_that_nobody_localizes_knows_less_and_less_and_is_found_again() {
+fn an_unlocalized_robot_becomes_less_certain_and_is_found_again() {
     let mut testbed = Testbed::clone(&corridor());
     // Nothing crosses this link until it is repaired.
     let cut = |loss| Instruction::Condition {
@@ -574,7 +574,7 @@ fn two_runs_with_one_seed_leave_the_same_bytes() {
 }
 
 #[test]
-fn virtual_time_without_an_end_is_refused() {
+fn endless_virtual_time_is_rejected() {
     let mut testbed = Testbed::clone(&corridor());
     testbed.walks.clear();
     assert!(matches!(simulate(testbed, "", &Options::default(), |_| true), Err(RunError::Endless)));
@@ -598,7 +598,7 @@ fn okpi_keeps_the_target_with_the_published_placements() {
         .filter(|(attachment, _)| *attachment != "R4")
         .collect();
     decided.dedup();
-    // The way out and back, as published; R4 beside R2 has the same server.
+    // The way out and back, as published. R4 beside R2 has the same server.
     let out = [("R1", "cloud"), ("R3", "cloud"), ("R2", "edge"), ("R5", "fog")];
     let back = [("R2", "edge"), ("R3", "cloud"), ("R1", "cloud")];
     assert_eq!(decided, [&out[..], &back[..]].concat());
@@ -606,22 +606,21 @@ fn okpi_keeps_the_target_with_the_published_placements() {
     assert!(over * 200 < report.samples().len(), "{over} of {} over the target", report.samples().len());
 }
 
-/// The two paths, with its plug-in or without.
+/// Returns the two-paths testbed, with or without its plug-in.
 fn two_paths(with_okpi: bool) -> Testbed {
     let text = include_str!("../../../../testbeds/two-paths.yaml");
     let text = text.replace("enabled: false", &format!("enabled: {with_okpi}"));
     cotorra_testbed_file::parse("two-paths.yaml", &text, Path::new("")).unwrap()
 }
 
-/// Service times that were measured from a time on, sorted, and the packets that the first link of each path carried
-/// from the robot since.
+/// Sorted service times since a time, and the packets from the robot that the first link of each path carried since then.
 struct Window {
     took: Vec<Duration>,
     narrow: u64,
     wide: u64,
 }
 
-/// Goes on for ten seconds, with what instructions change.
+/// Applies instructions, and simulates ten seconds.
 fn ten_seconds(simulation: &mut Simulation, instructions: &[Instruction]) -> Window {
     for instruction in instructions {
         simulation.instruct("test".parse().unwrap(), instruction.clone(), None).unwrap();
@@ -635,7 +634,7 @@ fn ten_seconds(simulation: &mut Simulation, instructions: &[Instruction]) -> Win
     let mut took = Vec::new();
     while simulation.step() < began + Duration::from_secs(10) {
         while let Some(stamped) = simulation.poll_event() {
-            // What was emitted before is still under way as it was.
+            // Earlier packets are still under way under the previous conditions.
             if let Event::ServiceTime(sample) = stamped.event
                 && sample.emitted > began
             {
@@ -695,7 +694,7 @@ fn a_mapped_path_keeps_the_target_that_the_shortest_misses() {
 }
 
 #[test]
-fn okpi_maps_the_path_that_it_chose() {
+fn okpi_maps_its_chosen_path() {
     let testbed = two_paths(true);
     let target = testbed.services[0].kpis.service_time;
     let mut simulation = Simulation::new(Arc::new(testbed), 1).unwrap();
@@ -704,7 +703,7 @@ fn okpi_maps_the_path_that_it_chose() {
     assert!(took.len() > 20 && *took.last().unwrap() < target / 2 && narrow == 0, "{took:?}");
 }
 
-/// A run of the first seconds with the plug-in `probing` replaced by a program.
+/// Simulates the first seconds with the plug-in `probing` replaced by a program.
 fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Duration) -> (Finished, String) {
     let out = tempfile::tempdir().unwrap();
     let mut testbed = Testbed::clone(&corridor());
@@ -723,14 +722,14 @@ fn run_with_program(command: &[&str], settings: serde_json::Value, patience: Dur
 
 const PATIENT: Duration = Duration::from_secs(600);
 
-/// The command that runs [`the_program_of_other_tests`].
+/// Returns the command that runs [`the_program_of_other_tests`].
 fn this_program() -> String {
     std::env::current_exe().unwrap().to_str().unwrap().to_owned()
 }
 
 const AS_PROGRAM: [&str; 2] = ["--exact", "simulate::tests::the_program_of_other_tests"];
 
-/// What other tests start as a plug-in; by itself it does nothing.
+/// The program that other tests start as a plug-in. It does nothing by itself.
 #[test]
 fn the_program_of_other_tests() {
     if std::env::var_os("COTORRA_API").is_none() {
@@ -759,7 +758,7 @@ fn the_program_of_other_tests() {
 }
 
 #[test]
-fn a_plugin_does_the_same_in_process_and_as_a_program() {
+fn a_plugin_acts_the_same_in_process_and_as_a_program() {
     let testbed = corridor();
     let mut report = Report::new(&testbed, 1);
     for event in events_of(&testbed, 1, 60.0) {
@@ -810,7 +809,7 @@ fn a_program_that_floods_is_cut_off_after_the_same_instructions_each_time() {
 }
 
 #[test]
-fn who_waits_for_a_program_can_stop_the_run() {
+fn a_run_that_waits_for_a_program_can_be_stopped() {
     let mut testbed = Testbed::clone(&corridor());
     testbed.plugins[0].program = PluginProgram::Command(vec!["sleep".to_owned(), "1000".to_owned()]);
     let out = tempfile::tempdir().unwrap();
