@@ -9,9 +9,6 @@
     reason = "a benchmark reads the clock and waits"
 )]
 
-#[path = "../src/testing/mariadb.rs"]
-mod mariadb;
-
 use std::{
     path::Path,
     sync::LazyLock,
@@ -25,7 +22,7 @@ use cotorra_graph::{
 use cotorra_measurements::{
     CurveRequest, Figure, History, LinkQuantity, PageRequest, RobotQuantity, RunInfo, export::Format,
 };
-use mariadb::MariaDb;
+use cotorra_testing::mariadb::MariaDb;
 use mysql::prelude::Queryable;
 use rusqlite::{Connection, params};
 

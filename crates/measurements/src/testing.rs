@@ -1,8 +1,5 @@
 //! Events for tests: any that can be, from a small set of names so that series meet themselves again.
 
-#[cfg(feature = "mariadb")]
-pub mod mariadb;
-
 use std::{sync::Arc, time::Duration};
 
 use cotorra_graph::{

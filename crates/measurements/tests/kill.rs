@@ -2,9 +2,6 @@
 //! away.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
-#[path = "../src/testing/mariadb.rs"]
-mod mariadb;
-
 use std::{
     io::{BufRead, BufReader, Write},
     process::{Child, Command, Stdio},
@@ -12,7 +9,7 @@ use std::{
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use cotorra_measurements::{History, Location, PageRequest, RunId, RunInfo};
-use mariadb::MariaDb;
+use cotorra_testing::mariadb::MariaDb;
 
 const PATH: &str = "COTORRA_TEST_HISTORY";
 

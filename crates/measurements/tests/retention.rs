@@ -2,9 +2,6 @@
 //! is killed, and with samples that come late.
 #![allow(clippy::unwrap_used, reason = "a test says so by failing")]
 
-#[path = "../src/testing/mariadb.rs"]
-mod mariadb;
-
 use std::{
     io::{BufRead, BufReader, Write},
     process::{Command, Stdio},
@@ -20,7 +17,7 @@ use cotorra_graph::{
 use cotorra_measurements::{
     CurveRequest, Figure, History, Kind, Location, PageRequest, Pruned, RunId, RunInfo, Values,
 };
-use mariadb::MariaDb;
+use cotorra_testing::mariadb::MariaDb;
 
 const PATH: &str = "COTORRA_TEST_HISTORY";
 const RUN: &str = "COTORRA_TEST_RUN";

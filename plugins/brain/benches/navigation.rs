@@ -1,12 +1,12 @@
 //! Benchmarks of planning and control: `cargo bench -p cotorra-brain`.
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
-use common::{context, corridor, pose, robot, testbed};
 use cotorra_brain::{Brain, NavigationVnf};
 use cotorra_graph::{PoseSource, Position, Timestamp};
 use cotorra_plugin::{Actions, Plugin, wire::PositionPacket};
+use cotorra_testing::{
+    corridor,
+    robot::{context, pose, robot, testbed},
+};
 use divan::Bencher;
 
 fn main() {

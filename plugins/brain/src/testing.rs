@@ -1,11 +1,8 @@
 //! Fixtures of unit tests: drawn maps, and testbeds of one robot on them.
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use cotorra_graph::{Cell, OccupancyGrid, Position, Testbed};
 
-pub use common::robot;
+pub use cotorra_testing::robot::robot;
 
 /// A grid from its rows, the northernmost first: `#` occupied, `.` free, `?` unknown.
 pub fn grid(rows: &[impl AsRef<str>], resolution: f64) -> OccupancyGrid {
@@ -21,6 +18,6 @@ pub fn grid(rows: &[impl AsRef<str>], resolution: f64) -> OccupancyGrid {
 
 /// A testbed on a drawn map.
 pub fn testbed(rows: &[&str], resolution: f64, waypoints: Vec<Position>) -> Testbed {
-    let testbed = common::testbed(Some(grid(rows, resolution)), waypoints);
+    let testbed = cotorra_testing::robot::testbed(Some(grid(rows, resolution)), waypoints);
     Testbed { name: "drawn".to_owned(), ..testbed }
 }

@@ -1,14 +1,15 @@
 //! Closed loop: the brain walks a small kinematic model of the robot, in virtual time.
 #![allow(clippy::unwrap_used, reason = "clippy knows helpers of integration tests for no tests")]
 
-mod common;
-
 use std::collections::VecDeque;
 
-use common::{RADIUS, context, corridor, pose, robot, testbed};
 use cotorra_brain::Brain;
 use cotorra_graph::{Cell, Event, Instruction, OccupancyGrid, Pose, Position, Testbed, Timestamp, Velocity};
 use cotorra_plugin::{Actions, Plugin};
+use cotorra_testing::{
+    corridor,
+    robot::{RADIUS, context, pose, robot, testbed},
+};
 use proptest::prelude::*;
 
 /// Seconds between two steps of the model.

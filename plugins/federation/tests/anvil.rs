@@ -6,27 +6,17 @@
 )]
 
 use std::{
-    path::Path,
     thread,
     time::{Duration, Instant},
 };
 
 use cotorra_federation::{LedgerChoice, Ledgers};
 use cotorra_graph::Timestamp;
-use cotorra_ledger::{Call, Event, Notice, ethereum::anvil};
+use cotorra_ledger::{Call, Event, Notice};
 
 #[test]
 fn domains_on_one_node_hear_each_other() {
-    let installed = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../contracts/node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
-    let program = std::env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
-    if !program.exists() {
-        assert!(
-            std::env::var_os("CI").is_none(),
-            "anvil is missing: npm install --prefix contracts --no-save"
-        );
-        return eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
-    }
+    let Some(program) = cotorra_testing::anvil() else { return };
     let mut ledgers = Ledgers::default();
     let choice = LedgerChoice::Anvil { block_period: Duration::from_millis(500), program: Some(program) };
     let mut open = |name: &str| ledgers.open(&choice, &name.parse().unwrap(), 1).unwrap().0;

@@ -2,13 +2,10 @@
 //! generated, with scarce CPUs, bandwidth, service time and reliability. The optimum comes from a mixed integer
 //! program.
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use std::time::Duration;
 
-use common::{contested, exact};
 use cotorra_okpi::{Chain, Infrastructure, Placed, Search, place};
+use cotorra_testing::placement::{contested, exact};
 
 /// Graphs for which a placement exists.
 const GRAPHS: usize = 300;

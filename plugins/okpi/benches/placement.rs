@@ -1,14 +1,14 @@
 //! Time of decisions, over the size of the graph: `cargo bench -p cotorra-okpi`.
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use std::time::Duration;
 
-use common::{contested, context, corridor, generated, survey};
 use cotorra_graph::Timestamp;
 use cotorra_okpi::{Chain, Infrastructure, Okpi, Search, place};
 use cotorra_plugin::{Actions, Plugin};
+use cotorra_testing::{
+    corridor,
+    placement::{contested, context, generated, survey},
+};
 use divan::Bencher;
 
 fn main() {

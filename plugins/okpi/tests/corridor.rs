@@ -1,17 +1,18 @@
 //! The published corridor: what is decided where, on the way out and back.
 #![allow(clippy::unwrap_used, reason = "a test stops where its world is not as it says")]
 
-mod common;
-
 use std::{sync::LazyLock, time::Duration};
 
-use common::{context, corridor, exact, survey};
 use cotorra_graph::{
     Conditions, Decision, Event, Handover, Instruction, LinkId, NodeId, NodeKind, PathKind, Placement,
     PluginId, Position, Rate, Testbed, Timestamp, VirtualLinkMapping, VnfId,
 };
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Okpi, Search, Vnf};
 use cotorra_plugin::{Actions, Plugin};
+use cotorra_testing::{
+    corridor,
+    placement::{context, exact, generated, survey},
+};
 use proptest::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -388,7 +389,7 @@ fn settings_name_only_parts_of_the_testbed() {
 
 #[test]
 fn generated_graphs_are_placed_the_same_each_time() {
-    let (service, infrastructure) = common::generated(100, 4, Some(0.9), 3);
+    let (service, infrastructure) = generated(100, 4, Some(0.9), 3);
     let search = Search::at(10);
     let place = || cotorra_okpi::place(&service, &infrastructure, search).unwrap();
     assert_eq!(place(), place());

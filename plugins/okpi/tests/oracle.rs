@@ -1,13 +1,11 @@
 //! Placements beside an exhaustive search over all hosts and all paths, which is exact: on small graphs.
 #![allow(clippy::unwrap_used, reason = "a test stops where its world is not as it says")]
 
-mod common;
-
 use std::time::Duration;
 
-use common::{check::Used, contested, exact::optimum};
 use cotorra_graph::{LinkId, NodeId, VnfId};
 use cotorra_okpi::{Chain, Infeasible, Infrastructure, Link, Node, Placed, Queue, Search, Vnf, place};
+use cotorra_testing::placement::{check::Used, contested, exact::optimum};
 use proptest::prelude::*;
 
 fn node(i: usize, cpus: f64, cost: f64, reliability: f64, forwards: bool) -> Node {

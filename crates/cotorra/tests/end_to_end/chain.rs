@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
-    env, fs,
+    fs,
     path::{Path, PathBuf},
     process::Command,
     time::Duration,
@@ -32,17 +32,7 @@ pub struct Chain {
 impl Chain {
     /// One with the contract, and with money for each domain; `None` where there is no anvil.
     pub fn start() -> Option<Self> {
-        let installed =
-            project_file("contracts").join("node_modules/@foundry-rs/anvil-linux-amd64/bin/anvil");
-        let program = env::var_os(anvil::PROGRAM).map_or(installed, Into::into);
-        if !program.exists() {
-            assert!(
-                env::var_os("CI").is_none(),
-                "anvil is missing: npm install --prefix contracts --no-save"
-            );
-            eprintln!("skipped: anvil is not installed (npm install --prefix contracts --no-save)");
-            return None;
-        }
+        let program = cotorra_testing::anvil()?;
         let place = tempfile::tempdir().unwrap();
         let program = Some(at_home(&program, place.path()));
         let block_period = Some(Duration::from_secs(1));

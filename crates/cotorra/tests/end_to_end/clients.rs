@@ -16,10 +16,7 @@ fn run<S: AsRef<OsStr>>(program: &Path, arguments: impl IntoIterator<Item = S>, 
 
 #[test]
 fn generated_clients_talk_to_a_run() {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        return eprintln!("skipped: openapi-python-client is not installed; scripts/test installs it");
-    };
+    let Some(python) = cotorra_testing::peers("openapi-python-client") else { return };
     let program = |name: &str| Path::new(&python).with_file_name(name);
     let folder = TempDir::new().unwrap();
     let path = |name: &str| folder.path().join(name).into_os_string();

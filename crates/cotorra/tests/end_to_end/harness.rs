@@ -19,6 +19,7 @@ use std::{
     time::Duration,
 };
 
+pub use cotorra_testing::project_file;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -44,14 +45,6 @@ pub fn stdout(output: &Output) -> String {
 /// What it said on standard error.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
-}
-
-/// A file of the project.
-pub fn project_file(path: &str) -> PathBuf {
-    let package =
-        env::var_os("CARGO_MANIFEST_DIR").map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from);
-    let path = package.join("../..").join(path);
-    path.canonicalize().unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
 /// Held by the one test whose run has the machine for itself: runs beside each other would make each other late.

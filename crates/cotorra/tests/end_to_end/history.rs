@@ -9,13 +9,11 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use cotorra_testing::mariadb::MariaDb;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::{
-    harness::{corridor, cotorra, output, project_file, stderr, stdout},
-    mariadb::MariaDb,
-};
+use crate::harness::{corridor, cotorra, output, project_file, stderr, stdout};
 
 /// Two runs in virtual time, with folders of their own, and in one history that they share as well.
 struct Runs {

@@ -9,13 +9,11 @@ use std::{
 
 use cotorra_okpi::Okpi;
 use cotorra_plugin::client;
+use cotorra_testing::mariadb::MariaDb;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::{
-    harness::{Run, corridor, cotorra, project_file, stderr, stdout, wait_until},
-    mariadb::MariaDb,
-};
+use crate::harness::{Run, corridor, cotorra, project_file, stderr, stdout, wait_until};
 
 /// OKpi as a program of its own, started by the run of the test below.
 #[test]

@@ -12,12 +12,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use cotorra_testing::mariadb::MariaDb;
 use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::{
     harness::{Run, are_held, cotorra, kill, project_file, stderr, stdout, wait_until},
-    mariadb::MariaDb,
     one_robot::testbed,
 };
 

@@ -21,17 +21,10 @@ mod kill_cycles;
 mod link;
 mod localize;
 mod map;
-#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
-#[path = "../../../measurements/src/testing/mariadb.rs"]
-mod mariadb;
 mod netem;
 mod netem_links;
 mod one_robot;
 mod plugin;
-#[path = "../../../robots/ros1/tests/interop/process.rs"]
-#[allow(dead_code, reason = "what the tests of the nodes themselves use of it")]
-#[allow(clippy::unwrap_used, reason = "what fails here fails the test")]
-mod process;
 mod recording;
 mod replicas;
 mod ros1;

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
-    env, fs,
+    fs,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -24,11 +24,7 @@ fn minute(out: &Path) -> PathBuf {
 
 /// The messages of a file as independent readers see them; `None` where there are none.
 fn read(file: &Path) -> Option<Vec<Value>> {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        eprintln!("skipped: COTORRA_PEERS names no Python with rosbags, mcap and mcap-ros2-support");
-        return None;
-    };
+    let python = cotorra_testing::peers("rosbags, mcap, mcap-ros2-support")?;
     let script = project_file("crates/robots/recording/tests/peers/read.py");
     let read = Command::new(python).arg(script).arg(file).output().unwrap();
     assert!(read.status.success(), "{}", stderr(&read));
@@ -125,7 +121,7 @@ fn an_emulated_run_that_is_killed_leaves_what_is_whole() {
     run.wait();
     let bytes = fs::read(&file).unwrap();
     assert!(bytes.starts_with(b"\x89MCAP0\r\n"));
-    let Some(python) = env::var_os("COTORRA_PEERS") else { return };
+    let Some(python) = cotorra_testing::peers("mcap") else { return };
     let script = project_file("crates/robots/recording/tests/peers/recover.py");
     let read = Command::new(python).arg(script).arg(&file).output().unwrap();
     assert!(read.status.success(), "{}", stderr(&read));

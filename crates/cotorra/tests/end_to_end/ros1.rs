@@ -2,20 +2,16 @@
 //! which nobody changed, speak to each other across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-#[path = "../../../robots/ros1/tests/interop/ros.rs"]
-#[allow(dead_code, reason = "what the tests of the node itself use of it")]
-pub mod ros;
-
 use std::{collections::BTreeSet, path::Path};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use self::ros::Ros;
 use crate::{
     harness::{Run, cotorra, output, project_file, stderr, stdout, wait_until},
     one_robot::{NAVIGATED, robot, testbed},
 };
+use cotorra_testing::ros1::Ros;
 
 /// All keys of a context, with the way to each.
 fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {

@@ -2,20 +2,16 @@
 //! to it and drives it as well, on this machine and across the emulated network.
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-#[path = "../../../robots/ros2/tests/interop/peer.rs"]
-#[allow(dead_code, reason = "what the tests of the node itself use of it")]
-pub mod peer;
-
 use std::path::Path;
 
 use serde_json::json;
 use tempfile::TempDir;
 
-use self::peer::Meeting;
 use crate::{
     harness::{Run, cotorra, output, stderr, wait_until},
     one_robot::{NAVIGATED, robot, testbed},
 };
+use cotorra_testing::ros2::Meeting;
 
 fn velocity(run: &Run) -> (f64, f64) {
     let velocity = &robot(run)["sensors"]["velocity"];

@@ -3,14 +3,17 @@
 
 use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
+use cotorra_testing::{
+    process::Process,
+    python,
+    ros1::Ros,
+    ros2::{Meeting, start},
+};
 use tempfile::TempDir;
 
 use crate::{
     harness::{Run, cotorra, wait_until},
     one_robot::testbed,
-    process::Process,
-    ros1::ros::Ros,
-    ros2::peer::{self, Meeting},
 };
 
 /// Two crossings of the air and of the wire, which delay by so much.
@@ -50,7 +53,7 @@ fn inside(run: &Run, node: &str) -> Command {
 fn cyclone(python: &Path, run: &Run, meeting: &Meeting, node: &str, role: &str) -> Process {
     let mut command = inside(run, node);
     command.arg(python).args(["-u", "-c", include_str!("ros2_flows.py")]);
-    peer::start(command.args([&meeting.domain().to_string(), role]))
+    start(command.args([&meeting.domain().to_string(), role]))
 }
 
 /// What a client measured, by name and number.
@@ -98,7 +101,7 @@ fn compare(run: &Run, service: &str, client: &Process, name: &str, least: f64) {
 #[test]
 fn topics_services_and_actions_over_cyclone_dds_are_measured() {
     let meeting = Meeting::new();
-    let Some(python) = peer::python("cyclonedds", "Cyclone DDS") else { return };
+    let Some(python) = python("cyclonedds", "Cyclone DDS") else { return };
     let folder = TempDir::new().unwrap();
     let mut run = flows(
         folder.path(),
@@ -131,7 +134,7 @@ fn topics_services_and_actions_over_cyclone_dds_are_measured() {
 #[test]
 fn images_that_several_subscribe_to_are_measured_to_who_answers() {
     let meeting = Meeting::new();
-    let Some(python) = peer::python("cyclonedds", "Cyclone DDS") else { return };
+    let Some(python) = python("cyclonedds", "Cyclone DDS") else { return };
     let folder = TempDir::new().unwrap();
     let flow = "protocol: ros2, request: /camera, answer: /camera_back, id: { offset: 0, length: 8 }";
     let run = flows(folder.path(), &[("image", flow)]);
@@ -158,7 +161,7 @@ fn calls_over_fast_dds_are_measured() {
 
 #[test]
 fn commands_that_answer_an_offered_robots_scans_are_measured() {
-    let Some(python) = peer::python("cyclonedds", "Cyclone DDS") else { return };
+    let Some(python) = python("cyclonedds", "Cyclone DDS") else { return };
     let (meeting, folder) = (Meeting::new(), TempDir::new().unwrap());
     let offer = format!("{{ kind: ros2, domain: {}, namespace: /tb2 }}", meeting.domain());
     let offered = format!("{{ kind: robot, position: [2, 3], offer: {offer} }}");

@@ -3,15 +3,13 @@
 
 use std::{path::Path, process::Command};
 
+use cotorra_testing::{process::Process, python, ros1::Ros, ros2::Meeting};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::{
     harness::{Run, wait_until},
     one_robot::testbed,
-    process::Process,
-    ros1::ros::Ros,
-    ros2::peer::{Meeting, python},
 };
 
 /// A testbed with a robot that is reached there.

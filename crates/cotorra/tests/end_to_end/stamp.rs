@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
 use std::{
-    env,
     io::{BufRead, BufReader},
     process::{Child, Command, Stdio},
 };
@@ -32,11 +31,7 @@ impl Drop for Ended {
 
 /// The peer; `None`, and a message, where it is not installed. In CI, that is a failure.
 fn scapy(arguments: &[&str]) -> Option<Command> {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        eprintln!("skipped: Scapy is not installed (scripts/test installs it)");
-        return None;
-    };
+    let python = cotorra_testing::peers("Scapy")?;
     let mut command = Command::new(python);
     command.arg("-u").arg(project_file("crates/cotorra/tests/end_to_end/stamp_peer.py")).args(arguments);
     Some(command)

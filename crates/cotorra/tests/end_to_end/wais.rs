@@ -2,7 +2,7 @@
 //! tries to break it, and the testbed's own API.
 
 use std::{
-    env, fs,
+    fs,
     path::Path,
     process::{Command, Stdio},
 };
@@ -66,10 +66,7 @@ fn the_token_is_needed_and_its_absence_is_a_problem_of_the_standards() {
 /// that do not, the same each time.
 #[test]
 fn no_request_breaks_the_apis() {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        return eprintln!("skipped: schemathesis is not installed; scripts/test installs it");
-    };
+    let Some(python) = cotorra_testing::peers("schemathesis") else { return };
     let tester = Path::new(&python).with_file_name("schemathesis");
     let folder = TempDir::new().unwrap();
     let run = Run::start(&corridor(), &["--until", "10min"]);

@@ -38,7 +38,7 @@ impl Chain {
     /// Starts a new chain; `None` without anvil.
     pub fn new() -> Option<Self> {
         let settings =
-            anvil::Settings { program: Some(crate::common::program()?), ..anvil::Settings::default() };
+            anvil::Settings { program: Some(cotorra_testing::anvil()?), ..anvil::Settings::default() };
         let node = Anvil::start(&settings).unwrap();
         let mut chain = Self {
             node,

@@ -5,8 +5,6 @@
 mod adversaries;
 mod both;
 mod chain;
-#[path = "../common/mod.rs"]
-mod common;
 mod gas;
 mod guards;
 mod random;

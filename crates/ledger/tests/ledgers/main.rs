@@ -2,8 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "tests may panic")]
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
 
-#[path = "../common/mod.rs"]
-mod common;
 mod failures;
 mod load;
 mod node;

@@ -13,7 +13,7 @@ use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{common::program, operator::Operator};
+use crate::operator::Operator;
 
 /// Limit for any condition, in blocks, far more than needed.
 pub const BLOCKS: u32 = 1000;
@@ -63,7 +63,7 @@ impl Node {
         let mut node = Self {
             blocks: Blocks::ForEachTransaction,
             anvil: None,
-            program: program()?,
+            program: cotorra_testing::anvil()?,
             folder: tempfile::tempdir().unwrap(),
             deployment: Deployment::default(),
             port: 0,

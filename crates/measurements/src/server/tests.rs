@@ -2,6 +2,7 @@
 
 use std::{fs, sync::Barrier};
 
+use cotorra_testing::mariadb::MariaDb;
 use proptest::prelude::*;
 
 use super::*;
@@ -9,7 +10,7 @@ use crate::{
     History, Kind, Location,
     location::Server,
     schema::MIGRATIONS,
-    testing::{mariadb::MariaDb, notice, placement, run_info},
+    testing::{notice, placement, run_info},
 };
 
 /// Room in the spool for few batches.

@@ -1,6 +1,8 @@
 //! One promise for every engine: what an ordered list would answer.
 
 use cotorra_graph::{Decision, Event, Instruction};
+#[cfg(feature = "mariadb")]
+use cotorra_testing::mariadb::MariaDb;
 use proptest::{collection::vec, prelude::*};
 
 use super::*;
@@ -15,7 +17,7 @@ use crate::{
     testing::{figure, run_info, stamped, time},
 };
 #[cfg(feature = "mariadb")]
-use crate::{location::Location, server::Remote, testing::mariadb::MariaDb};
+use crate::{location::Location, server::Remote};
 
 /// All engines, for the many cases of one test.
 struct Engines {

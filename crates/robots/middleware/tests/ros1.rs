@@ -6,13 +6,6 @@
 )]
 #![allow(clippy::unwrap_used, reason = "what fails here fails the test")]
 
-#[path = "../../ros1/tests/interop/process.rs"]
-#[allow(dead_code, reason = "what other tests use of it")]
-mod process;
-#[path = "../../ros1/tests/interop/ros.rs"]
-#[allow(dead_code, reason = "what the tests of the node itself use of it")]
-mod ros;
-
 use std::{sync::Arc, time::Instant};
 
 use cotorra_graph::{NodeId, PoseSource, Position, RobotFault, RosTopics, Timestamp, Velocity};
@@ -21,8 +14,7 @@ use cotorra_ros1::{
     Endpoint, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Text, Twist},
 };
-use process::until;
-use ros::Ros;
+use cotorra_testing::{process::until, ros1::Ros};
 
 /// A robot that is as it is told on /mood.
 const ROBOT: &str = r#"

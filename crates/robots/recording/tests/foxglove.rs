@@ -60,10 +60,7 @@ fn serve(address: SocketAddr) -> Result<Recording, RecordingError> {
 
 #[test]
 fn a_viewer_gets_what_stands_and_what_happens() {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        return eprintln!("skipped: COTORRA_PEERS names no Python with websockets and rosbags");
-    };
+    let Some(python) = cotorra_testing::peers("websockets, rosbags") else { return };
     let recording = serve(([127, 0, 0, 1], 0).into()).unwrap();
     recording.tap().event(moved(1));
 

@@ -148,11 +148,7 @@ fn events() -> Vec<Event> {
 
 /// Records all that, and what others read.
 fn read_by_peers() -> Option<Vec<Value>> {
-    let Some(python) = env::var_os("COTORRA_PEERS") else {
-        assert!(env::var_os("CI").is_none(), "no COTORRA_PEERS: scripts/test sets it");
-        eprintln!("skipped: COTORRA_PEERS names no Python with rosbags, mcap and mcap-ros2-support");
-        return None;
-    };
+    let python = cotorra_testing::peers("rosbags, mcap, mcap-ros2-support")?;
     let place = tempfile::tempdir().unwrap();
     let wanted = Wanted { file: Some(RecordingPlace::Folder), foxglove: None };
     let about = About { name: "hall", seed: 7, started_at_unix_ns: 0, testbed_file: TESTBED };

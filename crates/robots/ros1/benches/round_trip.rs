@@ -5,13 +5,6 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
-#[path = "../tests/interop/process.rs"]
-#[allow(dead_code, reason = "what tests use of it")]
-mod process;
-#[path = "../tests/interop/ros.rs"]
-#[allow(dead_code, reason = "what tests use of it")]
-mod ros;
-
 use std::{
     io::{Read, Write},
     net::{TcpListener, TcpStream},
@@ -23,9 +16,11 @@ use cotorra_ros1::{
     Field, MasterServer, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Header, LaserScan},
 };
+use cotorra_testing::{
+    process::{PATIENCE, until},
+    ros1::Ros,
+};
 use hdrhistogram::Histogram;
-use process::{PATIENCE, until};
-use ros::Ros;
 
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;

@@ -5,13 +5,6 @@
 #![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "measures real time")]
 #![allow(clippy::unwrap_used, reason = "a benchmark that cannot go on ends")]
 
-#[path = "../tests/interop/peer.rs"]
-#[allow(dead_code, reason = "what tests use of it")]
-mod peer;
-#[path = "../../ros1/tests/interop/process.rs"]
-#[allow(dead_code, reason = "what tests use of it")]
-mod process;
-
 use std::{
     thread,
     time::{Duration, Instant},
@@ -21,9 +14,11 @@ use cotorra_ros2::{
     Qos,
     messages::{Header, LaserScan, Time},
 };
+use cotorra_testing::{
+    process::{PATIENCE, until},
+    ros2::Meeting,
+};
 use hdrhistogram::Histogram;
-use peer::Meeting;
-use process::{PATIENCE, until};
 
 const INTERVAL: Duration = Duration::from_millis(10);
 const WARM_UP: u32 = 100;

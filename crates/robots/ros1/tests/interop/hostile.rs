@@ -6,13 +6,13 @@ use std::{
     thread,
 };
 
-use crate::{
-    process::{PATIENCE, until},
-    ros::Ros,
-};
 use cotorra_ros1::{
     CallError, Endpoint, Node, PublishOptions, Publisher, SubscribeOptions,
     messages::{EmptyRequest, EmptyService, OccupancyGrid, Text},
+};
+use cotorra_testing::{
+    process::{PATIENCE, until},
+    ros1::Ros,
 };
 use proptest::{prelude::*, test_runner::TestRunner};
 

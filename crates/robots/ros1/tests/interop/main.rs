@@ -3,8 +3,4 @@
 #![allow(clippy::unwrap_used, reason = "tests, and what helps them")]
 
 mod hostile;
-#[allow(dead_code, reason = "what other crates' tests use of it")]
-mod process;
-#[allow(dead_code, reason = "what other crates' tests use of it")]
-mod ros;
 mod tools;

@@ -2,10 +2,6 @@
 
 use std::{env, fs, time::Duration};
 
-use crate::{
-    process::{PATIENCE, contains, until},
-    ros::Ros,
-};
 use cotorra_ros1::{
     CallError, MasterServer, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time,
     Value,
@@ -13,6 +9,10 @@ use cotorra_ros1::{
         Bool, Clock, EmptyRequest, EmptyResponse, EmptyService, Header, LaserScan, OccupancyGrid, Odometry,
         SetBool, SetBoolRequest, SetBoolResponse, Text, Twist,
     },
+};
+use cotorra_testing::{
+    process::{PATIENCE, contains, until},
+    ros1::Ros,
 };
 
 fn scan(seq: u32) -> LaserScan {

@@ -4,10 +4,9 @@ use cotorra_ros2::{
     Command, Node, Qos,
     messages::{Header, LaserScan, MapMetaData, OccupancyGrid, Time, Twist, Vector3},
 };
-
-use crate::{
-    peer::{publishing_until_printed, scan},
+use cotorra_testing::{
     process::{PATIENCE, Process, contains, until},
+    ros2::{publishing_until_printed, scan},
 };
 
 /// Where nodes and programs of another implementation meet.

@@ -6,12 +6,12 @@ use cotorra_ros2::{
     Command, Node, Qos,
     messages::{Clock, LaserScan, Text, Time, Twist, TwistStamped, Vector3},
 };
-
-use crate::{
-    both_ways::{Place, both_ways},
-    peer::{Meeting, publishing_until_printed},
+use cotorra_testing::{
     process::{PATIENCE, Process, until},
+    ros2::{Meeting, publishing_until_printed},
 };
+
+use crate::both_ways::{Place, both_ways};
 
 /// Long enough for most messages.
 const SOON: Duration = Duration::from_millis(50);

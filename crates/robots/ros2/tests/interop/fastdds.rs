@@ -1,12 +1,9 @@
 //! The node against Fast DDS.
 
 use cotorra_ros2::Node;
+use cotorra_testing::{process::Process, ros2::Meeting};
 
-use crate::{
-    both_ways::{Place, both_ways},
-    peer::Meeting,
-    process::Process,
-};
+use crate::both_ways::{Place, both_ways};
 
 struct FastDds(Meeting);
 

@@ -5,9 +5,5 @@ mod both_ways;
 mod cyclone;
 mod fastdds;
 mod own;
-mod peer;
-#[path = "../../../ros1/tests/interop/process.rs"]
-#[allow(dead_code, reason = "what the tests of ROS 1 use of it")]
-mod process;
 #[cfg(feature = "zenoh")]
 mod zenoh;

@@ -4,10 +4,9 @@ use cotorra_ros2::{
     Command, NodeError, Qos, RecvError,
     messages::{Clock, Text, Time, Twist, TwistStamped, Vector3},
 };
-
-use crate::{
-    peer::Meeting,
+use cotorra_testing::{
     process::{PATIENCE, until},
+    ros2::Meeting,
 };
 
 fn text(data: &str) -> Text {

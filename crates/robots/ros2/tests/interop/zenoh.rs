@@ -6,12 +6,13 @@ use cotorra_ros2::{
     Command, Middleware, Node, NodeConfig, NodeError, Publisher, Qos, RecvError,
     messages::{LaserScan, Text, TwistStamped},
 };
-
-use crate::{
-    both_ways::{Place, both_ways},
-    peer::{python, start},
+use cotorra_testing::{
     process::{PATIENCE, Process, until},
+    python,
+    ros2::start,
 };
+
+use crate::both_ways::{Place, both_ways};
 
 const DOMAIN: u16 = 7;
 

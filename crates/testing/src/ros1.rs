@@ -1,8 +1,7 @@
-//! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes, all gone when the test is over.
+//! Debian's ROS 1 for tests: a master on a port of its own, tools and nodes. All of them end with the test.
 
 use std::{
     env, fs,
-    net::TcpListener,
     path::Path,
     process::{Command, Stdio},
 };
@@ -12,70 +11,56 @@ use tempfile::TempDir;
 
 use crate::process::{Process, until};
 
-/// A master with its own port and directory.
+/// A ROS master with its own port and directory.
 pub struct Ros {
     port: u16,
     directory: TempDir,
     core: Option<Process>,
 }
 
-/// Whether nobody has a port of loopback.
-fn is_free(port: u16) -> bool {
-    TcpListener::bind(("127.0.0.1", port)).is_ok()
-}
-
 impl Ros {
-    /// A master; `None`, and a message, where ROS is not installed.
+    /// Starts a master.
     pub fn start() -> Option<Self> {
         if !Self::is_installed() {
             return None;
         }
-        // Below the ports that the kernel hands out, and another for each process of the tests.
-        let first = 10_000 + std::process::id() % 20_000;
-        let ports = (first..).map(|port| u16::try_from(port).unwrap()).filter(|port| is_free(*port));
         let mut ros = Self { port: 0, directory: tempfile::tempdir().unwrap(), core: None };
-        for port in ports.take(10) {
+        for port in crate::free_ports().take(10) {
             ros.port = port;
             match ros.try_restart() {
                 Ok(()) => return Some(ros),
                 Err(complaint) => eprintln!("no master on port {port}: {complaint}"),
             }
         }
-        panic!("no master on any of ten ports from {first}");
+        panic!("no master on any of ten ports");
     }
 
-    /// ROS's tools and nodes, with another master that is there already.
+    /// Returns ROS's tools and nodes for a master that already runs on a port.
     pub fn with_master(port: u16) -> Option<Self> {
         Self::is_installed().then(|| Self { port, directory: tempfile::tempdir().unwrap(), core: None })
     }
 
-    /// Whether ROS is installed. Says so if not; in CI, that is a failure.
     fn is_installed() -> bool {
-        let installed = Path::new("/usr/bin/rosmaster").exists();
-        if !installed {
-            assert!(env::var_os("CI").is_none(), "ROS 1 is not installed: scripts/test says which packages");
-            eprintln!("skipped: ROS 1 is not installed (scripts/test says which packages)");
-        }
-        installed
+        crate::found(Path::new("/usr/bin/rosmaster").exists(), "ROS 1", "scripts/test names the packages")
     }
 
-    /// The master's port.
     pub fn port(&self) -> u16 {
         self.port
     }
 
-    /// Ends the master.
+    /// Stops the master.
     pub fn stop(&mut self) {
         self.core = None;
     }
 
-    /// Ends the master, and starts another that knows nothing. It is what roscore starts, without the processes
-    /// around it, which would outlive a test that fails.
+    /// Stops the master, and starts another without its registrations.
+    ///
+    /// The master is started without roscore, whose other processes would outlive a test that fails.
     pub fn restart(&mut self) {
         self.try_restart().unwrap();
     }
 
-    /// Fails when the port is taken: the master says so, and then hangs instead of ending.
+    /// Fails if the port is taken. The master reports that, and then hangs instead of ending.
     fn try_restart(&mut self) -> Result<(), String> {
         self.core = None;
         let core = self.spawn("rosmaster", &["--core", "-p", &self.port.to_string()]);
@@ -95,7 +80,7 @@ impl Ros {
 
     fn command(&self, program: &str, args: &[&str]) -> Command {
         let path = format!("/usr/bin:{}", env::var("PATH").unwrap_or_default());
-        // Its first line would find another Python.
+        // Without the script's first line, which could find another Python.
         let mut command = if program.contains('/') {
             Command::new(program)
         } else {
@@ -116,7 +101,7 @@ impl Ros {
         command
     }
 
-    /// Starts a tool of ROS, or a program by its path.
+    /// Starts a tool of ROS by its name, or a program by its path.
     pub fn spawn(&self, program: &str, args: &[&str]) -> Process {
         Process::spawn(&mut self.command(program, args)).unwrap()
     }
@@ -128,7 +113,7 @@ impl Ros {
         self.spawn("/usr/bin/python3", &["-u", file.to_str().unwrap()])
     }
 
-    /// What a tool of ROS prints; what it complains about if it fails.
+    /// Runs a tool of ROS. Returns what it prints; if it fails, with its standard error.
     pub fn try_run(&self, tool: &str, args: &[&str]) -> Result<String, String> {
         let output = self.command(tool, args).stdin(Stdio::null()).output().unwrap();
         let printed = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -136,17 +121,17 @@ impl Ros {
         if output.status.success() { Ok(printed) } else { Err(printed + &complained) }
     }
 
-    /// What a tool of ROS prints.
+    /// Runs a tool of ROS that must succeed. Returns what it prints.
     pub fn run(&self, tool: &str, args: &[&str]) -> String {
         self.try_run(tool, args).unwrap_or_else(|complaint| panic!("{tool} {args:?}: {complaint}"))
     }
 
-    /// A node of this crate.
+    /// Starts a node of `cotorra-ros1`.
     pub fn node(&self, name: &str, namespace: &str) -> Node {
         self.node_with(name, namespace, &[])
     }
 
-    /// A node of this crate, with arguments.
+    /// Starts a node of `cotorra-ros1` with arguments.
     pub fn node_with(&self, name: &str, namespace: &str, args: &[&str]) -> Node {
         let config = NodeConfig {
             namespace: namespace.to_owned(),

@@ -1,5 +1,4 @@
-//! Processes of others that end with the test, and what waits for them; for ROS 1 and ROS 2.
-#![allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "waits for real processes")]
+//! Processes that end with the test, and waiting for what they do.
 
 use std::{
     io::{self, Read},
@@ -12,10 +11,14 @@ use std::{
 
 use parking_lot::Mutex;
 
-/// How long anything may take; far more than it does, even on a busy machine.
+/// Deadline of every wait: far more than anything takes, even on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Waits until the condition holds.
+///
+/// # Panics
+///
+/// If it does not hold within [`PATIENCE`].
 pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
     let began = Instant::now();
     while !condition() {
@@ -24,14 +27,14 @@ pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// Asserts that a text has all parts.
+/// Asserts that a text contains all parts.
 pub fn contains(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "no `{part}` in:\n{text}");
     }
 }
 
-/// A process with its children, and what it printed. Killed when dropped.
+/// A process with its children and its output. Killed on drop.
 pub struct Process {
     child: Child,
     output: Arc<Mutex<Vec<u8>>>,
@@ -42,7 +45,7 @@ impl Process {
         let (mut reader, writer) = io::pipe()?;
         command.stdin(Stdio::null()).stdout(writer.try_clone()?).stderr(writer).process_group(0);
         let child = command.spawn()?;
-        // The command holds the writing ends.
+        // The command would otherwise keep the writing ends open, and the reader would never see their end.
         command.stdout(Stdio::null()).stderr(Stdio::null());
         let output = Arc::new(Mutex::new(Vec::new()));
         let collected = Arc::clone(&output);
@@ -55,17 +58,17 @@ impl Process {
         Ok(Self { child, output })
     }
 
-    /// What it printed until now.
+    /// Returns the output so far, of both streams.
     pub fn output(&self) -> String {
         String::from_utf8_lossy(&self.output.lock()).into_owned()
     }
 
-    /// Waits until it printed that.
+    /// Waits until the process has printed a text.
     pub fn prints(&self, what: &str) {
         until(&format!("it prints `{what}`"), || self.output().contains(what));
     }
 
-    /// Ctrl-C, and waits for its end and that of all that it started.
+    /// Sends Ctrl-C, and waits until the process and its children have ended.
     pub fn interrupt(mut self) {
         let group = self.child.id();
         signal("INT", group);
@@ -73,7 +76,7 @@ impl Process {
     }
 }
 
-/// Signals a process and all that it started. Returns whether there is any.
+/// Signals a process group. Returns whether it has any process.
 fn signal(name: &str, group: u32) -> bool {
     let group = format!("-{group}");
     let status = Command::new("kill").args(["-s", name, "--", &group]).stderr(Stdio::null()).status();

@@ -1,11 +1,11 @@
-//! Constraints of a placement, checked by other code than that which makes it.
+//! Checks the constraints of a placement, by other code than that which made it.
 
 use std::time::Duration;
 
 use cotorra_graph::{LinkId, NodeId};
 use cotorra_okpi::{Chain, Infrastructure, Placed};
 
-/// Resources of a placement, computed from its names alone.
+/// Hosts and paths of a placement by index, worked out from its names alone.
 #[derive(Debug, Clone)]
 pub struct Used {
     pub hosts: Vec<usize>,
@@ -43,7 +43,7 @@ impl Used {
             .sum()
     }
 
-    /// Returns the first constraint that it violates.
+    /// Returns the first constraint that the placement violates.
     pub fn violation(&self, service: &Chain, infrastructure: &Infrastructure) -> Option<&'static str> {
         for (i, node) in infrastructure.nodes.iter().enumerate() {
             let here =
@@ -79,7 +79,11 @@ impl Used {
         (!reliable).then_some("reliability")
     }
 
-    /// The links and hosts of a placement, by their places; its paths must join its hosts.
+    /// Looks up the hosts and links of a placement.
+    ///
+    /// # Panics
+    ///
+    /// If its paths do not join its hosts.
     pub fn of(placed: &Placed, infrastructure: &Infrastructure) -> Self {
         let host =
             |id: &NodeId| infrastructure.nodes.iter().position(|node| node.id == *id).expect("it is a node");

@@ -1,11 +1,11 @@
-//! Other implementations of DDS for tests, as processes that end with the test; and what waits for them.
+//! Other implementations of DDS for tests, as processes that end with the test.
 
 use std::{
     env,
     fs::{self, File},
     net::Ipv4Addr,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Command,
     sync::atomic::{AtomicU32, Ordering},
 };
 
@@ -14,9 +14,12 @@ use cotorra_ros2::{
     messages::{Header, LaserScan, Time},
 };
 
-use crate::process::{Process, until};
+use crate::{
+    process::{Process, until},
+    python,
+};
 
-/// A scan that is like no other.
+/// Returns a scan whose values no other test uses.
 pub fn scan() -> LaserScan {
     LaserScan {
         header: Header { stamp: Time { sec: 3, nanosec: 9 }, frame_id: "laser".to_owned() },
@@ -27,7 +30,7 @@ pub fn scan() -> LaserScan {
     }
 }
 
-/// Publishes over and over until it prints that.
+/// Publishes over and over until the peer prints a text.
 pub fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what: &str) {
     until(&format!("it prints `{what}`"), || {
         publish();
@@ -35,34 +38,38 @@ pub fn publishing_until_printed(mut publish: impl FnMut(), peer: &Process, what:
     });
 }
 
-/// A place for nodes to meet, on loopback only, where no other test is.
+/// A DDS domain and namespace for the nodes of one test, on loopback only.
 pub struct Meeting {
     domain: u16,
     namespace: String,
 }
 
+impl Default for Meeting {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Meeting {
+    /// Returns a meeting that no other test has.
     pub fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         let (process, count) = (std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        // The ports of these domains are below those that the kernel hands out. Who meets there by chance speaks of
+        // The ports of these domains lie below those that the kernel hands out. Tests that share a domain by chance have
         // other topics.
         let domain = u16::try_from(1 + process % 100).unwrap();
         Self { domain, namespace: format!("/test_{process}_{count}") }
     }
 
-    /// The domain.
-    #[allow(dead_code, reason = "who else uses this file starts nodes elsewhere")]
     pub fn domain(&self) -> u16 {
         self.domain
     }
 
-    /// The namespace.
     pub fn namespace(&self) -> &str {
         &self.namespace
     }
 
-    /// A node of this crate.
+    /// Starts a node of `cotorra-ros2`.
     pub fn node(&self, name: &str) -> Node {
         let config = NodeConfig {
             domain: self.domain,
@@ -73,8 +80,7 @@ impl Meeting {
         Node::new(config).unwrap()
     }
 
-    /// Starts Cyclone DDS: see `cyclone.py`. A topic is one of the meeting's namespace, if it is none of DDS's own.
-    /// `None`, and a message, where it is not installed.
+    /// Starts Cyclone DDS: see `cyclone.py`. The topic is in the meeting's namespace, unless it is one of DDS's own.
     pub fn cyclone(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         let only_loopback = "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
             </General><Discovery><Peers><Peer address=\"127.0.0.1\"/></Peers></Discovery>";
@@ -83,7 +89,7 @@ impl Meeting {
         self.cyclone_by(command, action, kind, &self.dds_topic(topic), qos)
     }
 
-    /// The same, by a command that runs what follows it, on all interfaces. The topic is as DDS calls it.
+    /// Starts Cyclone DDS on all interfaces, through a command that runs its arguments. The topic has its DDS name.
     pub fn cyclone_by(
         &self,
         mut command: Command,
@@ -97,12 +103,12 @@ impl Meeting {
         Some(start(&mut command))
     }
 
-    /// Starts Fast DDS: see `fastdds.cpp`. `None`, and a message, where it is not installed.
+    /// Starts Fast DDS: see `fastdds.cpp`.
     pub fn fast_dds(&self, action: &str, kind: &str, topic: &str, qos: &str) -> Option<Process> {
         self.fast_dds_by(Command::new("/usr/bin/env"), action, kind, &self.dds_topic(topic), qos)
     }
 
-    /// The same, by a command that runs what follows it. The topic is as DDS calls it, the service as ROS does.
+    /// Starts Fast DDS through a command that runs its arguments. A topic has its DDS name, a service its ROS name.
     pub fn fast_dds_by(
         &self,
         mut command: Command,
@@ -120,23 +126,18 @@ impl Meeting {
     }
 }
 
-/// The Python that has these modules. Says so if there is none; in CI, that is a failure.
-pub fn python(modules: &str, what: &str) -> Option<PathBuf> {
-    let python = env::var_os("COTORRA_PEERS").map_or_else(|| PathBuf::from("python3"), PathBuf::from);
-    let import = format!("import {modules}");
-    let there = Command::new(&python).args(["-c", &import]).stderr(Stdio::null()).status();
-    found(there.is_ok_and(|status| status.success()), what).then_some(python)
-}
-
-/// The program that is Fast DDS, compiled where it is not yet.
+/// Returns the Fast DDS peer, compiled if it is not yet.
 fn fast_dds_program() -> Option<PathBuf> {
-    if !found(Path::new("/usr/include/fastdds/dds/domain/DomainParticipant.hpp").exists(), "Fast DDS") {
+    let header = Path::new("/usr/include/fastdds/dds/domain/DomainParticipant.hpp");
+    if !crate::found(header.exists(), "Fast DDS", "scripts/test installs it") {
         return None;
     }
     let wanted = include_str!("fastdds.cpp");
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    // Beside the program under test, so that test programs share it, and each target directory has its own.
+    let tests = env::current_exe().unwrap();
+    let folder = tests.parent().unwrap();
     let (source, program) = (folder.join("fastdds.cpp"), folder.join("fastdds"));
-    // One test compiles, the others wait for it.
+    // One test compiles, and the others wait for it.
     let lock = File::create(folder.join("fastdds.lock")).unwrap();
     lock.lock().unwrap();
     if !program.exists() || fs::read_to_string(&source).is_ok_and(|compiled| compiled != wanted) {
@@ -148,15 +149,7 @@ fn fast_dds_program() -> Option<PathBuf> {
     Some(program)
 }
 
-fn found(there: bool, what: &str) -> bool {
-    if !there {
-        assert!(env::var_os("CI").is_none(), "{what} is not installed: scripts/test does that");
-        eprintln!("skipped: {what} is not installed (scripts/test does that)");
-    }
-    there
-}
-
-/// Starts a peer, and waits until it says that it is ready.
+/// Starts a peer, and waits until it prints that it is ready.
 pub fn start(command: &mut Command) -> Process {
     let process = Process::spawn(command).unwrap();
     until("the peer is ready", || {

@@ -1,26 +1,20 @@
-//! Shared by tests and benchmarks: the corridor, and graphs that grow.
-#![allow(dead_code, reason = "each test and benchmark uses a part")]
+//! Placement problems for OKpi: the corridor, and generated graphs of any size.
 
 pub mod check;
 pub mod exact;
 
-use std::{path::Path, time::Duration};
+use std::time::Duration;
 
 use cotorra_graph::{
-    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Testbed, Velocity, VnfId,
-    seed,
+    Attachment, Event, LinkId, NodeId, Pose, PoseSource, RobotContext, SensorData, Velocity, VnfId, seed,
 };
 use cotorra_okpi::{Chain, Infrastructure, Link, Node, Vnf};
 use serde_json::{Map, Value, json};
 
-/// The published testbed.
-pub fn corridor() -> Testbed {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../testbeds/corridor.yaml");
-    cotorra_testbed_file::load(path).unwrap_or_else(|e| panic!("{e:?}"))
-}
-
-/// The areas in which the published system used each radio unit: their edges lie halfway between where it changed
-/// on the way out and on the way back, which were about 0.8 m to either side.
+/// Returns the settings with the areas in which the published system used each radio unit.
+///
+/// An edge lies halfway between the places where it changed on the way out and on the way back. These were about 0.8 m to
+/// either side.
 pub fn survey() -> Map<String, Value> {
     let settings = json!({
         "services": ["navigation"],
@@ -35,7 +29,7 @@ pub fn survey() -> Map<String, Value> {
     settings.as_object().expect("it is an object").clone()
 }
 
-/// κ at a place, attached to a radio unit.
+/// Returns κ of the robot at a place, attached to a radio unit.
 pub fn context((x, y): (f64, f64), attached: &str) -> Event {
     let pose = Pose::planar(x, y, 0.0, [0.0; 9], PoseSource::Simulator);
     Event::Robot(RobotContext {
@@ -60,7 +54,8 @@ fn node_id(name: &str) -> NodeId {
     NodeId::new(name).expect("it is a name")
 }
 
-/// A robot under five of the radio units, a ring of switches with chords, servers on them; all seeded.
+/// Draws a graph from a seed: a robot under five radio units, a ring of switches with chords, and servers on the
+/// switches.
 pub fn generated(nodes: usize, vnfs: usize, reliability: Option<f64>, run: u64) -> (Chain, Infrastructure) {
     let mut drawn = 0;
     let mut below = |limit: usize| {
@@ -121,7 +116,7 @@ pub fn generated(nodes: usize, vnfs: usize, reliability: Option<f64>, run: u64) 
     (Chain { vnfs: (0..vnfs).map(vnf).collect(), service_time, reliability }, infrastructure)
 }
 
-/// A graph on which all that a placement must keep is scarce; all seeded. Not each has a placement.
+/// Draws a graph from a seed on which every constraint of a placement is tight. Some of these graphs have no placement.
 pub fn contested(nodes: usize, run: u64) -> (Chain, Infrastructure) {
     let mut drawn = 0;
     let mut between = |least: u64, most: u64| {

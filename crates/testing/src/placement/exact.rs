@@ -1,12 +1,14 @@
-//! The exact optimum of a placement, by a mixed integer program: VNFs assigned to hosts, every virtual link a flow over
-//! hardware links, and CPUs, memory, bandwidth, delay, reliability and the radio unit as constraints. Nothing is rounded.
+//! The exact optimum of a placement, by a mixed integer program.
+//!
+//! It assigns VNFs to hosts, and each virtual link is a flow over hardware links. CPUs, memory, bandwidth, delay, reliability
+//! and the radio unit are constraints. Nothing is rounded.
 
 use std::collections::BTreeMap;
 
 use cotorra_okpi::{Chain, Infrastructure};
 use microlp::{ComparisonOp, Error, LinearExpr, OptimizationDirection, Problem, Variable};
 
-/// The least cost of all placements that keep everything; `None` if there is none.
+/// Returns the least cost of all placements that keep every constraint; `None` if there is no such placement.
 pub fn optimum(service: &Chain, infrastructure: &Infrastructure) -> Option<f64> {
     let Infrastructure { nodes, links } = infrastructure;
     let mut program = Problem::new(OptimizationDirection::Minimize);
@@ -23,7 +25,7 @@ pub fn optimum(service: &Chain, infrastructure: &Infrastructure) -> Option<f64> 
         let here = || service.vnfs.iter().zip(&hosted).filter_map(|(vnf, on)| Some((vnf, *on.get(&i)?)));
         let cpus = sum(here().map(|(vnf, x)| (x, vnf.cpus)));
         program.add_constraint(cpus, ComparisonOp::Le, node.cpus);
-        // As shares, because bytes and bits a second differ too much in size.
+        // As shares: bytes and bits a second differ too much in magnitude.
         let all = node.memory_bytes.max(1) as f64;
         let memory = sum(here().map(|(vnf, x)| (x, vnf.memory_bytes as f64 / all)));
         program.add_constraint(memory, ComparisonOp::Le, 1.0);
@@ -110,7 +112,7 @@ pub fn optimum(service: &Chain, infrastructure: &Infrastructure) -> Option<f64> 
         Err(Error::Infeasible) => return None,
         Err(error) => panic!("the oracle fails: {error}"),
     };
-    // What is whole is so but for the solver's tolerance.
+    // Integers are integers up to the solver's tolerance.
     let chosen = |on: &BTreeMap<usize, Variable>| {
         let host = on.iter().find(|(_, x)| solution.var_value(**x) > 0.5);
         *host.expect("each VNF has one host").0

@@ -1,6 +1,4 @@
-//! Testbeds and contexts for tests and benchmarks of the brain alone.
-#![allow(dead_code, reason = "no test or benchmark uses all of it")]
-#![allow(clippy::unwrap_used, reason = "clippy knows helpers of integration tests for no tests")]
+//! A testbed of one robot and its contexts, for tests of the brain alone.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -13,17 +11,11 @@ use cotorra_graph::{
 /// Radius of the robot, metres.
 pub const RADIUS: f64 = 0.1758;
 
-/// The published testbed, as it ships.
-pub fn corridor() -> Testbed {
-    cotorra_testbed_file::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../testbeds/corridor.yaml"))
-        .expect("the testbed that ships is a good one")
-}
-
 pub fn robot() -> NodeId {
     NodeId::new("robot").unwrap()
 }
 
-/// A testbed of one robot and its walk.
+/// Returns a testbed of one robot and its walk.
 pub fn testbed(map: Option<OccupancyGrid>, waypoints: Vec<Position>) -> Testbed {
     let domain = DomainId::new("lab").unwrap();
     let hardware = Robot {
@@ -72,7 +64,7 @@ pub fn pose(x: f64, y: f64, heading: f64) -> Pose {
     Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator)
 }
 
-/// κ of the robot at that pose.
+/// Returns κ of the robot at a pose.
 pub fn context(pose: Pose, waypoint: u32) -> Event {
     Event::Robot(RobotContext {
         robot: robot(),

@@ -1,17 +1,13 @@
-//! A MariaDB server of the tests' own: its folder is temporary, it listens on loopback only, and it ends with the
-//! process at the latest. From Debian's `mariadb-server`; without it, tests are skipped, but not where CI is set.
-#![allow(
-    dead_code,
-    clippy::disallowed_methods,
-    reason = "shared by tests and benchmarks; waits for a process"
-)]
+//! A MariaDB server for tests, from Debian's `mariadb-server`.
+//!
+//! Its folder is temporary, it listens on loopback only, and it ends with the process at the latest.
 
 use std::{
     fs,
-    net::{TcpListener, TcpStream},
+    net::TcpStream,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
-    sync::Weak,
+    sync::{Arc, Weak},
     thread,
     time::Duration,
 };
@@ -19,7 +15,7 @@ use std::{
 use parking_lot::Mutex;
 use tempfile::TempDir;
 
-/// A server. Ends when it is dropped.
+/// A running server, stopped on drop.
 pub struct MariaDb {
     folder: TempDir,
     port: u16,
@@ -27,41 +23,38 @@ pub struct MariaDb {
     databases: Mutex<u32>,
 }
 
-/// What tests of one process share.
+/// The server that the tests of one process share.
 static SHARED: Mutex<Weak<MariaDb>> = Mutex::new(Weak::new());
 
 const PASSWORD: &str = "s3cret";
 
 impl MariaDb {
-    /// The server that tests share which do nothing to it but use a database of their own; `None` if there is none
-    /// to be had.
-    pub fn shared() -> Option<std::sync::Arc<Self>> {
+    /// Returns the server that is shared by tests which only use a database of their own on it.
+    pub fn shared() -> Option<Arc<Self>> {
         let mut shared = SHARED.lock();
         if let Some(server) = shared.upgrade() {
             return Some(server);
         }
-        let server = std::sync::Arc::new(Self::start()?);
-        *shared = std::sync::Arc::downgrade(&server);
+        let server = Arc::new(Self::start()?);
+        *shared = Arc::downgrade(&server);
         Some(server)
     }
 
-    /// A server for one test.
+    /// Starts a server for one test.
     pub fn start() -> Option<Self> {
         if cfg!(not(feature = "mariadb")) {
             eprintln!("skipped: built without the feature `mariadb`");
             return None;
         }
-        let Some(program) = program("mariadbd") else {
-            assert!(
-                std::env::var_os("CI").is_none(),
-                "mariadbd is missing: apt-get install -y --no-install-recommends mariadb-server"
-            );
-            eprintln!("skipped: mariadbd is missing (apt-get install mariadb-server)");
+        let program = program("mariadbd");
+        let remedy = "apt-get install -y --no-install-recommends mariadb-server";
+        if !crate::found(program.is_some(), "mariadbd", remedy) {
             return None;
-        };
-        // In memory where that is possible: nobody turns the machine off in the middle of a test.
+        }
+        let program = program?;
+        // In memory where that is possible, for speed: no test needs the data to survive a loss of power.
         let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap();
-        let port = free_port();
+        let port = crate::free_ports().next().unwrap();
         let server = Self { folder, port, child: Mutex::new(None), databases: Mutex::new(0) };
         fs::create_dir(server.data()).unwrap();
         fs::create_dir(server.temporary()).unwrap();
@@ -74,17 +67,17 @@ impl MariaDb {
         self.folder.path().join("data")
     }
 
-    /// Its own: a server that starts removes the temporary tables of others that share the folder.
+    /// The folder of temporary tables. A server that starts removes those of all others that share the folder.
     fn temporary(&self) -> PathBuf {
         self.folder.path().join("tmp")
     }
 
-    /// The tables of rights, and one user. `mariadb-install-db` takes as long as all of a test.
+    /// Creates the tables of rights and one user. `mariadb-install-db` would take as long as a whole test.
     fn bootstrap(&self, program: &Path) {
         let script = self.folder.path().join("bootstrap.sql");
         let share = |file: &str| fs::read_to_string(Path::new("/usr/share/mysql").join(file)).unwrap();
         let text = format!(
-            // A statement a line.
+            // The server expects one statement on each line.
             "CREATE DATABASE mysql;\nUSE mysql;\nSET @auth_root_socket = NULL;\n{}\n{}\nFLUSH PRIVILEGES;\n\
              CREATE USER 'cotorra'@'%' IDENTIFIED BY '{PASSWORD}';\nGRANT ALL ON *.* TO 'cotorra'@'%';\n",
             share("mysql_system_tables.sql"),
@@ -104,7 +97,7 @@ impl MariaDb {
         let log =
             fs::OpenOptions::new().create(true).append(true).open(self.folder.path().join("log")).unwrap();
         let mut command = match self::program("setpriv") {
-            // Ends with the process, even one that is killed.
+            // The server then ends with this process, even if this one is killed.
             Some(setpriv) => {
                 let mut command = Command::new(setpriv);
                 command.args(["--pdeathsig", "KILL"]).arg(program);
@@ -128,7 +121,7 @@ impl MariaDb {
         fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
     }
 
-    /// Starts it again after [`Self::stop`] or [`Self::kill`], and waits until it answers.
+    /// Starts the server again after [`Self::stop`] or [`Self::kill`], and waits until it answers.
     pub fn resume(&self) {
         let program = program("mariadbd").unwrap();
         let mut command = self.command(&program);
@@ -136,7 +129,7 @@ impl MariaDb {
             .arg(format!("--socket={}", self.socket().display()))
             .arg(format!("--pid-file={}", self.folder.path().join("pid").display()))
             .args(["--bind-address=127.0.0.1", &format!("--port={}", self.port)]);
-        // The signal comes when the thread ends that started it: one that stays.
+        // The kernel sends that signal when the starting *thread* ends, so this one never does.
         let (send, receive) = std::sync::mpsc::channel();
         thread::spawn(move || {
             send.send(command.spawn().unwrap()).unwrap();
@@ -152,22 +145,22 @@ impl MariaDb {
         *self.child.lock() = Some(child);
     }
 
-    /// Ends it in order; connections are cut off.
+    /// Shuts the server down in order. Connections are cut off.
     pub fn stop(&self) {
         self.end("-TERM");
     }
 
-    /// Ends it as a loss of power would.
+    /// Kills the server, as a crash would.
     pub fn kill(&self) {
         self.end("-KILL");
     }
 
-    /// It stays, and does nothing any more, until [`Self::go_on`]. Returns when each of its threads has stopped.
+    /// Freezes the server until [`Self::go_on`]. Returns when each of its threads has stopped.
     pub fn hang(&self) {
         self.signal("-STOP");
         let child = self.child.lock();
         let threads = format!("/proc/{}/task", child.as_ref().expect("it was started").id());
-        // The state is behind the name, which is in parentheses.
+        // The state follows the name, which is in parentheses.
         let has_stopped = |stat: String| stat.rsplit(')').next().is_some_and(|rest| rest.starts_with(" T"));
         let one_runs = || {
             let threads = fs::read_dir(&threads).unwrap().flatten();
@@ -180,6 +173,7 @@ impl MariaDb {
         }
     }
 
+    /// Thaws the server after [`Self::hang`].
     pub fn go_on(&self) {
         self.signal("-CONT");
     }
@@ -206,13 +200,13 @@ impl MariaDb {
         self.folder.path().join("spool")
     }
 
-    /// The URL of a database.
+    /// Returns the URL of a database on the server.
     pub fn url(&self, database: &str) -> String {
         let (port, spool) = (self.port, self.spool());
         format!("mysql://cotorra:{PASSWORD}@127.0.0.1:{port}/{database}?spool={}", spool.display())
     }
 
-    /// The URL of a database that nobody has.
+    /// Returns the URL of a database that no other test uses.
     pub fn fresh(&self) -> String {
         let mut databases = self.databases.lock();
         *databases += 1;
@@ -229,13 +223,6 @@ impl Drop for MariaDb {
 fn is_root() -> bool {
     let own = fs::metadata("/proc/self").map(|folder| std::os::unix::fs::MetadataExt::uid(&folder));
     own.is_ok_and(|user| user == 0)
-}
-
-/// Below the ports that the kernel hands out: one of those may be a connection's when a server comes back to it.
-fn free_port() -> u16 {
-    let first = 10_000 + std::process::id() % 20_000;
-    let mut ports = (first..).map(|port| u16::try_from(port).unwrap());
-    ports.find(|port| TcpListener::bind(("127.0.0.1", *port)).is_ok()).unwrap()
 }
 
 fn program(name: &str) -> Option<PathBuf> {
