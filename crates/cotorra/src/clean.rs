@@ -4,7 +4,7 @@ use clap::Args;
 use cotorra_plugin::runs::Runs;
 use miette::miette;
 
-use crate::{output, testbed_file::count};
+use crate::{output, words::count};
 
 /// Remove what killed runs left behind
 ///

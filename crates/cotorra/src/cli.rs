@@ -1,12 +1,10 @@
 //! What can be typed: the commands, and the help on all of them. What can be typed behind each stands beside what it does.
 
-use std::net::IpAddr;
-
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
 
 use crate::{
-    bench::BenchArgs,
+    bench::{BenchArgs, Probe},
     check::CheckArgs,
     clean::CleanArgs,
     exec::ExecArgs,
@@ -138,25 +136,6 @@ Examples:
     Probe {
         #[command(subcommand)]
         probe: Probe,
-    },
-}
-
-/// Ends of measurements.
-#[derive(Debug, Clone, Copy, Subcommand)]
-pub enum Probe {
-    /// Round trips to an echo, on top of twice the delay; prints median, 99th percentile and maximum in ns.
-    RoundTrips {
-        one_way_us: u64,
-        count: usize,
-        /// The far side, as rattan tells it.
-        #[arg(long, env = "RATTAN_BASE")]
-        to: IpAddr,
-    },
-    /// Sends over TCP until the other side has enough.
-    Send {
-        /// The far side, as rattan tells it.
-        #[arg(long, env = "RATTAN_BASE")]
-        to: IpAddr,
     },
 }
 

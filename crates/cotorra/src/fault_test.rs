@@ -5,7 +5,7 @@ use std::{num::NonZero, path::PathBuf, process::ExitCode, thread};
 use clap::Args;
 use cotorra_testbed::faults::{Checked, FaultTest, FaultTested, Invariant};
 
-use crate::{output, progress::Progress, signals, table::Table, testbed_file::count};
+use crate::{output, progress::Progress, signals, table::Table, words::count};
 
 /// Break random testbeds in virtual time, and check what a testbed promises whatever goes wrong
 ///
@@ -39,8 +39,6 @@ pub struct FaultTestArgs {
     pub headless: bool,
 }
 
-/// What a shell calls a program that SIGINT ended.
-const INTERRUPTED: u8 = 130;
 /// The most broken promises that are listed.
 const LISTED: usize = 10;
 
@@ -69,7 +67,7 @@ pub fn fault_test(args: &FaultTestArgs) -> miette::Result<ExitCode> {
     Ok(if !tested.violations.is_empty() {
         ExitCode::FAILURE
     } else if tested.runs < args.runs {
-        ExitCode::from(INTERRUPTED)
+        ExitCode::from(signals::INTERRUPTED)
     } else {
         ExitCode::SUCCESS
     })

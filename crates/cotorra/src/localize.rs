@@ -92,8 +92,6 @@ fn parse_start(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
-/// What a shell calls a program that SIGINT ended.
-const INTERRUPTED: u8 = 130;
 /// How well a start is known: the variances that AMCL begins with, m² and rad² (15°).
 const START_VARIANCE: [f64; 2] = [0.25, 0.0685];
 
@@ -203,7 +201,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
             output::write_note(format_args!("{told}"));
         }
     }
-    Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })
+    Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
 }
 
 fn open(path: &Path) -> Result<BufReader<File>, Error> {

@@ -39,7 +39,6 @@ use clap::{CommandFactory, Parser};
 use miette::{IntoDiagnostic, MietteHandlerOpts};
 
 use cli::{BundledVnf, Cli, Command};
-use experiment::Experiment;
 use testbed_file::FileError;
 
 fn main() -> ExitCode {
@@ -61,10 +60,7 @@ fn main() -> ExitCode {
 fn dispatch(command: Command) -> miette::Result<ExitCode> {
     match command {
         Command::Run(args) => return run::run(args),
-        Command::Experiment { experiment: Experiment::Okpi(args) } => return experiment::okpi(&args),
-        Command::Experiment { experiment: Experiment::Federation(args) } => {
-            return experiment::federation(&args);
-        }
+        Command::Experiment { experiment } => return experiment::experiment(&experiment),
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::FaultTest(args) => return fault_test::fault_test(&args),
         Command::History { question } => return history::history(&question),

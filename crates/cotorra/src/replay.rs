@@ -77,9 +77,6 @@ fn parse_speed(text: &str) -> Result<Pace, String> {
     times.map(Pace::Times).ok_or_else(|| "write it like 1x, 2.5x or max".to_owned())
 }
 
-/// What a shell calls a program that SIGINT ended.
-const INTERRUPTED: u8 = 130;
-
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
     #[error(transparent)]
@@ -140,7 +137,7 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let (told, code) = match end {
         ReplayEnd::Played => ("all was played", ExitCode::SUCCESS),
         ReplayEnd::Alone => ("nobody follows any more", ExitCode::SUCCESS),
-        ReplayEnd::Stopped => ("it was stopped", ExitCode::from(INTERRUPTED)),
+        ReplayEnd::Stopped => ("it was stopped", ExitCode::from(signals::INTERRUPTED)),
     };
     note!("the replay is over: {told}");
     Ok(code)

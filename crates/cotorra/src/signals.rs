@@ -8,8 +8,8 @@ use std::{
     },
 };
 
-/// What a shell calls a program that SIGINT ended.
-const INTERRUPTED: i32 = 130;
+/// Exit status of a program that was ended by Ctrl-C, as shells have it.
+pub const INTERRUPTED: u8 = 130;
 
 /// Listens to SIGINT, SIGTERM and SIGHUP from here on; the first one is received, the second ends the process.
 /// What can be left behind by that, control groups and conditions of interfaces of this machine, the next run removes.
@@ -18,7 +18,7 @@ pub fn listen() -> Result<mpsc::Receiver<()>, ctrlc::Error> {
     let asked = AtomicBool::new(false);
     ctrlc::set_handler(move || {
         if asked.swap(true, Ordering::Relaxed) || tell.send(()).is_err() {
-            process::exit(INTERRUPTED);
+            process::exit(INTERRUPTED.into());
         }
     })?;
     Ok(told)

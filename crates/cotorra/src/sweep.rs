@@ -19,7 +19,8 @@ use crate::{
     progress::Progress,
     signals,
     table::Table,
-    testbed_file::{self, FileError, count},
+    testbed_file::{self, FileError},
+    words::count,
 };
 
 /// Run a testbed in virtual time for all combinations of some settings, each with many seeds
@@ -67,8 +68,6 @@ pub struct SweepArgs {
 
 /// More combinations than this are not listed on the terminal.
 const LISTED: usize = 40;
-/// What a shell calls a program that SIGINT ended.
-const INTERRUPTED: u8 = 130;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
@@ -120,7 +119,7 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     // Of what there is: a sweep that was stopped has its tables, too.
     folder.write(&sweep, &runs).map_err(Error::from)?;
     output::print(&describe(&sweep, &runs, folder.path()))?;
-    Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(INTERRUPTED) })
+    Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
 }
 
 fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path, runs: usize, jobs: NonZero<usize>) -> String {

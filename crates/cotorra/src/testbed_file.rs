@@ -10,6 +10,8 @@ use cotorra_graph::{Node, NodeKind, Position, Testbed};
 use cotorra_testbed_file::{Diagnostics, Setting};
 use miette::{LabeledSpan, NamedSource, Severity};
 
+use crate::words::count;
+
 /// A testbed file that is right, and its text, settings noted.
 #[derive(Debug)]
 pub struct Loaded {
@@ -137,15 +139,6 @@ pub fn overview(testbed: &Testbed) -> String {
 /// The length of a walk, metres.
 pub fn length(waypoints: &[Position]) -> f64 {
     waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum()
-}
-
-/// `1 link`, `2 links`, `3 switches`.
-pub fn count(n: usize, what: &str) -> String {
-    match n {
-        1 => format!("1 {what}"),
-        _ if what.ends_with("ch") => format!("{n} {what}es"),
-        _ => format!("{n} {what}s"),
-    }
 }
 
 /// The testbed as it was run, with the settings that were noted behind its file.

@@ -4,6 +4,15 @@ use std::time::Duration;
 
 use cotorra_graph::{Conditions, LinkId, Loss, Probed, QueueLimit, Rate};
 
+/// `1 link`, `2 links`, `3 switches`.
+pub fn count(n: usize, what: &str) -> String {
+    match n {
+        1 => format!("1 {what}"),
+        _ if what.ends_with("ch") => format!("{n} {what}es"),
+        _ => format!("{n} {what}s"),
+    }
+}
+
 /// `28.7 ms`.
 pub fn in_ms(ms: f64) -> String {
     format!("{ms:.1} ms")

@@ -8,7 +8,10 @@ use cotorra_datapath::{
 };
 use cotorra_graph::{BitRate, Conditions, Jitter, JitterDistribution, Loss, Probability};
 
-use super::{Bench, Row, peers};
+use super::{
+    netem, peers,
+    report::{Bench, Row},
+};
 
 /// A benchmark.
 pub struct Benchmark {
@@ -43,7 +46,7 @@ pub const ALL: &[Benchmark] = &[
     Benchmark {
         name: "netem",
         about: "the fabric beside the kernel's NetEm, in one kernel (this one's, or scripts/uml's)",
-        measure: super::netem::compare,
+        measure: netem::compare,
     },
 ];
 

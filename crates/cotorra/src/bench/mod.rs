@@ -5,6 +5,8 @@ mod figures;
 mod load;
 mod netem;
 mod peers;
+mod probe;
+mod report;
 
 use std::{collections::BTreeSet, path::PathBuf, time::Duration};
 
@@ -16,8 +18,9 @@ use miette::Diagnostic;
 use crate::{output, table::Table};
 use figures::{ALL, Benchmark};
 use load::Load;
+use report::{Bench, Row};
 
-pub use peers::print_probe as probe;
+pub use probe::{Probe, probe};
 
 /// Measure what the emulated network does on this machine
 ///
@@ -49,48 +52,6 @@ pub enum Error {
 
 fn names() -> String {
     ALL.iter().map(|benchmark| benchmark.name).collect::<Vec<_>>().join(", ")
-}
-
-/// What a benchmark has at hand.
-pub struct Bench {
-    progress: ProgressBar,
-    rattan: PathBuf,
-    /// Whether we are root, as peers want it.
-    root: bool,
-}
-
-impl Bench {
-    /// Says what is being done.
-    fn doing(&self, what: impl Into<std::borrow::Cow<'static, str>>) {
-        self.progress.set_message(what);
-    }
-}
-
-/// One line of the table.
-#[derive(Debug)]
-pub struct Row {
-    /// What was measured.
-    figure: String,
-    median: String,
-    tail: String,
-    /// What it is meant to reach, on a machine of two cores.
-    goal: &'static str,
-    /// Why there is no figure; too long for a table.
-    missing: Option<String>,
-}
-
-impl Row {
-    fn new(figure: impl Into<String>, median: impl Into<String>, tail: impl Into<String>) -> Self {
-        Self { figure: figure.into(), median: median.into(), tail: tail.into(), goal: "", missing: None }
-    }
-
-    fn missing(figure: impl Into<String>, why: String) -> Self {
-        Self { missing: Some(why), ..Self::new(figure, "-", "not measured") }
-    }
-
-    fn aiming_at(self, goal: &'static str) -> Self {
-        Self { goal, ..self }
-    }
 }
 
 /// Runs the benchmarks and prints the table.

@@ -11,7 +11,7 @@ use cotorra_datapath::{
 };
 use cotorra_graph::Probability;
 
-use super::{Bench, Row};
+use super::report::{Bench, Row};
 
 const EMULATORS: [(Emulator, &str); 2] = [(Emulator::Fabric, "fabric"), (Emulator::NetEm, "NetEm")];
 const LINKS: [(usize, &str); 2] = [(1, "one link"), (3, "three links")];

@@ -2,7 +2,7 @@
 
 use std::{
     env, io,
-    net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket},
+    net::{Ipv4Addr, TcpListener, UdpSocket},
     process::{Command, Output, Stdio},
     sync::atomic::{AtomicBool, Ordering},
     thread,
@@ -11,13 +11,10 @@ use std::{
 
 use cotorra_datapath::{
     Namespace,
-    bench::{Percentiles, echo, receive, round_trips, send},
+    bench::{Percentiles, echo, receive},
 };
 
-use super::Bench;
-use crate::{cli::Probe, output};
-
-const PORT: u16 = 7711;
+use super::{probe::PORT, report::Bench};
 
 /// Why a peer was not measured.
 #[derive(Debug, thiserror::Error)]
@@ -33,21 +30,6 @@ pub enum Missing {
 impl From<io::Error> for Missing {
     fn from(error: io::Error) -> Self {
         Self::Failed(error.to_string())
-    }
-}
-
-/// Runs one end of a measurement inside a peer.
-pub fn probe(probe: &Probe) -> io::Result<String> {
-    match *probe {
-        Probe::RoundTrips { to, one_way_us, count } => {
-            let client = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
-            client.set_read_timeout(Some(Duration::from_secs(1)))?;
-            let to = SocketAddr::new(to, PORT);
-            let Percentiles { p50, p99, max } =
-                round_trips(&client, to, Duration::from_micros(one_way_us), count)?;
-            Ok(format!("{} {} {}\n", p50.as_nanos(), p99.as_nanos(), max.as_nanos()))
-        }
-        Probe::Send { to } => send(SocketAddr::new(to, PORT)).map(|()| String::new()),
     }
 }
 
@@ -141,10 +123,4 @@ fn succeed(output: Output) -> Result<(String, String), Missing> {
     let why =
         lines().find(|line| line.contains("annot") || line.contains("rror")).or_else(|| lines().next_back());
     Err(Missing::Failed(format!("{}: {}", output.status, why.unwrap_or("no message"))))
-}
-
-/// `probe` as a command.
-pub fn print_probe(probe_of: &Probe) -> miette::Result<()> {
-    use miette::IntoDiagnostic;
-    output::print(&probe(probe_of).into_diagnostic()?)
 }

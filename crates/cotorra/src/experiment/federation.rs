@@ -16,11 +16,15 @@ use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{FolderError, Options, Place, Recorded, RecordedError};
 use cotorra_testbed_file::Setting;
 
-use super::args::{FederationArgs, LedgerArgs, LedgerNode};
+use super::{
+    args::{FederationArgs, LedgerArgs, LedgerNode},
+    folder::withdraw,
+};
 use crate::{
     output,
     run::{self, Stage},
-    testbed_file::{self, Loaded, count},
+    testbed_file::{self, Loaded},
+    words::count,
 };
 
 /// Why the experiment has no result.
@@ -106,7 +110,7 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
         } else {
             stage.simulate(&plan.loaded, &options, &what)
         };
-        let finished = finished.inspect_err(|_| super::withdraw(&folder))?;
+        let finished = finished.inspect_err(|_| withdraw(&folder))?;
         let at = finished.folder.display().to_string();
         if finished.was_stopped() {
             if runs.is_empty() {

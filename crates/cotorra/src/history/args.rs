@@ -1,12 +1,12 @@
 //! What can be typed behind `cotorra history`.
 
-use std::{num::NonZero, path::PathBuf, time::Duration};
+use std::{num::NonZero, ops::Bound, path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use cotorra_graph::{NodeId, SensorId};
+use cotorra_graph::{NodeId, SensorId, Timestamp};
 use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 
-use super::{HISTORY_VARIABLE, Place};
+use super::place::{HISTORY_VARIABLE, Place};
 use crate::duration::{parse_step, parse_time};
 
 /// Of the whole command.
@@ -169,6 +169,15 @@ pub struct Span {
     /// Up to this time of the run, this excluded
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     pub to: Option<Duration>,
+}
+
+impl Span {
+    /// Returns the times of the run between the two ends.
+    pub fn range(&self) -> (Bound<Timestamp>, Bound<Timestamp>) {
+        let at = |after_start| Timestamp::ZERO + after_start;
+        let end = self.to.map_or(Bound::Unbounded, |to| Bound::Excluded(at(to)));
+        (self.from.map_or(Bound::Unbounded, |from| Bound::Included(at(from))), end)
+    }
 }
 
 /// A part of an answer.

@@ -5,8 +5,12 @@ use cotorra_measurements::{
     difference::{Entry, Links, Services},
 };
 
-use super::args::DiffArgs;
-use super::{Error, Source, first_of, plot::figure};
+use super::{
+    answer::first_of,
+    args::DiffArgs,
+    plot::figure,
+    source::{Error, Source},
+};
 use crate::{output, table::Table, words::clock};
 
 /// No more rows of each table are shown.

@@ -5,8 +5,11 @@ use std::fmt::Write as _;
 use cotorra_graph::{Event, GoalEvent, Instruction, LargeData, Stamped, VirtualLinkMapping};
 use cotorra_measurements::{Kind, PageRequest};
 
-use super::args::EventsArgs;
-use super::{Error, Source, more, seconds};
+use super::{
+    answer::{more, seconds},
+    args::EventsArgs,
+    source::{Error, Source},
+};
 use crate::{
     output,
     words::{self, over},

@@ -5,7 +5,11 @@ use cotorra_measurements::{History, Kind, Pruned, Run};
 use indicatif::ProgressBar;
 
 use super::args::PruneArgs;
-use super::{Error, Source, place::location, source::open, transfer::TransferError};
+use super::{
+    place::location,
+    source::{Error, Source, open},
+    transfer::TransferError,
+};
 use crate::{output, signals, table::Table};
 
 /// What stands for every run of a history.

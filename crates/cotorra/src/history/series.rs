@@ -5,8 +5,11 @@ use std::fmt::Write as _;
 use cotorra_graph::Timestamp;
 use cotorra_measurements::{Curve, CurveRequest, Figure, InvalidFigure, Values};
 
-use super::args::SeriesArgs;
-use super::{Error, Source, plot};
+use super::{
+    args::SeriesArgs,
+    plot,
+    source::{Error, Source},
+};
 use crate::{output, table::Table};
 
 /// Of a run as a whole.

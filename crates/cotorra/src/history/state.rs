@@ -3,7 +3,12 @@
 use cotorra_graph::{LinkContext, RobotContext, Timestamp, VirtualLinkMapping};
 use cotorra_measurements::{GraphState, Retained, Sample};
 
-use super::{Error, Source, args::StateArgs, first_of, seconds};
+use super::{
+    answer::{first_of, seconds},
+    args::StateArgs,
+    events::large_data,
+    source::{Error, Source},
+};
 use crate::{
     output,
     table::Table,
@@ -84,7 +89,7 @@ fn describe(state: &GraphState) -> String {
     sensors.row(["robot", "sensor", "at, s", "values"]);
     for Sample { at, value } in state.sensors.iter().take(ROWS) {
         let values = value.values.iter().map(|(name, value)| format!("{name} {value:.4}"));
-        let values: Vec<_> = values.chain(value.data.as_ref().map(super::events::large_data)).collect();
+        let values: Vec<_> = values.chain(value.data.as_ref().map(large_data)).collect();
         sensors.row([value.robot.to_string(), value.sensor.to_string(), seconds(*at), values.join(", ")]);
     }
     section("Sensors", sensors, state.sensors.len());

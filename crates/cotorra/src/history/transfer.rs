@@ -12,9 +12,9 @@ use cotorra_testbed::about;
 use indicatif::ProgressBar;
 
 use super::{
-    Error, Source,
     args::{ExportArgs, ExportFormat, ImportArgs},
     place::{HISTORY_VARIABLE, location},
+    source::{Error, Source},
 };
 use crate::{
     output, signals,

@@ -5,8 +5,10 @@ use cotorra_measurements::Location;
 use cotorra_recording::RecordingSummary;
 use cotorra_testbed::{Finished, Quantiles, Summary};
 
-use crate::words::{clock, in_ms};
-use crate::{table::Table, testbed_file::count};
+use crate::{
+    table::Table,
+    words::{clock, count, in_ms},
+};
 
 /// A region with fewer samples is left out of the table, as what lies between two decisions of one moment.
 const NOT_WORTH_A_ROW: usize = 2;

@@ -1,12 +1,6 @@
-//! `cotorra experiment`: repeats a published experiment and shows it beside what was published.
+//! `cotorra experiment okpi`: OKpi and the state of the art on the published walk.
 
-mod args;
-mod federation;
-
-pub use args::Experiment;
-pub use federation::federation;
-
-use std::{fs, path::Path, process::ExitCode};
+use std::{path::Path, process::ExitCode};
 
 use cotorra_experiments::okpi::{CONTENDERS, Comparison, FILES};
 use cotorra_measurements::Location;
@@ -14,11 +8,12 @@ use cotorra_plugin::runs::Runs;
 use cotorra_testbed::{Finished, FolderError, Options, Place};
 use cotorra_testbed_file::Setting;
 
-use self::args::OkpiArgs;
+use super::{args::OkpiArgs, folder::withdraw};
 use crate::{
     history, output,
     run::{self, Stage},
-    testbed_file::{self, Loaded, count},
+    testbed_file::{self, Loaded},
+    words::count,
 };
 
 /// Why an experiment has no result.
@@ -84,12 +79,6 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     output::print(&describe(&comparison, &how, &walks, &folder, history.as_ref()))?;
     let invalid = walks.iter().find(|walk| !walk.summary.fidelity.valid);
     Ok(run::verdict(&invalid.unwrap_or(okpi).summary))
-}
-
-/// Takes an experiment's folder away again where nothing came to be in it: what cannot begin leaves nothing behind.
-fn withdraw(folder: &Path) {
-    // What is not empty stays.
-    let _ = fs::remove_dir(folder).and_then(|()| folder.parent().map_or(Ok(()), fs::remove_dir));
 }
 
 fn plan(args: &OkpiArgs, how: &str, loaded: &Loaded) -> String {
