@@ -1,4 +1,4 @@
-//! `cotorra check`: says all that is wrong with testbed files, or what they hold.
+//! `cotorra check`: reports every mistake in testbed files, and summarises valid ones.
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -9,21 +9,21 @@ use crate::{output, testbed_file};
 
 /// Check testbed files
 ///
-/// Says everything that is wrong with each, in its place, with what would be right; or, where nothing is, what the
-/// testbed holds. Plug-ins are made as a run makes them, but no ledger is reached for.
+/// Reports every mistake of a file in its place, with the remedy, or summarises the testbed if there is none. Plug-ins are
+/// created as in a run, but no ledger is contacted.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra check testbeds/*.yaml
 
-Exit status: 0 if all are right, 1 if one is not.")]
+Exit status: 0 if all files are valid, 1 if one is not.")]
 pub struct CheckArgs {
-    /// The testbed files.
+    /// The testbed files
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
 }
 
-/// What is scripted for links, in a few words; nothing if nothing is.
+/// Summarises the scripted changes of links. Empty if there are none.
 fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
     let parts = [
         (timed, "at a time", "conditions"),
@@ -36,9 +36,9 @@ fn scripted(Rehearsal { timed, areas, replayed }: Rehearsal) -> String {
     if parts.is_empty() { String::new() } else { format!("; links: {}", parts.join(", ")) }
 }
 
-/// Checks every file, wrong ones too.
+/// Checks every file, also after one that is not valid.
 pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
-    let mut all_right = true;
+    let mut all_valid = true;
     for file in &args.files {
         match testbed_file::load(file, &[]) {
             Ok(loaded) => match cotorra_testbed::rehearse(&loaded.testbed) {
@@ -47,15 +47,15 @@ pub fn check(args: &CheckArgs) -> miette::Result<ExitCode> {
                     output::print(&format!("{}: {overview}\n", file.display()))?;
                 }
                 Err(error) => {
-                    all_right = false;
+                    all_valid = false;
                     note!("{}: {error}", file.display());
                 }
             },
             Err(error) => {
-                all_right = false;
+                all_valid = false;
                 error.show();
             }
         }
     }
-    Ok(if all_right { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if all_valid { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

@@ -1,4 +1,4 @@
-//! `cotorra clean`: removes what killed runs left behind.
+//! `cotorra clean`: removes leftovers of killed runs.
 
 use clap::Args;
 use cotorra_plugin::runs::Runs;
@@ -6,11 +6,11 @@ use miette::miette;
 
 use crate::{output, words::count};
 
-/// Remove what killed runs left behind
+/// Remove leftovers of killed runs
 ///
-/// Namespaces, their interfaces and processes go with their run, however it ends. When a run is killed with SIGKILL, control
-/// groups do not, nor do conditions of this machine's own interfaces, nor the entry by which tools find the run; the next
-/// run removes them, or this.
+/// The namespaces, interfaces and processes of a run end with it in any case. A run that is killed with SIGKILL leaves its
+/// control groups, the conditions of this machine's own interfaces, and the entry by which tools find the run. The next run
+/// removes them, or this command does.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
     /// Only say what would be removed
@@ -18,7 +18,7 @@ pub struct CleanArgs {
     pub dry_run: bool,
 }
 
-/// Removes it, or only says what there is.
+/// Removes the leftovers, or only lists them.
 pub fn clean(args: &CleanArgs) -> miette::Result<()> {
     let runs = Runs::of_user();
     let (found, (entries, refused), done) = if args.dry_run {

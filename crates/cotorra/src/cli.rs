@@ -1,4 +1,4 @@
-//! What can be typed: the commands, and the help on all of them. What can be typed behind each stands beside what it does.
+//! The commands and their help. The arguments of a command stand in the module that carries it out.
 
 use clap::{Parser, Subcommand};
 use clap_complete::Shell;
@@ -34,46 +34,46 @@ pub struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  cotorra doctor                                   what this machine can do
-  cotorra check testbeds/corridor.yaml             is this testbed file right?
+  cotorra doctor                                   find out what this machine can do
+  cotorra check testbeds/corridor.yaml             check a testbed file
   cotorra run testbeds/corridor.yaml               bring it up, walk it, measure it
   cotorra sweep testbeds/corridor.yaml --seeds 10  run it ten times in virtual time
   cotorra experiment okpi                          repeat the published comparison
-  cotorra history series latest service            what did the last run measure?
-  cotorra exec robot -- ping cloud                 run a program inside a node meanwhile
-  cotorra link set lan-cloud --delay 40ms          change what a link does meanwhile
+  cotorra history series latest service            plot the service time of the last run
+  cotorra exec robot -- ping cloud                 run a program inside a node of a run
+  cotorra link set lan-cloud --delay 40ms          change a link of a run
 
 Exit status:
   0  done
-  1  an error, told on standard error
+  1  an error, reported on standard error
   2  wrong usage
-  3  the run is done and its report written, but its verdict says that the figures are not valid";
+  3  the run is done and its report is written, but the figures are not valid";
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
     Run(RunArgs),
     Sweep(SweepArgs),
-    /// Repeat a published experiment, and set it beside what was published
+    /// Repeat a published experiment, and compare it with the published result
     Experiment {
         #[command(subcommand)]
         experiment: Experiment,
     },
     FaultTest(FaultTestArgs),
-    /// Ask what runs recorded
+    /// Query recorded runs
     ///
     /// RUN is the folder of a run, `latest` for the newest under runs/, or the number of a run in the history that
-    /// --history or COTORRA_HISTORY names. Answers are bounded, and say how to see more.
+    /// --history or COTORRA_HISTORY names. Long answers are cut off, and say how to see more.
     #[command(after_long_help = history::EXAMPLES)]
     History {
         #[command(subcommand)]
-        question: History,
+        command: History,
     },
     Replay(ReplayArgs),
     Localize(LocalizeArgs),
     Check(CheckArgs),
     /// Print the JSON Schema of a testbed file
     ///
-    /// Editors use it to complete and explain keys, and to mark mistakes while one types.
+    /// Editors use it to complete and explain keys, and to mark mistakes as you type.
     #[command(after_long_help = "\
 Examples:
   cotorra schema > testbed.schema.json
@@ -82,17 +82,17 @@ Examples:
     Schema,
     /// Print the OpenAPI document of the HTTP API
     ///
-    /// The same that a run serves at /openapi.json.
+    /// A run serves the same document at /openapi.json.
     #[command(name = "openapi")]
     OpenApi {
-        /// That of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
+        /// Print the document of the WLAN Access Information Service, which a run serves at /wai/v2/openapi.json
         #[arg(long)]
         wais: bool,
     },
-    /// Say what this machine can do, and what to do about the rest
+    /// Check what this machine can do, and how to add the rest
     ///
-    /// Everything is tried, nothing is left behind. What is missing comes with the reason and a remedy; most of it
-    /// is not needed.
+    /// Tries everything, and leaves nothing behind. Each missing capability is shown with the reason and a remedy; most runs
+    /// do not need it.
     Doctor,
     Clean(CleanArgs),
     Exec(ExecArgs),
@@ -101,16 +101,16 @@ Examples:
         #[command(subcommand)]
         link: Link,
     },
-    /// Measure a path of any network by STAMP (RFC 8762), or answer those who do
+    /// Measure a path of any network by STAMP (RFC 8762), or reflect the packets of such a measurement
     Stamp {
         #[command(subcommand)]
         stamp: Stamp,
     },
     Bench(BenchArgs),
-    /// Give packets of an interface of this machine delay, loss or a rate, by the kernel's NetEm
+    /// Add delay, loss or a rate limit to an interface of this machine, by the kernel's NetEm
     ///
-    /// For real links, of real robots and servers. It needs root, and a kernel with NetEm (`cotorra doctor` says whether
-    /// this one has it); links between a testbed's nodes need neither: they are emulated by cotorra itself.
+    /// This is for links to real robots and servers. It needs root and a kernel with NetEm; `cotorra doctor` says whether
+    /// this kernel has it. Links between a testbed's nodes need neither, because cotorra emulates them itself.
     Netem {
         #[command(subcommand)]
         netem: Netem,
@@ -122,16 +122,16 @@ Examples:
   cotorra completions zsh > ~/.zfunc/_cotorra
   cotorra completions fish > ~/.config/fish/completions/cotorra.fish")]
     Completions {
-        /// The shell.
+        /// The shell
         shell: Shell,
     },
-    /// Run a bundled VNF; what a run starts inside nodes.
+    /// Run a bundled VNF; a run starts it inside nodes.
     #[command(hide = true)]
     Vnf {
         #[command(subcommand)]
         vnf: BundledVnf,
     },
-    /// Run one end of a measurement; what a benchmark starts inside a peer.
+    /// Run one end of a measurement; a benchmark starts it inside a peer.
     #[command(hide = true)]
     Probe {
         #[command(subcommand)]
@@ -139,7 +139,7 @@ Examples:
     },
 }
 
-/// VNFs that come with cotorra.
+/// Bundled VNFs.
 #[derive(Debug, Clone, Copy, Subcommand)]
 pub enum BundledVnf {
     /// The brain: answers position packets with navigation packets.

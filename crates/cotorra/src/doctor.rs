@@ -1,14 +1,14 @@
-//! `cotorra doctor`: what this machine can do, each with the reason where not, and what to do about it.
+//! `cotorra doctor`: lists what this machine can do. A missing capability is shown with the reason and a remedy.
 
 use console::{Term, style};
 use cotorra_datapath::{CapabilityState, Privilege, enter_user_namespace_if_needed, probe};
 
 use crate::{output, table::wrap};
 
-/// Nobody reads longer lines with ease.
+/// Longest line in columns, for easy reading.
 const WIDEST: usize = 100;
 
-/// Tries everything and prints what it found.
+/// Tries every capability, and prints the results.
 pub fn doctor() -> miette::Result<()> {
     let privilege = enter_user_namespace_if_needed();
     let capabilities = probe();

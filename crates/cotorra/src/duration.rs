@@ -1,14 +1,14 @@
-//! Times of a run, as they are typed.
+//! Parsing of durations and times of a run.
 
 use std::time::Duration;
 
-/// Reads `60s`, `1.5min`, `500 ms`. A bare number is an error, because seconds and milliseconds look alike.
+/// Parses a duration above zero, such as `60s`, `1.5min` or `500 ms`.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
     let duration = parse_time(text)?;
     if duration.is_zero() { Err("it must be above zero".to_owned()) } else { Ok(duration) }
 }
 
-/// The same, of which a minute is a multiple.
+/// Parses a duration that divides a minute.
 pub fn parse_step(text: &str) -> Result<Duration, String> {
     let step = parse_time(text)?;
     if cotorra_graph::Retention::is_step(step) {
@@ -18,7 +18,7 @@ pub fn parse_step(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// The same; zero is a time, too.
+/// Parses a time, which can be zero. A bare number is an error, because seconds and milliseconds look alike.
 pub fn parse_time(text: &str) -> Result<Duration, String> {
     const UNITS: [(&str, f64); 4] = [("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0)];
     let text = text.trim();

@@ -1,4 +1,4 @@
-//! `cotorra exec`: runs a program inside a node of the running testbed, in the terminal at hand.
+//! `cotorra exec`: runs a program inside a node of the running testbed, in this terminal.
 
 use std::{convert::Infallible, io, os::unix::process::CommandExt, path::PathBuf, process::Command};
 
@@ -11,8 +11,8 @@ use crate::running::{self, WhichRun, explained, token_text};
 
 /// Run a program inside a node of the running testbed
 ///
-/// The program sees the node's network and nothing else changes: same files, same user, same terminal. Nodes have
-/// their names. The run is one of yours on this machine.
+/// The program has the node's network; files, user and terminal stay the same. It reaches other nodes by their names. The run
+/// must be yours, on this machine.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -23,16 +23,15 @@ Examples:
 
 Exit status: the program's.")]
 pub struct ExecArgs {
-    /// The node.
+    /// The node
     pub node: NodeId,
-    /// The program and its arguments.
+    /// The program and its arguments
     #[arg(required = true, last = true, value_name = "COMMAND")]
     pub command: Vec<String>,
     #[command(flatten)]
     pub run: WhichRun,
 }
 
-/// Why the program does not run.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error(transparent)]
@@ -41,7 +40,7 @@ pub enum Error {
     #[error("`{0}` is a switch or a real machine: it has no network namespace to run a program in")]
     Switch(NodeId),
     #[error("the run says that `{node}` is {}, which its process {process} does not hold", namespace.display())]
-    #[diagnostic(help("nothing was entered; please report this as a bug, with the run's folder"))]
+    #[diagnostic(help("the program was not started; please report this as a bug, with the run's folder"))]
     Foreign { node: NodeId, namespace: PathBuf, process: u32 },
     #[error("process {0} is not the run's: the run ended just now, or is in another PID namespace")]
     #[diagnostic(help("enter the container of the run, if it is in one"))]
@@ -53,11 +52,11 @@ pub enum Error {
     Program { program: String, reason: io::Error },
 }
 
-/// Becomes the program; returns only if that fails.
+/// Replaces this process by the program. Returns only if that fails.
 pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     let Place { run, namespace, graph } = find(args, &Runs::of_user(), token_text())?;
     cotorra_datapath::enter(&namespace).map_err(|reason| Error::Enter { node: args.node.clone(), reason })?;
-    // Now, because the kernel may give the number to another process as long as the namespace is not entered.
+    // Only now: until the namespace is entered, the kernel may reuse the number for another process.
     if !run.is_its_process() {
         return Err(Error::OtherProcess(run.process));
     }
@@ -72,7 +71,6 @@ pub fn exec(args: &ExecArgs) -> Result<Infallible, Error> {
     Err(Error::Program { program: program.clone(), reason })
 }
 
-/// Where a program is to run.
 #[derive(Debug)]
 struct Place {
     run: RunEntry,
@@ -80,7 +78,9 @@ struct Place {
     graph: HardwareGraph,
 }
 
-/// Asks the run where its node is. Refuses a path to anything but what its own process holds: root could enter any process.
+/// Asks the run for the namespace of the node.
+///
+/// Rejects a namespace that the run's own process does not hold, because root could be made to enter any process.
 fn find(args: &ExecArgs, runs: &Runs, token: Option<String>) -> Result<Place, Error> {
     let (run, client) = args.run.find(runs, token)?;
     let failed = |error| Error::Run(explained(run.api, error));
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn exec_enters_only_what_the_run_itself_holds() {
+    fn exec_enters_only_namespaces_that_the_run_holds() {
         let squatter = Squatter::new();
         let own = format!("/proc/{}/fd/7", process::id());
         for foreign in ["/proc/1/ns/net", "/proc/1/fd/7", "/run/netns/x", &format!("{own}/../../../1/ns/net")]
@@ -116,7 +116,7 @@ mod tests {
             let served = Served::on(squatter.address(), vec![answer]);
             let refused = find(&in_robot(squatter.address()), &served.runs, None).unwrap_err();
             assert!(matches!(refused, Error::Foreign { .. }), "{foreign}: {refused}");
-            served.asked();
+            served.requests();
         }
         let node = format!(r#"{{"address": null, "namespace": "{own}"}}"#);
         let testbed = r#"{"name": "t", "graph": {"domains": [], "nodes": [], "links": [], "wireless": {}},
@@ -124,7 +124,7 @@ mod tests {
         let served = Served::on(squatter.address(), vec![node, testbed.to_owned()]);
         let place = find(&in_robot(squatter.address()), &served.runs, None).unwrap();
         assert_eq!(place.namespace, PathBuf::from(own));
-        served.asked();
-        squatter.heard_nothing();
+        served.requests();
+        squatter.received_nothing();
     }
 }

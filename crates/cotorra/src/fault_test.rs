@@ -1,4 +1,4 @@
-//! `cotorra fault-test`: random testbeds in virtual time, random faults, and a check of all promises after each step.
+//! `cotorra fault-test`: runs random testbeds with random faults in virtual time, and checks all promises after each step.
 
 use std::{num::NonZero, path::PathBuf, process::ExitCode, thread};
 
@@ -7,14 +7,14 @@ use cotorra_testbed::faults::{Checked, FaultTest, FaultTested, Invariant};
 
 use crate::{output, progress::Progress, signals, table::Table, words::count};
 
-/// Break random testbeds in virtual time, and check what a testbed promises whatever goes wrong
+/// Inject faults into random testbeds in virtual time, and check that every promise holds
 ///
 /// Each run has a random testbed, and random faults at random times: links are cut, VNFs killed, hung and slowed, plug-ins
 /// panic, hang and flood, robots fall silent, disks fill up, ledgers are reorganised, answers are forged. A seed repeats its
 /// run to the last event. docs/reliability.md has all faults and promises.
 ///
-/// If a promise is broken, the command that repeats the run is printed, and the exit status is 1. Ctrl-C ends the test;
-/// the sum of the finished runs is printed.
+/// If a promise is broken, the command that repeats the run is printed, and the exit status is 1. Ctrl-C ends the test, and
+/// the totals of the finished runs are printed.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -22,24 +22,24 @@ Examples:
   cotorra fault-test --runs 1000 --seed 50000             another thousand
   cotorra fault-test --runs 1 --seed 4711 --keep broken   one run; if it fails, its files are kept")]
 pub struct FaultTestArgs {
-    /// Runs, each with a seed of its own
+    /// Number of runs, each with its own seed
     #[arg(long, value_name = "N", default_value_t = 200)]
     pub runs: u64,
-    /// Seed of the first run; the next ones follow
+    /// Seed of the first run; the seeds of the others count up from it
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
-    /// Runs at a time; as many as there are CPUs if it is left out
+    /// Number of runs at a time; default: the number of CPUs
     #[arg(short, long, value_name = "J")]
     pub jobs: Option<NonZero<usize>>,
-    /// Keep the testbed file, the plan and the history of each run that breaks a promise under this folder
+    /// Keep the testbed file, the plan and the history of each run that breaks a promise, under this folder
     #[arg(long, value_name = "FOLDER")]
     pub keep: Option<PathBuf>,
-    /// Write plain lines in place of the progress bar
+    /// Write plain lines instead of a progress bar
     #[arg(long)]
     pub headless: bool,
 }
 
-/// The most broken promises that are listed.
+/// Maximum number of broken promises that are listed.
 const LISTED: usize = 10;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -50,7 +50,7 @@ enum Error {
     Signals(ctrlc::Error),
 }
 
-/// Does all runs, and prints their sum.
+/// Runs the test, and prints the totals.
 pub fn fault_test(args: &FaultTestArgs) -> miette::Result<ExitCode> {
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
     let test = FaultTest { first_seed: args.seed, runs: args.runs, jobs, keep: args.keep.clone() };
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_broken_promise_is_told_with_the_command_that_repeats_it() {
+    fn a_broken_promise_is_listed_with_the_command_that_repeats_it() {
         let violation = Violation {
             seed: 42,
             at: Timestamp::from_secs_f64(1.5),
@@ -135,9 +135,9 @@ mod tests {
         let tested = FaultTested { runs: 3, violations, ..FaultTested::default() };
         let text = describe(&tested, 5);
         assert!(text.starts_with("3 of 5 runs, 0 faults, 0 events\n"), "{text}");
-        let told = "seed 42, at 1.500 s: expected that packets are conserved\n  found: one is missing\n  repeat it: \
+        let expected = "seed 42, at 1.500 s: expected that packets are conserved\n  found: one is missing\n  repeat it: \
                     cotorra fault-test --seed 42 --runs 1\n  kept: broken/seed-42/\n";
-        assert_eq!(text.matches(told).count(), LISTED, "{text}");
+        assert_eq!(text.matches(expected).count(), LISTED, "{text}");
         assert!(text.ends_with("\nand 2 more\n"), "{text}");
     }
 }

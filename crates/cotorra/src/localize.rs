@@ -1,4 +1,4 @@
-//! `cotorra localize`: where a robot was, from a recorded log and a map, and how far off that is.
+//! `cotorra localize`: computes a robot's trajectory from a recorded log and a map, and its error against a reference.
 
 use std::{
     fmt::Write as _,
@@ -21,14 +21,14 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{output, signals, testbed_file::FileError};
 
-/// Find where a robot was, from a recorded log and a map
+/// Localize a robot in a recorded log, by a map
 ///
-/// Monte Carlo localization, as it runs in a testbed, on a log of CARMEN (ROBOTLASER1 or FLASER), the format of most
-/// public lidar data sets. Odometry is taken from the laser messages. The trajectory is written as a table: time, pose,
-/// covariance, how many particles there were, and whether the scan was used.
+/// Runs the Monte Carlo localization of a testbed on a CARMEN log (ROBOTLASER1 or FLASER), the format of most public lidar
+/// data sets. Odometry is taken from the laser messages. The trajectory is written as a table: time, pose, covariance, number
+/// of particles, and whether the scan was used.
 ///
-/// Given a reference, it says how far off the trajectory is. A reference is a corrected log, or lines of
-/// `time,x,y,heading` or in the TUM format.
+/// With a reference, the error of the trajectory is printed. A reference is a corrected log, or lines of `time,x,y,heading`
+/// or in the TUM format.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -37,7 +37,7 @@ Examples:
   cotorra localize --map intel.yaml --log intel.log --reference intel.corrected.log --mode amcl --seed 7
   cotorra localize --map intel.yaml --log intel.log --global
 
-Exit status: 0 done, 1 error, 2 wrong usage, 130 stopped with Ctrl-C; what was found until then is written.")]
+Exit status: 0 done, 1 error, 2 wrong usage, 130 stopped with Ctrl-C; the trajectory until then is written.")]
 pub struct LocalizeArgs {
     /// The map: a YAML file of map_server
     #[arg(long, value_name = "MAP.yaml")]
@@ -45,26 +45,25 @@ pub struct LocalizeArgs {
     /// The log
     #[arg(long, value_name = "LOG")]
     pub log: PathBuf,
-    /// Where the robot really was
+    /// True trajectory of the robot
     #[arg(long, value_name = "FILE")]
     pub reference: Option<PathBuf>,
-    /// How particles are weighed
+    /// Weighting of particles
     #[arg(long, value_enum, default_value = "likelihood")]
     pub mode: LocalizeMode,
-    /// Where the robot is at the first scan, metres and degrees; if it is left out, where the reference or else the
-    /// log's odometry says
+    /// Pose at the first scan, in metres and degrees; default: that of the reference, or else of the log's odometry
     #[arg(long, value_name = "X,Y,HEADING", value_parser = parse_start, allow_hyphen_values = true, conflicts_with = "global")]
     pub start: Option<[f64; 3]>,
-    /// Nothing is known of where it is
+    /// Start without any knowledge of the pose
     #[arg(long)]
     pub global: bool,
-    /// The laser's reach, in place of what the log says or else 80: farther readings hit nothing
+    /// Range of the laser; readings beyond it hit nothing; default: the log's range, or else 80
     #[arg(long, value_name = "METRES")]
     pub max_range: Option<f64>,
     /// Seed of everything random
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Write the trajectory there in place of standard output
+    /// Write the trajectory to this file instead of standard output
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Show no progress bar
@@ -72,16 +71,16 @@ pub struct LocalizeArgs {
     pub headless: bool,
 }
 
-/// How particles are weighed.
+/// Weighting of particles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum LocalizeMode {
-    /// By the likelihood of what the lidar saw
+    /// By the likelihood of the lidar's readings
     Likelihood,
     /// As ROS AMCL does, with its defaults
     Amcl,
 }
 
-/// Reads `1.5,-2,90`; the heading comes back in radians.
+/// Parses `1.5,-2,90`. The heading is returned in radians.
 fn parse_start(text: &str) -> Result<[f64; 3], String> {
     let numbers: Vec<f64> = text.split(',').map_while(|part| part.trim().parse().ok()).collect();
     match numbers[..] {
@@ -92,7 +91,7 @@ fn parse_start(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
-/// How well a start is known: the variances that AMCL begins with, m² and rad² (15°).
+/// Variances of the start pose, as AMCL begins with: m² for x and y, and rad² for the heading (15°).
 const START_VARIANCE: [f64; 2] = [0.25, 0.0685];
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -103,28 +102,28 @@ enum Error {
     Unwritable { path: PathBuf, reason: std::io::Error },
     #[error("{}, {wrong}", path.display())]
     #[diagnostic(help(
-        "a log has FLASER or ROBOTLASER1 messages of CARMEN, a message a line; a reference may also have \
+        "a log has one FLASER or ROBOTLASER1 message of CARMEN on each line; a reference may also have \
         lines of time,x,y,heading or of time x y z qx qy qz qw"
     ))]
     Malformed { path: PathBuf, wrong: LogError },
     #[error("{} has no laser message", .0.display())]
-    #[diagnostic(help("a log of CARMEN has scans in lines that begin with FLASER or ROBOTLASER1"))]
+    #[diagnostic(help("scans of a CARMEN log are on lines that begin with FLASER or ROBOTLASER1"))]
     NoScan(PathBuf),
     #[error("no scan of {} has a beam that hit anything within {reach} m", path.display())]
-    #[diagnostic(help("the laser's reach is the log's, or else 80 m; --max-range sets another"))]
+    #[diagnostic(help("the range is the log's, or else 80 m; set another one with --max-range"))]
     Blind { path: PathBuf, reach: f64 },
     #[error("{} cannot be used: {reason}", path.display())]
     #[diagnostic(help(
-        "walls and free space of a map follow from occupied_thresh, free_thresh and negate in its YAML file"
+        "check occupied_thresh, free_thresh and negate in its YAML file: walls and free space follow from them"
     ))]
     Map { path: PathBuf, reason: LocalizationError },
-    #[error("{} says nothing of when the log's scans were taken", .0.display())]
+    #[error("{} has no pose at the times of the log's scans", .0.display())]
     #[diagnostic(help(
-        "its times have to be the log's; a corrected log may differ in time if it has as many scans"
+        "its times must match the log's; a corrected log may have other times if it has as many scans"
     ))]
     NoReference(PathBuf),
-    #[error("a laser does not reach {0} m")]
-    #[diagnostic(help("write a reach in metres, above zero"))]
+    #[error("a laser cannot have a range of {0} m")]
+    #[diagnostic(help("write a range in metres, above zero"))]
     Reach(f64),
     #[error(transparent)]
     Localization(#[from] LocalizationError),
@@ -132,7 +131,7 @@ enum Error {
     Signals(ctrlc::Error),
 }
 
-/// Localizes a robot.
+/// Localizes the robot at every scan of the log.
 pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
     if let Some(reach) = args.max_range
         && !(reach > 0.0 && reach.is_finite())
@@ -182,11 +181,11 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let mut told = told(&found, scans.len(), args.reference.as_ref().map(|path| (path, truth)))?;
+    let mut summary = summary(&found, scans.len(), args.reference.as_ref().map(|path| (path, truth)))?;
     if blind > 0 {
         writeln!(
-            told,
-            "warning: {blind} scans have no beam that hit anything within {reach} m; they are passed over"
+            summary,
+            "warning: {blind} scans have no beam that hit anything within {reach} m; they are skipped"
         )
         .expect("writing into a string cannot fail");
     }
@@ -194,11 +193,11 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
         Some(path) => {
             let unwritable = |reason| Error::Unwritable { path: path.clone(), reason };
             std::fs::write(path, table).map_err(unwritable)?;
-            output::print(&told)?;
+            output::print(&summary)?;
         }
         None => {
             output::print(&table)?;
-            output::write_note(format_args!("{told}"));
+            output::write_note(format_args!("{summary}"));
         }
     }
     Ok(if found.len() == scans.len() { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
@@ -207,7 +206,7 @@ pub fn localize(args: &LocalizeArgs) -> miette::Result<ExitCode> {
 fn open(path: &Path) -> Result<BufReader<File>, Error> {
     let unreadable = |reason| Error::Unreadable { path: path.to_owned(), reason };
     let mut file = BufReader::new(File::open(path).map_err(unreadable)?);
-    // A folder opens, too, and only fails when it is read.
+    // A folder can be opened, too; only reading it fails.
     file.read_exact(&mut []).and_then(|()| file.get_ref().metadata()).map_err(unreadable)?;
     Ok(file)
 }
@@ -254,30 +253,31 @@ fn row(table: &mut String, at: f64, estimate: &Estimate) {
     writeln!(table, ",{particles},{used}").expect("writing into a string cannot fail");
 }
 
-/// What came of it, in words. While a robot that could be anywhere is not found, its errors are not counted.
-fn told(
+/// Summarises the result. Errors count from the first scan whose estimate is near the reference.
+fn summary(
     found: &[Estimate],
     scans: usize,
     reference: Option<(&PathBuf, impl Fn(usize) -> Option<Pose2>)>,
 ) -> Result<String, Error> {
     let updates = found.iter().filter(|estimate| estimate.updated).count();
     let particles = found.iter().map(|estimate| estimate.particles).sum::<usize>() / found.len().max(1);
-    let mut told =
+    let mut text =
         format!("{} of {scans} scans, {updates} of them used; {particles} particles\n", found.len());
-    let Some((path, truth)) = reference else { return Ok(told) };
+    let Some((path, truth)) = reference else { return Ok(text) };
     let pairs: Vec<_> = found.iter().enumerate().filter_map(|(nth, e)| Some((nth, e, truth(nth)?))).collect();
     if pairs.is_empty() && !found.is_empty() {
         return Err(Error::NoReference(path.clone()));
     }
     let Some(begin) = pairs.iter().position(|(_, e, truth)| e.pose.distance(*truth) <= LOST) else {
-        return Ok(told + "the robot was never found\n");
+        return Ok(text + "the robot was never localized\n");
     };
     if begin > 0 {
-        writeln!(told, "found at scan {}", pairs[begin].0 + 1).expect("writing into a string cannot fail");
+        writeln!(text, "localized at scan {}", pairs[begin].0 + 1)
+            .expect("writing into a string cannot fail");
     }
     let mut errors = Errors::default();
     pairs[begin..].iter().for_each(|(_, estimate, truth)| errors.push(&estimate.belief(), *truth));
-    Ok(told + &format!("{errors}\n"))
+    Ok(text + &format!("{errors}\n"))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Logs of a run: all of them in its folder, warnings on the terminal too, around the live view.
+//! Logs of a run: complete in its folder, and warnings also on the terminal, around the live view.
 
 use std::{
     env,
@@ -12,11 +12,12 @@ use indicatif::MultiProgress;
 use parking_lot::Mutex;
 use tracing_subscriber::{Layer, filter::Targets, fmt, layer::SubscriberExt, util::SubscriberInitExt};
 
-/// Filters both logs: a level, and other levels for targets, as in `info,cotorra_fabric=trace`.
+/// The environment variable that filters both logs: a level, and levels of targets, as in `info,cotorra_fabric=trace`.
 const VARIABLE: &str = "COTORRA_LOG";
 
-/// Begins to log: cotorra's warnings (more if `verbose`) to standard error, around what `view` shows, and more of them into a
-/// file that [`LogFile::open`] names later.
+/// Starts logging to standard error, around the lines of `view`, and to a file that [`LogFile::open`] names later.
+///
+/// Standard error gets cotorra's warnings, or more if `verbose`. The file gets more than that.
 pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
     let (shown, kept) = usual(verbose);
     let filter = |usual: &str| {
@@ -40,7 +41,7 @@ pub fn begin(verbose: u8, view: &MultiProgress) -> LogFile {
     file
 }
 
-/// Reads a filter, without what is none in it.
+/// Parses a filter. Parts that are not valid are ignored with a warning.
 fn targets(filter: &str) -> Targets {
     let mut read = Targets::new();
     for part in filter.split(',').filter(|part| !part.is_empty()) {
@@ -57,17 +58,17 @@ fn targets(filter: &str) -> Targets {
     read
 }
 
-/// What is shown, and what is kept.
+/// Returns the default filters of the terminal and of the file.
 fn usual(verbose: u8) -> (&'static str, &'static str) {
     match verbose {
-        // What libraries warn of is for who looks for a fault: RustDDS does for each datagram that finds no way.
+        // Warnings of libraries help only to debug: RustDDS warns of each datagram that cannot be sent.
         0 => ("error,cotorra=warn", "info,rustdds=error"),
         1 => ("info", "debug"),
         _ => ("debug", "trace"),
     }
 }
 
-/// Standard error, with the live view out of the way.
+/// Standard error. The live view is hidden while it is written to.
 struct Terminal(MultiProgress);
 
 impl Write for Terminal {
@@ -81,13 +82,13 @@ impl Write for Terminal {
     }
 }
 
-/// A log that begins before its file exists, because the file lies in a folder that the run makes.
+/// A log that begins before its file exists, because the run creates the folder of the file.
 #[derive(Debug, Clone, Default)]
 pub struct LogFile(Arc<Mutex<Destination>>);
 
 #[derive(Debug)]
 enum Destination {
-    /// What came before there was a file.
+    /// The log until the file is opened.
     Memory(Vec<u8>),
     File(File),
 }
@@ -99,7 +100,7 @@ impl Default for Destination {
 }
 
 impl LogFile {
-    /// Goes on in a file, which begins with all that was logged so far.
+    /// Continues the log in a file, which begins with everything logged so far.
     pub fn open(&self, path: &Path) -> io::Result<()> {
         let mut file = File::create(path)?;
         let mut destination = self.0.lock();
@@ -129,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_libraries_warn_of_is_shown_to_who_asks() {
+    fn warnings_of_libraries_are_shown_only_if_verbose() {
         let shown = |verbose| {
             let log = LogFile::default();
             let writer = log.clone();
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_in_a_filter_is_left_out() {
+    fn invalid_parts_of_a_filter_are_ignored() {
         assert_eq!(
             targets("info,rustdds=loud,,cotorra_fabric=trace"),
             "info,cotorra_fabric=trace".parse().unwrap()
@@ -159,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_logged_before_the_file_existed_stands_at_its_beginning() {
+    fn the_file_begins_with_what_was_logged_before_it_existed() {
         let path = tempfile::tempdir().unwrap().keep().join("cotorra.log");
         let mut log = LogFile::default();
         log.write_all(b"before\n").unwrap();

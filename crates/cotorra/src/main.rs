@@ -1,7 +1,8 @@
-//! The command line of cotorra. It reads arguments, calls the crates below, and shows what they say; nothing else
-//! is decided here.
+//! The command line of cotorra.
+//!
+//! It reads arguments, calls the other crates, and shows their results. All decisions are made in those crates.
 #![forbid(unsafe_code)]
-// They panic where a reader went away.
+// The macros panic when the reader has closed the pipe.
 #![deny(clippy::print_stderr, clippy::print_stdout)]
 
 #[macro_use]
@@ -42,7 +43,7 @@ use cli::{BundledVnf, Cli, Command};
 use testbed_file::FileError;
 
 fn main() -> ExitCode {
-    // What our errors say has their causes in it.
+    // The messages of our errors include their causes.
     miette::set_hook(Box::new(|_| Box::new(MietteHandlerOpts::new().without_cause_chain().build())))
         .expect("nothing was reported yet");
     match dispatch(Cli::parse().command) {
@@ -63,7 +64,7 @@ fn dispatch(command: Command) -> miette::Result<ExitCode> {
         Command::Experiment { experiment } => return experiment::experiment(&experiment),
         Command::Sweep(args) => return sweep::sweep(&args),
         Command::FaultTest(args) => return fault_test::fault_test(&args),
-        Command::History { question } => return history::history(&question),
+        Command::History { command } => return history::history(&command),
         Command::Replay(args) => return replay::replay(&args),
         Command::Localize(args) => return localize::localize(&args),
         Command::Check(args) => return check::check(&args),

@@ -1,4 +1,4 @@
-//! Standard output and standard error that may be cut short: `cotorra schema | head` is no error.
+//! Standard output and standard error. A reader that closes the pipe, as in `cotorra schema | head`, is no error.
 
 use std::{
     fmt::Arguments,
@@ -7,7 +7,7 @@ use std::{
 
 use miette::{IntoDiagnostic, WrapErr};
 
-/// Prints text to standard output; a reader that went away ends it quietly.
+/// Prints text to standard output. Succeeds if the reader has closed the pipe.
 pub fn print(text: &str) -> miette::Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
@@ -23,7 +23,7 @@ macro_rules! note {
     };
 }
 
-/// Writes to standard error. What cannot be written is lost: a reader that went away, or a full disk, ends no run.
+/// Writes to standard error. Text that cannot be written is lost: a closed pipe or a full disk must not end a run.
 pub fn write_note(text: Arguments<'_>) {
     let _ = io::stderr().lock().write_fmt(text);
 }

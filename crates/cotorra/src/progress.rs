@@ -1,10 +1,10 @@
-//! How far many runs are: a bar on a terminal, lines elsewhere.
+//! Progress over many runs: a bar on a terminal, or else plain lines.
 
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// Without a progress bar, a line at each such share of the runs.
+/// Lines that are printed in total if there is no bar.
 const LINES: usize = 20;
 
 pub struct Progress {
@@ -27,7 +27,7 @@ impl Progress {
         match &self.bar {
             Some(bar) => {
                 if bar.length() != Some(of as u64) {
-                    // Runs of an earlier time say nothing of how long the rest takes.
+                    // Runs that a resumed sweep already has say nothing about the remaining time.
                     bar.set_length(of as u64);
                     bar.set_position(done as u64);
                     bar.reset_eta();

@@ -1,10 +1,10 @@
-//! Figures with units, as they are typed.
+//! Parsing of figures with units.
 
 use std::time::Duration;
 
 use cotorra_graph::{BitRate, Probability};
 
-/// A figure in the base unit.
+/// Parses a figure, and returns it in the base unit.
 fn quantity(text: &str, like: &str, units: &[(&str, f64)]) -> Result<f64, String> {
     let text = text.trim();
     let digits = |c: char| !(c.is_ascii_digit() || c == '.');
@@ -18,7 +18,7 @@ fn quantity(text: &str, like: &str, units: &[(&str, f64)]) -> Result<f64, String
     Ok(number * factor)
 }
 
-/// A time of an hour at most.
+/// Parses a time of one hour at most.
 pub fn parse_time(text: &str) -> Result<Duration, String> {
     let seconds =
         quantity(text, "10ms", &[("us", 1e-6), ("µs", 1e-6), ("ms", 1e-3), ("s", 1.0), ("min", 60.0)])?;
@@ -28,13 +28,13 @@ pub fn parse_time(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(seconds))
 }
 
-/// A share, in percent.
+/// Parses a share in percent.
 pub fn parse_share(text: &str) -> Result<Probability, String> {
     let share = quantity(text, "1%", &[("%", 0.01)])?;
     Probability::new(share).ok_or_else(|| "it is 100% at most".to_owned())
 }
 
-/// A rate.
+/// Parses a rate of 1 bit/s to 8000 Gbit/s.
 pub fn parse_rate(text: &str) -> Result<BitRate, String> {
     let units = [("bit/s", 1.0), ("kbit/s", 1e3), ("Mbit/s", 1e6), ("Gbit/s", 1e9)];
     let rate = quantity(text, "20Mbit/s", &units)?;

@@ -1,4 +1,4 @@
-//! `cotorra replay`: plays a recorded run through the API, and prints what a plug-in asks for meanwhile.
+//! `cotorra replay`: plays a recorded run through the API, and prints the instructions of plug-ins.
 
 use std::{net::SocketAddr, num::NonZero, path::PathBuf, process::ExitCode, time::Duration};
 
@@ -18,12 +18,12 @@ use crate::{
 
 /// Play a recorded run through the HTTP API, so that a plug-in can be developed against it
 ///
-/// What is known, what was up to then and what happens are as in the run; nothing of what is to come is told.
-/// Instructions are refused, because nothing can change what was, and printed: a line of JSON each, as the decisions that
-/// the plug-in would have made. A plug-in that floods or hangs is cut off as in a run, and that is printed, too.
+/// The API answers as it did at each moment of the run: state, history and events, and nothing of the future. Instructions
+/// are refused, because the past cannot be changed. Each is printed as a line of JSON: a decision that the plug-in would have
+/// made. A plug-in that floods or hangs is cut off as in a run, which is printed, too.
 ///
-/// With --speed max the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin), and
-/// waits for it as virtual time does: it sees the same events each time, and none too many or too few.
+/// With --speed max, the replay begins when a plug-in follows the stream of events under a name (X-Cotorra-Plugin). It waits
+/// for the plug-in as virtual time does, so that the plug-in receives exactly the same events each time.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -36,32 +36,32 @@ Examples:
 pub struct ReplayArgs {
     /// The folder of a run, `latest`, or the number of a run in the history that --history names
     pub run: String,
-    /// So many seconds of the run in one, as in 1x or 2.5x; or max
+    /// Speed, as in 1x or 2.5x; or max
     #[arg(long, value_name = "SPEED", default_value = "1x", value_parser = parse_speed)]
     pub speed: Pace,
-    /// With --speed max: begin when so many follow the stream of events, each under a name; by default 1, and 0 with
-    /// --bundled
+    /// With --speed max: begin when this many plug-ins follow the stream of events, each under its name; default: 1, and 0
+    /// with --bundled
     #[arg(long, value_name = "N")]
     pub plugins: Option<NonZero<usize>>,
-    /// Play to this bundled plug-in, too, with its settings in the testbed file if it is there
+    /// Play to this bundled plug-in, too, with its settings in the testbed file if it has any
     #[arg(long, value_name = "PLUGIN")]
     pub bundled: Option<PluginId>,
     #[command(flatten)]
     pub span: Span,
-    /// Address of the HTTP API, as of `cotorra run`
+    /// Address of the HTTP API, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
-    /// Serve what is played to Foxglove, too, as of `cotorra run`
+    /// Serve the replay to Foxglove, too, as with `cotorra run`
     #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, default_missing_value = FOXGLOVE)]
     pub foxglove: Option<SocketAddr>,
-    /// Folder from which the testbed file's own paths lead, such as its map's
+    /// Folder that relative paths in the testbed file start from, such as that of its map
     #[arg(long, value_name = "DIR", default_value = "testbeds")]
     pub base: PathBuf,
     #[command(flatten)]
     pub place: HistoryPlace,
 }
 
-/// How fast a run is played.
+/// Speed of a replay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
     Times(f64),
@@ -85,7 +85,7 @@ enum Error {
     Signals(ctrlc::Error),
 }
 
-/// Plays a run.
+/// Plays a run to its end.
 pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     let source = Source::find(&args.run, &args.place)?;
     let bundled = args.bundled.as_ref().map(|plugin| format!("plugin={plugin}"));
@@ -134,12 +134,12 @@ pub fn replay(args: &ReplayArgs) -> miette::Result<ExitCode> {
     bar.finish_and_clear();
     let end = end.map_err(Error::from)?;
     printed?;
-    let (told, code) = match end {
+    let (reason, code) = match end {
         ReplayEnd::Played => ("all was played", ExitCode::SUCCESS),
-        ReplayEnd::Alone => ("nobody follows any more", ExitCode::SUCCESS),
+        ReplayEnd::Alone => ("no plug-in follows any more", ExitCode::SUCCESS),
         ReplayEnd::Stopped => ("it was stopped", ExitCode::from(signals::INTERRUPTED)),
     };
-    note!("the replay is over: {told}");
+    note!("the replay is over: {reason}");
     Ok(code)
 }
 
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_speed_is_a_number_of_times_or_max() {
+    fn a_speed_is_a_factor_or_max() {
         assert_eq!(parse_speed("2.5x"), Ok(Pace::Times(2.5)));
         assert_eq!(parse_speed("max"), Ok(Pace::Max));
         for wrong in ["2", "0x", "-1x", "nanx", "infx", "fast"] {

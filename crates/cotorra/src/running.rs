@@ -1,5 +1,6 @@
-//! Finds the run that a command is about by its entry, and talks to it over its Unix socket. A program that took the port
-//! of a run hears nothing.
+//! Finds the run that a command addresses by its entry, and connects to its Unix socket.
+//!
+//! A program that took over the port of a run receives nothing.
 
 use std::{env, net::SocketAddr};
 
@@ -12,20 +13,19 @@ use cotorra_plugin::{
 /// The environment variable with the API's token.
 pub const TOKEN_VARIABLE: &str = "COTORRA_TOKEN";
 
-/// The API's token, if one is set.
+/// Returns the API's token, if the environment has one.
 pub fn token_text() -> Option<String> {
     env::var(TOKEN_VARIABLE).ok().filter(|text| !text.is_empty())
 }
 
-/// Which run.
+/// Choice of a run.
 #[derive(Debug, Args)]
 pub struct WhichRun {
-    /// Address of the run's API, as its terminal shows it; without it, your only run on this machine
+    /// Address of the run's API, as the run shows it; default: your only run on this machine
     #[arg(long, value_name = "ADDR:PORT")]
     pub api: Option<SocketAddr>,
 }
 
-/// Why a run cannot be asked.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error(transparent)]
@@ -38,26 +38,26 @@ pub enum Error {
     Failed(ClientError),
 }
 
-/// Says what to do about a run that is not found.
+/// Returns what to do about a run that is not found.
 fn help_for(error: &RunsError) -> &'static str {
     match error {
         RunsError::None { .. } => {
-            "start one with `cotorra run`; a run of another user is asked as that user, as with sudo"
+            "start one with `cotorra run`; to reach a run of another user, become that user, as with sudo"
         }
-        RunsError::Several(_) => "say which with --api, as in `--api 127.0.0.1:7700`",
+        RunsError::Several(_) => "choose one with --api, as in `--api 127.0.0.1:7700`",
         RunsError::NotThere { .. } => {
-            "a run of another user is asked as that user, as with sudo; one of another machine on that machine, or, by \
-             `cotorra link`, with --unverified"
+            "to reach a run of another user, become that user, as with sudo; for a run of another machine, log in there, or \
+             use `cotorra link` with --unverified"
         }
         RunsError::System { .. } | RunsError::NotPrivate { .. } | RunsError::Malformed { .. } => {
-            "runs are found in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in the folder \
-             for temporary files"
+            "runs have their entries in the folder `cotorra` in XDG_RUNTIME_DIR or /run/user/UID, or in `cotorra-UID` in \
+             the folder for temporary files"
         }
     }
 }
 
 impl WhichRun {
-    /// Returns the run, and a client that shows `token` to it alone.
+    /// Finds the run. Returns it with a client that shows `token` to nobody else.
     pub fn find(&self, runs: &Runs, token: Option<String>) -> Result<(RunEntry, Client), Error> {
         let run = runs.find(self.api).map_err(Error::NotFound)?;
         let client = with_token(Client::of(&run).map_err(Error::Failed)?, token);
@@ -73,7 +73,7 @@ pub fn with_token(client: Client, token: Option<String>) -> Client {
     }
 }
 
-/// Explains an error of a client of the run on `api`.
+/// Converts a client's error into one that names the run on `api`.
 pub fn explained(api: SocketAddr, error: ClientError) -> Error {
     match error {
         ClientError::Unreachable { source, .. } => Error::Silent { api, reason: source.to_string() },
@@ -94,7 +94,7 @@ pub mod tests {
 
     use super::*;
 
-    /// A program that listens where a run would, and must hear nothing.
+    /// A program that listens on the port of a run, and must receive nothing.
     pub struct Squatter(TcpListener);
 
     impl Squatter {
@@ -108,14 +108,14 @@ pub mod tests {
             self.0.local_addr().unwrap()
         }
 
-        /// Nobody connected.
-        pub fn heard_nothing(&self) {
-            let heard = self.0.accept().map(|(_, from)| from).map_err(|error| error.kind());
-            assert_eq!(heard, Err(ErrorKind::WouldBlock));
+        /// Asserts that nobody connected.
+        pub fn received_nothing(&self) {
+            let received = self.0.accept().map(|(_, from)| from).map_err(|error| error.kind());
+            assert_eq!(received, Err(ErrorKind::WouldBlock));
         }
     }
 
-    /// A run's entry, whose API gives these answers, one a connection.
+    /// The entry of a run whose API gives these answers, one for each connection.
     pub struct Served {
         pub runs: Runs,
         _folder: TempDir,
@@ -146,8 +146,8 @@ pub mod tests {
             Self { runs, _folder: folder, _entry: entry, answering }
         }
 
-        /// What was asked, when all was answered.
-        pub fn asked(self) -> Vec<String> {
+        /// Returns the heads of all requests, once all are answered.
+        pub fn requests(self) -> Vec<String> {
             self.answering.join().unwrap()
         }
     }
@@ -157,23 +157,23 @@ pub mod tests {
     }
 
     #[test]
-    fn who_took_the_port_gets_no_token() {
+    fn a_program_that_took_the_port_gets_no_token() {
         let squatter = Squatter::new();
         let folder = TempDir::new().unwrap();
         let runs = Runs::in_folder(folder.path().join("cotorra"));
         let which = WhichRun { api: Some(squatter.address()) };
         let refused = which.find(&runs, token()).unwrap_err();
         assert!(matches!(refused, Error::NotFound(RunsError::NotThere { .. })), "{refused}");
-        squatter.heard_nothing();
+        squatter.received_nothing();
 
-        // Nor where a run says that it is there.
+        // Not even if the entry of a run names that port.
         let served = Served::on(squatter.address(), vec!["[]".to_owned()]);
         let (_, client) = which.find(&served.runs, token()).unwrap();
         assert!(client.links().unwrap().is_empty());
-        squatter.heard_nothing();
-        let asked = served.asked();
-        assert!(asked[0].starts_with("GET /api/v1/network/links HTTP/1.1\r\n"), "{asked:?}");
-        assert!(asked[0].contains("Bearer operator-operator\r\n"), "{asked:?}");
+        squatter.received_nothing();
+        let requests = served.requests();
+        assert!(requests[0].starts_with("GET /api/v1/network/links HTTP/1.1\r\n"), "{requests:?}");
+        assert!(requests[0].contains("Bearer operator-operator\r\n"), "{requests:?}");
     }
 
     #[test]
@@ -182,7 +182,7 @@ pub mod tests {
         let served = Served::on(moved.address(), vec!["[]".to_owned()]);
         let (run, client) = WhichRun { api: None }.find(&served.runs, token()).unwrap();
         assert_eq!((run.api, client.links().unwrap()), (moved.address(), vec![]));
-        assert_eq!(served.asked().len(), 1);
-        squatter.heard_nothing();
+        assert_eq!(served.requests().len(), 1);
+        squatter.received_nothing();
     }
 }

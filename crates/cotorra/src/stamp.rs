@@ -1,5 +1,6 @@
-//! `cotorra stamp`: measures a path of any network by STAMP (RFC 8762), and answers those who do. The protocol is
-//! `cotorra_stamp`'s.
+//! `cotorra stamp`: measures a path of any network by STAMP (RFC 8762), and reflects such measurements.
+//!
+//! `cotorra_stamp` implements the protocol.
 
 use std::{
     io::ErrorKind,
@@ -17,13 +18,13 @@ use miette::{IntoDiagnostic, WrapErr, miette};
 
 use crate::{duration::parse_duration, output, signals};
 
-/// Larger than any datagram.
+/// Size of the receive buffer in octets, larger than any datagram.
 const LARGEST: usize = 65_536;
 
-/// How soon Ctrl-C is noticed.
+/// Poll interval for Ctrl-C.
 const NOTICE: Duration = Duration::from_millis(100);
 
-/// How far this process's clock is off within itself: it reads it some microseconds after the packet came.
+/// Error estimate of this process's timestamps: the clock is read some microseconds after a packet arrived.
 const CLOCK_ERROR: Duration = Duration::from_micros(100);
 
 /// The two sides of a measurement.
@@ -35,8 +36,8 @@ pub enum Stamp {
 
 /// Measure delay, jitter and loss to a reflector
 ///
-/// Any that speaks STAMP or TWAMP Light will do. The time that the reflector takes does not count. Where both clocks
-/// are synchronised to UTC and both sides say so, the directions are told apart.
+/// The reflector can be any that speaks STAMP or TWAMP Light. The time that a packet spends in it is not counted. If both
+/// clocks are synchronised to UTC, and both sides say so by --synchronized, each direction is measured separately.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -46,48 +47,48 @@ Examples:
 
 Exit status: 0 measured, 1 no answer or another error, 2 wrong usage.")]
 pub struct SendArgs {
-    /// The reflector; its port is 862 if it is left out
+    /// The reflector; default port: 862
     #[arg(value_name = "HOST[:PORT]")]
     reflector: String,
-    /// Packets to send
+    /// Number of packets to send
     #[arg(short, long, value_name = "N", default_value = "100")]
     count: NonZero<u32>,
-    /// Time from one packet to the next
+    /// Interval between packets
     #[arg(short, long, value_name = "DURATION", default_value = "100ms", value_parser = parse_duration)]
     interval: Duration,
-    /// Octets of a packet, without headers
+    /// Length of a packet in octets, without headers
     #[arg(short, long, value_name = "N", default_value_t = 44, value_parser = clap::value_parser!(u16).range(44..=65_507))]
     length: u16,
-    /// How long a reply may take
+    /// Deadline of a reply
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = parse_duration)]
     patience: Duration,
-    /// This machine's clock is synchronised to UTC
+    /// Declare that this machine's clock is synchronised to UTC
     #[arg(long)]
     synchronized: bool,
-    /// The reflector keeps no count of its own, so that the direction of a loss can't be told
+    /// Declare that the reflector is stateless: it does not count packets, so the direction of a loss is unknown
     #[arg(long)]
     stateless: bool,
-    /// Print one object of JSON, times in milliseconds
+    /// Print one JSON object, with times in milliseconds
     #[arg(long)]
     json: bool,
 }
 
-/// Answer those who measure, until Ctrl-C
+/// Reflect packets of measurements until Ctrl-C
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra stamp reflect
   cotorra stamp reflect --listen 127.0.0.1:8620 --synchronized")]
 pub struct ReflectArgs {
-    /// Where to listen
+    /// Address to listen on
     #[arg(long, value_name = "ADDR:PORT", default_value = "0.0.0.0:862")]
     listen: SocketAddr,
-    /// This machine's clock is synchronised to UTC
+    /// Declare that this machine's clock is synchronised to UTC
     #[arg(long)]
     synchronized: bool,
 }
 
-/// Does what is asked.
+/// Runs one side of a measurement.
 pub fn stamp(stamp: &Stamp) -> miette::Result<()> {
     match stamp {
         Stamp::Send(args) => send(args),
@@ -123,7 +124,10 @@ fn send(args: &SendArgs) -> miette::Result<()> {
     let measured = sender.session().measurement(sender.clock().now());
     progress.finish_and_clear();
     let measured = measured.filter(|measured| measured.round_trip.is_some()).ok_or_else(|| {
-        miette!(help = "is a reflector there? `cotorra stamp reflect` is one", "no answer from {address}")
+        miette!(
+            help = "check that a reflector listens there, such as `cotorra stamp reflect`",
+            "no answer from {address}"
+        )
     })?;
     output::print(&if args.json { json(&measured) } else { text(address, &measured) })
 }
@@ -137,7 +141,7 @@ fn resolve(reflector: &str) -> miette::Result<SocketAddr> {
 fn reflect(args: &ReflectArgs) -> miette::Result<()> {
     let socket = UdpSocket::bind(args.listen).map_err(|error| match error.kind() {
         ErrorKind::PermissionDenied => miette!(
-            help = "a port below 1024 needs root; take another: --listen 0.0.0.0:8620",
+            help = "a port below 1024 needs root; use another one: --listen 0.0.0.0:8620",
             "cannot listen on {}: {error}",
             args.listen
         ),
@@ -153,7 +157,7 @@ fn reflect(args: &ReflectArgs) -> miette::Result<()> {
         let received = receive(&socket, &mut buffer, NOTICE).into_diagnostic().wrap_err("cannot receive")?;
         let Some((length, from)) = received else { continue };
         let Ok(reflection) = reflector.reflect(from, &buffer[..length], clock.now(), None) else { continue };
-        // An answer that can't be sent is lost, as on any network.
+        // A reply that cannot be sent is lost, as on any network.
         let _ = socket.send_to(&reflection.sent_at(clock.now()), from);
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! `cotorra sweep`: many runs in virtual time, with progress, and what they say together.
+//! `cotorra sweep`: many runs in virtual time, with progress and a summary.
 
 use std::{
     fs,
@@ -26,11 +26,11 @@ use crate::{
 /// Run a testbed in virtual time for all combinations of some settings, each with many seeds
 ///
 /// A setting's values are a list, as in plugin=probing,okpi, or a range, as in 1..4, 0..1:0.25 (in steps of 0.25) or
-/// 5..20:5 ms. What a path is: docs/testbed-file.md, "Variants". As many runs go on at a time as there are CPUs.
+/// 5..20:5 ms. docs/testbed-file.md, "Variants", explains paths. By default, one run for each CPU goes on at a time.
 ///
-/// Each run is kept as soon as it is done. The same command goes on where one was stopped, and one with more values or
-/// seeds adds to it. It leaves runs.csv (a row a run), cells.csv (a row a combination: means and 95 % confidence
-/// intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
+/// Each run is saved as soon as it is done. If a sweep is stopped, the same command resumes it. The command with more values
+/// or seeds adds to it. A sweep leaves runs.csv (a row for each run), cells.csv (a row for each combination: means and 95 %
+/// confidence intervals), regions.csv (a row for each radio unit and server of a run) and sweep.svg.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -38,35 +38,35 @@ Examples:
   cotorra sweep testbeds/corridor.yaml --set links.*.delay_scale=1..4 --set plugin=probing,okpi --seeds 100
   cotorra sweep testbeds/corridor.yaml --set plugin=okpi --set plugins.okpi.settings.gamma=2..20:2 --dry-run")]
 pub struct SweepArgs {
-    /// The testbed file.
+    /// The testbed file
     pub file: PathBuf,
     /// A setting and its values; can be given several times
     #[arg(long = "set", value_name = "PATH=VALUES")]
     pub axes: Vec<Axis>,
-    /// Runs of each combination, each with a seed of its own, from the file's seed on
+    /// Number of runs of each combination; their seeds count up from the file's seed
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub seeds: u32,
-    /// End each run after so much time, such as 60s or 2min, if the walks take longer
+    /// End each run after this time, such as 60s or 2min, if the walks take longer
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Runs at a time; as many as there are CPUs if it is left out
+    /// Number of runs at a time; default: the number of CPUs
     #[arg(short, long, value_name = "N")]
     pub jobs: Option<NonZero<usize>>,
-    /// The sweep's folder, in place of one under sweeps/ that is named after what is swept
+    /// Folder of the sweep; default: one under sweeps/ that is named after the settings
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Forget the runs that the folder has
+    /// Discard the runs that the folder has
     #[arg(long)]
     pub fresh: bool,
-    /// Write plain lines in place of the progress bar
+    /// Write plain lines instead of a progress bar
     #[arg(long)]
     pub headless: bool,
-    /// Only say what would be run
+    /// Only list what would be run
     #[arg(long)]
     pub dry_run: bool,
 }
 
-/// More combinations than this are not listed on the terminal.
+/// Maximum number of combinations that the terminal lists.
 const LISTED: usize = 40;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -79,8 +79,8 @@ enum Error {
     Signals(ctrlc::Error),
 }
 
-/// What a sweep says of its testbed file is shown in its place.
-fn told(error: SweepError) -> miette::Report {
+/// Converts an error. Mistakes of the testbed file are shown in their place.
+fn report(error: SweepError) -> miette::Report {
     match error {
         SweepError::Testbed(wrong) => FileError::from(wrong).into(),
         other => Error::Sweep(other).into(),
@@ -94,10 +94,10 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
     let sweep =
         Sweep::new(&args.file.display().to_string(), loaded.text, base).seeds(args.seeds).until(args.until);
     let sweep = args.axes.iter().cloned().fold(sweep, Sweep::axis);
-    let runs = sweep.points().map_err(told)?.len();
+    let runs = sweep.points().map_err(report)?.len();
     let place = match &args.out {
         Some(out) => out.clone(),
-        None => sweep.default_folder(Path::new("sweeps")).map_err(told)?,
+        None => sweep.default_folder(Path::new("sweeps")).map_err(report)?,
     };
     let jobs = args.jobs.or_else(|| thread::available_parallelism().ok()).unwrap_or(NonZero::<usize>::MIN);
     if args.dry_run {
@@ -115,8 +115,8 @@ pub fn sweep(args: &SweepArgs) -> miette::Result<ExitCode> {
         interrupts.try_recv().is_err()
     });
     progress.close();
-    let runs = runs.map_err(told)?;
-    // Of what there is: a sweep that was stopped has its tables, too.
+    let runs = runs.map_err(report)?;
+    // A sweep that was stopped has its tables, too.
     folder.write(&sweep, &runs).map_err(Error::from)?;
     output::print(&describe(&sweep, &runs, folder.path()))?;
     Ok(if runs.done.len() == runs.total { ExitCode::SUCCESS } else { ExitCode::from(signals::INTERRUPTED) })
@@ -128,8 +128,11 @@ fn plan(sweep: &Sweep, args: &SweepArgs, place: &Path, runs: usize, jobs: NonZer
         table.row([axis.path().to_owned(), axis.values().join(", ")]);
     }
     table.row(["seeds".to_owned(), args.seeds.to_string()]);
-    let again =
-        if fs::exists(place).unwrap_or(false) { "; it exists: what it has is not run again" } else { "" };
+    let again = if fs::exists(place).unwrap_or(false) {
+        "; it exists: the runs that it has are not repeated"
+    } else {
+        ""
+    };
     let text =
         format!("{}: {} in virtual time, {jobs} at a time\n\n", args.file.display(), count(runs, "run"));
     text + &table.render("  ") + &format!("\n{}/{again}\n  {}\n", place.display(), FILES.join("  "))
@@ -164,7 +167,7 @@ fn describe(sweep: &Sweep, runs: &Runs, folder: &Path) -> String {
         text += &format!("  and {} more in cells.csv\n", cells.len() - LISTED);
     }
     if runs.done.len() < runs.total {
-        text += "\nThe sweep was stopped; the same command goes on.\n";
+        text += "\nThe sweep was stopped; the same command resumes it.\n";
     }
     text + &format!("\n{}/\n  {}\n", folder.display(), FILES.join("  "))
 }

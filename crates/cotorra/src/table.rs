@@ -1,4 +1,4 @@
-//! Tables and wrapped text for a terminal, measured in columns as it shows them.
+//! Tables and wrapped text for a terminal. Widths are counted in terminal columns.
 
 use std::fmt::Write as _;
 
@@ -12,17 +12,16 @@ pub struct Table {
 }
 
 impl Table {
-    /// Columns that are aligned as said: `<` to the left, `>` to the right.
+    /// Creates a table with one column for each character: `<` is aligned to the left, `>` to the right.
     pub fn new(alignment: &str) -> Self {
         Self { right: alignment.chars().map(|c| c == '>').collect(), rows: Vec::new() }
     }
 
-    /// Adds a row.
     pub fn row<S: Into<String>>(&mut self, cells: impl IntoIterator<Item = S>) {
         self.rows.push(cells.into_iter().map(Into::into).collect());
     }
 
-    /// The lines, each behind `indent`.
+    /// Renders the lines, each prefixed with `indent`.
     pub fn render(&self, indent: &str) -> String {
         let width = |column: usize| {
             self.rows
@@ -45,7 +44,7 @@ impl Table {
     }
 }
 
-/// Breaks text into lines of at most `width` columns, each behind `indent`. A longer word gets a line of its own.
+/// Breaks text into lines of at most `width` columns, each prefixed with `indent`. A longer word gets a line of its own.
 pub fn wrap(text: &str, indent: &str, width: usize) -> String {
     let mut wrapped = String::new();
     let mut column = usize::MAX;

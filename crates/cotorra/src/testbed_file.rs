@@ -1,4 +1,4 @@
-//! Reads testbed files, and shows what is wrong with one in its place.
+//! Reading of testbed files, and display of their mistakes in place.
 
 use std::{
     fmt::Write as _,
@@ -12,14 +12,13 @@ use miette::{LabeledSpan, NamedSource, Severity};
 
 use crate::words::count;
 
-/// A testbed file that is right, and its text, settings noted.
+/// A valid testbed file, and its text with the settings noted in it.
 #[derive(Debug)]
 pub struct Loaded {
     pub testbed: Testbed,
     pub text: String,
 }
 
-/// Why a testbed file cannot be used.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum FileError {
     #[error("cannot read {}: {reason}", path.display())]
@@ -30,7 +29,7 @@ pub enum FileError {
 }
 
 impl FileError {
-    /// Shows it on standard error, every mistake in its place.
+    /// Shows the error on standard error, every mistake in its place.
     pub fn show(self) {
         if let Self::Wrong { name, mistakes } = self {
             let all = count(mistakes.len(), "mistake");
@@ -42,7 +41,7 @@ impl FileError {
     }
 }
 
-/// Reads a testbed file with settings and checks it as a whole.
+/// Reads a testbed file, applies settings, and checks the result.
 pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
     let text = cotorra_testbed_file::read(path)
         .map_err(|reason| FileError::Unreadable { path: path.to_owned(), reason })?;
@@ -53,13 +52,13 @@ pub fn load(path: &Path, settings: &[Setting]) -> Result<Loaded, FileError> {
     }
 }
 
-/// One mistake, with what it needs to be shown in its place.
+/// A mistake with the source text to show it in.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct Mistake {
     message: String,
     found: cotorra_testbed_file::Diagnostic,
-    /// `None` where lines are too long to show.
+    /// `None` if lines are too long to show.
     source_code: Option<Arc<NamedSource<String>>>,
 }
 
@@ -102,7 +101,7 @@ impl From<Diagnostics> for FileError {
     }
 }
 
-/// What a testbed holds, in one line.
+/// Summarises a testbed in one line.
 pub fn overview(testbed: &Testbed) -> String {
     let graph = &testbed.graph;
     let others = |machine: bool| {
@@ -136,17 +135,17 @@ pub fn overview(testbed: &Testbed) -> String {
     text
 }
 
-/// The length of a walk, metres.
+/// Returns the length of a walk in metres.
 pub fn length(waypoints: &[Position]) -> f64 {
     waypoints.windows(2).map(|leg| leg[0].distance(leg[1])).sum()
 }
 
-/// The testbed as it was run, with the settings that were noted behind its file.
+/// Parses the testbed of a recorded run, with the settings that were noted at the end of its file.
 pub fn recorded(text: &str, run: &str, base: &Path) -> Result<Testbed, Diagnostics> {
     recorded_with(text, run, base, [])
 }
 
-/// The same with more settings.
+/// Does the same as [`recorded`], with further settings.
 pub fn recorded_with(
     text: &str,
     run: &str,

@@ -1,4 +1,4 @@
-//! Values in words, as tables and messages have them.
+//! Formatting of values for tables and messages.
 
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ pub fn clock(seconds: f64) -> String {
     if h > 0 { format!("{h}:{min:02}:{s:02}") } else { format!("{min}:{s:02}") }
 }
 
-/// Milliseconds, without their unit.
+/// Formats a duration in milliseconds, without the unit.
 pub fn millis(duration: Duration) -> String {
     format!("{:.3}", duration.as_secs_f64() * 1e3)
 }
@@ -35,7 +35,7 @@ pub fn ago(age: Duration) -> String {
     format!("{:.1} s ago", age.as_secs_f64())
 }
 
-/// What probes tell, in a few words.
+/// Describes the delay, jitter and loss that probes measured.
 pub fn probed(probed: &Probed) -> String {
     let delay = probed.delay.map(|delay| {
         let jitter = probed.jitter.map(|jitter| format!(" ± {}", millis(jitter))).unwrap_or_default();
@@ -46,23 +46,23 @@ pub fn probed(probed: &Probed) -> String {
     [delay, loss].into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// What a link does to packets, in a few words.
+/// Describes what a link does to packets.
 pub fn conditions(conditions: &Conditions) -> String {
     let percent = |share: f64| format!("{:.3} %", share * 100.0);
-    let mut said = vec![format!("{} ms", millis(conditions.delay))];
+    let mut parts = vec![format!("{} ms", millis(conditions.delay))];
     if let Some(jitter) = conditions.jitter {
-        said[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
+        parts[0] = format!("{} ± {} ms", millis(conditions.delay), millis(jitter.deviation));
     }
-    said.push(match &conditions.rate {
+    parts.push(match &conditions.rate {
         Rate::Unlimited => "unlimited".to_owned(),
         Rate::Fixed { bits_per_second } => bits_per_second.to_string(),
         Rate::Trace { trace } => format!("a trace of {:.3} Mbit/s", trace.mean_bits_per_second() / 1e6),
     });
     match conditions.loss {
         Loss::None => {}
-        Loss::Independent { rate } => said.push(format!("loss {}", percent(rate.get()))),
+        Loss::Independent { rate } => parts.push(format!("loss {}", percent(rate.get()))),
         Loss::Bursty { rate, mean_burst } => {
-            said.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
+            parts.push(format!("loss {} in bursts of {mean_burst}", percent(rate.get())));
         }
     }
     let shares = [
@@ -70,18 +70,18 @@ pub fn conditions(conditions: &Conditions) -> String {
         ("corruption", conditions.corruption),
         ("reordering", conditions.reordering),
     ];
-    said.extend(
+    parts.extend(
         shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(p.get()))),
     );
     match conditions.queue {
         QueueLimit::Packets(1000) => {}
-        QueueLimit::Packets(packets) => said.push(format!("queue {packets} packets")),
-        QueueLimit::Bytes(bytes) => said.push(format!("queue {bytes} B")),
+        QueueLimit::Packets(packets) => parts.push(format!("queue {packets} packets")),
+        QueueLimit::Bytes(bytes) => parts.push(format!("queue {bytes} B")),
     }
-    said.join(", ")
+    parts.join(", ")
 }
 
-/// Links of a path, for people.
+/// Lists the links of a path.
 pub fn over(links: &[LinkId]) -> String {
     links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(", ")
 }

@@ -1,4 +1,4 @@
-//! The benchmarks: what is measured, how often, and what it is meant to reach.
+//! The benchmarks: their measurements, repetitions and goals.
 
 use std::time::Duration;
 
@@ -20,7 +20,7 @@ pub struct Benchmark {
     pub measure: fn(&Bench) -> Result<Vec<Row>, Error>,
 }
 
-/// All of them, in the order in which they run.
+/// All benchmarks, in the order in which they run.
 pub const ALL: &[Benchmark] = &[
     Benchmark {
         name: "round-trip",
@@ -50,7 +50,7 @@ pub const ALL: &[Benchmark] = &[
     },
 ];
 
-/// How often a throughput is measured: an odd number has a median.
+/// Repetitions of a measurement: an odd number, for the median.
 const TIMES: usize = 5;
 const ONCE: Duration = Duration::from_secs(2);
 const ROUND_TRIPS: usize = 5000;
@@ -69,7 +69,7 @@ fn round_trip(bench: &Bench) -> Result<Vec<Row>, Error> {
     bench.doing("round trips of 2 ms, with cores that may sleep");
     let setting = Setting { let_cores_sleep: true, ..Setting::default() };
     let sleeping = row("  with cores that may sleep", bench::round_trip(setting, ONE_WAY, ROUND_TRIPS)?);
-    let peer = peers::rattan_is_there(bench).and_then(|()| {
+    let peer = peers::check_rattan(bench).and_then(|()| {
         bench.doing("round trips of 2 ms through rattan");
         peers::rattan_round_trips(bench, ONE_WAY, ROUND_TRIPS)
     });
@@ -79,7 +79,7 @@ fn round_trip(bench: &Bench) -> Result<Vec<Row>, Error> {
 
 fn tcp(bench: &Bench) -> Result<Vec<Row>, Error> {
     let ours = repeat(bench, "TCP", || throughput(&Conditions::default(), 1))?;
-    let peer = peers::rattan_is_there(bench)
+    let peer = peers::check_rattan(bench)
         .and_then(|()| repeat(bench, "TCP through rattan", || peers::rattan_throughput(bench, ONCE)));
     let peer = peer.map_or_else(|missing| rattan_missing(&missing), |rates| rates.row("  rattan"));
     Ok(vec![ours.row(about("tcp")).aiming_at("10 Gbit/s"), peer])
@@ -101,7 +101,7 @@ fn tcp_impaired(bench: &Bench) -> Result<Vec<Row>, Error> {
 }
 
 fn hops(bench: &Bench) -> Result<Vec<Row>, Error> {
-    // One after the other, so that what else the machine does meets both.
+    // Alternating, so that other load of the machine affects both alike.
     let cost = || {
         let one = throughput(&Conditions::default(), 1)?;
         Ok::<_, Error>((1.0 - throughput(&Conditions::default(), 3)? / one) * 100.0)
@@ -147,7 +147,7 @@ fn rate(bench: &Bench) -> Result<Vec<Row>, Error> {
 }
 
 fn loss(bench: &Bench) -> Result<Vec<Row>, Error> {
-    /// Of a normal distribution, which a million packets are close to: 99 % are within.
+    /// 99 % quantile (two-sided) of the normal distribution, which approximates the loss of a million packets.
     const Z: f64 = 2.576;
     const PACKETS: u64 = 1_000_000;
     bench.doing("a million packets over a lossy link");
@@ -225,7 +225,7 @@ fn throughput(conditions: &Conditions, links: usize) -> Result<f64, Error> {
     bench::tcp_throughput(Setting::default(), conditions, links, ONCE)
 }
 
-/// Measured several times.
+/// Results of repeated measurements.
 #[derive(Debug)]
 struct Samples(Vec<f64>);
 
@@ -248,7 +248,7 @@ impl Samples {
         self.0.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
-    /// As throughputs.
+    /// Returns a row of throughputs.
     fn row(&self, name: &str) -> Row {
         let gbps = |rate: f64| format!("{:.1} Gbit/s", rate / 1e9);
         Row::new(name, gbps(self.median()), format!("lowest {}", gbps(self.lowest())))
@@ -275,7 +275,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_written_as_people_read_them() {
+    fn figures_are_formatted_for_people() {
         assert_eq!(thousands(1_234_499.0), "1,234,000/s");
         assert_eq!(thousands(999.0), "1,000/s");
         assert_eq!(micros(Duration::from_nanos(24_600)), "25 µs");
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn each_benchmark_has_a_name_of_its_own() {
+    fn names_of_benchmarks_are_unique() {
         let names: std::collections::BTreeSet<_> = ALL.iter().map(|benchmark| benchmark.name).collect();
         assert_eq!(names.len(), ALL.len());
     }

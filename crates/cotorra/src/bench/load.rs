@@ -1,8 +1,8 @@
-//! What else the machine did while something was measured: a figure from a busy machine says little.
+//! Load of the machine by other programs during a measurement. A figure from a busy machine is not reliable.
 
 use std::{fs, thread};
 
-/// CPU time in clock ticks, of all programs and of this one.
+/// CPU time in clock ticks: the machine's total, its busy part, and that of this process.
 #[derive(Debug, Clone, Copy)]
 struct Ticks {
     all: u64,
@@ -11,15 +11,16 @@ struct Ticks {
 }
 
 impl Ticks {
-    /// `None` where /proc says nothing of the kind.
+    /// Reads the current times. `None` if /proc does not have them.
     fn now() -> Option<Self> {
         let stat = fs::read_to_string("/proc/stat").ok()?;
         let cpus: Vec<u64> = numbers(stat.lines().next()?.strip_prefix("cpu")?);
-        // user nice system idle iowait irq softirq steal (proc_stat(5)); interrupts serve our packets, too.
+        // user nice system idle iowait irq softirq steal (proc_stat(5)). Interrupts are not counted as busy, because they
+        // serve our packets, too.
         let [user, nice, system, idle, iowait, irq, softirq, steal, ..] = cpus[..] else { return None };
         let all = user + nice + system + idle + iowait + irq + softirq + steal;
         let own = fs::read_to_string("/proc/self/stat").ok()?;
-        // Behind the name, which may hold blanks: utime, stime and those of children that were waited for.
+        // After the name, which may contain blanks: utime, stime and those of children that were waited for.
         let fields: Vec<_> = own.rsplit_once(')')?.1.split_whitespace().skip(11).take(4).collect();
         let own = fields.iter().filter_map(|field| field.parse::<u64>().ok()).sum();
         Some(Self { all, busy: user + nice + system + steal, own })
@@ -30,17 +31,17 @@ fn numbers(text: &str) -> Vec<u64> {
     text.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
 
-/// What others use from here on.
+/// Measurement of the load by other programs.
 #[derive(Debug, Clone, Copy)]
 pub struct Load(Option<Ticks>);
 
 impl Load {
-    /// Begins to look.
+    /// Begins a measurement.
     pub fn begin() -> Self {
         Self(Ticks::now())
     }
 
-    /// The share of the machine that others used since, in percent.
+    /// Returns the share of the machine that other programs used since the beginning, in percent.
     pub fn others(self) -> String {
         let share = || {
             let (before, now) = (self.0?, Ticks::now()?);
@@ -52,7 +53,7 @@ impl Load {
     }
 }
 
-/// The machine, in one line.
+/// Describes the machine in one line.
 pub fn machine(root: bool) -> String {
     let cores = thread::available_parallelism().map_or(0, usize::from);
     let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
@@ -65,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn time_of_all_is_more_than_ours() {
+    fn total_time_exceeds_our_own() {
         let ticks = Ticks::now().unwrap();
         assert!(ticks.all >= ticks.busy && ticks.busy >= ticks.own, "{ticks:?}");
     }

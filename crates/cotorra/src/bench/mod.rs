@@ -1,5 +1,4 @@
-//! `cotorra bench`: what the emulated network does on this machine, as a table, with peers beside it where they are
-//! installed.
+//! `cotorra bench`: measures the performance of the emulated network on this machine, beside installed peers.
 
 mod figures;
 mod load;
@@ -22,24 +21,23 @@ use report::{Bench, Row};
 
 pub use probe::{Probe, probe};
 
-/// Measure what the emulated network does on this machine
+/// Measure the performance of the emulated network on this machine
 ///
-/// Prints median and tail of each figure. Peers are measured beside it where they are installed: rattan (from PATH or
-/// --rattan) and Mininet (`mn`).
+/// Prints the median and the tail of each figure. Peers are measured for comparison if they are installed: rattan (from PATH
+/// or --rattan) and Mininet (`mn`).
 #[derive(Debug, Args)]
 pub struct BenchArgs {
-    /// Which benchmarks; all if none is named
+    /// The benchmarks; default: all
     #[arg(value_name = "NAME")]
     pub names: Vec<String>,
     /// List the benchmarks
     #[arg(long, conflicts_with = "names")]
     pub list: bool,
-    /// The program rattan, to be measured beside
+    /// The program rattan, for comparison
     #[arg(long, value_name = "PATH", default_value = "rattan")]
     pub rattan: PathBuf,
 }
 
-/// What keeps benchmarks from being run.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum Error {
     #[error("there is no benchmark `{name}`")]

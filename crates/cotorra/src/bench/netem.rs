@@ -1,4 +1,4 @@
-//! The fabric beside NetEm: what each adds to the delay, jitter and loss asked for, over one link and three.
+//! Comparison of the fabric with NetEm: deviations from the delay, jitter and loss that were set, over one and three links.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use super::report::{Bench, Row};
 const EMULATORS: [(Emulator, &str); 2] = [(Emulator::Fabric, "fabric"), (Emulator::NetEm, "NetEm")];
 const LINKS: [(usize, &str); 2] = [(1, "one link"), (3, "three links")];
 
-/// All of it; one line says why where the kernel cannot.
+/// Measures all rows. If the kernel lacks NetEm, the only row has the reason.
 pub fn compare(bench: &Bench) -> Result<Vec<Row>, Error> {
     match rows(bench) {
         Err(KernelNetworkError::Datapath(error)) => Err(error),
@@ -29,7 +29,7 @@ pub fn compare(bench: &Bench) -> Result<Vec<Row>, Error> {
 }
 
 fn rows(bench: &Bench) -> Result<Vec<Row>, KernelNetworkError> {
-    // What the kernel lacks is found out at once.
+    // Fails at once if the kernel lacks something.
     compare::change_lag(Emulator::NetEm, 1)?;
     let mut rows = Vec::new();
     for (links, path) in LINKS {

@@ -1,4 +1,4 @@
-//! Peers, measured in the same way: rattan between two sockets of our own, Mininet by its own words.
+//! Measurements of peers: rattan between two sockets of our own, and Mininet by the time that it prints.
 
 use std::{
     env, io,
@@ -16,7 +16,7 @@ use cotorra_datapath::{
 
 use super::{probe::PORT, report::Bench};
 
-/// Why a peer was not measured.
+/// Reason why a peer was not measured.
 #[derive(Debug, thiserror::Error)]
 pub enum Missing {
     #[error("not installed ({0})")]
@@ -33,9 +33,9 @@ impl From<io::Error> for Missing {
     }
 }
 
-/// Round trips through rattan with that delay in each direction.
+/// Measures round trips through rattan with a delay in each direction.
 pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Result<Percentiles, Missing> {
-    // What rattan sets up in the namespace around it goes away with that.
+    // rattan's interfaces are removed with the namespace.
     namespace()?.run(|| {
         let server = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, PORT))?;
         server.set_read_timeout(Some(Duration::from_secs(1)))?;
@@ -49,7 +49,7 @@ pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Res
             done.store(true, Ordering::Relaxed);
             printed
         })?;
-        // rattan writes its log there, too.
+        // rattan writes its log to standard output, too.
         let last = printed.lines().next_back().unwrap_or_default();
         let nanos = last.split_whitespace().map(|word| word.parse().map(Duration::from_nanos));
         match nanos.collect::<Result<Vec<_>, _>>().as_deref() {
@@ -59,7 +59,7 @@ pub fn rattan_round_trips(bench: &Bench, one_way: Duration, count: usize) -> Res
     })
 }
 
-/// What TCP carries through rattan in bit/s, for that long.
+/// Measures the throughput of TCP through rattan in bit/s.
 pub fn rattan_throughput(bench: &Bench, length: Duration) -> Result<f64, Missing> {
     namespace()?.run(|| {
         let listener = TcpListener::bind((Ipv4Addr::UNSPECIFIED, PORT))?;
@@ -75,8 +75,8 @@ fn namespace() -> Result<Namespace, Missing> {
     Namespace::new().map_err(|error| Missing::Failed(error.to_string()))
 }
 
-/// Whether rattan can be measured; to be asked before the rest.
-pub fn rattan_is_there(bench: &Bench) -> Result<(), Missing> {
+/// Fails if rattan cannot be measured. Called before its measurements.
+pub fn check_rattan(bench: &Bench) -> Result<(), Missing> {
     let version =
         Command::new(&bench.rattan).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
     match version {
@@ -86,18 +86,18 @@ pub fn rattan_is_there(bench: &Bench) -> Result<(), Missing> {
     }
 }
 
-/// Runs our probe at the far side of a rattan link; gives what it printed.
+/// Runs our probe at the far side of a rattan link. Returns what it printed.
 fn rattan(bench: &Bench, link: &[&str], probe: &[&str]) -> Result<String, Missing> {
     let mut command = Command::new(&bench.rattan);
     command.arg("link").args(link).arg("--").arg(env::current_exe()?).arg("probe").args(probe);
     succeed(command.output()?).map(|(printed, _)| printed)
 }
 
-/// How long Mininet takes to bring hosts in a line of switches up and down again, by its own clock.
+/// Measures how long Mininet takes to bring hosts in a line of switches up and down, by its own clock.
 pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
     let topology = format!("linear,{hosts}");
     let mut command = Command::new("mn");
-    // Linux bridges and no controller: the least that it can do.
+    // Linux bridges and no controller are its fastest configuration.
     command.args(["--topo", &topology, "--switch", "lxbr", "--controller", "none", "--test", "none"]);
     let output = match command.output() {
         Err(_) => return Err(Missing::NotInstalled("apt-get install mininet bridge-utils")),
@@ -105,7 +105,7 @@ pub fn mininet(bench: &Bench, hosts: usize) -> Result<Duration, Missing> {
         Ok(output) => output,
     };
     let (printed, said) = succeed(output)?;
-    // "completed in 6.543 seconds" is its last line.
+    // Its last line is "completed in 6.543 seconds".
     let text = printed + &said;
     let seconds =
         text.rsplit_once("completed in ").and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());

@@ -1,4 +1,4 @@
-//! What can be typed behind `cotorra experiment`.
+//! Arguments of `cotorra experiment`.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -19,37 +19,37 @@ pub enum Experiment {
     Federation(FederationArgs),
 }
 
-/// What every experiment takes.
+/// Arguments of every experiment.
 #[derive(Debug, Args)]
 pub struct WalkArgs {
-    /// Run the file as if it said something else, as in links.*.delay_scale=2; see cotorra run --help
+    /// Override a value of the file, as in links.*.delay_scale=2; see cotorra run --help
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub settings: Vec<Setting>,
-    /// Folder in which the experiment gets a folder of its own
+    /// Folder in which the experiment creates its own folder
     #[arg(long, value_name = "DIR", default_value = "runs")]
     pub out: PathBuf,
-    /// Write plain lines in place of the live view
+    /// Write plain lines instead of the live view
     #[arg(long)]
     pub headless: bool,
     /// Let idle cores fall asleep
     ///
-    /// A run keeps up to four cores awake, at a priority that takes nothing from anyone else: a packet that has to wake a
-    /// core comes some 0.1 ms later.
+    /// By default, a run keeps up to four cores awake, at idle priority, because a packet that has to wake a core arrives some
+    /// 0.1 ms late.
     #[arg(long, requires = "emulate")]
     pub save_power: bool,
-    /// Only say what would be run
+    /// Only list what would be run
     #[arg(long)]
     pub dry_run: bool,
-    /// Say more on standard error; twice for even more
+    /// Log more on standard error; give it twice for even more
     #[arg(short, long, action = clap::ArgAction::Count)]
     pub verbose: u8,
 }
 
-/// OKpi beside the state of the art, along the corridor and back
+/// Compare OKpi with the state of the art, along the corridor and back
 ///
-/// The first validation of the COTORRA letter (arXiv 2101.07676): once navigation stays in the cloud and the robot
-/// roams by periodic probing, and once OKpi decides on radio unit and server. It leaves a folder with the figure in the
-/// published layout, the tables beside the published medians, the samples behind both, and a folder for each walk.
+/// This is the first validation of the COTORRA letter (arXiv 2101.07676). On one walk, navigation stays in the cloud, and the
+/// robot roams by periodic probing. On the other, OKpi decides on radio unit and server. The experiment leaves a folder with
+/// the figure in the published layout, tables with the published medians, the samples of both, and a folder for each walk.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -59,75 +59,76 @@ Examples:
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct OkpiArgs {
-    /// With real packets, one walk after the other: about 15 minutes
+    /// Run with real packets, one walk after the other: about 15 minutes
     #[arg(long, conflicts_with = "simulate")]
     pub emulate: bool,
-    /// In virtual time, as without --emulate
+    /// Run in virtual time, which is the default
     #[arg(long)]
     pub simulate: bool,
-    /// The testbed file; its radio units are named as the letter's
+    /// The testbed file; its radio units must have the names in the letter
     #[arg(long, value_name = "FILE", default_value = "testbeds/corridor.yaml")]
     pub testbed: PathBuf,
-    /// Seed of everything random, in place of the file's
+    /// Seed of everything random; default: the file's
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// End each walk after so much time, such as 60s or 2min
+    /// End each walk after this time, such as 60s or 2min
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Keep the history elsewhere than in the run's folder: a SQLite file, or a database of MySQL or MariaDB
+    /// Keep the history in a SQLite file or a MySQL or MariaDB database, instead of the run's folder
     ///
-    /// Several runs can share one. A server is named as mysql://USER@HOST:PORT/DATABASE, and its password in the environment
-    /// variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. Needs a cotorra that was built with `--features mariadb`.
+    /// Several runs can share one history. A server is named as mysql://USER@HOST:PORT/DATABASE. Set its password in the
+    /// environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a cotorra that was built with
+    /// `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     #[command(flatten)]
     pub walks: WalkArgs,
 }
 
-/// A robot leaves its domain's coverage, and another domain's virtual access point waits for it
+/// Hand a robot that leaves its domain's coverage over to another domain's virtual access point
 ///
-/// The second validation of the COTORRA letter (arXiv 2101.07676): the robot's orchestrator foresees that it leaves coverage,
-/// announces what it needs on a ledger, chooses among bids, and hands the robot over by fast transition to the virtual access
-/// point that the winner deployed. It leaves a folder with the figure in the published layout, a table over block periods, all
-/// steps of all runs, and a folder for each run.
+/// This is the second validation of the COTORRA letter (arXiv 2101.07676). The robot's orchestrator predicts that the robot
+/// will leave coverage, announces the service that it needs on a ledger, and chooses among bids. It hands the robot over by
+/// fast transition to the virtual access point that the winner deployed. The experiment leaves a folder with the figure in the
+/// published layout, a table over block periods, all steps of all runs, and a folder for each run.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra experiment federation                            in virtual time, on a modelled ledger, in seconds
   cotorra experiment federation --runs 20 --block-period 5
-  cotorra experiment federation --dishonest --runs 100     how many robots dishonest providers halt, and at what cost
+  cotorra experiment federation --dishonest --runs 100     count the robots that dishonest providers halt, and the cost
   cotorra experiment federation --emulate --block-period 1  with real packets and an anvil node, some three minutes a run
   COTORRA_LEDGER_PASSWORD=… cotorra experiment federation --emulate --ledger wss://node.example --keys keys \\
-      --ledger domain-2=ws://127.0.0.1:8546                 on a network that is there already: domain 2 by a node of its own
+      --ledger domain-2=ws://127.0.0.1:8546                 on an existing network, with a node for domain 2
   scripts/ledger-network --block-period 1 -- cotorra experiment federation --emulate
                                                             on a network of several nodes on this machine
 
 Exit status: 0 done, 1 error, 2 wrong usage, 3 done but the figures are not valid.")]
 pub struct FederationArgs {
-    /// With real packets, on an anvil node, which makes blocks alone, or on --ledger: needs a cotorra built with --features ethereum
+    /// Run with real packets, on a single anvil node or on --ledger; needs a cotorra built with --features ethereum
     #[arg(long, conflicts_with = "simulate")]
     pub emulate: bool,
-    /// In virtual time on a modelled ledger, as without --emulate
+    /// Run in virtual time on a modelled ledger, which is the default
     #[arg(long)]
     pub simulate: bool,
     /// The testbed file
     #[arg(long, value_name = "FILE", default_value = "testbeds/federation.yaml")]
     pub testbed: PathBuf,
-    /// Seconds between blocks, several with commas between; on --ledger the network's own, timed unless it is given [default:
-    /// 0.5,1,2,5,10]
+    /// Seconds between blocks, separated by commas; with --ledger, the network's block period, which is measured if it is not
+    /// given [default: 0.5,1,2,5,10]
     #[arg(long, value_name = "SECONDS", value_delimiter = ',', value_parser = parse_period)]
     pub block_period: Vec<Duration>,
-    /// Runs with each block period
+    /// Number of runs with each block period
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub runs: u32,
-    /// Seed of the first run, in place of the file's; each other has the next
+    /// Seed of the first run, from which the others count up; default: the file's
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// End each run after so much time, such as 60s or 2min [default: twice what the walk takes, and a minute]
+    /// End each run after this time, such as 60s or 2min [default: twice the duration of the walk, plus a minute]
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub until: Option<Duration>,
-    /// Instead, print how many robots dishonest providers halt, and at what cost: the negotiation alone, in virtual time, with
-    /// --runs robots for each figure
+    /// Only print how many robots dishonest providers halt, and the cost: simulates the negotiation alone, with --runs robots
+    /// for each figure
     #[arg(long, conflicts_with_all = ["emulate", "block_period", "seed", "until"])]
     pub dishonest: bool,
     #[command(flatten)]
@@ -136,41 +137,41 @@ pub struct FederationArgs {
     pub ledger: LedgerArgs,
 }
 
-/// An Ethereum network that is there already.
+/// An existing Ethereum network.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "An Ethereum network")]
 pub struct LedgerArgs {
-    /// WebSocket of a node (ws:// or wss://): a domain's, and without DOMAIN= that of all domains that have none of their own; several
-    /// with commas between
+    /// WebSocket of a domain's node (ws:// or wss://), or without DOMAIN= of all domains that have no node of their own; several
+    /// are separated by commas
     #[arg(long = "ledger", value_name = "[DOMAIN=]URL", env = "COTORRA_LEDGER", hide_env_values = true, value_delimiter = ',',
         value_parser = parse_node, requires = "emulate", requires = "keys")]
     pub nodes: Vec<LedgerNode>,
-    /// Folder with the domains' key stores, DOMAIN.json each (Web3 Secret Storage, version 3), whose password is in
+    /// Folder with a key store DOMAIN.json for each domain (Web3 Secret Storage, version 3); their password is in
     /// COTORRA_LEDGER_PASSWORD
     #[arg(long, value_name = "DIR", env = "COTORRA_LEDGER_KEYS")]
     pub keys: Option<PathBuf>,
-    /// The contract, and the block that it was deployed in; without it the first domain deploys it
+    /// The contract, and the block that it was deployed in; by default, the first domain deploys a new one
     #[arg(long, value_name = "ADDRESS[@BLOCK]", env = "COTORRA_LEDGER_CONTRACT", value_parser = parse_contract)]
     pub contract: Option<(Account, u64)>,
-    /// How many blocks make a transaction final: 0 where consensus is final at once
+    /// Number of blocks after which a transaction is final: 0 if consensus is final at once
     #[arg(long, value_name = "BLOCKS", env = "COTORRA_LEDGER_DEPTH", default_value_t = 0)]
     pub depth: u64,
-    /// What the network is, for the figure and the table, as in "a network of 4 nodes"
+    /// Description of the network for the figure and the table, as in "a network of 4 nodes"
     #[arg(long, value_name = "TEXT", env = "COTORRA_LEDGER_NETWORK")]
     pub network: Option<String>,
 }
 
-/// A node, and the domain whose it is.
+/// A node of the network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LedgerNode {
-    /// The domain; without one it is that of all domains that have none of their own.
+    /// The domain that uses the node. Without one, it is for all domains that have no node of their own.
     pub domain: Option<DomainId>,
-    /// Its WebSocket.
+    /// The node's WebSocket.
     pub url: String,
 }
 
 fn parse_node(text: &str) -> Result<LedgerNode, String> {
-    // URLs have `=`, too, but not before their `://`.
+    // A URL can have `=`, too, but only after its `://`.
     let (domain, url) = match text.split_once('=') {
         Some((domain, url)) if !domain.contains("://") => {
             (Some(domain.parse::<DomainId>().map_err(|e| e.to_string())?), url)
@@ -186,11 +187,11 @@ fn parse_node(text: &str) -> Result<LedgerNode, String> {
 
 fn parse_contract(text: &str) -> Result<(Account, u64), String> {
     let (address, block) = text.split_once('@').unwrap_or((text, "0"));
-    let block = block.parse().map_err(|_| format!("`{block}` is no number of a block"))?;
+    let block = block.parse().map_err(|_| format!("`{block}` is not a block number"))?;
     Ok((address.parse::<Account>().map_err(|e| e.to_string())?, block))
 }
 
-/// Seconds between blocks.
+/// Parses seconds between blocks.
 fn parse_period(text: &str) -> Result<Duration, String> {
     let seconds = text.trim().trim_end_matches('s').parse::<f64>().ok();
     let seconds = seconds.filter(|seconds| (0.1..=600.0).contains(seconds));

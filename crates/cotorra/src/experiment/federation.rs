@@ -1,4 +1,4 @@
-//! `cotorra experiment federation`: the robot that leaves its domain's coverage, over ledgers with several block periods.
+//! `cotorra experiment federation`: hands a robot over to another domain, on ledgers with several block periods.
 
 use std::{
     path::{Path, PathBuf},
@@ -27,7 +27,6 @@ use crate::{
     words::count,
 };
 
-/// Why the experiment has no result.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
     #[error(transparent)]
@@ -36,26 +35,28 @@ enum Error {
     Recorded(#[from] RecordedError),
     #[error(transparent)]
     History(#[from] cotorra_measurements::Error),
-    #[error("no run shows a federation; the last of them, {folder}: {source}")]
+    #[error("no run has a complete federation; the last of them, {folder}: {source}")]
     #[diagnostic(help("`cotorra history events {folder} --kinds decision` shows what happened"))]
     None { folder: String, source: NoFederation },
-    #[error("stopped during a run, which is in {folder}; it was the first")]
+    #[error("stopped during the first run, which is in {folder}")]
     Stopped { folder: String },
     #[error(transparent)]
     Ledger(#[from] LedgerError),
-    #[error("a network has one block period: give --block-period one, or none to have it timed")]
+    #[error(
+        "a network has one block period: give --block-period one value, or leave it out to have it measured"
+    )]
     Periods,
-    #[error("the testbed has no orchestrator of `{unknown}`; it has those of {domains}")]
+    #[error("the testbed has no orchestrator for `{unknown}`, only for {domains}")]
     NoSuchDomain { unknown: DomainId, domains: String },
     #[error(
-        "`{domain}` has no node: add --ledger {domain}=ws://…, or one without a domain for all that have none"
+        "`{domain}` has no node: add --ledger {domain}=ws://…, or one without a domain for all remaining domains"
     )]
     NoNode { domain: DomainId },
     #[error("{keys}: {reason}", keys = keys.display())]
     Keys { keys: PathBuf, reason: std::io::Error },
 }
 
-/// Between blocks where nothing else is asked for.
+/// Default block periods.
 const PERIODS: [Duration; 5] = [
     Duration::from_millis(500),
     Duration::from_secs(1),
@@ -64,7 +65,7 @@ const PERIODS: [Duration; 5] = [
     Duration::from_secs(10),
 ];
 
-/// A run that is to be.
+/// A run of the experiment.
 struct Planned {
     block_period: Duration,
     seed: u64,
@@ -85,11 +86,11 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     }
     let (on, periods) = ledger(args)?;
     let planned = plan(args, &on, &periods)?;
-    // Before the stage is set: in a user namespace it is another user.
+    // Before the stage is set, because the user namespace that it may enter has another user.
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-federation").map_err(Error::from)?;
-    // A run that goes wrong, or is stopped, takes nothing from those that did not.
+    // A run that fails or is stopped does not affect the results of the others.
     let (mut runs, mut failed, mut invalid) = (Vec::new(), Vec::new(), None);
     for (number, plan) in planned.iter().enumerate() {
         let name = format!("{number:03}-{}s", plan.block_period.as_secs_f64());
@@ -147,33 +148,33 @@ pub fn federation(args: &FederationArgs) -> miette::Result<ExitCode> {
     Ok(if failed.is_empty() { invalid } else { ExitCode::from(run::NOT_VALID) })
 }
 
-/// The ledger, and the block periods to be tried on it.
+/// Returns the ledger, and the block periods to run on it.
 fn ledger(args: &FederationArgs) -> miette::Result<(LedgerBackend, Vec<Duration>)> {
     let periods = if args.block_period.is_empty() { PERIODS.to_vec() } else { args.block_period.clone() };
     let LedgerArgs { nodes, keys, contract, depth, network: called } = &args.ledger;
-    // Nodes are given with keys only.
+    // The command line accepts nodes only with keys.
     let Some(keys) = keys.as_deref().filter(|_| !nodes.is_empty()) else {
         return Ok((if args.emulate { LedgerBackend::Anvil } else { LedgerBackend::Modelled }, periods));
     };
-    let asked = match &args.block_period[..] {
+    let given = match &args.block_period[..] {
         [] => None,
         [period] => Some(*period),
         _ => return Err(Error::Periods.into()),
     };
     let accesses = accesses(args, nodes, keys)?;
-    note!("looking at the network …");
-    let network = Network::join(accesses, *contract, *depth, asked).map_err(Error::from)?;
+    note!("connecting to the network …");
+    let network = Network::join(accesses, *contract, *depth, given).map_err(Error::from)?;
     let Network { contract: address, from_block, block_period, .. } = &network;
     let seconds = block_period.as_secs_f64();
     if contract.is_none() {
-        note!("the contract is new, and stays there: --contract {address}@{from_block} uses it again");
+        note!("deployed a new contract: --contract {address}@{from_block} uses it again");
     }
-    note!("a block each {seconds:.2} s");
+    note!("the block period is {seconds:.2} s");
     let periods = vec![*block_period];
     Ok((LedgerBackend::Network { network, called: called.clone() }, periods))
 }
 
-/// How each domain gets to the network.
+/// Returns the node and the key store of each domain.
 fn accesses(args: &FederationArgs, nodes: &[LedgerNode], keys: &Path) -> miette::Result<Vec<Access>> {
     let testbed = testbed_file::load(&args.testbed, &args.walks.settings)?.testbed;
     let domains = domains(&testbed);
@@ -197,13 +198,13 @@ fn plan(args: &FederationArgs, on: &LedgerBackend, periods: &[Duration]) -> miet
     let mut planned = Vec::new();
     for block_period in periods {
         for number in 0..args.runs {
-            // Spread over a block period, so that announcements come at all of its times.
+            // Runs are spread over a block period, so that announcements fall on all of its phases.
             let phase = (f64::from(number) + 0.5) / f64::from(args.runs);
             let for_blocks = settings(&plain.testbed, on, *block_period, phase).into_iter();
             let for_blocks = for_blocks.map(|(path, value)| {
                 Setting::new(&path, &value).expect("paths and values of the experiment are settings")
             });
-            // What the user sets comes last, and so wins.
+            // The user's settings come last, so that they take precedence.
             let settings: Vec<_> = for_blocks.chain(args.walks.settings.iter().cloned()).collect();
             let loaded = testbed_file::load(&args.testbed, &settings)?;
             let seed = args.seed.unwrap_or(plain.testbed.seed) + u64::from(number);
@@ -224,7 +225,7 @@ fn describe_plan(args: &FederationArgs, how: &str) -> miette::Result<String> {
             text += &format!("  {runs} with a block each {seconds} s, {how}, on {on}\n");
         }
     } else {
-        // Nobody is asked: a plan changes nothing, also on a ledger.
+        // No node is contacted, because joining could deploy a contract.
         let called = args.ledger.network.as_deref().unwrap_or("an Ethereum network");
         text += &format!("  {runs}, {how}, on {called}\n");
     }

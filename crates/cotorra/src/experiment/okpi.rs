@@ -16,7 +16,6 @@ use crate::{
     words::count,
 };
 
-/// Why an experiment has no result.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum Error {
     #[error(transparent)]
@@ -26,7 +25,7 @@ enum Error {
     Stopped { contender: &'static str, folder: String },
 }
 
-/// Runs OKpi beside the state of the art.
+/// Runs the walk with OKpi and with the state of the art, and compares them.
 pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
     let mut variants = Vec::new();
     for contender in CONTENDERS {
@@ -41,7 +40,7 @@ pub fn okpi(args: &OkpiArgs) -> miette::Result<ExitCode> {
         output::print(&plan(args, how, &variants[0].2))?;
         return Ok(ExitCode::SUCCESS);
     }
-    // Before the stage is set: in a user namespace it is another user.
+    // Before the stage is set, because the user namespace that it may enter has another user.
     let known = Runs::of_user();
     let stage = Stage::set(args.walks.headless, args.walks.verbose, args.emulate)?;
     let folder = Place::In(args.walks.out.clone()).create("experiment-okpi").map_err(Error::from)?;

@@ -1,4 +1,4 @@
-//! What can be typed behind `cotorra history`.
+//! Arguments of `cotorra history`.
 
 use std::{num::NonZero, ops::Bound, path::PathBuf, time::Duration};
 
@@ -9,7 +9,7 @@ use cotorra_measurements::{Cursor, Kind, RunId, export::Format};
 use super::place::{HISTORY_VARIABLE, Place};
 use crate::duration::{parse_step, parse_time};
 
-/// Of the whole command.
+/// Examples in the help of the whole command.
 pub const EXAMPLES: &str = "\
 Examples:
   cotorra history runs
@@ -24,35 +24,34 @@ Examples:
   cotorra history prune latest --raw 1h
   COTORRA_HISTORY_PASSWORD=secret cotorra history events 7 --history mysql://ana@db.lab/cotorra";
 
-/// What a history can be asked.
 #[derive(Debug, Subcommand)]
 pub enum History {
-    /// List runs: those that left folders, or those of a history that several share
+    /// List runs: those in folders, or those of a shared history
     Runs(HistoryRunsArgs),
-    /// Show the whole graph at a time: of everything the last that was known
+    /// Show the state of the whole graph at a time
     State(StateArgs),
     Series(SeriesArgs),
-    /// List what happened
+    /// List events
     Events(EventsArgs),
-    /// Set two runs side by side: service times, links, handovers, placements, decisions
+    /// Compare two runs: service times, links, handovers, placements, decisions
     Diff(DiffArgs),
     Data(DataArgs),
-    /// List where events were lost
+    /// List gaps, in which events were lost
     Gaps(GapsArgs),
     Export(ExportArgs),
     Import(ImportArgs),
     Prune(PruneArgs),
 }
 
-/// Roll old samples up to points, one for each step of time, and drop what is older still
+/// Roll old samples up to one point for each step of time, and drop still older points
 ///
-/// Of samples that are older than --raw there is left, for each robot, radio unit, direction of a link and sensor and each
-/// step, the last sample, and the count, least, greatest and mean of all. Everything that happened otherwise is kept. It
-/// says what it would do, and does it with --yes. Without --raw it keeps to what the run's testbed file says under
-/// history.retention.
+/// Samples older than --raw are replaced by one point for each step, and for each robot, radio unit, direction of a link and
+/// sensor. A point has the last sample, and the count, minimum, maximum and mean of all samples of its step. All other events
+/// are kept. Without --yes, the command only reports what it would do. Without --raw, it follows history.retention in the
+/// run's testbed file.
 ///
-/// Age counts to now; in virtual time, to the run's end. It can be stopped at any time, and goes on where it was; runs may
-/// go on meanwhile.
+/// Age is counted from now, or in virtual time from the run's end. The command can be stopped at any time, and resumes where
+/// it was. Runs can go on at the same time.
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "\
@@ -64,33 +63,33 @@ Examples:
     visible_alias = "roll-up"
 )]
 pub struct PruneArgs {
-    /// The run, or `all` of the history that --history names
+    /// The run, or `all` for every run of the history that --history names
     pub run: String,
-    /// Keep samples so long as they were recorded, such as 90s, 10min or 24h
+    /// Age up to which samples are kept as they were recorded, such as 90s, 10min or 24h
     #[arg(long, value_name = "DURATION", value_parser = parse_time)]
     pub raw: Option<Duration>,
-    /// Then one point for each step of time, which divides a minute
+    /// Step of the points that replace older samples; it must divide a minute
     #[arg(long, value_name = "DURATION", value_parser = parse_step, default_value = "1s", requires = "raw")]
     pub step: Duration,
-    /// Drop points that are older
+    /// Age from which points are dropped
     #[arg(long, value_name = "DURATION", value_parser = parse_time, requires = "raw")]
     pub keep: Option<Duration>,
-    /// Of these kinds only: robot, radio, link, sensor
+    /// Only these kinds: robot, radio, link, sensor
     #[arg(long, value_name = "KINDS", value_delimiter = ',', value_parser = ["robot", "radio", "link", "sensor"])]
     pub kinds: Vec<String>,
-    /// Do it
+    /// Apply the changes instead of only reporting them
     #[arg(long)]
     pub yes: bool,
     #[command(flatten)]
     pub place: HistoryPlace,
 }
 
-/// Write a run as tables that other programs read, or as MCAP
+/// Export a run as tables for other programs, or as MCAP
 ///
-/// One table for each kind of events, in a new folder: csv, parquet, or arrow (Arrow IPC, also known as Feather). Columns
-/// are named with their units, as in the history; `n` is an event's place in the run.
+/// Tables are written to a new folder, one for each kind of event, as csv, parquet, or arrow (Arrow IPC, also known as
+/// Feather). Column names include units, as in the history; `n` is an event's position in the run.
 ///
-/// mcap is one file, as `cotorra run --record` writes it, but without scans, which no history keeps.
+/// mcap is one file, like that of `cotorra run --record` but without scans, which histories do not keep.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -104,17 +103,17 @@ pub struct ExportArgs {
     /// csv, parquet, arrow or mcap
     #[arg(long, default_value = "csv", value_parser = parse_export)]
     pub format: ExportFormat,
-    /// The new folder; of mcap, the new file
+    /// The new folder, or with mcap the new file
     #[arg(long, value_name = "DIR|FILE")]
     pub out: PathBuf,
-    /// With mcap: folder from which the testbed file's own paths lead, such as its map's
+    /// With mcap: folder that relative paths in the testbed file start from, such as that of its map
     #[arg(long, value_name = "DIR", default_value = "testbeds")]
     pub base: PathBuf,
     #[command(flatten)]
     pub place: HistoryPlace,
 }
 
-/// What a run is exported as.
+/// Format of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExportFormat {
     Tables(Format),
@@ -131,9 +130,9 @@ fn parse_export(name: &str) -> Result<ExportFormat, String> {
     }
 }
 
-/// Keep a run that was exported as a new run of a history
+/// Import an exported run into a history, as a new run
 ///
-/// The history is the one that --history or COTORRA_HISTORY names; a file is made if it is not there.
+/// The history is the one that --history or COTORRA_HISTORY names. If it is a file that does not exist, it is created.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -146,13 +145,13 @@ pub struct ImportArgs {
     pub place: HistoryPlace,
 }
 
-/// Where runs are looked for.
+/// Location of runs.
 #[derive(Debug, Args)]
 pub struct HistoryPlace {
-    /// The history that runs are numbered in: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
+    /// History in which runs have numbers: a SQLite file, or mysql://USER@HOST:PORT/DATABASE
     ///
-    /// Its password is in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server needs a
-    /// cotorra that was built with `--features mariadb`.
+    /// Set the password of a server in the environment variable COTORRA_HISTORY_PASSWORD, where nobody else sees it. A server
+    /// needs a cotorra that was built with `--features mariadb`.
     #[arg(long, value_name = "FILE|URL", env = HISTORY_VARIABLE, hide_env_values = true)]
     pub history: Option<Place>,
     /// Folder with the folders of runs
@@ -160,13 +159,13 @@ pub struct HistoryPlace {
     pub runs: PathBuf,
 }
 
-/// A part of a run.
+/// Time range of a run.
 #[derive(Debug, Args)]
 pub struct Span {
-    /// From this time of the run on, such as 90s or 1.5min
+    /// Start in time of the run, such as 90s or 1.5min
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     pub from: Option<Duration>,
-    /// Up to this time of the run, this excluded
+    /// End in time of the run, exclusive
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     pub to: Option<Duration>,
 }
@@ -180,13 +179,13 @@ impl Span {
     }
 }
 
-/// A part of an answer.
+/// Page of a long answer.
 #[derive(Debug, Args)]
 pub struct PageArgs {
-    /// No more than so many; at most 10000
+    /// Maximum number of rows; at most 10000
     #[arg(long, value_name = "N", default_value = "100")]
     pub limit: NonZero<usize>,
-    /// Go on where the answer before ended, as it said
+    /// Continue after a previous answer, by the cursor at its end
     #[arg(long, value_name = "CURSOR")]
     pub after: Option<Cursor>,
 }
@@ -195,10 +194,10 @@ pub struct PageArgs {
 pub struct HistoryRunsArgs {
     #[command(flatten)]
     pub place: HistoryPlace,
-    /// No more than so many; at most 9999
+    /// Maximum number of runs; at most 9999
     #[arg(long, value_name = "N", default_value = "50")]
     pub limit: NonZero<usize>,
-    /// In a history that several share: those after this one
+    /// In a shared history: only runs after this one
     #[arg(long, value_name = "NUMBER")]
     pub after: Option<RunId>,
 }
@@ -207,7 +206,7 @@ pub struct HistoryRunsArgs {
 pub struct StateArgs {
     /// The run
     pub run: String,
-    /// When, such as 12.5s; the end of the run if it is left out
+    /// Time of the run, such as 12.5s; default: the end of the run
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     pub at: Option<Duration>,
     /// Write JSON
@@ -217,10 +216,9 @@ pub struct StateArgs {
     pub place: HistoryPlace,
 }
 
-/// Show a figure over time
+/// Plot a figure over time
 ///
-/// Each point says what the samples of its stretch of time were; the picture shows their range. `!` marks where events
-/// were lost.
+/// Each point summarises the samples of an interval; the plot shows their range. `!` marks gaps, in which events were lost.
 ///
 /// Figures are delay (ms), throughput (bit/s), delay_scale and drop_scale of a link; x, y, z (m), heading (rad), speed
 /// and climb (m/s), turn (rad/s) and obstacle (m) of a robot; load of a radio unit; service_time and handover_gap (ms),
@@ -232,15 +230,15 @@ pub struct SeriesArgs {
     /// A link, LINK:backward, a robot, ROBOT:RADIO_UNIT, a radio unit, or `service`
     #[arg(value_name = "OF")]
     pub of: String,
-    /// Which figure; if it is left out, a link's delay, a robot's speed, a radio unit's load, or service_time
+    /// The figure; default: a link's delay, a robot's speed, a radio unit's load, or service_time
     #[arg(long, value_name = "FIGURE")]
     pub figure: Option<String>,
     #[command(flatten)]
     pub span: Span,
-    /// In so many points at most; 1000 with --csv, else as many as the terminal is wide
+    /// Maximum number of points; default: 1000 with --csv, or else the width of the terminal
     #[arg(long, value_name = "N")]
     pub points: Option<NonZero<usize>>,
-    /// Write a table, values separated by commas
+    /// Write a table of comma-separated values
     #[arg(long)]
     pub csv: bool,
     #[command(flatten)]
@@ -251,32 +249,32 @@ pub struct SeriesArgs {
 pub struct EventsArgs {
     /// The run
     pub run: String,
-    /// Kinds of events, with commas between; all if it is left out
+    /// Kinds of events, separated by commas; default: all
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     pub kinds: Vec<Kind>,
     #[command(flatten)]
     pub span: Span,
     #[command(flatten)]
     pub page: PageArgs,
-    /// Write JSON, a line an event
+    /// Write JSON, one event on each line
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
     pub place: HistoryPlace,
 }
 
-/// Write large data of a sensor, such as a scan or an image, to a file
+/// Write a large reading of a sensor, such as a scan or an image, to a file
 ///
-/// It is in the run's folder, which has the last readings of each such sensor. The bytes are as the API gives them.
+/// The run's folder keeps the last readings of each such sensor. The bytes are the same as from the API.
 #[derive(Debug, Args)]
 pub struct DataArgs {
     /// The run's folder, or `latest`
     pub run: String,
     /// The robot
     pub robot: NodeId,
-    /// Its sensor
+    /// The robot's sensor
     pub sensor: SensorId,
-    /// The number of a reading, as events have it; the last one if it is left out
+    /// Number of the reading, as in its event; default: the last reading
     pub sequence: Option<u64>,
     /// The file
     #[arg(short, long, value_name = "FILE")]

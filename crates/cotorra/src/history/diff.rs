@@ -1,4 +1,4 @@
-//! `cotorra history diff`: two runs side by side.
+//! `cotorra history diff`: compares two runs.
 
 use cotorra_measurements::{
     Difference, Values,
@@ -13,14 +13,14 @@ use super::{
 };
 use crate::{output, table::Table, words::clock};
 
-/// No more rows of each table are shown.
+/// Maximum number of rows of each table.
 const ROWS: usize = 30;
 const ALL: &str = "--json shows all";
 
 /// Compares two runs.
 pub fn diff(args: &DiffArgs) -> miette::Result<()> {
     let [a, b] = &args.pair[..] else { unreachable!("the parser takes two runs") };
-    // They may be in two histories.
+    // The runs may be in two histories.
     let (a, b) = (Source::find(a, &args.place)?, Source::find(b, &args.place)?);
     let difference = a.history.difference_with(a.run.id, &b.history, b.run.id).map_err(Error::from)?;
     if args.json {
@@ -72,7 +72,7 @@ fn describe(difference: &Difference) -> String {
     });
     section("Service time by region, ms", figures("region", regions.take(ROWS)), difference.regions.len());
 
-    // What nothing crossed says nothing.
+    // A link that no packet crossed has no delay.
     let used: Vec<_> =
         difference.links.iter().filter(|entry| delays(&entry.runs).iter().any(Option::is_some)).collect();
     let links = used.iter().map(|entry| {
@@ -120,7 +120,7 @@ fn samples(runs: &[Option<Services>; 2]) -> [Option<&Values>; 2] {
     runs.each_ref().map(|services| services.as_ref().and_then(|s| s.service_time_ms.as_ref()))
 }
 
-/// Count, median and 99th percentile in both runs, and by how much the median differs.
+/// Returns a table of the count, median and 99th percentile in both runs, and the difference of the medians.
 fn figures<'a>(what: &str, rows: impl Iterator<Item = (String, [Option<&'a Values>; 2])>) -> Table {
     let mut table = Table::new("<>>>>>>>");
     table.row([what, "samples", "", "median", "", "p99", "", "median differs"]);

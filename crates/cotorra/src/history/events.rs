@@ -1,4 +1,4 @@
-//! `cotorra history events`: what happened, a line an event.
+//! `cotorra history events`: lists events, one on each line.
 
 use std::fmt::Write as _;
 
@@ -15,7 +15,7 @@ use crate::{
     words::{self, over},
 };
 
-/// Shows events.
+/// Lists events.
 pub fn events(args: &EventsArgs) -> miette::Result<()> {
     let source = Source::find(&args.run, &args.place)?;
     let request = PageRequest { limit: args.page.limit.get(), after: args.page.after };
@@ -32,15 +32,15 @@ pub fn events(args: &EventsArgs) -> miette::Result<()> {
         writeln!(text, "{line}").expect("writing into a string cannot fail");
     }
     output::print(&text)?;
-    // Beside the events, so that a program that reads them reads nothing else.
+    // On standard error, so that a program that reads standard output reads only events.
     if page.items.is_empty() {
-        note!("nothing in that time");
+        note!("no events in that time");
     }
     output::write_note(format_args!("{}", more(&page)));
     Ok(())
 }
 
-/// What is known of large data.
+/// Describes a large reading without its bytes.
 pub fn large_data(data: &LargeData) -> String {
     let LargeData { sequence, format, width, height, bytes } = data;
     format!("{} {sequence} of {width} x {height}, {bytes} bytes", format.as_str())

@@ -15,7 +15,7 @@ pub fn gaps(args: &GapsArgs) -> miette::Result<()> {
     let request = PageRequest { limit: args.page.limit.get(), after: args.page.after };
     let page = source.history.gaps(source.run.id, args.span.range(), request).map_err(Error::from)?;
     if page.items.is_empty() && args.page.after.is_none() {
-        return output::print("nothing was lost in that time\n");
+        return output::print("no events were lost in that time\n");
     }
     let mut table = Table::new(">>>");
     table.row(["from, s", "to, s", "events lost"]);

@@ -1,4 +1,4 @@
-//! `cotorra history`: asks what runs recorded. Every answer is bounded, and says how to see more.
+//! `cotorra history`: queries recorded runs. Every answer is bounded, and says how to see more.
 
 mod answer;
 mod args;
@@ -23,9 +23,9 @@ pub use self::{
     source::{Source, folder},
 };
 
-/// Answers.
-pub fn history(question: &History) -> miette::Result<ExitCode> {
-    match question {
+/// Answers a query, or exports, imports or prunes a run.
+pub fn history(command: &History) -> miette::Result<ExitCode> {
+    match command {
         History::Runs(args) => runs::runs(args)?,
         History::State(args) => state::state(args)?,
         History::Series(args) => series::series(args)?,

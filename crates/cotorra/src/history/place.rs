@@ -1,4 +1,6 @@
-//! Where a history is, as it was typed: kept as it is until it is used, so that no message shows a password in it.
+//! The location of a history, as the user wrote it.
+//!
+//! It is parsed only when it is used, so that no message of the argument parser shows a password in it.
 
 use std::{convert::Infallible, fmt, str::FromStr};
 
@@ -16,7 +18,7 @@ pub struct Place(String);
 
 impl FromStr for Place {
     type Err = Infallible;
-    // Never an error: the parser of arguments would show the text.
+    // Never fails, because the argument parser would show the text in its error.
     fn from_str(text: &str) -> Result<Self, Infallible> {
         Ok(Self(text.to_owned()))
     }
@@ -28,26 +30,25 @@ impl fmt::Debug for Place {
     }
 }
 
-/// What was typed names no history.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum WrongPlace {
     #[error("--history or {HISTORY_VARIABLE}: {0}")]
-    #[diagnostic(help("or a file, as in runs/all.sqlite"))]
+    #[diagnostic(help("or name a file, as in runs/all.sqlite"))]
     Invalid(#[from] InvalidLocation),
-    /// A kind of history that this build leaves out.
+    /// A kind of history that this build does not include.
     #[error("--history or {HISTORY_VARIABLE}: {0}")]
     Unsupported(cotorra_measurements::Error),
 }
 
-/// The place as a location. An empty text, as an empty variable has it, is none.
+/// Parses the location. An empty text, as from an empty variable, counts as none.
 pub fn location(place: Option<&Place>) -> Result<Option<Location>, WrongPlace> {
     let Some(Place(text)) = place.filter(|place| !place.0.is_empty()) else { return Ok(None) };
     let location: Location = text.parse()?;
     location.check().map_err(WrongPlace::Unsupported)?;
     if location.has_password() && std::env::var(HISTORY_VARIABLE).as_ref() != Ok(text) {
         note!(
-            "warning: everyone on this machine can see the password in --history: leave it out there, and set \
-             {PASSWORD_VARIABLE} to it"
+            "warning: everyone on this machine can see the password in --history; put it into the environment variable \
+             {PASSWORD_VARIABLE} instead"
         );
     }
     Ok(Some(match std::env::var(PASSWORD_VARIABLE) {
@@ -61,11 +62,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_password_is_in_no_message() {
+    fn no_message_shows_a_password() {
         for url in ["mysql://ana:secret@db/", "mysql://ana:secret@db:x/y", "mysql://ana:secret@db/cotorra"] {
             let place: Place = url.parse().unwrap();
-            let told = format!("{place:?} {:?}", location(Some(&place)).map_err(|e| e.to_string()));
-            assert!(!told.contains("secret"), "{told}");
+            let messages = format!("{place:?} {:?}", location(Some(&place)).map_err(|e| e.to_string()));
+            assert!(!messages.contains("secret"), "{messages}");
         }
         assert!(location(Some(&Place(String::new()))).unwrap().is_none());
     }

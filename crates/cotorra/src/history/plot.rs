@@ -1,4 +1,4 @@
-//! A curve in a terminal, in Braille characters: of each stretch of time the range of its samples.
+//! Plots of curves in Braille characters. Each column of dots shows the range of samples of an interval.
 
 use std::fmt::Write as _;
 
@@ -6,11 +6,12 @@ use cotorra_measurements::{Curve, Point};
 
 /// Rows of characters.
 const HEIGHT: usize = 8;
-/// Dots of a character.
+/// Columns of dots of a character.
 const WIDE: usize = 2;
+/// Rows of dots of a character.
 const HIGH: usize = 4;
 
-/// How many points fit beside the scale in so many columns.
+/// Returns how many points fit beside the scale into this many columns of the terminal.
 pub fn points(columns: usize) -> usize {
     WIDE * columns.saturating_sub(SCALE + 1).clamp(20, 200)
 }
@@ -20,7 +21,7 @@ const BRAILLE: u32 = 0x2800;
 /// Columns of the scale.
 const SCALE: usize = 11;
 
-/// Draws a curve that has at most `columns` times [`WIDE`] points; nothing if it has no samples.
+/// Draws a curve of at most [`points`] points. Empty if the curve has no samples.
 pub fn draw(curve: &Curve) -> String {
     let values = || curve.points.iter().filter_map(|point| point.values.as_ref());
     let (Some(first), Some(last)) = (curve.points.first(), curve.points.last()) else {
@@ -72,13 +73,13 @@ pub fn draw(curve: &Curve) -> String {
     text
 }
 
-/// The bit of a dot in a Braille pattern: 1 2 3 7 down the left, 4 5 6 8 down the right.
+/// Returns the bit of a dot in a Braille pattern: 1 2 3 7 down the left, 4 5 6 8 down the right.
 fn dot(x: usize, y: usize) -> u8 {
     const BITS: [[u8; HIGH]; WIDE] = [[0, 1, 2, 6], [3, 4, 5, 7]];
     1 << BITS[x][y]
 }
 
-/// A figure with four digits that matter.
+/// Formats a figure with four significant digits.
 pub fn figure(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 1e6 || (size > 0.0 && size < 1e-3) => return format!("{value:.3e}"),
@@ -117,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_goes_from_its_least_to_its_greatest_and_gaps_are_marked() {
+    fn a_curve_spans_its_range_and_gaps_are_marked() {
         let rising: Vec<_> = (0..32).map(|i| (i != 20).then_some(f64::from(i) + 10.0)).collect();
         let text = draw(&curve(&rising));
         let lines: Vec<_> = text.lines().collect();
@@ -129,15 +130,15 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_is_drawn_and_nothing_is_not() {
+    fn a_constant_is_drawn_and_an_empty_curve_is_not() {
         assert!(draw(&curve(&[Some(5.0); 4])).contains("5.000 ⣀⣀"));
         assert_eq!(draw(&curve(&[])), "");
         assert_eq!(draw(&curve(&[None])), "");
     }
 
     #[test]
-    fn figures_have_the_digits_that_matter() {
-        let told = [0.0, 1.5, 12.345, 123.4, 54321.0, 2.5e7, 1e-5].map(figure);
-        assert_eq!(told, ["0.000", "1.500", "12.35", "123.4", "54321", "2.500e7", "1.000e-5"]);
+    fn figures_have_four_significant_digits() {
+        let formatted = [0.0, 1.5, 12.345, 123.4, 54321.0, 2.5e7, 1e-5].map(figure);
+        assert_eq!(formatted, ["0.000", "1.500", "12.35", "123.4", "54321", "2.500e7", "1.000e-5"]);
     }
 }

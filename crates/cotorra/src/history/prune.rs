@@ -1,4 +1,4 @@
-//! `cotorra history prune`: rolls old samples up, once it said what that would do.
+//! `cotorra history prune`: rolls old samples up, or reports what that would do.
 
 use cotorra_graph::{Retention, Timestamp};
 use cotorra_measurements::{History, Kind, Pruned, Run};
@@ -12,20 +12,20 @@ use super::{
 };
 use crate::{output, signals, table::Table};
 
-/// What stands for every run of a history.
+/// Name of all runs of a history.
 const ALL: &str = "all";
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum PruneError {
-    #[error("the testbed file of run {0} says nothing of how long samples are kept")]
-    #[diagnostic(help("say it here, as in --raw 1h"))]
+    #[error("the testbed file of run {0} has no retention of samples")]
+    #[diagnostic(help("set it here, as in --raw 1h"))]
     NoRetention(String),
-    #[error("all runs of which history?")]
-    #[diagnostic(help("name it with --history, as in --history runs/all.sqlite"))]
+    #[error("`all` needs a history")]
+    #[diagnostic(help("name one with --history, as in --history runs/all.sqlite"))]
     Nowhere,
 }
 
-/// Prunes, or says what it would do.
+/// Prunes runs, or reports what it would do.
 pub fn prune(args: &PruneArgs) -> miette::Result<()> {
     let (history, runs) = if args.run == ALL {
         let place = location(args.place.history.as_ref()).map_err(Error::from)?.ok_or(PruneError::Nowhere)?;
@@ -63,9 +63,9 @@ pub fn prune(args: &PruneArgs) -> miette::Result<()> {
     }
     bar.finish_and_clear();
     let end = match (total, args.yes, stopped) {
-        (0, ..) => "nothing is that old\n",
-        (_, _, true) => "stopped; the same command goes on from here\n",
-        (_, false, _) => "that is what --yes would do; nothing was changed\n",
+        (0, ..) => "no samples are that old\n",
+        (_, _, true) => "stopped; the same command resumes from here\n",
+        (_, false, _) => "nothing was changed; --yes does this\n",
         (_, true, _) => "done\n",
     };
     output::print(&(table.render("") + end))
@@ -82,7 +82,7 @@ fn every_run(history: &History) -> cotorra_measurements::Result<Vec<Run>> {
     }
 }
 
-/// What is to be kept of a run: as it was typed, or as its testbed file says.
+/// Returns the retention of each kind: that of the arguments, or else of the run's testbed file.
 fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
     let of: [(Kind, Option<Retention>); 4] = match args.raw {
         Some(raw) => {
@@ -99,12 +99,12 @@ fn retentions(run: &Run, args: &PruneArgs) -> Vec<(Kind, Retention)> {
             ]
         }
     };
-    let asked = |kind: Kind| args.kinds.is_empty() || args.kinds.iter().any(|name| name == kind.as_str());
-    of.into_iter().filter(|(kind, _)| asked(*kind)).filter_map(|(kind, kept)| Some((kind, kept?))).collect()
+    let chosen = |kind: Kind| args.kinds.is_empty() || args.kinds.iter().any(|name| name == kind.as_str());
+    of.into_iter().filter(|(kind, _)| chosen(*kind)).filter_map(|(kind, kept)| Some((kind, kept?))).collect()
 }
 
-/// The present, in a run's time; the end of one in virtual time.
-#[allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the calendar says how old a run is")]
+/// Returns the present in time of the run, or the end of a run in virtual time.
+#[allow(clippy::disallowed_types, clippy::disallowed_methods, reason = "the age of a run needs the calendar")]
 fn present(run: &Run) -> Timestamp {
     match (run.info.started_at_unix_ns, run.ended) {
         (0, ended) => ended.unwrap_or(Timestamp::ZERO),

@@ -1,4 +1,4 @@
-//! `cotorra history runs`: the runs of a history, or those that left folders.
+//! `cotorra history runs`: lists the runs of a history, or those in folders.
 
 use std::path::Path;
 
@@ -36,7 +36,7 @@ pub fn runs(args: &HistoryRunsArgs) -> miette::Result<()> {
     }
 }
 
-/// The newest runs of a folder, the newest last, as a terminal shows it best.
+/// Lists the newest runs of a folder. The newest comes last, where a terminal shows it.
 fn in_folders(place: &Path, limit: usize) -> miette::Result<()> {
     let folders = source::folders(place);
     if folders.is_empty() {
@@ -48,7 +48,7 @@ fn in_folders(place: &Path, limit: usize) -> miette::Result<()> {
         let name = folder.display().to_string();
         match Source::of_folder(folder, None) {
             Ok(source) => row(&mut table, name, &source.run),
-            // Others are told nevertheless.
+            // The other runs are listed nevertheless.
             Err(error) => table.row([name, error.to_string()]),
         }
     }

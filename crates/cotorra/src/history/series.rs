@@ -1,4 +1,4 @@
-//! `cotorra history series`: a figure over time, as a picture or as a table.
+//! `cotorra history series`: plots a figure over time, or writes it as a table.
 
 use std::fmt::Write as _;
 
@@ -12,16 +12,16 @@ use super::{
 };
 use crate::{output, table::Table};
 
-/// Of a run as a whole.
+/// Subject of figures of a run as a whole.
 const SERVICE: &str = "service";
-/// Points of a table unless it is said how many.
+/// Default number of points of a table.
 const TABLE_POINTS: usize = 1000;
 const QUANTILES: [f64; 3] = [0.5, 0.95, 0.99];
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 enum SeriesError {
     #[error(transparent)]
-    #[diagnostic(help("`cotorra history series --help` says what each is"))]
+    #[diagnostic(help("`cotorra history series --help` lists all figures"))]
     Figure(InvalidFigure),
     #[error("run {run} has no samples of {figure} in that time")]
     #[diagnostic(help("{help}"))]
@@ -31,7 +31,7 @@ enum SeriesError {
     Unknown { run: String, of: String, help: String },
 }
 
-/// Shows a figure.
+/// Plots a figure, or writes it as a table.
 pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     let source = Source::find(&args.run, &args.place)?;
     let figure = figure(&args.of, args.figure.as_deref(), &source)?;
@@ -48,7 +48,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     if args.csv {
         return output::print(&csv(&curve));
     }
-    // A picture has no more points than there are dots for.
+    // A plot has at most one point for each column of dots.
     let drawn = CurveRequest { points: points.min(plot::points(columns)), ..request.clone() };
     let whole = CurveRequest { points: 1, ..request };
     let ask = |request| source.history.curve(source.run.id, &figure, args.span.range(), request);
@@ -57,7 +57,7 @@ pub fn series(args: &SeriesArgs) -> miette::Result<()> {
     output::print(&describe(&drawn, &whole))
 }
 
-/// `delay:R1~lan` may be typed as it is, or as R1~lan with its figure, or alone where a figure goes without saying.
+/// Parses the figure: `delay:R1~lan`, or `R1~lan` with --figure, or `R1~lan` alone for its default figure.
 fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, SeriesError> {
     let node = of.split(':').next().unwrap_or(of);
     let parse = |text: &str| text.parse().map_err(SeriesError::Figure);
@@ -66,7 +66,7 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
         Some(name) => parse(&format!("{name}:{of}")),
         None if of == SERVICE => parse("service_time"),
         None => {
-            let of_what = |state: &cotorra_measurements::GraphState| {
+            let default = |state: &cotorra_measurements::GraphState| {
                 let is = |id: &str| id == node;
                 let robot = state.robots.iter().any(|s| is(s.value.robot.as_str())).then_some("linear");
                 let unit =
@@ -75,9 +75,9 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
                 robot.or(unit).or(link)
             };
             let state = source.history.state_at(source.run.id, Timestamp::MAX).ok();
-            match state.as_ref().and_then(of_what) {
+            match state.as_ref().and_then(default) {
                 Some(name) => parse(&format!("{name}:{of}")),
-                // As other parts of cotorra write figures.
+                // The full name of a figure, as other parts of cotorra write it.
                 None => of.parse().map_err(|_| SeriesError::Unknown {
                     run: source.run.info.name.clone(),
                     of: of.to_owned(),
@@ -88,7 +88,7 @@ fn figure(of: &str, name: Option<&str>, source: &Source) -> Result<Figure, Serie
     }
 }
 
-/// What the run has that could be asked for.
+/// Lists the links, robots, radio units and sensors of the run.
 fn names(source: &Source) -> String {
     let state = source.history.state_at(source.run.id, Timestamp::MAX).unwrap_or_default();
     let list = |mut names: Vec<&str>| {
@@ -137,7 +137,7 @@ fn describe(curve: &Curve, whole: &Curve) -> String {
             let (rolled_up, count) = (values.rolled_up, values.count);
             writeln!(
                 text,
-                "{rolled_up} of {count} samples were rolled up: quantiles are of those that are left"
+                "{rolled_up} of {count} samples were rolled up: quantiles are of the remaining ones"
             )
             .expect("writing into a string cannot fail");
         }

@@ -1,4 +1,4 @@
-//! Which run is meant: what was typed for RUN leads to a history and to a run in it.
+//! Resolves the argument RUN to a run and its history.
 
 use std::{
     fs,
@@ -11,29 +11,28 @@ use cotorra_testbed::{Recorded, RecordedError};
 use super::args::HistoryPlace;
 use super::place::{HISTORY_VARIABLE, WrongPlace, location};
 
-/// What stands for the newest run.
+/// Name of the newest run.
 const LATEST: &str = "latest";
 
-/// Why a run is not found, or does not answer.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Place(#[from] WrongPlace),
     #[error(transparent)]
-    #[diagnostic(help("`cotorra history runs` lists what there is"))]
+    #[diagnostic(help("`cotorra history runs` lists all runs"))]
     Folder(#[from] RecordedError),
     #[error("there is no folder {0}")]
-    #[diagnostic(help("`cotorra history runs` lists what there is; `latest` is the newest of them"))]
+    #[diagnostic(help("`cotorra history runs` lists all runs; `latest` is the newest one"))]
     NoFolder(String),
-    #[error("run {0} of which history?")]
+    #[error("run {0} is a number, but no history is named")]
     #[diagnostic(help("name the history with --history or in {HISTORY_VARIABLE}, or the run by its folder"))]
     NoHistory(RunId),
     #[error("there is no run in {}", .0.display())]
-    #[diagnostic(help("`cotorra run` leaves one; --runs names another folder"))]
+    #[diagnostic(help("start one with `cotorra run`, or name another folder with --runs"))]
     NoRuns(PathBuf),
     #[error("there is no history {}", .0.display())]
-    #[diagnostic(help("it is made by `cotorra run --history {}`", .0.display()))]
+    #[diagnostic(help("`cotorra run --history {}` creates it", .0.display()))]
     NoFile(PathBuf),
     #[error("{folder} was recorded in {history}")]
     #[diagnostic(help("name that history, with user and password, with --history or in {HISTORY_VARIABLE}"))]
@@ -44,14 +43,14 @@ pub enum Error {
     History(#[from] cotorra_measurements::Error),
 }
 
-/// A run and the history that it is in.
+/// A run and its history.
 pub struct Source {
     pub history: History,
     pub run: Run,
 }
 
 impl Source {
-    /// Finds the run that was typed: a folder, a number, or `latest`.
+    /// Finds a run by its folder, its number in the history that `place` names, or as `latest`.
     pub fn find(run: &str, place: &HistoryPlace) -> Result<Self, Error> {
         let named = location(place.history.as_ref())?;
         if let (Some(location), Ok(number)) = (&named, run.parse()) {
@@ -60,14 +59,14 @@ impl Source {
         Self::of_folder(&folder(run, &place.runs)?, named.as_ref())
     }
 
-    /// The run that left a folder.
+    /// Finds the run of a folder. `named` is the history that the user named, with user and password.
     pub fn of_folder(folder: &Path, named: Option<&Location>) -> Result<Self, Error> {
         let Recorded { history, run } = Recorded::of_folder(folder)?;
-        let same = |named: &&Location| named.to_string() == history;
+        let is_same = |named: &&Location| named.to_string() == history;
         let location = match history.parse() {
             Ok(Location::File(path)) => Location::File(path),
-            // What the folder says of a server lacks how to get in.
-            _ => named.filter(same).cloned().ok_or_else(|| Error::Elsewhere {
+            // The location in the folder lacks the server's user and password.
+            _ => named.filter(is_same).cloned().ok_or_else(|| Error::Elsewhere {
                 folder: folder.display().to_string(),
                 history: history.clone(),
             })?,
@@ -87,7 +86,7 @@ impl Source {
     }
 }
 
-/// The folder of the run that was typed: a folder, or `latest`.
+/// Returns the folder of a run: the folder itself, or that of `latest`.
 pub fn folder(run: &str, runs: &Path) -> Result<PathBuf, Error> {
     let folder = if run == LATEST { latest(runs)? } else { PathBuf::from(run) };
     if folder.is_dir() {
@@ -99,7 +98,7 @@ pub fn folder(run: &str, runs: &Path) -> Result<PathBuf, Error> {
     })
 }
 
-/// Opens a history that is there already.
+/// Opens an existing history.
 pub fn open(location: &Location) -> Result<History, Error> {
     match location {
         Location::File(path) if !path.exists() => Err(Error::NoFile(path.clone())),
@@ -107,17 +106,17 @@ pub fn open(location: &Location) -> Result<History, Error> {
     }
 }
 
-/// Folders of runs in a folder, and of those that an experiment has in its own, the oldest first.
+/// Lists folders of runs in a folder, including runs inside the folders of experiments, the oldest first.
 pub fn folders(runs: &Path) -> Vec<PathBuf> {
     let entries = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
-    // Written first, and never again.
-    let began =
+    // A run writes this file first, and never changes it.
+    let started =
         |folder: &Path| fs::metadata(folder.join("testbed.yaml")).and_then(|file| file.modified()).ok();
     let mut found = Vec::new();
     for folder in entries(runs) {
-        match began(&folder) {
-            Some(began) => found.push((began, folder)),
-            None => found.extend(entries(&folder).filter_map(|walk| Some((began(&walk)?, walk)))),
+        match started(&folder) {
+            Some(started) => found.push((started, folder)),
+            None => found.extend(entries(&folder).filter_map(|walk| Some((started(&walk)?, walk)))),
         }
     }
     found.sort();

@@ -1,4 +1,4 @@
-//! `cotorra history state`: the whole graph at a time.
+//! `cotorra history state`: shows the state of the whole graph at a time.
 
 use cotorra_graph::{LinkContext, RobotContext, Timestamp, VirtualLinkMapping};
 use cotorra_measurements::{GraphState, Retained, Sample};
@@ -15,7 +15,7 @@ use crate::{
     words::{conditions, over, probed},
 };
 
-/// No more rows of each table are shown.
+/// Maximum number of rows of each table.
 const ROWS: usize = 40;
 
 /// Shows the state.
@@ -31,14 +31,14 @@ pub fn state(args: &StateArgs) -> miette::Result<()> {
     output::print(&(describe(&state) + &rolled_up(&retained, at)))
 }
 
-/// Of what the state is that of the last sample of a step.
+/// Lists the kinds whose samples were rolled up at that time, so that their state is the last sample of a step.
 fn rolled_up(retained: &[Retained], at: Timestamp) -> String {
-    let of = retained.iter().filter(|its| at < its.rolled_up_to).map(|its| {
+    let lines = retained.iter().filter(|its| at < its.rolled_up_to).map(|its| {
         let step = its.step;
         let (kind, to) = (its.kind.as_str(), seconds(its.rolled_up_to));
         format!("samples of {kind} before {to} s were rolled up: there is one each {step:?}\n")
     });
-    of.collect()
+    lines.collect()
 }
 
 fn describe(state: &GraphState) -> String {

@@ -1,4 +1,4 @@
-//! `cotorra history export` and `import`: a run as tables, and back; and as MCAP.
+//! `cotorra history export` and `import`: writes a run as tables or as MCAP, and reads tables.
 
 use std::{
     fs,
@@ -21,7 +21,7 @@ use crate::{
     testbed_file::{FileError, recorded},
 };
 
-/// Events between two questions to the history.
+/// Events that are read from the history at a time.
 const PAGE: usize = 1000;
 
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -30,8 +30,8 @@ pub(super) enum TransferError {
     Export(#[from] ExportError),
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    #[error("import into which history?")]
-    #[diagnostic(help("name it with --history or in {HISTORY_VARIABLE}, as in --history runs/all.sqlite"))]
+    #[error("an import needs a history")]
+    #[diagnostic(help("name one with --history or in {HISTORY_VARIABLE}, as in --history runs/all.sqlite"))]
     Nowhere,
     #[error("cannot listen to Ctrl-C: {0}")]
     Signals(ctrlc::Error),
@@ -51,7 +51,7 @@ pub fn export(args: &ExportArgs) -> miette::Result<()> {
     output::print(&format!("{events} events in {}\n", place(&args.out)))
 }
 
-/// Writes a run as MCAP. A file that is not complete goes.
+/// Writes a run as MCAP. An incomplete file is removed.
 fn mcap(source: &Source, args: &ExportArgs) -> miette::Result<()> {
     let info = &source.run.info;
     let testbed = recorded(&info.testbed, &args.run, &args.base).map_err(FileError::from)?;
@@ -60,7 +60,7 @@ fn mcap(source: &Source, args: &ExportArgs) -> miette::Result<()> {
     let written = write(source, export, &progress);
     progress.bar.finish_and_clear();
     let events = written.inspect_err(|_| {
-        // What keeps it from being removed was told already.
+        // The first error is reported; one of the removal would only hide it.
         let _ = fs::remove_file(&args.out);
     })?;
     output::print(&format!("{events} events in {}\n", args.out.display()))
@@ -86,7 +86,7 @@ fn write(source: &Source, mut export: Export, progress: &Progress) -> Result<u64
     Ok(events)
 }
 
-/// Reads a run from tables.
+/// Reads a run from tables into a history.
 pub fn import(args: &ImportArgs) -> miette::Result<()> {
     let location = location(args.place.history.as_ref()).map_err(Error::from)?;
     let location = location.ok_or(TransferError::Nowhere)?;
@@ -113,7 +113,7 @@ impl Progress {
         Ok(Self { bar: ProgressBar::new_spinner(), interrupts })
     }
 
-    /// Shows how far it is; gives whether to go on.
+    /// Shows the progress. Returns whether to continue.
     fn show(&self, events: u64) -> bool {
         self.bar.set_message(format!("{events} events"));
         self.bar.tick();

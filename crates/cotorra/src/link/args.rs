@@ -1,4 +1,4 @@
-//! What can be typed behind `cotorra link`.
+//! Arguments of `cotorra link`.
 
 use std::time::Duration;
 
@@ -14,7 +14,6 @@ use crate::{
     running::WhichRun,
 };
 
-/// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Link {
     Show(ShowArgs),
@@ -22,7 +21,7 @@ pub enum Link {
     Test(TestArgs),
 }
 
-/// Show what links give, what was asked of them, and what they do
+/// Show the delay and throughput of links, their test results, and their conditions
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -31,18 +30,18 @@ Examples:
   cotorra link show --api 127.0.0.1:7701                    one of several runs
   cotorra link show --api 10.0.0.5:7700 --unverified        one of another machine")]
 pub struct ShowArgs {
-    /// The link; without it, all
+    /// The link; default: all links
     pub link: Option<LinkId>,
-    /// Print JSON, times in milliseconds
+    /// Print JSON, with times in milliseconds
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]
     pub api: ApiArgs,
 }
 
-/// Change what a link does, in one direction or both
+/// Change the conditions of a link, in one direction or both
 ///
-/// What is not said stays as it is. The scales multiply the delay and divide the rate, whatever these are.
+/// Conditions without an option stay as they are. The scales multiply the current delay and divide the current rate.
 #[derive(Debug, Args)]
 #[command(
     group(ArgGroup::new("change").required(true).multiple(true)),
@@ -55,19 +54,19 @@ Examples:
 pub struct SetArgs {
     /// The link
     pub link: LinkId,
-    /// One direction; without it, both
+    /// One direction; default: both
     #[arg(long, value_enum)]
     pub direction: Option<Way>,
     /// Delay, such as 10ms or 250us
     #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "change")]
     delay: Option<Duration>,
-    /// Standard deviation of the delay, normally distributed; 0ms for none
+    /// Standard deviation of the normally distributed delay; 0ms for none
     #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "change")]
     jitter: Option<Duration>,
-    /// Share of packets that vanish, such as 1%
+    /// Share of packets that are lost, such as 1%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, group = "change")]
     loss: Option<Probability>,
-    /// Lose so many packets in a row on average
+    /// Mean length of a burst of losses, in packets
     #[arg(long, value_name = "PACKETS", requires = "loss")]
     burst: Option<f64>,
     /// Rate, such as 20Mbit/s
@@ -83,10 +82,11 @@ pub struct SetArgs {
     pub api: ApiArgs,
 }
 
-/// Test what a wired link carries, by packets that cross it
+/// Test the throughput of a wired link, by packets that cross it
 ///
-/// Other packets share the link with those of the test meanwhile. It is bounded: 10 s and 1 Gbit/s at most, one test of a
-/// direction at a time, and none for four times as long afterwards. A link that carries all that was sent may carry more.
+/// The test shares the link with all other packets. It is limited to 10 s and 1 Gbit/s, and to one test of a direction at a
+/// time. After a test, the direction rests for four times its duration. A link that carries every packet of the test may
+/// carry more.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -98,24 +98,24 @@ pub struct TestArgs {
     /// The direction
     #[arg(long, value_enum, default_value = "forward")]
     pub direction: Way,
-    /// How long packets are sent: 10ms to 10s
+    /// Duration of the test: 10ms to 10s
     #[arg(long, value_name = "DURATION", default_value = "1s", value_parser = parse_duration)]
     pub duration: Duration,
-    /// How fast; by default a tenth faster than the link is asked to be
+    /// Rate of the test; default: a tenth above the rate that is set for the link
     #[arg(long, value_name = "RATE", value_parser = parse_rate)]
     rate_limit: Option<BitRate>,
     #[command(flatten)]
     pub api: ApiArgs,
 }
 
-/// Which run, also one of another machine.
+/// Choice of a run, which may be on another machine.
 #[derive(Debug, Args)]
 pub struct ApiArgs {
     #[command(flatten)]
     pub run: WhichRun,
-    /// Believe whoever answers on --api, as of another machine, and show them the token in COTORRA_TOKEN
+    /// Trust the program that answers on --api, as on another machine, and send it the token in COTORRA_TOKEN
     ///
-    /// Nothing proves who that is, and what is said can be read on the way.
+    /// Its identity is not verified, and the connection is not encrypted.
     #[arg(long, requires = "api")]
     pub unverified: bool,
 }
@@ -139,7 +139,7 @@ impl From<Way> for Direction {
 }
 
 impl SetArgs {
-    /// The change; the testbed says whether it can be.
+    /// Returns the change. The testbed decides whether it is valid.
     pub fn change(&self) -> ConditionChange {
         let loss = |rate: Probability| match self.burst {
             _ if rate == Probability::ZERO => Loss::None,
@@ -161,7 +161,7 @@ impl SetArgs {
 }
 
 impl TestArgs {
-    /// The test; the testbed says whether it can be.
+    /// Returns the test. The testbed decides whether it is valid.
     pub fn test(&self) -> ThroughputTest {
         ThroughputTest { duration: self.duration, rate_limit: self.rate_limit }
     }

@@ -1,4 +1,4 @@
-//! `cotorra link`: links of the running testbed, over its API.
+//! `cotorra link`: shows, changes and tests links of the running testbed, over its API.
 
 mod args;
 
@@ -18,27 +18,28 @@ use crate::{
     words::{ago, conditions, millis, probed},
 };
 
-/// Results are told once a second, a second after the last packet.
+/// Deadline for the result after the last packet. Results come once a second, from a second after that packet on.
 const PATIENCE: Duration = Duration::from_secs(5);
-const LOOK: Duration = Duration::from_millis(200);
+/// Poll interval for the result of a test.
+const POLL: Duration = Duration::from_millis(200);
 
-/// Shows, changes or tests.
-pub fn link(what: &Link) -> miette::Result<()> {
-    match what {
+/// Shows, changes or tests links.
+pub fn link(command: &Link) -> miette::Result<()> {
+    match command {
         Link::Show(args) => show(args),
         Link::Set(args) => set(args),
         Link::Test(args) => test(args),
     }
 }
 
-/// A run and the client that talks to it.
-struct Asked {
+/// Connection to a run.
+struct Connection {
     api: SocketAddr,
     client: Client,
 }
 
-impl Asked {
-    fn of(args: &ApiArgs) -> Result<Self, Error> {
+impl Connection {
+    fn open(args: &ApiArgs) -> Result<Self, Error> {
         let (api, client) = match args.run.api.filter(|_| args.unverified) {
             Some(api) => {
                 let client = Client::new(&format!("http://{api}")).map_err(Error::Failed)?;
@@ -57,7 +58,7 @@ impl Asked {
         self.client.instruct(instruction, None).map_err(|error| explained(self.api, error))
     }
 
-    /// The contexts of one link or all; links of the air are there once they are in use.
+    /// Returns the contexts of one link or of all. Wireless links appear once they are in use.
     fn links(&self, wanted: Option<&LinkId>) -> miette::Result<Vec<LinkContext>> {
         let mut links = self.client.links().map_err(|error| explained(self.api, error))?;
         let Some(wanted) = wanted else { return Ok(links) };
@@ -73,7 +74,7 @@ impl Asked {
 }
 
 fn show(args: &ShowArgs) -> miette::Result<()> {
-    let links = Asked::of(&args.api)?.links(args.link.as_ref())?;
+    let links = Connection::open(&args.api)?.links(args.link.as_ref())?;
     output::print(&if args.json {
         serde_json::to_string_pretty(&links).into_diagnostic()? + "\n"
     } else {
@@ -82,46 +83,47 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
 }
 
 fn set(args: &SetArgs) -> miette::Result<()> {
-    let asked = Asked::of(&args.api)?;
-    asked.links(Some(&args.link))?;
+    let run = Connection::open(&args.api)?;
+    run.links(Some(&args.link))?;
     let direction = args.direction.map(Into::into);
     let instruction = Instruction::Condition { link: args.link.clone(), direction, change: args.change() };
-    asked.instruct(&instruction)?;
-    output::print(&table(&asked.links(Some(&args.link))?))
+    run.instruct(&instruction)?;
+    output::print(&table(&run.links(Some(&args.link))?))
 }
 
-#[allow(clippy::disallowed_methods, reason = "whoever asks for a test waits for what it tells")]
+#[allow(clippy::disallowed_methods, reason = "the user waits for the result of the test")]
 fn test(args: &TestArgs) -> miette::Result<()> {
-    let asked = Asked::of(&args.api)?;
+    let run = Connection::open(&args.api)?;
     let direction = args.direction.into();
-    let told = || -> miette::Result<Option<Tested>> {
-        let both = asked.links(Some(&args.link))?;
+    let last_result = || -> miette::Result<Option<Tested>> {
+        let both = run.links(Some(&args.link))?;
         Ok(both.into_iter().find(|context| context.direction == direction).and_then(|its| its.tested))
     };
-    told()?;
+    // Fails before the test if the link does not exist.
+    last_result()?;
     let test = args.test();
     let instruction = Instruction::TestThroughput { link: args.link.clone(), direction, test };
-    asked.instruct(&instruction)?;
-    let looks = (test.duration + PATIENCE).div_duration_f64(LOOK).ceil() as u64;
+    run.instruct(&instruction)?;
+    let polls = (test.duration + PATIENCE).div_duration_f64(POLL).ceil() as u64;
     let style = ProgressStyle::with_template("{bar:40} testing {msg}").expect("a template that is right");
-    let progress = ProgressBar::new(looks).with_style(style).with_message(args.link.to_string());
-    let result = (0..looks).find_map(|_| {
-        thread::sleep(LOOK);
+    let progress = ProgressBar::new(polls).with_style(style).with_message(args.link.to_string());
+    let result = (0..polls).find_map(|_| {
+        thread::sleep(POLL);
         progress.inc(1);
-        // The link rested before this test for longer than any result of it can be old.
-        told().map(|told| told.filter(|told| told.age < PATIENCE)).transpose()
+        // An older result is of an earlier test: the link rested before this one for longer than the deadline.
+        last_result().map(|result| result.filter(|result| result.age < PATIENCE)).transpose()
     });
     progress.finish_and_clear();
     let Tested { throughput_bps, offered_bps, .. } =
-        result.ok_or_else(|| miette!("the testbed does not tell what came of the test"))??;
-    let all = throughput_bps > 0.98 * offered_bps;
+        result.ok_or_else(|| miette!("the testbed did not report the result of the test"))??;
+    let carries_all = throughput_bps > 0.98 * offered_bps;
     output::print(&format!(
         "{} {}: {:.3} Mbit/s of {:.3} Mbit/s{}\n",
         args.link,
         format!("{direction:?}").to_lowercase(),
         throughput_bps / 1e6,
         offered_bps / 1e6,
-        if all { "; it may carry more" } else { "" }
+        if carries_all { "; it may carry more" } else { "" }
     ))
 }
 

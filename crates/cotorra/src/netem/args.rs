@@ -1,4 +1,4 @@
-//! What can be typed behind `cotorra netem`.
+//! Arguments of `cotorra netem`.
 
 use std::time::Duration;
 
@@ -8,7 +8,6 @@ use cotorra_netem::{Distribution, Jitter, Loss, Network, Rule, Side};
 
 use crate::quantity::{parse_rate, parse_share, parse_time};
 
-/// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Netem {
     Set(SetArgs),
@@ -16,13 +15,13 @@ pub enum Netem {
     Clear(ClearArgs),
 }
 
-/// Say what happens to packets of an interface
+/// Set the conditions of an interface
 ///
-/// Whatever is not said does not happen: the options are the whole of it. Where a rule for the same packets is there
-/// already, it is changed in place, and no packet is lost or overtaken.
+/// The options are the complete set of conditions: a condition without an option is off. An existing rule for the same
+/// packets is changed in place, and no packet is lost or overtaken.
 ///
-/// On real interfaces loss, duplication and corruption count what the kernel hands over in one piece, which for TCP is up
-/// to 64 KB: `ethtool -K eth0 tso off gso off` lets them count packets.
+/// On real interfaces, loss, duplication and corruption apply to the units that the kernel hands over, which for TCP are up
+/// to 64 KB. With `ethtool -K eth0 tso off gso off`, they apply to packets.
 #[derive(Debug, Args)]
 #[command(
     group(ArgGroup::new("conditions").required(true).multiple(true)),
@@ -31,32 +30,32 @@ Examples:
   cotorra netem set eth0 --delay 10ms --jitter 2ms --loss 1%
   cotorra netem set eth0 --delay 40ms --rate 20Mbit/s                 a slow link
   cotorra netem set eth0 --loss 1% --burst 5                          losses in bursts of 5 packets
-  cotorra netem set eth0 --to 10.0.0.7 --delay 30ms                   only what goes to one address
-  cotorra netem set eth0 --to 10.1.0.0/16 --delay 60ms --dry-run      what would be done, in the words of tc
-  cotorra netem set eth0 --ingress --loss 0.5%                        what arrives
-  cotorra netem set eth0 --ingress --from 10.0.0.7 --delay 5ms        what arrives from one address
+  cotorra netem set eth0 --to 10.0.0.7 --delay 30ms                   only packets to one address
+  cotorra netem set eth0 --to 10.1.0.0/16 --delay 60ms --dry-run      print the commands of tc
+  cotorra netem set eth0 --ingress --loss 0.5%                        arriving packets
+  cotorra netem set eth0 --ingress --from 10.0.0.7 --delay 5ms        arriving packets from one address
   cotorra netem show eth0
   cotorra netem clear eth0"
 )]
 pub struct SetArgs {
     #[command(flatten)]
     pub packets: PacketsArgs,
-    /// What each packet waits, such as 10ms or 250us
+    /// Delay of each packet, such as 10ms or 250us
     #[arg(long, value_name = "DURATION", value_parser = parse_time, group = "conditions")]
     pub delay: Option<Duration>,
-    /// What it waits more or less: standard deviation, or half the width if it is uniform
+    /// Variation of the delay: its standard deviation, or half its width if it is uniform
     #[arg(long, value_name = "DURATION", value_parser = parse_time, requires = "delay")]
     pub jitter: Option<Duration>,
-    /// The jitter's shape
+    /// Distribution of the jitter
     #[arg(long, value_name = "SHAPE", value_enum, default_value = "normal", requires = "jitter")]
     pub distribution: Shape,
-    /// Share of packets that vanish, such as 1%
+    /// Share of packets that are lost, such as 1%
     #[arg(long, value_name = "SHARE", value_parser = parse_share, group = "conditions")]
     pub loss: Option<Probability>,
-    /// Lose so many packets in a row on average, by the model of Gilbert and Elliott
+    /// Mean length of a burst of losses in packets, by the model of Gilbert and Elliott
     #[arg(long, value_name = "PACKETS", requires = "loss")]
     pub burst: Option<f64>,
-    /// How fast packets leave, such as 20Mbit/s
+    /// Rate at which packets leave, such as 20Mbit/s
     #[arg(long, value_name = "RATE", value_parser = parse_rate, group = "conditions")]
     pub rate: Option<BitRate>,
     /// Share of packets that arrive twice
@@ -68,59 +67,58 @@ pub struct SetArgs {
     /// Share of packets that skip the delay, and so overtake others
     #[arg(long, value_name = "SHARE", value_parser = parse_share, requires = "delay")]
     pub reorder: Option<Probability>,
-    /// Most packets that wait, those in flight included
+    /// Maximum number of packets in the queue, including those in flight
     ///
-    /// Without it, as many as are in flight at the rate (10 Gbit/s without one) during delay and four deviations, and 1000
-    /// that queue.
+    /// The default is 1000 packets, plus those in flight at the rate (or else 10 Gbit/s) during the delay and four deviations.
     #[arg(long, value_name = "PACKETS", value_parser = clap::value_parser!(u32).range(1..), group = "conditions")]
     pub limit: Option<u32>,
-    /// Seed of everything random; Linux 6.7 and later
+    /// Seed of everything random; needs Linux 6.7 or later
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Let jitter and a delay that falls reorder packets, as NetEm does by itself
+    /// Let jitter and a falling delay reorder packets, which is NetEm's own default
     #[arg(long)]
     pub unordered: bool,
-    /// Take the place of a queueing discipline that somebody put there; `clear` puts it back
+    /// Replace an existing queueing discipline; `clear` restores it
     #[arg(long)]
     pub replace: bool,
-    /// Only say what would be done, in the words of tc and ip
+    /// Only print what would be done, as commands of tc and ip
     #[arg(long)]
     pub dry_run: bool,
 }
 
-/// Which packets.
+/// Choice of packets.
 #[derive(Debug, Args)]
 pub struct PacketsArgs {
-    /// The interface, as `ip link` names it.
+    /// The interface, by its name in `ip link`
     pub interface: String,
-    /// Only what goes to this address or network
+    /// Only packets to this address or network
     #[arg(long, value_name = "ADDRESS", conflicts_with = "ingress")]
     pub to: Option<Network>,
-    /// What arrives, in place of what leaves
+    /// Arriving packets instead of leaving ones
     #[arg(long)]
     pub ingress: bool,
-    /// Only what arrives from this address or network
+    /// Only packets that arrive from this address or network
     #[arg(long, value_name = "ADDRESS", requires = "ingress")]
     pub from: Option<Network>,
 }
 
-/// Show what happens to packets, and what the kernel counted
+/// Show the conditions of interfaces, and the kernel's counters
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
   cotorra netem show
   cotorra netem show eth0 --json")]
 pub struct ShowArgs {
-    /// The interface; without it, all.
+    /// The interface; default: all
     pub interface: Option<String>,
     /// Print JSON
     #[arg(long)]
     pub json: bool,
 }
 
-/// Take conditions away, and put back what they replaced
+/// Remove conditions, and restore the queueing disciplines that they replaced
 ///
-/// Without options, all conditions of the interface. What waits in their queues is lost.
+/// Without options, all conditions of the interface are removed. Packets in their queues are lost.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -130,15 +128,15 @@ Examples:
 pub struct ClearArgs {
     #[command(flatten)]
     pub packets: PacketsArgs,
-    /// Only say what would be done, in the words of tc and ip
+    /// Only print what would be done, as commands of tc and ip
     #[arg(long)]
     pub dry_run: bool,
 }
 
-/// Shapes of jitter.
+/// Distributions of jitter.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum Shape {
-    /// Every value as likely
+    /// Every value is equally likely
     Uniform,
     /// Gaussian
     Normal,
@@ -149,14 +147,14 @@ pub enum Shape {
 }
 
 impl PacketsArgs {
-    /// Those that leave or arrive, and the network to which or from which.
+    /// Returns the side, and the network that packets go to or come from.
     pub fn which(&self) -> (Side, Option<Network>) {
         if self.ingress { (Side::Ingress, self.from) } else { (Side::Egress, self.to) }
     }
 }
 
 impl SetArgs {
-    /// The rule; the error says why there is none.
+    /// Returns the rule, or the reason why the options make none.
     pub fn rule(&self) -> Result<Rule, String> {
         let distribution = match self.distribution {
             Shape::Uniform => Distribution::Uniform,
@@ -171,8 +169,8 @@ impl SetArgs {
             (Some(rate), Some(burst)) => Loss::bursty(rate, burst).ok_or_else(|| {
                 let share = rate.get() * 100.0;
                 format!(
-                    "{share} % cannot be lost in bursts of {burst} packets: bursts are {:.3} packets or longer then, and \
-                     not all is lost",
+                    "{share} % cannot be lost in bursts of {burst} packets: bursts at that share are {:.3} packets or \
+                     longer, and the share is below 100 %",
                     (rate.get() / (1.0 - rate.get())).max(1.0)
                 )
             })?,

@@ -10,16 +10,16 @@ pub use self::args::Netem;
 use self::args::{ClearArgs, SetArgs, ShowArgs};
 use crate::output;
 
-/// Sets, shows or clears.
-pub fn netem(what: &Netem) -> miette::Result<()> {
-    match what {
+/// Sets, shows or clears conditions.
+pub fn netem(command: &Netem) -> miette::Result<()> {
+    match command {
         Netem::Set(args) => set(args),
         Netem::Show(args) => show(args),
         Netem::Clear(args) => clear(args),
     }
 }
 
-/// The interface, with what the kernel does not tell of it.
+/// Returns the interface, and the record that cotorra keeps of it. The record completes what the kernel reports.
 fn device(kernel: &Kernel, name: &str) -> miette::Result<(Device, Record)> {
     let mut device = kernel.device(name).map_err(explained)?;
     let record = Record::load(&device);
@@ -27,34 +27,34 @@ fn device(kernel: &Kernel, name: &str) -> miette::Result<(Device, Record)> {
     Ok((device, record))
 }
 
-/// An error with what to do instead, where there is something.
+/// Adds to an error what to do instead, if there is an alternative.
 fn explained(error: Error) -> miette::Report {
     let help = match &error {
         Error::Missing { module: "sch_netem" } => {
-            "links between a testbed's nodes need none: cotorra emulates them itself (`cotorra run`)"
+            "links between a testbed's nodes do not need it: cotorra emulates them itself (`cotorra run`)"
         }
         Error::Missing { module: "ifb" | "sch_ingress" } => {
-            "condition what leaves at the other end of the link instead"
+            "set the conditions for leaving packets at the other end of the link instead"
         }
         Error::Missing { module: "sch_htb" | "cls_u32" } => {
-            "leave --to and --from out: all packets need no filter"
+            "leave out --to and --from: conditions for all packets need no filter"
         }
         _ => return miette!("{error}"),
     };
     miette!(help = help, "{error}")
 }
 
-/// What a run holds is changed there, and put back by it.
+/// Fails if a run holds the interface, because only that run changes and restores it.
 fn is_free(record: &Record, name: &str) -> miette::Result<()> {
     match record.owner {
         None => Ok(()),
         Some(owner) if owner.is_alive() => Err(miette!(
-            help = "`cotorra link set` changes the link that leads over it; the end of the run puts the interface back",
+            help = "`cotorra link set` changes the link over it; the end of the run restores the interface",
             "`{name}` is held by a run, process {}",
             owner.pid
         )),
         Some(_) => Err(miette!(
-            help = "`cotorra clean` puts it back",
+            help = "`cotorra clean` restores it",
             "`{name}` still has the conditions of a run that was killed"
         )),
     }
@@ -70,10 +70,12 @@ fn set(args: &SetArgs) -> miette::Result<()> {
         return output::print(&plan.to_string());
     }
     record.note(&device, &rule);
-    // What is replaced is written down before it is gone.
+    // The record of a discipline that is replaced is saved first, so that it can be restored in any case.
     if let Err(error) = record.save(device.interface()) {
         if record.replaced.is_some() {
-            return Err(miette!("cannot write down what NetEm would take the place of: {error}"));
+            return Err(miette!(
+                "cannot save the record of the queueing discipline that NetEm would replace: {error}"
+            ));
         }
         tracing::debug!("shapes of jitter are not remembered: {error}");
     }
@@ -83,7 +85,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
         }
         return Err(explained(error));
     }
-    tell(&plan, &device);
+    note_losses(&plan, &device);
     let kept = self::device(&kernel, &args.packets.interface)?.0;
     let found = kept
         .rules()
@@ -91,7 +93,7 @@ fn set(args: &SetArgs) -> miette::Result<()> {
         .find(|kept| (kept.side, kept.network) == (rule.side, rule.network));
     let Some(kept) = found else {
         return Err(miette!(
-            "the kernel took the conditions, and does not tell them: somebody else changed them"
+            "the kernel accepted the conditions, but does not have them: another program changed them"
         ));
     };
     if rule.netem.seed.is_some() && kept.netem.seed != rule.netem.seed {
@@ -104,8 +106,8 @@ fn line(device: &Device, rule: &Rule) -> String {
     format!("{} {}: {}\n", device.interface().name, show::packets(rule), show::conditions(&rule.netem))
 }
 
-/// What a plan costs.
-fn tell(plan: &Plan, device: &Device) {
+/// Notes how many packets a plan may have lost.
+fn note_losses(plan: &Plan, device: &Device) {
     let waiting: u64 = device.rules().map(|(_, counters)| counters.waiting).sum();
     if plan.loses_packets() && waiting > 0 {
         note!("note: up to {waiting} packets that waited in the old conditions were lost");
@@ -118,7 +120,7 @@ fn show(args: &ShowArgs) -> miette::Result<()> {
         Some(name) => vec![device(&kernel, name)?.0],
         None => {
             let mut devices = kernel.devices().map_err(explained)?;
-            // What a detour does is told with the interface whose detour it is.
+            // The conditions of a detour are shown with the interface that it belongs to.
             devices.retain(|device| !device.is_detour());
             for device in &mut devices {
                 Record::load(device).recall(device);
@@ -152,7 +154,7 @@ fn clear(args: &ClearArgs) -> miette::Result<()> {
     }
     for plan in &plans {
         kernel.apply(plan).map_err(explained)?;
-        tell(plan, &device);
+        note_losses(plan, &device);
     }
     let left = kernel.device(&args.packets.interface).map_err(explained)?;
     if left.rules().next().is_none() {

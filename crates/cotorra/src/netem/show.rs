@@ -12,7 +12,7 @@ fn percent(p: Probability) -> String {
     format!("{} %", round(p.get() * 100.0))
 }
 
-/// Six digits, which hides what the kernel's units change.
+/// Rounds to six digits, which hides the rounding of the kernel's units.
 fn round(value: f64) -> f64 {
     format!("{value:.6}").parse().unwrap_or(value)
 }
@@ -21,7 +21,7 @@ fn time(duration: Duration) -> String {
     format!("{} ms", round(duration.as_secs_f64() * 1e3))
 }
 
-/// Which packets of an interface a rule is for.
+/// Describes the packets that a rule applies to.
 pub fn packets(rule: &Rule) -> String {
     match (rule.side, rule.network) {
         (Side::Egress, None) => "leaving".to_owned(),
@@ -31,9 +31,9 @@ pub fn packets(rule: &Rule) -> String {
     }
 }
 
-/// What happens to them.
+/// Describes the conditions of a rule.
 pub fn conditions(netem: &Netem) -> String {
-    let mut said = Vec::new();
+    let mut parts = Vec::new();
     if !netem.delay.is_zero() || netem.jitter.is_some() {
         let mut delay = format!("delay {}", time(netem.delay));
         if let Some(jitter) = netem.jitter {
@@ -42,30 +42,30 @@ pub fn conditions(netem: &Netem) -> String {
                 delay += &format!(" {}", distribution.name());
             }
         }
-        said.push(delay);
+        parts.push(delay);
     }
     match netem.loss {
         Loss::None => {}
-        Loss::Independent { rate } => said.push(format!("loss {}", percent(rate))),
+        Loss::Independent { rate } => parts.push(format!("loss {}", percent(rate))),
         Loss::GilbertElliott { to_good, .. } => {
             let share = round(netem.loss.share() * 100.0);
-            said.push(format!("loss {share} % in bursts of {}", round(1.0 / to_good.get())));
+            parts.push(format!("loss {share} % in bursts of {}", round(1.0 / to_good.get())));
         }
     }
     let shares =
         [("duplicate", netem.duplication), ("corrupt", netem.corruption), ("reorder", netem.reordering)];
-    said.extend(
+    parts.extend(
         shares.iter().filter(|(_, p)| p.get() > 0.0).map(|(name, p)| format!("{name} {}", percent(*p))),
     );
-    said.extend(netem.rate.map(|rate| format!("rate {rate}")));
-    said.push(format!("limit {}", netem.limit()));
+    parts.extend(netem.rate.map(|rate| format!("rate {rate}")));
+    parts.push(format!("limit {}", netem.limit()));
     if !netem.in_order {
-        said.push("unordered".to_owned());
+        parts.push("unordered".to_owned());
     }
-    said.join(", ")
+    parts.join(", ")
 }
 
-/// A table of all rules.
+/// Returns a table of all rules.
 pub fn table(devices: &[Device]) -> String {
     let mut table = Table::new("<<<>>>");
     table.row(["interface", "packets", "conditions", "sent", "dropped", "waiting"]);
@@ -80,7 +80,7 @@ pub fn table(devices: &[Device]) -> String {
     if empty { "no conditions\n".to_owned() } else { table.render("") }
 }
 
-/// The same as JSON.
+/// Returns all rules as JSON.
 pub fn json(devices: &[Device]) -> Value {
     let rules = |device: &Device| {
         let name = device.interface().name.clone();

@@ -1,4 +1,4 @@
-//! `cotorra run`: brings a testbed up, shows how it goes, ends it in order, and says what came of it.
+//! `cotorra run`: brings a testbed up, shows its progress, ends it in order, and reports the results.
 
 mod args;
 mod plan;
@@ -35,15 +35,14 @@ use crate::{
 pub use args::{FOXGLOVE, RunArgs};
 use view::{Places, View};
 
-/// How often the view looks; no service time is missed while robots ask for navigation no more often.
-const LOOK: Duration = Duration::from_millis(25);
-/// The figures of a run are not valid.
+/// Refresh interval of the view. It misses no service time as long as robots send position packets less often.
+const REFRESH: Duration = Duration::from_millis(25);
+/// Exit status of a run whose figures are not valid.
 pub const NOT_VALID: u8 = 3;
 
 /// The environment variable with the tokens of domains.
 const DOMAIN_TOKENS_VARIABLE: &str = "COTORRA_DOMAIN_TOKENS";
 
-/// What keeps a run from its beginning or its end.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum Error {
     #[error(transparent)]
@@ -57,7 +56,7 @@ pub enum Error {
     #[error("{TOKEN_VARIABLE} is too short to be a secret")]
     #[diagnostic(help("use 16 characters or more: {TOKEN_VARIABLE}=$(openssl rand -hex 16)"))]
     Token,
-    #[error("{DOMAIN_TOKENS_VARIABLE} does not say which domain has which token")]
+    #[error("{DOMAIN_TOKENS_VARIABLE} is not a list of domains and their tokens")]
     #[diagnostic(help("write it like {DOMAIN_TOKENS_VARIABLE}=\"domain-1=<token> domain-2=<token>\""))]
     DomainTokens,
     #[error(transparent)]
@@ -66,9 +65,9 @@ pub enum Error {
     Log { path: PathBuf, source: io::Error },
     #[error("cannot listen to Ctrl-C: {0}")]
     Signals(ctrlc::Error),
-    #[error("cannot go on after {run}: {why}")]
+    #[error("cannot continue after {run}: {why}")]
     #[diagnostic(help(
-        "docs/federation.md, \"After a crash\", says when a run can; without --after it begins anew"
+        "docs/federation.md, \"After a crash\", lists the conditions; without --after, the run starts afresh"
     ))]
     After { run: String, why: CannotGoOn },
 }
@@ -83,14 +82,14 @@ impl From<RunError> for Error {
     }
 }
 
-/// What to do about links over interfaces of this machine that cannot be.
+/// Returns what to do about a link that cannot use an interface of this machine.
 fn help_for(error: &RealLinkError) -> &'static str {
     match error {
         RealLinkError::Hold(HoldError::Netem(cotorra_netem::Error::Missing { .. })) => {
-            "links to real machines need the kernel's NetEm, as most distributions have it: `cotorra doctor` says what is \
-             missing; in virtual time (`--simulate`) the fabric emulates them"
+            "links to real machines need the kernel's NetEm, which most distributions have: `cotorra doctor` says what is \
+             missing; in virtual time (`--simulate`), the fabric emulates these links"
         }
-        _ => "`--dry-run` says what a run would do to interfaces of this machine, and changes nothing",
+        _ => "`--dry-run` lists what a run would change on interfaces of this machine",
     }
 }
 
@@ -114,7 +113,7 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         after: None,
     };
     if args.dry_run {
-        earlier(&args, &loaded)?;
+        previous(&args, &loaded)?;
         let interfaces = match args.simulate {
             true => Vec::new(),
             false => interface_plans(&loaded.testbed, &options.interfaces).map_err(Error::from)?,
@@ -123,8 +122,8 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let stage = Stage::set(args.headless, args.verbose, !args.simulate)?;
-    // Not before: a history may have threads.
-    options.after = earlier(&args, &loaded)?;
+    // Only now, because a history may have threads, and the stage must be set by a process with a single one.
+    options.after = previous(&args, &loaded)?;
     let finished = if args.simulate {
         stage.simulate(&loaded, &options, "")?
     } else {
@@ -134,24 +133,24 @@ pub fn run(args: RunArgs) -> miette::Result<ExitCode> {
     Ok(if finished.unrecorded.is_empty() { verdict(&finished.summary) } else { ExitCode::FAILURE })
 }
 
-/// What a run noted that this one is to go on after, if there is one.
-fn earlier(args: &RunArgs, now: &Loaded) -> miette::Result<Option<PreviousRun>> {
+/// Reads the run that --after names: the steps that it noted.
+fn previous(args: &RunArgs, loaded: &Loaded) -> miette::Result<Option<PreviousRun>> {
     let Some(run) = args.after.as_deref() else { return Ok(None) };
     let place = HistoryPlace { history: args.history.clone(), runs: args.out.clone() };
     let Source { history, run: found } = Source::find(run, &place)?;
     let base = args.file.parent().unwrap_or(Path::new(""));
     let parse = |text: &str| testbed_file::recorded(text, run, base);
     let cannot = |why| Error::After { run: run.to_owned(), why };
-    Ok(Some(PreviousRun::read(&history, &found, &now.testbed, parse).map_err(cannot)?))
+    Ok(Some(PreviousRun::read(&history, &found, &loaded.testbed, parse).map_err(cannot)?))
 }
 
-/// How a run is to be recorded and watched.
+/// Returns whether the run is recorded, and served to viewers.
 fn wanted(args: &RunArgs) -> Wanted {
     let file = args.record.clone().map(|file| file.map_or(RecordingPlace::Folder, RecordingPlace::File));
     Wanted { file, foxglove: args.foxglove }
 }
 
-/// What runs in a process share: the terminal, the log, and Ctrl-C.
+/// Terminal, log and Ctrl-C handler of a process, which its runs share.
 pub struct Stage {
     terminal: MultiProgress,
     log: LogFile,
@@ -159,10 +158,10 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Sets the stage, for real packets or for virtual time.
+    /// Prepares the process for runs, with real packets if `real`, or else in virtual time.
     pub fn set(headless: bool, verbose: u8, real: bool) -> miette::Result<Self> {
         if real {
-            // Before the first thread: only a process with a single one may enter a user namespace.
+            // Before the first thread starts: only a process with a single thread may enter a user namespace.
             cotorra_datapath::enter_user_namespace_if_needed().map_err(Error::Datapath)?;
             cotorra_datapath::hide_memory().map_err(Error::Datapath)?;
         }
@@ -212,7 +211,7 @@ impl Stage {
     }
 }
 
-/// The operator's and those of domains, checked.
+/// Reads and checks the tokens of the operator and of domains from the environment.
 pub fn tokens() -> Result<Tokens, Error> {
     let operator = token_text().map(|text| Token::new(text).ok_or(Error::Token)).transpose()?;
     let of_domains = env::var(DOMAIN_TOKENS_VARIABLE).unwrap_or_default();
@@ -225,11 +224,11 @@ pub fn tokens() -> Result<Tokens, Error> {
     Ok(Tokens::new(operator, domains)?)
 }
 
-/// Shows how a run goes until it has come to its end, by itself or because someone wants it to.
+/// Shows the progress of a run until it has ended. Ctrl-C stops it.
 fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
     while !run.is_finished() {
         run.live().read(|now| view.show(now));
-        match interrupts.recv_timeout(LOOK) {
+        match interrupts.recv_timeout(REFRESH) {
             Ok(()) => {
                 view.ending();
                 run.stopper().stop();
@@ -240,7 +239,7 @@ fn watch(run: &Run, view: &mut View<'_>, interrupts: &mpsc::Receiver<()>) {
     }
 }
 
-/// How the program ends after a run.
+/// Returns the exit status after a run.
 pub fn verdict(summary: &Summary) -> ExitCode {
     if summary.fidelity.valid { ExitCode::SUCCESS } else { ExitCode::from(NOT_VALID) }
 }

@@ -1,4 +1,4 @@
-//! What `run --dry-run` says: everything that a run would bring up.
+//! Output of `run --dry-run`: everything that a run would start.
 
 use cotorra_graph::{NodeKind, Program, Tier, Vnf};
 use cotorra_measurements::Location;
@@ -11,7 +11,7 @@ use crate::{
 };
 use cotorra_graph::{PluginProgram, Testbed};
 
-/// What a run with these arguments would bring up.
+/// Describes what a run with these arguments would start.
 pub fn describe(
     testbed: &Testbed,
     args: &RunArgs,
@@ -36,7 +36,7 @@ pub fn describe(
     text += &hosts.render("  ");
     for (name, plan) in interfaces {
         text +=
-            &format!("\nInterface {name} of this machine, put back at the end, in the words of tc and ip:\n");
+            &format!("\nInterface {name} of this machine, restored at the end, as commands of tc and ip:\n");
         plan.to_string().lines().for_each(|line| text += &format!("  {line}\n"));
     }
     if !testbed.walks.is_empty() {

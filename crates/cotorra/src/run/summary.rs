@@ -1,4 +1,4 @@
-//! What a run says at its end: the summary that is also in its folder, for people.
+//! Output of a run at its end: its summary, formatted for people.
 
 use console::style;
 use cotorra_measurements::Location;
@@ -10,10 +10,10 @@ use crate::{
     words::{clock, count, in_ms},
 };
 
-/// A region with fewer samples is left out of the table, as what lies between two decisions of one moment.
-const NOT_WORTH_A_ROW: usize = 2;
+/// Fewest samples of a region in the table. Two decisions at the same moment have a region with fewer between them.
+const FEWEST_SAMPLES: usize = 2;
 
-/// The summary of a run, and where to find the rest.
+/// Describes the results of a run, and lists its files.
 pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     let Finished { summary, folder, .. } = finished;
     let unanswered = match summary.unanswered {
@@ -46,7 +46,7 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
         text += &format!("  {} not recorded: {what}\n", style("!").red());
     }
     if let Some(recording) = &finished.recording {
-        text += &lost(recording);
+        text += &gaps(recording);
     }
     let own = if elsewhere.is_some() { "history.json" } else { "history.sqlite" };
     let files = ["summary.json", "service_time.csv", "service_time.svg", own, "testbed.yaml"];
@@ -62,8 +62,8 @@ pub fn describe(finished: &Finished, elsewhere: Option<&Location>) -> String {
     text
 }
 
-/// What a recording lacks.
-fn lost(recording: &RecordingSummary) -> String {
+/// Describes the gaps of a recording.
+fn gaps(recording: &RecordingSummary) -> String {
     let mark = style("!").red();
     let mut text = String::new();
     if recording.dropped > 0 {
@@ -85,7 +85,7 @@ fn regions(summary: &Summary) -> String {
     let server = if services { "server" } else { "navigation on" };
     let heads = ["attached to", server, "from", "to", "samples", "median"].map(str::to_owned);
     table.row(robot("robot").into_iter().chain(service("service")).chain(heads));
-    for region in summary.regions.iter().filter(|region| region.samples >= NOT_WORTH_A_ROW) {
+    for region in summary.regions.iter().filter(|region| region.samples >= FEWEST_SAMPLES) {
         let cells = [
             region.attachment.as_ref().map_or("none".to_owned(), |id| id.to_string()),
             region.server.to_string(),

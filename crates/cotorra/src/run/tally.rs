@@ -1,22 +1,22 @@
-//! Service times as they come, for the live view; the report counts them all again from the events.
+//! Running statistics of service times for the live view. The report computes its own from the events.
 
 use std::collections::BTreeMap;
 
 use cotorra_graph::{ServiceId, ServiceTime};
 
-/// Service times so far.
+/// Statistics of the service times so far.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// The last request that was counted, service by service.
+    /// Sequence number of the last counted request of each service.
     counted: BTreeMap<ServiceId, u32>,
-    /// Answered ones in milliseconds, ascending.
+    /// Times of answered requests in milliseconds, ascending.
     answered_ms: Vec<f64>,
     total: usize,
     above: usize,
 }
 
 impl Tally {
-    /// Counts a service's last time, once.
+    /// Counts a service's last sample, unless it was counted before.
     pub fn count(&mut self, sample: &ServiceTime, target_ms: f64) {
         if self.counted.insert(sample.service.clone(), sample.sequence) == Some(sample.sequence) {
             return;
@@ -29,12 +29,12 @@ impl Tally {
         }
     }
 
-    /// The median of the answered ones.
+    /// Returns the median of answered requests.
     pub fn median_ms(&self) -> Option<f64> {
         self.answered_ms.get(self.answered_ms.len() / 2).copied()
     }
 
-    /// The share of all that took longer than their target, unanswered ones among them.
+    /// Returns the share of requests above their target. Unanswered requests count as above.
     pub fn above(&self) -> Option<f64> {
         (self.total > 0).then(|| self.above as f64 / self.total as f64)
     }

@@ -1,4 +1,4 @@
-//! What a run shows while it goes: a live view on a terminal, else a plain line now and then.
+//! Progress of a run: a live view on a terminal, or else a plain line at intervals.
 
 use std::{net::SocketAddr, path::Path, time::Duration};
 
@@ -12,16 +12,16 @@ use crate::{
     words::{clock, in_ms},
 };
 
-/// More robots than this are only counted.
+/// Maximum number of robots that are shown. Further ones are only counted.
 const ROBOTS_SHOWN: usize = 8;
-/// Run time between two plain lines, seconds.
+/// Run time between two plain lines in seconds.
 const LINE_EVERY_S: f64 = 10.0;
-/// The live view is drawn at every so many looks: nobody reads faster.
-const LOOKS_A_FRAME: u32 = 6;
-/// Steps of the progress bar.
+/// Refreshes for each drawing of the live view, at a rate that people can read.
+const REFRESHES_PER_FRAME: u32 = 6;
+/// Resolution of the progress bar.
 const STEPS: u64 = 10_000;
 
-/// Where a run can be reached and found.
+/// Addresses and folder of a run.
 #[derive(Debug)]
 pub struct Places<'a> {
     pub api: SocketAddr,
@@ -29,7 +29,7 @@ pub struct Places<'a> {
     pub folder: &'a Path,
 }
 
-/// Shows how a run goes.
+/// View of a run's progress.
 pub struct View<'a> {
     testbed: &'a Testbed,
     until: Option<Duration>,
@@ -43,7 +43,8 @@ enum Shape {
         robots: Vec<(NodeId, ProgressBar)>,
         so_far: ProgressBar,
         places: ProgressBar,
-        looks: u32,
+        /// Refreshes until the next drawing.
+        refreshes: u32,
     },
     Lines {
         next_s: f64,
@@ -51,7 +52,7 @@ enum Shape {
 }
 
 impl<'a> View<'a> {
-    /// A view on `terminal`, or plain lines if that shows nothing.
+    /// Creates a live view on `terminal`, or plain lines if the terminal is hidden.
     pub fn new(
         testbed: &'a Testbed,
         until: Option<Duration>,
@@ -77,7 +78,7 @@ impl<'a> View<'a> {
             ["so far", "API", "Foxglove", &testbed.name].into_iter().chain(robots.iter().map(NodeId::as_str));
         let width = labels.map(str::len).max().unwrap_or(0);
         let line = |label: &str| {
-            // The label first, so that all lines begin alike.
+            // The label comes first, so that all lines are aligned.
             let style =
                 ProgressStyle::with_template("{prefix:.bold}  {wide_msg}").expect("a template that is right");
             let line = terminal.add(ProgressBar::new_spinner().with_style(style));
@@ -100,10 +101,10 @@ impl<'a> View<'a> {
         }
         let (so_far, api) = (line("so far"), line("API"));
         api.set_message(format!("http://{}, run in {}", places.api, places.folder.display()));
-        Shape::Live { bar, robots, so_far, places: api, looks: 0 }
+        Shape::Live { bar, robots, so_far, places: api, refreshes: 0 }
     }
 
-    /// Takes in how it is now, and shows it now and then.
+    /// Counts new service times, and shows the state if it is due.
     pub fn show(&mut self, now: &Snapshot) {
         for service in &self.testbed.services {
             if let Some(sample) = now.service_times.get(&service.id) {
@@ -111,9 +112,9 @@ impl<'a> View<'a> {
             }
         }
         match &mut self.shape {
-            Shape::Live { looks, .. } if *looks > 0 => *looks -= 1,
-            Shape::Live { bar, robots, so_far, looks, .. } => {
-                *looks = LOOKS_A_FRAME - 1;
+            Shape::Live { refreshes, .. } if *refreshes > 0 => *refreshes -= 1,
+            Shape::Live { bar, robots, so_far, refreshes, .. } => {
+                *refreshes = REFRESHES_PER_FRAME - 1;
                 let (share, text) = progress(self.testbed, self.until, now);
                 bar.set_position((share * STEPS as f64) as u64);
                 bar.set_message(text);
@@ -140,7 +141,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Says that the run is ending.
+    /// Shows that the run is ending.
     pub fn ending(&self) {
         const ENDING: &str = "ending in order; Ctrl-C again ends it at once";
         match &self.shape {
@@ -149,7 +150,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// Takes the live view away.
+    /// Removes the live view.
     pub fn close(self) {
         if let Shape::Live { bar, robots, so_far, places, .. } = self.shape {
             let lines = robots.into_iter().map(|(_, line)| line).chain([bar, so_far, places]);
@@ -158,7 +159,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// How much of the run is behind us, from 0 to 1, and in words.
+/// Returns the progress from 0 to 1, and in words.
 fn progress(testbed: &Testbed, until: Option<Duration>, now: &Snapshot) -> (f64, String) {
     let time_s = now.at.as_secs_f64();
     let of_time = until.map_or(0.0, |until| time_s / until.as_secs_f64());
@@ -179,7 +180,7 @@ fn progress(testbed: &Testbed, until: Option<Duration>, now: &Snapshot) -> (f64,
     (of_time.max(of_walk).min(1.0), text)
 }
 
-/// How far along its walk a robot is, metres.
+/// Returns how far a robot is along its walk, in metres.
 fn walked(walk: &Walk, context: &RobotContext) -> f64 {
     let next = context.waypoint as usize;
     match walk.waypoints.get(next) {
@@ -193,7 +194,7 @@ fn walked(walk: &Walk, context: &RobotContext) -> f64 {
     }
 }
 
-/// Where a robot is, its attachment, its server, and its last service time.
+/// Describes a robot: its position, attachment, server, and last service times.
 fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
     let Some(context) = now.robots.get(id) else { return "nothing known yet".to_owned() };
     let mut parts = vec![format!("at {}", context.sensors.pose.position())];
@@ -222,7 +223,7 @@ fn robot(testbed: &Testbed, now: &Snapshot, id: &NodeId) -> String {
     parts.join(", ")
 }
 
-/// Where a robot's navigation runs.
+/// Returns the nodes that run a robot's navigation.
 fn server<'a>(testbed: &Testbed, now: &'a Snapshot, robot: &NodeId) -> Option<&'a Nodes> {
     let of_robot = testbed.services.iter().filter(|service| service.robot == *robot);
     let vnf = of_robot.flat_map(|service| &service.vnfs).find(|vnf| vnf.program == Program::Navigation)?;

@@ -25,7 +25,7 @@ fn a_run_goes_on_only_after_one_of_the_same_testbed_on_the_same_ledger() {
     let on_a_network = "plugins.*.settings.ledger={kind: ethereum, url: 'ws://127.0.0.1:9', chain_id: 1, contract: '0x00', key_store: k}";
     for (after, more, told) in [
         ("nowhere", &[][..], "there is no folder nowhere"),
-        ("7", &[], "run 7 of which history?"),
+        ("7", &[], "run 7 is a number, but no history is named"),
         (of_corridor.to_str().unwrap(), &[], "it was a run of the testbed `corridor`"),
         (modelled.to_str().unwrap(), &[], "`orchestrator-1`: its ledger begins with the run"),
         (modelled.to_str().unwrap(), &["--set", on_a_network], "that run had another ledger"),

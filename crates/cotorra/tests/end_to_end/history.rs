@@ -132,7 +132,7 @@ fn a_state_a_series_and_events_are_told() {
     let next = runs.answer(&["events", okpi, "--limit", "1", "--json", "--after", cursor]);
     let first_four = runs.answer(&["events", okpi, "--limit", "4", "--json"]);
     assert!(first_four.ends_with(&next), "pages join without a seam");
-    assert_eq!(runs.answer(&["gaps", okpi]), "nothing was lost in that time\n");
+    assert_eq!(runs.answer(&["gaps", okpi]), "no events were lost in that time\n");
 }
 
 #[test]
@@ -163,7 +163,7 @@ fn what_is_not_there_is_told_with_what_is() {
     let okpi = text(&runs.okpi);
     for (arguments, parts) in [
         (&["state", "nowhere"][..], ["there is no folder nowhere", "cotorra history runs"]),
-        (&["state", "7"], ["run 7 of which history?", "COTORRA_HISTORY"]),
+        (&["state", "7"], ["run 7 is a number, but no history is named", "COTORRA_HISTORY"]),
         (&["state", "7", "--history", "shared.sqlite"], ["there is no run 7 in this history", "×"]),
         (&["state", "7", "--history", "none.sqlite"], ["there is no history none.sqlite", "cotorra run"]),
         (&["state", "."], ["it is not the folder of a run", "cotorra history runs"]),

@@ -159,7 +159,7 @@ fn old_samples_are_rolled_up_once_that_is_wanted() {
     let (_, told) = run(&["history", "series", "latest", "robot", "--figure", "x"]);
     assert!(told.contains("samples were rolled up"), "{told}");
     let (_, told) = run(&["history", "prune", "latest", "--yes"]);
-    assert!(told.contains("nothing is that old"), "{told}");
+    assert!(told.contains("no samples are that old"), "{told}");
     let (well, told) = run(&["history", "prune", "latest", "--raw", "1h", "--step", "7s"]);
     assert!(!well && told.contains("a minute must be a multiple of it"), "{told}");
     fs::write(&file, fs::read_to_string(&file).unwrap().replace("step: 1 s", "step: 7 s")).unwrap();

@@ -322,7 +322,7 @@ impl Site {
         let (answered, there) = (self.answered(), kept.instructions.len());
         assert!(answered >= at_least && there >= answered, "{answered} answered, {there} kept");
         let gaps = self.ask(in_server, &["gaps", run.folder.to_str().unwrap()]);
-        assert!(gaps.contains("nothing was lost"), "{gaps}");
+        assert!(gaps.contains("no events were lost"), "{gaps}");
         kept
     }
 

@@ -60,7 +60,10 @@ fn what_cannot_be_is_refused_with_what_would_be_right() {
         (vec!["set", "lo"], "--delay <DURATION>"),
         (vec!["set", "lo", "--delay", "10"], "write it like 10ms"),
         (vec!["set", "lo", "--loss", "1"], "write it like 1%"),
-        (vec!["set", "lo", "--loss", "90%", "--burst", "2"], "bursts are 9.000 packets or longer"),
+        (
+            vec!["set", "lo", "--loss", "90%", "--burst", "2"],
+            "bursts at that share are 9.000 packets or longer",
+        ),
         (vec!["set", "lo", "--delay", "1ms", "--to", "nowhere"], "neither an address nor a network"),
         (vec!["set", "lo", "--delay", "1ms", "--from", "10.0.0.1"], "--ingress"),
         (vec!["show", "no-such-interface"], "there is no interface `no-such-interface` here: there are lo"),

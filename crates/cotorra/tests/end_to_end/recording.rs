@@ -138,7 +138,7 @@ fn what_cannot_be_recorded_or_served_is_said_before_anything_begins() {
         assert!(!done.status.success());
         stderr(&done).split_whitespace().filter(|word| *word != "│").collect::<Vec<_>>().join(" ")
     };
-    assert!(refused(&["--record", "testbed.yaml"]).contains("ends with .mcap"));
+    assert!(refused(&["--record", "testbed.yaml"]).contains("must end with .mcap"));
     assert!(refused(&["--simulate", "--foxglove"]).contains("cannot be used with"));
     assert!(refused(&["--record", "/nowhere/run.mcap"]).contains("cannot write /nowhere/run.mcap"));
 }

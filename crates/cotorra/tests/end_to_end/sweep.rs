@@ -29,14 +29,16 @@ fn a_sweep_that_ctrl_c_stops_is_gone_on_with() {
     }
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130), "{}", stdout(&output));
-    assert!(stdout(&output).contains("the same command goes on"), "{}", stdout(&output));
+    assert!(stdout(&output).contains("the same command resumes it"), "{}", stdout(&output));
     let runs = || fs::read_to_string(folder.join("runs.csv")).unwrap();
     let kept = runs();
     assert!((4..60).contains(&kept.lines().count()), "{kept}");
 
     // With fewer seeds, so that the rest is soon done.
     let dry = sweep(&folder, "3").arg("--dry-run").output().unwrap();
-    assert!(stdout(&dry).contains("6 runs") && stdout(&dry).contains("what it has is not run again"));
+    assert!(
+        stdout(&dry).contains("6 runs") && stdout(&dry).contains("the runs that it has are not repeated")
+    );
     let rest = sweep(&folder, "3").output().unwrap();
     assert!(rest.status.success(), "{}", stderr(&rest));
     assert!(stdout(&rest).contains("6 of 6 runs, 3 of them from before"), "{}", stdout(&rest));
