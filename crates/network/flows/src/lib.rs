@@ -1,9 +1,4 @@
-//! Measures the service time of a flow from the frames at one host's port: from the moment in which a request enters the
-//! network there to the moment in which its answer is delivered there. Programs are not changed for it, and need not know.
-//!
-//! A [`Meter`] takes frames with the time and gives [`Sample`]s. It opens no socket, reads no clock and waits for nothing.
-//! What it remembers has bounds: of requests, connections, fragments and bytes. What exceeds them is left out of the samples
-//! and counted ([`Counts`]); no sample is a guess.
+#![doc = include_str!("../README.md")]
 
 mod fragments;
 mod http;
