@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, time::Duration};
 use cotorra_graph::{AccessPoint, Event, HardwareGraph, NodeId, Timestamp, VnfEvent, VnfState};
 
 use crate::{
-    control::{InstructionError, Network, NetworkGone},
+    network::{InstructionError, Network, NetworkGone, refused},
     vim::{Engine, Vim},
 };
 
@@ -39,15 +39,13 @@ impl AccessPoints {
         network: &impl Network,
         vim: &mut Vim<E>,
     ) -> Result<(), InstructionError> {
-        let refused = |reason: &dyn ToString| InstructionError(reason.to_string());
         if self.deploying.contains_key(radio_unit) {
             return Err(InstructionError(format!("a vAP is being deployed on `{radio_unit}` already")));
         }
         let (unit, wanted) = (radio_unit.clone(), access_point.clone());
         let check = move |fabric: &mut cotorra_fabric::Fabric, _| fabric.check_switch_on(&unit, &wanted);
-        network.with(check).map_err(|gone| refused(&gone))?.map_err(|reason| refused(&reason))?;
-        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit)
-            .map_err(|reason| refused(&reason))?;
+        network.with(check).map_err(refused)?.map_err(refused)?;
+        vim.reserve(AccessPoint::vnf(radio_unit), CPUS, MEMORY, radio_unit).map_err(refused)?;
         let time = self.times.get(radio_unit).copied().unwrap_or_default();
         self.deploying.insert(radio_unit.clone(), (now + time, access_point));
         Ok(())
@@ -63,8 +61,7 @@ impl AccessPoints {
         if self.deploying.remove(radio_unit).is_none() {
             let unit = radio_unit.clone();
             let off = move |fabric: &mut cotorra_fabric::Fabric, now| fabric.switch_off(now, &unit);
-            let done = network.with(off).map_err(|gone| InstructionError(gone.to_string()))?;
-            done.map_err(|reason| InstructionError(reason.to_string()))?;
+            network.with(off).map_err(refused)?.map_err(refused)?;
         }
         vim.release(&AccessPoint::vnf(radio_unit));
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])

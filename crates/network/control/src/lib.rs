@@ -9,11 +9,11 @@ mod access;
 mod control;
 mod environment;
 mod mappings;
+mod network;
 #[cfg(test)]
 mod testing;
 pub mod vim;
 
-pub use control::{
-    InstructionError, Network, NetworkControl, NetworkGone, change_fabric, test_fabric_throughput,
-};
+pub use control::NetworkControl;
 pub use environment::program_of_others;
+pub use network::{InstructionError, Network, NetworkGone, change_fabric, test_fabric_throughput};

@@ -1,6 +1,6 @@
 use std::path::Path as FilePath;
 
-use cotorra_graph::{Loss, Probability};
+use cotorra_graph::{ConditionChange, Loss, Probability};
 
 use super::*;
 use crate::{testing::Here, vim::InMemoryEngine};
