@@ -20,19 +20,16 @@ use crate::{
     flows::{Flows, Mark},
     frame::Frame,
     lateness::Histogram,
+    link_tests::{LinkTests, ProbeTarget},
     pipe::{Packet, Pipe, Purpose},
     pool::Pool,
     port::PortId,
-    probes::{ProbeTarget, Probes},
     radio::{Arrival, Path, Radio},
     random::stream,
     routes::{Path as Pinned, Routes, Target, Vertex},
     settings::{FabricError, Settings},
-    throughput_tests::ThroughputTests,
     timers::Timers,
 };
-
-pub use self::paths::NoPath;
 
 /// Frames that the fabric could not lead anywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -63,8 +60,7 @@ pub struct Fabric {
     /// By edge of the routes: forward and backward of each link in turn.
     pipes: Vec<Pipe>,
     timers: Timers,
-    probes: Probes,
-    throughput_tests: ThroughputTests,
+    link_tests: LinkTests,
     radio: Radio,
     radio_deadline: Option<Timestamp>,
     arrivals: Vec<Arrival>,
@@ -168,9 +164,8 @@ impl Fabric {
             links: graph.links.iter().map(|l| l.id.clone()).collect(),
             link_by_name,
             timers: Timers::new(pipes.len()),
-            throughput_tests: ThroughputTests::new(pipes.len()),
+            link_tests: LinkTests::new(pipes.len()),
             pipes,
-            probes: Probes::none(),
             radio_deadline: radio.deadline(),
             radio,
             arrivals: Vec::new(),
@@ -241,7 +236,7 @@ impl Fabric {
         }
         let wired = self.timers.next().map(|(deadline, _)| deadline);
         let flows = self.flows.as_ref().and_then(|flows| flows.deadline());
-        [wired, self.radio_deadline, self.own_deadline(), flows].into_iter().flatten().min()
+        [wired, self.radio_deadline, self.link_tests.deadline(), flows].into_iter().flatten().min()
     }
 
     /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`; and the
@@ -295,7 +290,7 @@ impl Fabric {
             self.pipes[edge].change(now, settings, &mut self.pool);
             self.timers.set(edge, self.pipes[edge].deadline());
         }
-        self.probes.change(index, effective(&self.pipes, index));
+        self.link_tests.change(index, effective(&self.pipes, index));
         Ok(())
     }
 
@@ -306,7 +301,7 @@ impl Fabric {
         let wires = (0..self.links.len()).map(|link| effective(&self.pipes, link));
         let radio = &self.radio;
         let stations = (0..radio.stations()).map(|robot| move |bytes: usize| radio.turns(robot, bytes));
-        self.probes = Probes::new(settings, now, wires, stations);
+        self.link_tests.probe(settings, now, wires, stations);
     }
 
     /// Tests what one direction of a wired link carries, by packets that cross it as any others do, and are in no
@@ -330,7 +325,7 @@ impl Fabric {
         };
         let edge = edge(index, direction);
         let rate = &self.pipes[edge].settings().effective().rate;
-        self.throughput_tests.begin(now, (edge, link), test, rate)
+        self.link_tests.begin_test(now, (edge, link), test, rate)
     }
 
     /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
@@ -338,18 +333,18 @@ impl Fabric {
     pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
         let now = self.advance(now);
         let wired = self.links.iter().enumerate().flat_map(|(i, link)| {
-            let probed = self.probes.probed(now, ProbeTarget::Wire(i));
+            let probed = self.link_tests.probed(now, ProbeTarget::Wire(i));
             [Direction::Forward, Direction::Backward].map(|direction| {
                 let edge = edge(i, direction);
                 LinkContext {
                     probed: probed.map(|both| both[direction as usize]),
-                    tested: self.throughput_tests.tested(now, edge),
+                    tested: self.link_tests.tested(now, edge),
                     ..self.pipes[edge].context(now, link.clone(), direction)
                 }
             })
         });
         let mut contexts: Vec<_> = wired.collect();
-        let on_air = |robot, unit| self.probes.probed(now, ProbeTarget::Air(robot, unit));
+        let on_air = |robot, unit| self.link_tests.probed(now, ProbeTarget::Air(robot, unit));
         contexts.extend(self.radio.link_contexts(now, on_air));
         contexts
     }
@@ -545,12 +540,12 @@ impl Fabric {
         loop {
             let wired = self.timers.next().filter(|(at, _)| *at <= now);
             let air = self.radio_deadline.filter(|at| *at <= now);
-            let own = self.own_deadline().filter(|at| *at <= now);
-            match (wired, air, own) {
+            let test = self.link_tests.deadline().filter(|at| *at <= now);
+            match (wired, air, test) {
                 (wired, air, Some(at))
                     if wired.is_none_or(|(wired, _)| at < wired) && air.is_none_or(|air| at < air) =>
                 {
-                    self.send_own(at);
+                    self.send_tests(at);
                 }
                 (Some((at, edge)), air, _) if air.is_none_or(|air| at < air) => self.poll_pipe(at, edge),
                 (_, Some(at), _) => self.poll_radio(at),
@@ -559,17 +554,13 @@ impl Fabric {
         }
     }
 
-    /// When a packet that only measures is due.
-    fn own_deadline(&self) -> Option<Timestamp> {
-        [self.probes.deadline(), self.throughput_tests.deadline()].into_iter().flatten().min()
-    }
-
-    fn send_own(&mut self, at: Timestamp) {
-        let probe = self.probes.poll(at, |robot| self.radio.linked(robot), |length| self.pool.take(length));
-        if let Some((over, frame)) = probe {
+    /// Sends the probe and the packet of a throughput test that are due.
+    fn send_tests(&mut self, at: Timestamp) {
+        let linked = |robot| self.radio.linked(robot);
+        if let Some((over, frame)) = self.link_tests.poll_probe(at, linked, |length| self.pool.take(length)) {
             self.probe(at, over, Direction::Forward, frame);
         }
-        if let Some((edge, frame)) = self.throughput_tests.poll(at, |length| self.pool.take(length)) {
+        if let Some((edge, frame)) = self.link_tests.poll_test(at, |length| self.pool.take(length)) {
             self.cross(at, edge, Packet { frame, purpose: Purpose::ThroughputTest, entered: at });
         }
         self.settle(at);
@@ -591,8 +582,7 @@ impl Fabric {
 
     /// A probe or its answer has come to the other end.
     fn probed(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
-        let crossing = self.probes.crossed(now, now, (over, direction), frame);
-        if let Some(answer) = crossing.and_then(|crossing| crossing.answer) {
+        if let Some(answer) = self.link_tests.probe_crossed(now, (over, direction), frame) {
             self.probe(now, over, Direction::Backward, answer);
         }
     }
@@ -602,7 +592,7 @@ impl Fabric {
         match packet.purpose {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
             Purpose::ThroughputTest => {
-                self.throughput_tests.crossed(now, edge);
+                self.link_tests.test_crossed(now, edge);
                 self.pool.put(packet.frame.into_bytes());
             }
             Purpose::Probe => {

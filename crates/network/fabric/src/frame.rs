@@ -3,21 +3,14 @@
 
 use std::ops::Range;
 
-use crate::{checksum, pool::Pool};
-
-/// Length of an Ethernet header without tags.
-pub(crate) const ETHERNET_HEADER: usize = 14;
-
-/// The EtherType of packets that measure a link: the first for local experiments (IEEE 802-2014, 9.2.4). No network stack
-/// on the way takes them for its own.
-pub const MEASURING_ETHERTYPE: u16 = 0x88b5;
-
-/// The header of packets that measure a link: to the nearest bridge, which never forwards it (IEEE 802.1Q-2018, table 8-1),
-/// from a locally administered address that nobody else has.
-pub(crate) const MEASURING: [u8; ETHERNET_HEADER] = {
-    let [high, low] = MEASURING_ETHERTYPE.to_be_bytes();
-    [0x01, 0x80, 0xc2, 0x00, 0x00, 0x0e, 0x02, 0x78, 0x00, 0x00, 0x00, 0x01, high, low]
+use cotorra_flows::{
+    checksum,
+    headers::{
+        self, ETHERNET, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, UDP, find_ip, pseudo_header_sum, u16_at,
+    },
 };
+
+use crate::pool::Pool;
 
 /// A checksum left to whoever needs it: the ones' complement sum of everything from `start` on belongs at
 /// `start + offset`, where the sum of the pseudo header stands already (virtio 1.2, 5.1.6.2).
@@ -101,14 +94,6 @@ struct Layout {
     payload: usize,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum IpVersion {
-    V4,
-    V6,
-}
-
-const TCP: u8 = 6;
-const UDP: u8 = 17;
 /// Where the checksum stands in the transport's header.
 const TCP_CHECKSUM: usize = 16;
 const UDP_CHECKSUM: usize = 6;
@@ -192,7 +177,7 @@ impl Frame {
     /// # Errors
     /// [`Malformed`], with what is wrong.
     pub fn check(&mut self) -> Result<(), Malformed> {
-        if self.bytes.len() < ETHERNET_HEADER {
+        if self.bytes.len() < ETHERNET {
             return Err(Malformed::Short);
         }
         if let Some(checksum) = self.offload.checksum {
@@ -267,12 +252,12 @@ impl Frame {
     /// Flips one bit behind the Ethernet header, the `choice`-th of them (modulo their number), with all checksums
     /// done before, so that the receiver can tell. `false` if there is nothing behind it.
     pub(crate) fn flip_bit(&mut self, choice: u64) -> bool {
-        let bits = self.bytes.len().saturating_sub(ETHERNET_HEADER) as u64 * 8;
+        let bits = self.bytes.len().saturating_sub(ETHERNET) as u64 * 8;
         if bits == 0 || self.complete_checksum().is_err() {
             return false;
         }
         let bit = choice % bits;
-        self.bytes[ETHERNET_HEADER + (bit / 8) as usize] ^= 1 << (bit % 8);
+        self.bytes[ETHERNET + (bit / 8) as usize] ^= 1 << (bit % 8);
         true
     }
 
@@ -302,42 +287,24 @@ fn checksum_offset(kind: SegmentationKind) -> usize {
     }
 }
 
-fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
-    bytes.get(at..)?.first_chunk().copied().map(u16::from_be_bytes)
-}
-
 impl Layout {
     /// Finds the headers of a super-packet; `None` if they are not those of its kind.
     fn of(bytes: &[u8], kind: SegmentationKind) -> Option<Self> {
-        let (ip, version) = Self::ip(bytes)?;
+        let (ip, version) = find_ip(bytes)?;
         let (protocol, transport) = match version {
             IpVersion::V4 => Self::ipv4(bytes, ip)?,
             IpVersion::V6 => Self::ipv6(bytes, ip)?,
         };
         let payload = match (kind, version, protocol) {
-            (SegmentationKind::Tcp4, IpVersion::V4, TCP) | (SegmentationKind::Tcp6, IpVersion::V6, TCP) => {
+            (SegmentationKind::Tcp4, IpVersion::V4, PROTOCOL_TCP)
+            | (SegmentationKind::Tcp6, IpVersion::V6, PROTOCOL_TCP) => {
                 let length = usize::from(bytes.get(transport + 12)? >> 4) * 4;
-                (length >= 20).then_some(transport + length)?
+                (length >= headers::TCP).then_some(transport + length)?
             }
-            (SegmentationKind::Udp, _, UDP) => transport + 8,
+            (SegmentationKind::Udp, _, PROTOCOL_UDP) => transport + UDP,
             _ => return None,
         };
         (payload < bytes.len()).then_some(Self { ip, version, transport, payload })
-    }
-
-    /// Where the IP header begins, behind any VLAN tags, and its version.
-    fn ip(bytes: &[u8]) -> Option<(usize, IpVersion)> {
-        let mut at = ETHERNET_HEADER - 2;
-        // IEEE 802.1Q allows two tags.
-        for _ in 0..3 {
-            match u16_at(bytes, at)? {
-                0x8100 | 0x88a8 => at += 4,
-                0x0800 => return Some((at + 2, IpVersion::V4)),
-                0x86dd => return Some((at + 2, IpVersion::V6)),
-                _ => return None,
-            }
-        }
-        None
     }
 
     fn ipv4(bytes: &[u8], ip: usize) -> Option<(u8, usize)> {
@@ -346,15 +313,16 @@ impl Layout {
         let whole = usize::from(u16_at(bytes, ip + 2)?) == bytes.len() - ip;
         // "More fragments" and the offset: a fragment has no transport header to copy.
         let fragment = u16_at(bytes, ip + 6)? & 0x3fff != 0;
-        (first >> 4 == 4 && length >= 20 && whole && !fragment).then_some((*bytes.get(ip + 9)?, ip + length))
+        (first >> 4 == 4 && length >= headers::IPV4 && whole && !fragment)
+            .then_some((*bytes.get(ip + 9)?, ip + length))
     }
 
     fn ipv6(bytes: &[u8], ip: usize) -> Option<(u8, usize)> {
-        let whole = usize::from(u16_at(bytes, ip + 4)?) + 40 == bytes.len() - ip;
+        let whole = usize::from(u16_at(bytes, ip + 4)?) + IPV6 == bytes.len() - ip;
         if bytes.get(ip)? >> 4 != 6 || !whole {
             return None;
         }
-        let (mut protocol, mut at) = (*bytes.get(ip + 6)?, ip + 40);
+        let (mut protocol, mut at) = (*bytes.get(ip + 6)?, ip + IPV6);
         // Hop-by-hop options, routing, destination options (RFC 8200, 4.1); others carry no super-packet.
         while matches!(protocol, 0 | 43 | 60) {
             protocol = *bytes.get(at)?;
@@ -380,11 +348,11 @@ impl Layout {
                 let sum = !checksum::fold(checksum::sum(&bytes[header]));
                 put(bytes, self.ip + 10, sum);
             }
-            IpVersion::V6 => put(bytes, self.ip + 4, (ip_length - 40) as u16),
+            IpVersion::V6 => put(bytes, self.ip + 4, (ip_length - IPV6) as u16),
         }
         let protocol = if kind == SegmentationKind::Udp {
             put(bytes, self.transport + 4, transport_length as u16);
-            UDP
+            PROTOCOL_UDP
         } else {
             let at = self.transport + 4;
             let before = [bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]];
@@ -396,14 +364,14 @@ impl Layout {
             if i > 0 {
                 bytes[self.transport + TCP_FLAGS] &= !CWR;
             }
-            TCP
+            PROTOCOL_TCP
         };
         // The sum of the pseudo header, where the rest is added to it.
         let addresses = match self.version {
             IpVersion::V4 => self.ip + 12..self.ip + 20,
             IpVersion::V6 => self.ip + 8..self.ip + 40,
         };
-        let pseudo = checksum::sum(&bytes[addresses]) + u64::from(protocol) + transport_length as u64;
+        let pseudo = pseudo_header_sum(&bytes[addresses], protocol, transport_length);
         put(bytes, self.transport + checksum_offset(kind), checksum::fold(pseudo));
     }
 }

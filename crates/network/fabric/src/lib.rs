@@ -24,34 +24,29 @@
 #![warn(missing_docs)]
 
 mod balance;
-mod checksum;
 mod error;
 mod fabric;
 mod flows;
 mod frame;
 mod impairment;
 mod lateness;
+mod link_tests;
 mod meter;
 mod pipe;
 mod pool;
 mod port;
-mod probes;
 mod radio;
 mod random;
 mod routes;
 mod settings;
-mod throughput_tests;
 mod timers;
 mod transmitter;
-mod wire_probes;
 
 pub use balance::Balance;
-pub use error::GraphError;
-pub use fabric::{Drops, Fabric, NoPath};
-pub use frame::{Checksum, Frame, MEASURING_ETHERTYPE, Malformed, Offload, Segmentation, SegmentationKind};
+pub use error::{GraphError, NoPath};
+pub use fabric::{Drops, Fabric};
+pub use frame::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 pub use lateness::Histogram;
+pub use link_tests::{Crossing, MEASURING_ETHERTYPE, ThroughputTests, WireProbes};
 pub use port::PortId;
-pub use probes::Crossing;
 pub use settings::{Carries, FabricError};
-pub use throughput_tests::ThroughputTests;
-pub use wire_probes::WireProbes;

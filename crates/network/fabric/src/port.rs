@@ -1,5 +1,11 @@
-//! The ports at which hosts are.
+//! Indices of hosts, and of the robots and radio units among them.
 
-/// A host's place in [`hosts`](cotorra_graph::HardwareGraph::hosts), from 0; its interface has the addresses [`HostAddress::of`](cotorra_graph::HostAddress::of) that.
+/// A host's index in [`hosts`](cotorra_graph::HardwareGraph::hosts), from 0. [`HostAddress::of`](cotorra_graph::HostAddress::of)
+/// gives the addresses of its interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PortId(pub usize);
+
+/// A robot's index among the robots that have a wireless network.
+pub(crate) type StationIndex = usize;
+/// A radio unit's index among those that serve a wireless network.
+pub(crate) type RadioUnitIndex = usize;

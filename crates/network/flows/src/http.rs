@@ -2,17 +2,16 @@
 
 use std::{collections::VecDeque, time::Duration};
 
-use crate::{http::body::Body, http::head::Head};
-
 mod body;
 mod head;
 
+use self::{
+    body::Body,
+    head::{Head, NotHttp},
+};
+
 /// So many requests of a connection wait for their responses at most.
 const MOST: usize = 128;
-
-/// The bytes are not those of HTTP/1, or exceed a bound.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) struct NotHttp;
 
 /// What comes next on the connection.
 #[derive(Debug, PartialEq, Eq)]

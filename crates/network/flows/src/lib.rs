@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 
+pub mod checksum;
 mod fragments;
+pub mod headers;
 mod http;
 mod meter;
 mod packet;

@@ -2,6 +2,13 @@
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
+use crate::{
+    checksum::{fold, sum},
+    headers::{
+        self, IPV6, IpVersion, PROTOCOL_TCP, PROTOCOL_UDP, find_ip, pseudo_header_sum, u16_at, u32_at,
+    },
+};
+
 /// An Ethernet frame at the port.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
@@ -11,18 +18,6 @@ pub struct Frame<'a> {
     pub checksum_left: bool,
     /// Of a super-packet: how many bytes of payload one of its packets has.
     pub segment: Option<u16>,
-}
-
-pub(crate) const TCP: u8 = 6;
-pub(crate) const UDP: u8 = 17;
-pub(crate) const UDP_HEADER: usize = 8;
-
-pub(crate) fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
-    bytes.get(at..)?.first_chunk().copied().map(u16::from_be_bytes)
-}
-
-fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
-    bytes.get(at..)?.first_chunk().copied().map(u32::from_be_bytes)
 }
 
 /// An IP packet, or a fragment of one.
@@ -50,26 +45,20 @@ impl<'a> Packet<'a> {
     /// The packet in a frame, behind up to two VLAN tags; `None` if there is none, or its receiver would drop it because a bit
     /// of it is flipped.
     pub fn of(frame: &Frame<'a>) -> Option<Self> {
-        let bytes = frame.bytes;
-        let mut at = 12;
-        for _ in 0..3 {
-            let packet = bytes.get(at + 2..);
-            match u16_at(bytes, at)? {
-                0x8100 | 0x88a8 => at += 4,
-                0x0800 => {
-                    return Self::v4(packet?, frame.checksum_left).filter(|packet| packet.is_intact(frame));
-                }
-                0x86dd => return Self::v6(packet?).filter(|packet| packet.is_intact(frame)),
-                _ => return None,
-            }
-        }
-        None
+        let (at, version) = find_ip(frame.bytes)?;
+        let bytes = frame.bytes.get(at..)?;
+        let packet = match version {
+            IpVersion::V4 => Self::v4(bytes, frame.checksum_left)?,
+            IpVersion::V6 => Self::v6(bytes)?,
+        };
+        packet.is_intact(frame).then_some(packet)
     }
 
     fn v4(bytes: &'a [u8], checksum_left: bool) -> Option<Self> {
         let first = *bytes.first()?;
-        let header = bytes.get(..usize::from(first & 0x0f) * 4).filter(|header| header.len() >= 20)?;
-        if first >> 4 != 4 || (!checksum_left && sum(header, 0) != 0xffff) {
+        let header =
+            bytes.get(..usize::from(first & 0x0f) * 4).filter(|header| header.len() >= headers::IPV4)?;
+        if first >> 4 != 4 || (!checksum_left && fold(sum(header)) != 0xffff) {
             return None;
         }
         let place = u16_at(header, 6)?;
@@ -89,9 +78,9 @@ impl<'a> Packet<'a> {
         if bytes.first()? >> 4 != 6 {
             return None;
         }
-        let bytes = bytes.get(..40 + usize::from(u16_at(bytes, 4)?))?;
+        let bytes = bytes.get(..IPV6 + usize::from(u16_at(bytes, 4)?))?;
         let address = |at: usize| Some(IpAddr::V6(Ipv6Addr::from(*bytes.get(at..)?.first_chunk::<16>()?)));
-        let (mut protocol, mut at, mut fragment) = (bytes[6], 40, None);
+        let (mut protocol, mut at, mut fragment) = (bytes[6], IPV6, None);
         // RFC 8200, 4.1: hop-by-hop options, routing, fragment, destination options.
         while let 0 | 43 | 44 | 60 = protocol {
             let header = bytes.get(at..at + 8)?;
@@ -124,29 +113,17 @@ impl<'a> Packet<'a> {
             return true;
         }
         match self.protocol {
-            UDP if u16_at(self.payload, 6) == Some(0) => return true,
-            UDP | TCP => {}
+            PROTOCOL_UDP if u16_at(self.payload, 6) == Some(0) => return true,
+            PROTOCOL_UDP | PROTOCOL_TCP => {}
             _ => return true,
         }
         let pseudo = [self.source, self.destination].map(|address| match address {
-            IpAddr::V4(address) => sum(&address.octets(), 0),
-            IpAddr::V6(address) => sum(&address.octets(), 0),
+            IpAddr::V4(address) => sum(&address.octets()),
+            IpAddr::V6(address) => sum(&address.octets()),
         });
-        let length = self.payload.len() as u64;
-        sum(self.payload, pseudo.map(u64::from).iter().sum::<u64>() + u64::from(self.protocol) + length)
-            == 0xffff
+        let pseudo = pseudo.iter().sum::<u64>() + pseudo_header_sum(&[], self.protocol, self.payload.len());
+        fold(sum(self.payload) + pseudo) == 0xffff
     }
-}
-
-/// The ones' complement sum of these bytes and what was summed up before (RFC 1071).
-fn sum(bytes: &[u8], before: u64) -> u16 {
-    let (words, rest) = bytes.as_chunks::<2>();
-    let mut sum = before + words.iter().map(|word| u64::from(u16::from_be_bytes(*word))).sum::<u64>();
-    sum += rest.first().map_or(0, |last| u64::from(*last) << 8);
-    while sum > 0xffff {
-        sum = (sum & 0xffff) + (sum >> 16);
-    }
-    sum as u16
 }
 
 /// A TCP segment.
@@ -175,7 +152,7 @@ impl<'a> Segment<'a> {
             fin: flags & 0x01 != 0,
             syn: flags & 0x02 != 0,
             reset: flags & 0x04 != 0,
-            payload: bytes.get(header.max(20)..)?,
+            payload: bytes.get(header.max(headers::TCP)..)?,
         })
     }
 }

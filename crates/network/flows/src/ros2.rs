@@ -7,7 +7,8 @@ use std::{collections::VecDeque, time::Duration};
 
 use crate::{
     fragments::{Fragments, Ranges},
-    packet::{Frame, Packet, UDP, UDP_HEADER},
+    headers::{PROTOCOL_UDP, UDP},
+    packet::{Frame, Packet},
     requests::{Id, Requests},
     rtps::{self, Data, ENCAPSULATION, Guid, Identity, PUBLICATIONS_WRITER},
     udp::datagrams,
@@ -189,14 +190,14 @@ impl Ros2 {
 
     /// A frame entered the network at the port, or was delivered there.
     pub fn passed(&mut self, at: Duration, frame: &Frame<'_>, mark: u64, is_here: bool) {
-        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == UDP) else { return };
+        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_UDP) else { return };
         let passed = Passed { is_here, began: (at, mark), ended: at };
         match packet.fragment {
             None => datagrams(packet.payload, frame).for_each(|payload| self.message(passed, payload)),
             Some(fragment) => {
                 let fragments = &mut self.fragments[usize::from(is_here)];
                 let Some(whole) = fragments.take((at, mark), &packet, fragment) else { return };
-                let payload = whole.head.get(UDP_HEADER..).unwrap_or_default();
+                let payload = whole.head.get(UDP..).unwrap_or_default();
                 self.message(Passed { began: whole.began, ..passed }, payload);
             }
         }

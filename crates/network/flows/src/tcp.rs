@@ -3,8 +3,9 @@
 use std::{collections::HashMap, net::IpAddr, time::Duration};
 
 use crate::{
+    headers::PROTOCOL_TCP,
     http::{Exchange, Told},
-    packet::{Frame, Packet, Segment, TCP},
+    packet::{Frame, Packet, Segment},
     requests::Requests,
     ros1,
     stream::Stream,
@@ -266,7 +267,8 @@ impl Conversation {
 }
 
 fn segment<'a>(frame: &Frame<'a>) -> Option<(Packet<'a>, Segment<'a>)> {
-    let packet = Packet::of(frame).filter(|packet| packet.protocol == TCP && packet.fragment.is_none())?;
+    let packet =
+        Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_TCP && packet.fragment.is_none())?;
     let segment = Segment::of(packet.payload)?;
     Some((packet, segment))
 }

@@ -1,8 +1,12 @@
 //! Frames for tests, as a host's kernel makes them.
 
-use std::time::Duration;
+use std::{net::Ipv4Addr, time::Duration};
 
-use crate::{Frame, Meter, Sample};
+use crate::{
+    Frame, Meter, Sample,
+    checksum::{complement, sum},
+    headers::{Ipv4, PROTOCOL_TCP, PROTOCOL_UDP, pseudo_header_sum, udp_header},
+};
 
 pub(crate) mod rtps;
 
@@ -18,49 +22,32 @@ pub(crate) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-fn checksum(parts: &[&[u8]]) -> [u8; 2] {
-    let mut all = Vec::new();
-    for part in parts {
-        all.extend_from_slice(part);
-        all.resize(all.len().next_multiple_of(2), 0);
-    }
-    let sum: u32 = all.chunks(2).map(|word| u32::from(u16::from_be_bytes([word[0], word[1]]))).sum();
-    let folded = (sum & 0xffff) + (sum >> 16);
-    (!((folded & 0xffff) + (folded >> 16)) as u16).to_be_bytes()
+fn address(host: u8) -> Ipv4Addr {
+    Ipv4Addr::new(10, 0, 0, host)
 }
 
-fn ipv4(from: u8, to: u8, protocol: u8, place: u16, payload: &[u8]) -> Vec<u8> {
-    let mut header = vec![0x45, 0];
-    header.extend_from_slice(&(20 + payload.len() as u16).to_be_bytes());
-    header.extend_from_slice(&[0, 7]);
-    header.extend_from_slice(&place.to_be_bytes());
-    header.extend_from_slice(&[64, protocol, 0, 0, 10, 0, 0, from, 10, 0, 0, to]);
-    let sum = checksum(&[&header]);
-    header[10..12].copy_from_slice(&sum);
-    let mut frame = vec![2, 0, 0, 0, 0, to, 2, 0, 0, 0, 0, from, 8, 0];
-    frame.extend_from_slice(&header);
-    frame.extend_from_slice(payload);
-    frame
+fn ipv4(from: u8, to: u8, protocol: u8, fragment: u16, payload: &[u8]) -> Vec<u8> {
+    let (source, destination) = (address(from), address(to));
+    let header = Ipv4 { identification: 7, fragment, ttl: 64, protocol, source, destination };
+    let ethernet = [2, 0, 0, 0, 0, to, 2, 0, 0, 0, 0, from, 8, 0];
+    [&ethernet[..], &header.header(payload.len()), payload].concat()
 }
 
-fn pseudo(from: u8, to: u8, protocol: u8, length: usize) -> Vec<u8> {
-    let length = (length as u16).to_be_bytes();
-    vec![10, 0, 0, from, 10, 0, 0, to, 0, protocol, length[0], length[1]]
+/// The checksum of a transport's header and payload.
+fn checksum(from: u8, to: u8, protocol: u8, transport: &[u8]) -> [u8; 2] {
+    let addresses = [address(from).octets(), address(to).octets()].concat();
+    complement(sum(transport) + pseudo_header_sum(&addresses, protocol, transport.len())).to_be_bytes()
 }
 
 fn datagram(from: End, to: End, payload: &[u8]) -> Vec<u8> {
-    let mut udp = Vec::new();
-    for word in [from.1, to.1, 8 + payload.len() as u16, 0] {
-        udp.extend_from_slice(&word.to_be_bytes());
-    }
-    udp.extend_from_slice(payload);
-    let sum = checksum(&[&pseudo(from.0, to.0, 17, udp.len()), &udp]);
+    let mut udp = [&udp_header(from.1, to.1, payload.len())[..], payload].concat();
+    let sum = checksum(from.0, to.0, PROTOCOL_UDP, &udp);
     udp[6..8].copy_from_slice(&sum);
     udp
 }
 
 pub(crate) fn udp(from: End, to: End, payload: &[u8]) -> Vec<u8> {
-    ipv4(from.0, to.0, 17, 0, &datagram(from, to, payload))
+    ipv4(from.0, to.0, PROTOCOL_UDP, 0, &datagram(from, to, payload))
 }
 
 /// The same, in fragments of so many bytes: a multiple of eight.
@@ -69,7 +56,7 @@ pub(crate) fn udp_fragments(from: End, to: End, payload: &[u8], size: usize) -> 
     let last = datagram.len().div_ceil(size) - 1;
     let fragment = |(i, part): (usize, &[u8])| {
         let more = if i == last { 0 } else { 0x2000 };
-        ipv4(from.0, to.0, 17, more | (i * size / 8) as u16, part)
+        ipv4(from.0, to.0, PROTOCOL_UDP, more | (i * size / 8) as u16, part)
     };
     datagram.chunks(size).enumerate().map(fragment).collect()
 }
@@ -90,9 +77,9 @@ pub(crate) fn tcp(
     let is_first = flags & SYN != 0 && acknowledged == 0;
     tcp.extend_from_slice(&[0x50, flags | if is_first { 0 } else { ACK }, 0xff, 0xff, 0, 0, 0, 0]);
     tcp.extend_from_slice(payload);
-    let sum = checksum(&[&pseudo(from.0, to.0, 6, tcp.len()), &tcp]);
+    let sum = checksum(from.0, to.0, PROTOCOL_TCP, &tcp);
     tcp[16..18].copy_from_slice(&sum);
-    ipv4(from.0, to.0, 6, 0, &tcp)
+    ipv4(from.0, to.0, PROTOCOL_TCP, 0, &tcp)
 }
 
 pub(crate) fn frame(bytes: &[u8]) -> Frame<'_> {

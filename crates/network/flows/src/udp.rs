@@ -4,7 +4,8 @@ use std::{net::IpAddr, time::Duration};
 
 use crate::{
     fragments::Fragments,
-    packet::{Frame, Packet, UDP, UDP_HEADER, u16_at},
+    headers::{PROTOCOL_UDP, UDP, u16_at},
+    packet::{Frame, Packet},
     requests::{Id, Requests},
 };
 
@@ -33,7 +34,7 @@ impl Udp {
     }
 
     pub fn entered(&mut self, at: Duration, frame: &Frame<'_>, mark: u64) {
-        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == UDP) else { return };
+        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_UDP) else { return };
         // Only the first has the ports. Its time is that of the request's first byte.
         if packet.fragment.is_some_and(|fragment| fragment.offset > 0) {
             return;
@@ -54,7 +55,7 @@ impl Udp {
     }
 
     pub fn delivered(&mut self, at: Duration, frame: &Frame<'_>) {
-        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == UDP) else { return };
+        let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_UDP) else { return };
         match packet.fragment {
             None => {
                 for payload in datagrams(packet.payload, frame) {
@@ -63,7 +64,7 @@ impl Udp {
             }
             Some(fragment) => {
                 let Some(whole) = self.answers.take((at, 0), &packet, fragment) else { return };
-                let payload = whole.head.get(UDP_HEADER..).unwrap_or_default();
+                let payload = whole.head.get(UDP..).unwrap_or_default();
                 self.answer(at, (whole.source, whole.destination), &whole.head, payload);
             }
         }
@@ -93,10 +94,10 @@ fn is_broadcast(address: IpAddr) -> bool {
 
 /// The payloads of the datagrams in a packet: several in a super-packet.
 pub(crate) fn datagrams<'a>(bytes: &'a [u8], frame: &Frame<'_>) -> impl Iterator<Item = &'a [u8]> {
-    let payload = bytes.get(UDP_HEADER..).unwrap_or_default();
+    let payload = bytes.get(UDP..).unwrap_or_default();
     let size = frame.segment.map_or(payload.len(), usize::from).max(1);
     // A datagram without payload is one, too.
-    let empty = payload.is_empty() && bytes.len() >= UDP_HEADER;
+    let empty = payload.is_empty() && bytes.len() >= UDP;
     payload.chunks(size).chain(empty.then_some(payload))
 }
 

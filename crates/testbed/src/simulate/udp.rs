@@ -3,11 +3,8 @@
 use std::net::Ipv4Addr;
 
 use cotorra_fabric::PortId;
+use cotorra_flows::headers::{ETHERNET, ETHERTYPE_IPV4, IPV4, Ipv4, PROTOCOL_UDP, UDP, u16_at, udp_header};
 use cotorra_graph::HostAddress;
-
-const ETHERNET: usize = 14;
-const IPV4: usize = 20;
-const UDP: usize = 8;
 
 /// A datagram in a frame.
 pub(super) struct Datagram<'a> {
@@ -20,38 +17,26 @@ pub(super) struct Datagram<'a> {
 /// Replaces `frame` by a frame with a datagram. RFC 894, RFC 791, RFC 768; without a UDP checksum, as RFC 768 allows.
 pub(super) fn build(frame: &mut Vec<u8>, from: (PortId, u16), to: (PortId, u16), payload: &[u8]) {
     let (sender, receiver) = (HostAddress::of(from.0.0), HostAddress::of(to.0.0));
-    let length =
-        |bytes: usize| u16::try_from(bytes).expect("the service's packets fit in one frame").to_be_bytes();
+    let (source, destination) = (sender.ipv4, receiver.ipv4);
+    let (fragment, protocol) = (Ipv4::DONT_FRAGMENT, PROTOCOL_UDP);
+    let header = Ipv4 { identification: 0, fragment, ttl: 64, protocol, source, destination };
     frame.clear();
     frame.extend_from_slice(&receiver.mac);
     frame.extend_from_slice(&sender.mac);
-    frame.extend_from_slice(&[0x08, 0x00, 0x45, 0]);
-    frame.extend_from_slice(&length(IPV4 + UDP + payload.len()));
-    // No fragments, 64 hops, UDP; the checksum follows below.
-    frame.extend_from_slice(&[0, 0, 0x40, 0, 64, 17, 0, 0]);
-    frame.extend_from_slice(&sender.ipv4.octets());
-    frame.extend_from_slice(&receiver.ipv4.octets());
-    let sum: u32 =
-        frame[ETHERNET..].chunks_exact(2).map(|word| u32::from(u16::from_be_bytes([word[0], word[1]]))).sum();
-    let folded = (sum & 0xffff) + (sum >> 16);
-    let checksum = !((folded & 0xffff) + (folded >> 16)) as u16;
-    frame[ETHERNET + 10..ETHERNET + 12].copy_from_slice(&checksum.to_be_bytes());
-    frame.extend_from_slice(&from.1.to_be_bytes());
-    frame.extend_from_slice(&to.1.to_be_bytes());
-    frame.extend_from_slice(&length(UDP + payload.len()));
-    frame.extend_from_slice(&[0, 0]);
+    frame.extend_from_slice(&ETHERTYPE_IPV4.to_be_bytes());
+    frame.extend_from_slice(&header.header(UDP + payload.len()));
+    frame.extend_from_slice(&udp_header(from.1, to.1, payload.len()));
     frame.extend_from_slice(payload);
 }
 
 /// Returns the datagram in a frame; `None` if there is none.
 pub(super) fn parse(frame: &[u8]) -> Option<Datagram<'_>> {
-    let packet = frame.get(ETHERNET..).filter(|_| frame[12..14] == [0x08, 0x00])?;
-    let header = packet.get(..IPV4).filter(|header| header[0] == 0x45 && header[9] == 17)?;
+    let packet = frame.get(ETHERNET..).filter(|_| u16_at(frame, 12) == Some(ETHERTYPE_IPV4))?;
+    let header = packet.get(..IPV4).filter(|header| header[0] == 0x45 && header[9] == PROTOCOL_UDP)?;
     let udp = packet.get(IPV4..)?;
-    let word = |at: usize| Some(u16::from_be_bytes([*udp.get(at)?, *udp.get(at + 1)?]));
-    let payload = udp.get(UDP..usize::from(word(4)?))?;
+    let payload = udp.get(UDP..usize::from(u16_at(udp, 4)?))?;
     let sender = Ipv4Addr::new(header[12], header[13], header[14], header[15]);
-    Some(Datagram { sender, from: word(0)?, to: word(2)?, payload })
+    Some(Datagram { sender, from: u16_at(udp, 0)?, to: u16_at(udp, 2)?, payload })
 }
 
 #[cfg(test)]

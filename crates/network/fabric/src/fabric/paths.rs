@@ -6,40 +6,7 @@ use std::{sync::Arc, time::Duration};
 use cotorra_graph::{Direction, LinkId, NodeId};
 
 use super::{Fabric, edge};
-use crate::{port::PortId, routes::Path, settings::Carries};
-
-/// Why links make no path between two hosts.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum NoPath {
-    /// Switches and machines neither send nor receive.
-    #[error("`{0}` is no host of the emulated network")]
-    NotAHost(NodeId),
-    /// No link of that name.
-    #[error("there is no link `{0}`")]
-    UnknownLink(LinkId),
-    /// A link does not go on where the one before it ended.
-    #[error("the link `{link}` does not go on from `{at}`")]
-    Apart {
-        /// The link.
-        link: LinkId,
-        /// Where the path has come to.
-        at: NodeId,
-    },
-    /// Servers and robots send on nothing that is for others.
-    #[error("the path leads through `{0}`, which forwards nothing")]
-    NotForwarding(NodeId),
-    /// A node is passed twice.
-    #[error("the path comes to `{0}` twice")]
-    Loop(NodeId),
-    /// It ends elsewhere.
-    #[error("the path ends at `{at}`, not at `{to}`")]
-    WrongEnd {
-        /// Where it ends.
-        at: NodeId,
-        /// Where it should.
-        to: NodeId,
-    },
-}
+use crate::{error::NoPath, port::PortId, routes::Path, settings::Carries};
 
 /// A path as it was walked.
 struct Walked {

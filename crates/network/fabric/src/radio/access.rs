@@ -1,15 +1,10 @@
 //! Which radio units serve, and whom: a radio unit is off until a virtual access point is deployed on it, and admits the
 //! robots of its own domain, or whoever has the key that it was deployed with.
 
-use cotorra_graph::{AccessPoint, NodeId, Timestamp, WirelessNetwork};
+use cotorra_graph::{AccessPoint, NodeId, Timestamp};
 
 use super::{Radio, RadioUnitIndex, StationIndex};
 use crate::settings::FabricError;
-
-/// What a radio unit serves that is on from the start.
-pub(super) fn own(ssid: &str, network: &WirelessNetwork) -> AccessPoint {
-    AccessPoint { ssid: ssid.to_owned(), mobility_domain: network.mobility_domain, key: None }
-}
 
 impl Radio {
     /// A vAP on a radio unit beacons from now on.

@@ -5,8 +5,8 @@ use std::{collections::VecDeque, time::Duration};
 
 use cotorra_graph::{QueueLimit, Timestamp};
 
-use super::{RadioUnitIndex, StationIndex};
 use crate::frame::Frame;
+use crate::port::{RadioUnitIndex, StationIndex};
 
 /// A frame that waits for its turn.
 #[derive(Debug)]

@@ -48,16 +48,11 @@ use crate::{
     error::GraphError,
     frame::Frame,
     pool::Pool,
-    port::PortId,
+    port::{PortId, RadioUnitIndex, StationIndex},
     random::stream,
     settings::{Carries, FabricError, Settings},
     timers::Timers,
 };
-
-/// The place of a robot among the robots that have a wireless network.
-pub(crate) type StationIndex = usize;
-/// The place of a radio unit among those that serve a wireless network.
-pub(crate) type RadioUnitIndex = usize;
 
 /// A station without a radio unit looks for one this often while it moves.
 const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
@@ -214,7 +209,7 @@ impl Radio {
                 tx_power: unit.tx_power,
                 channel_number: unit.channel,
                 domain: node.domain.clone(),
-                serves: unit.serving.then(|| access::own(&unit.network, &networks[network].spec)),
+                serves: unit.serving.then(|| networks[network].access_point()),
                 frequency_mhz: networks[network].spec.standard.frequency_mhz(unit.channel),
                 stations: Vec::new(),
                 rng: stream(seed, &format!("group {}", node.id)),
@@ -656,6 +651,11 @@ impl Network {
             ssid: ssid.to_owned(),
             spec: spec.clone(),
         })
+    }
+
+    /// The access point of a radio unit that serves from the start.
+    fn access_point(&self) -> AccessPoint {
+        AccessPoint { ssid: self.ssid.clone(), mobility_domain: self.spec.mobility_domain, key: None }
     }
 }
 

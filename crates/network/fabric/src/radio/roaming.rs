@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cotorra_graph::{Dbm, Timestamp};
 
-use super::RadioUnitIndex;
+use crate::port::RadioUnitIndex;
 
 /// Beacons come every 100 time units of 1.024 ms (IEEE 802.11-2020, 9.4.1.3; the default of most radio units).
 pub(super) const BEACON_INTERVAL: Duration = Duration::from_micros(102_400);

@@ -6,7 +6,7 @@ use std::time::Duration;
 use cotorra_graph::{HandoverTimes, Timestamp, WirelessNetwork};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::RadioUnitIndex;
+use crate::port::RadioUnitIndex;
 use crate::random::unit;
 
 /// What a scan is for.

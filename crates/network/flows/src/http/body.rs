@@ -2,7 +2,7 @@
 
 use httparse::Header;
 
-use super::NotHttp;
+use super::head::NotHttp;
 
 /// So long the line in front of a chunk, or one behind the last, is at most.
 const MOST_LINE: usize = 4096;

@@ -1,6 +1,8 @@
 //! The head of a message, gathered.
 
-use super::NotHttp;
+/// The bytes are not HTTP/1, or exceed a bound.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct NotHttp;
 
 /// So long a head is at most.
 const MOST: usize = 32 << 10;

@@ -1,7 +1,7 @@
 //! The Internet checksum (RFC 1071), fast enough to compute for every packet that a link corrupts.
 
 /// The ones' complement sum of `bytes` as big-endian 16-bit words, odd bytes padded with zero, not yet folded.
-pub(crate) fn sum(bytes: &[u8]) -> u64 {
+pub fn sum(bytes: &[u8]) -> u64 {
     // The sum does not depend on byte order but for a final swap (RFC 1071, 2.B), so that native words do.
     let (words, rest) = bytes.as_chunks::<4>();
     let mut total: u64 = words.iter().map(|w| u64::from(u32::from_ne_bytes(*w))).sum();
@@ -12,7 +12,8 @@ pub(crate) fn sum(bytes: &[u8]) -> u64 {
 }
 
 /// Folds a sum into 16 bits, without complementing it.
-pub(crate) fn fold(mut sum: u64) -> u16 {
+#[inline]
+pub fn fold(mut sum: u64) -> u16 {
     while sum > 0xffff {
         sum = (sum & 0xffff) + (sum >> 16);
     }
@@ -20,7 +21,8 @@ pub(crate) fn fold(mut sum: u64) -> u16 {
 }
 
 /// The checksum of a folded sum, as TCP and UDP send it: zero goes as all ones, since in UDP zero means none.
-pub(crate) fn complement(sum: u64) -> u16 {
+#[inline]
+pub fn complement(sum: u64) -> u16 {
     match !fold(sum) {
         0 => 0xffff,
         checksum => checksum,

@@ -5,8 +5,9 @@ use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{LinkId, Rate, Tested, ThroughputTest, Timestamp};
 
+use super::packet;
 use crate::{
-    frame::{Frame, MEASURING},
+    frame::Frame,
     settings::{FabricError, rate_bps},
     timers::Timers,
 };
@@ -157,12 +158,7 @@ impl ThroughputTests {
         let test = &mut self.of.get_mut(&edge)?.test;
         let due = test.poll(now);
         self.timers.set(edge, test.deadline());
-        due.then(|| {
-            let mut bytes = buffer(Self::PACKET_BYTES);
-            bytes.extend(MEASURING);
-            bytes.resize(Self::PACKET_BYTES, 0);
-            (edge, Frame::new(bytes))
-        })
+        due.then(|| (edge, packet::filler(Self::PACKET_BYTES, buffer(Self::PACKET_BYTES))))
     }
 
     /// A packet has crossed an edge.

@@ -4,10 +4,13 @@
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
 use cotorra_stamp::{BASE_LENGTH, LinkEstimate, SessionConfig};
 
+use super::{
+    packet::HEADERS,
+    probes::{Crossing, ProbeTarget, Probes, probed, wired},
+};
 use crate::{
     frame::Frame,
-    probes::{Crossing, HEADERS, ProbeTarget, Probes, probed, wired},
-    radio::{RadioUnitIndex, StationIndex},
+    port::{RadioUnitIndex, StationIndex},
 };
 
 /// The probes of some wired links, each known by its place.

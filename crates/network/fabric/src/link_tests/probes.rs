@@ -5,12 +5,12 @@
 use std::time::Duration;
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
-use cotorra_stamp::{BASE_LENGTH, Link, LinkEstimate, PORT, SessionConfig, Utc};
+use cotorra_stamp::{BASE_LENGTH, Link, LinkEstimate, SessionConfig, Utc};
 
+use super::packet::{self, HEADERS};
 use crate::{
-    checksum::{complement, fold, sum},
-    frame::{ETHERNET_HEADER, Frame, MEASURING},
-    radio::{RadioUnitIndex, StationIndex},
+    frame::Frame,
+    port::{RadioUnitIndex, StationIndex},
     settings::rate_bps,
     timers::Timers,
 };
@@ -18,14 +18,9 @@ use crate::{
 /// Of a link's rate, the most that its probes take; of the time on a channel, the most that those of all robots take.
 const SHARE: f64 = 0.01;
 
-const IP_HEADER: usize = 20;
-const UDP_HEADER: usize = 8;
-pub(crate) const HEADERS: usize = ETHERNET_HEADER + IP_HEADER + UDP_HEADER;
-const UDP_CHECKSUM: usize = HEADERS - 2;
-
 /// The probes of all links.
 #[derive(Debug)]
-pub(crate) struct Probes {
+pub(super) struct Probes {
     settings: Probing,
     wires: Vec<Link>,
     stations: Vec<Station>,
@@ -61,7 +56,7 @@ struct Station {
 
 impl Probes {
     /// No probes at all.
-    pub(crate) fn none() -> Self {
+    pub(super) fn none() -> Self {
         let (wires, stations) = (Vec::new(), Vec::new());
         Self { settings: Probing::default(), wires, stations, timers: Timers::new(0) }
     }
@@ -69,7 +64,7 @@ impl Probes {
     /// Probes of wired links with these conditions, forward and backward, and of the links of robots, of which it is
     /// said how long a frame of so many bytes keeps their channel, with one of each other robot. They begin one after
     /// the other, so that they do not come in bursts.
-    pub(crate) fn new<'a, T>(
+    pub(super) fn new<'a, T>(
         settings: Probing,
         now: Timestamp,
         wires: impl ExactSizeIterator<Item = [&'a Conditions; 2]>,
@@ -94,20 +89,20 @@ impl Probes {
     }
 
     /// A link has other conditions.
-    pub(crate) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
+    pub(super) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
         if let Some(link) = self.wires.get_mut(link) {
             link.pace(wired(&self.settings, conditions));
         }
     }
 
     /// When there is something to do.
-    pub(crate) fn deadline(&self) -> Option<Timestamp> {
+    pub(super) fn deadline(&self) -> Option<Timestamp> {
         self.timers.next().map(|(at, _)| at)
     }
 
     /// The next probe that is due by then, in a buffer, and what it goes over: a robot's goes to the radio unit that it
     /// is said to be with.
-    pub(crate) fn poll(
+    pub(super) fn poll(
         &mut self,
         now: Timestamp,
         with: impl FnOnce(StationIndex) -> Option<RadioUnitIndex>,
@@ -124,12 +119,12 @@ impl Probes {
         };
         self.arm(place);
         let (over, probe) = over.zip(probe)?;
-        Some((over, frame(&probe, buffer(HEADERS + probe.len()))))
+        Some((over, packet::probe(&probe, buffer(HEADERS + probe.len()))))
     }
 
     /// A probe came out of a link when it was `received`, and its answer goes back `now`. `None` if it is damaged, or
     /// nobody's.
-    pub(crate) fn crossed(
+    pub(super) fn crossed(
         &mut self,
         received: Timestamp,
         now: Timestamp,
@@ -146,16 +141,16 @@ impl Probes {
                 (station.with == Some(unit)).then_some((place, &mut station.link))?
             }
         };
-        let packet = payload(&bytes)?;
+        let stamp = packet::stamp(&bytes)?;
         match direction {
             Direction::Forward => {
-                let (answer, took) = probed.reflect(packet, utc(received), utc(now)).ok()?;
+                let (answer, took) = probed.reflect(stamp, utc(received), utc(now)).ok()?;
                 bytes.clear();
-                Some(Crossing { took, answer: Some(self::frame(&answer, bytes)) })
+                Some(Crossing { took, answer: Some(packet::probe(&answer, bytes)) })
             }
             Direction::Backward => {
                 // What is damaged in a way that the checksum does not see is nobody's answer.
-                let took = probed.receive(packet, utc(received)).ok().flatten();
+                let took = probed.receive(stamp, utc(received)).ok().flatten();
                 self.arm(place);
                 took.map(|took| Crossing { took, answer: None })
             }
@@ -164,7 +159,7 @@ impl Probes {
 
     /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it,
     /// and for a link that a robot has left.
-    pub(crate) fn probed(&self, now: Timestamp, over: ProbeTarget) -> Option<[Probed; 2]> {
+    pub(super) fn probed(&self, now: Timestamp, over: ProbeTarget) -> Option<[Probed; 2]> {
         let link = match over {
             ProbeTarget::Wire(link) => self.wires.get(link)?,
             ProbeTarget::Air(robot, unit) => {
@@ -194,7 +189,7 @@ impl Station {
 }
 
 /// How a wired link with these conditions is probed: so that probes take no more than 1 % of its rate.
-pub(crate) fn wired(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
+pub(super) fn wired(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
     let slowest = conditions.iter().map(|c| rate_bps(&c.rate)).fold(f64::INFINITY, f64::min);
     let config = SessionConfig { interval: settings.interval, ..SessionConfig::default() };
     patient(settings, config.within(SHARE, slowest, HEADERS))
@@ -213,7 +208,7 @@ fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
 }
 
 /// What probes tell, in the terms of the graph.
-pub(crate) fn probed(told: LinkEstimate) -> Probed {
+pub(super) fn probed(told: LinkEstimate) -> Probed {
     Probed {
         delay: told.delays.map(|(delays, _)| delays.mean),
         jitter: told.delays.and_then(|(delays, _)| delays.jitter),
@@ -230,43 +225,6 @@ fn utc(now: Timestamp) -> Utc {
 fn timestamp(at: Utc) -> Timestamp {
     let ns = at.since(Utc::UNIX_EPOCH).as_nanos();
     Timestamp::from_nanos(u64::try_from(ns).unwrap_or(u64::MAX))
-}
-
-/// A UDP packet over IPv4, as RFC 8762 has it, on a link of two stations. Nobody routes by its addresses, which are of no
-/// host.
-fn frame(packet: &[u8], mut bytes: Vec<u8>) -> Frame {
-    let udp_length = (UDP_HEADER + packet.len()) as u16;
-    bytes.extend(MEASURING);
-    let total = IP_HEADER as u16 + udp_length;
-    let [high, low] = total.to_be_bytes();
-    // IPv4 without options, TTL 255 as RFC 8762 has it, UDP.
-    bytes.extend([0x45, 0, high, low, 0, 0, 0, 0, 255, 17, 0, 0]);
-    bytes.extend([0; 8]);
-    let checksum = complement(sum(&bytes[ETHERNET_HEADER..]));
-    bytes[ETHERNET_HEADER + 10..ETHERNET_HEADER + 12].copy_from_slice(&checksum.to_be_bytes());
-    for field in [PORT, PORT, udp_length, 0] {
-        bytes.extend(field.to_be_bytes());
-    }
-    bytes.extend(packet);
-    let checksum = complement(udp_sum(&bytes));
-    bytes[UDP_CHECKSUM..HEADERS].copy_from_slice(&checksum.to_be_bytes());
-    Frame::new(bytes)
-}
-
-/// What such a packet carries; `None` if it is damaged.
-fn payload(bytes: &[u8]) -> Option<&[u8]> {
-    let is_whole = bytes.len() >= HEADERS + BASE_LENGTH
-        && bytes.starts_with(&MEASURING)
-        && fold(sum(&bytes[ETHERNET_HEADER..HEADERS - UDP_HEADER])) == 0xffff
-        && fold(udp_sum(bytes)) == 0xffff;
-    is_whole.then(|| &bytes[HEADERS..])
-}
-
-/// The sum that UDP's checksum is made of (RFC 768): addresses are zero.
-fn udp_sum(bytes: &[u8]) -> u64 {
-    const UDP: u64 = 17;
-    let udp = &bytes[ETHERNET_HEADER + IP_HEADER..];
-    sum(udp) + UDP + udp.len() as u64
 }
 
 #[cfg(test)]
