@@ -2,13 +2,13 @@
 
 use std::ops::AddAssign;
 
-/// What became of all packets that hosts sent, as they are on the wire. Packets that only measure are left out. A frame
-/// to many hosts becomes many packets, and makes it uneven.
+/// The outcome of all packets that hosts sent, counted as they are on the wire. Packets that only measure are left out. A
+/// frame to many hosts becomes many packets, which makes the balance uneven.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Balance {
     /// Packets that hosts sent.
     pub sent: u64,
-    /// Packets that links doubled.
+    /// Packets that links duplicated.
     pub duplicated: u64,
     /// Packets that hosts received.
     pub delivered: u64,
@@ -16,9 +16,9 @@ pub struct Balance {
     pub lost: u64,
     /// Packets that full queues dropped.
     pub overflowed: u64,
-    /// Packets that no path led on, or whose sender has no carrier.
+    /// Packets without a path, or from a sender without a carrier.
     pub stranded: u64,
-    /// Packets that wait or are on their way.
+    /// Packets in queues and on links.
     pub under_way: u64,
 }
 
@@ -43,7 +43,7 @@ impl AddAssign for Balance {
 }
 
 impl From<cotorra_graph::LinkCounters> for Balance {
-    /// What one direction of a link did to packets that were on it.
+    /// Counts the packets that one direction of a link lost, dropped or duplicated.
     fn from(counters: cotorra_graph::LinkCounters) -> Self {
         let cotorra_graph::LinkCounters { lost, overflowed, duplicated, .. } = counters;
         Self { lost, overflowed, duplicated, ..Self::default() }

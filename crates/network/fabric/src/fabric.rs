@@ -1,5 +1,5 @@
-//! The fabric itself: it takes frames from hosts, leads them over links, switches and radio units, and hands them
-//! out where and when they are due.
+//! The fabric itself: takes frames from hosts, forwards them over links, switches and radio units, and hands them out
+//! where and when they are due.
 
 mod paths;
 
@@ -31,53 +31,53 @@ use crate::{
     timers::Timers,
 };
 
-/// Frames that the fabric could not lead anywhere.
+/// Frames that the fabric could not forward.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Drops {
-    /// What their senders left undone cannot be what they say (see [`crate::Malformed`]).
+    /// Frames with an impossible offload (see [`crate::Malformed`]).
     pub malformed: u64,
-    /// They were for their own sender, or no path led to their destination.
+    /// Frames to their own sender, or without a path to their destination.
     pub unroutable: u64,
 }
 
-/// How many addresses are learnt; frames to others go to all hosts.
+/// Most addresses that are learnt. Frames to further ones go to all hosts.
 const MOST_LEARNT: usize = 65_536;
 
 /// The emulated network between hosts. See the [crate's documentation](crate) for how to drive it.
 #[derive(Debug)]
 pub struct Fabric {
-    /// The latest time that it was told.
+    /// Latest time of any call.
     now: Timestamp,
     ports: Vec<Port>,
-    /// Vertices are nodes, in the graph's order.
+    /// Vertices by name; they are nodes in the graph's order.
     vertices: HashMap<NodeId, usize>,
     port_of_vertex: Vec<Option<PortId>>,
     routes: Routes,
-    /// By where a frame comes from and where it goes.
+    /// Pinned paths by a frame's source and destination.
     pinned: HashMap<[PortId; 2], Arc<Pinned>>,
     links: Vec<LinkId>,
     link_by_name: HashMap<LinkId, usize>,
-    /// By edge of the routes: forward and backward of each link in turn.
+    /// Pipes by edge of the routes: forward and backward of each link in turn.
     pipes: Vec<Pipe>,
     timers: Timers,
     link_tests: LinkTests,
     radio: Radio,
     radio_deadline: Option<Timestamp>,
     arrivals: Vec<Arrival>,
-    /// Addresses that hosts use beside their own.
+    /// Addresses that hosts use besides their own.
     learnt: HashMap<[u8; 6], PortId>,
-    /// Packets that have come to a vertex and go on from there at once.
+    /// Packets that have reached a vertex and leave it at once.
     pending: Vec<(usize, Frame, Target)>,
     /// Frames to hand out, with their due times.
     outbox: VecDeque<(Timestamp, PortId, Frame)>,
     pool: Pool,
     lateness: Histogram,
-    /// Of what crossed the air, by who sent it and who got it.
+    /// Lateness of frames that crossed the air, by sender and receiver.
     air_lateness: HashMap<[PortId; 2], Histogram>,
     drops: Drops,
-    /// Of packets that hosts sent: those that were sent, delivered and stranded.
+    /// Packets of hosts that were sent, delivered and stranded.
     balance: Balance,
-    /// `None` where no service names one.
+    /// `None` if no service has a flow.
     flows: Option<Box<Flows>>,
 }
 
@@ -85,23 +85,23 @@ pub struct Fabric {
 struct Port {
     node: NodeId,
     vertex: usize,
-    /// Whether it reaches the network by the radio unit that it is attached to.
+    /// Whether it reaches the network over the radio unit that it is attached to.
     is_robot: bool,
 }
 
-/// Where a packet goes from a vertex.
+/// The next hop of a packet from a vertex.
 #[derive(Debug, Clone, Copy)]
 enum Hop {
     Edge(usize),
-    /// Down to the station.
+    /// Over the air, down to the station.
     Air,
 }
 
 impl Fabric {
-    /// A fabric at rest, at time zero. The same graph and seed, driven the same way, give the same bytes.
+    /// Creates an idle fabric at time zero. The same graph and seed, driven the same way, give the same bytes.
     ///
     /// # Errors
-    /// [`GraphError`] for a graph that a testbed file could not have described.
+    /// [`GraphError`] for a graph that breaks the rules of testbed files.
     pub fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, GraphError> {
         let hosts = graph.hosts().count();
         if hosts > HostAddress::MAX_HOSTS {
@@ -181,18 +181,17 @@ impl Fabric {
         })
     }
 
-    /// The port of a host; `None` for a switch or an unknown name.
+    /// Returns the port of a host; `None` for a switch or an unknown name.
     pub fn port(&self, host: &NodeId) -> Option<PortId> {
         self.port_of_vertex[*self.vertices.get(host)?]
     }
 
-    /// The host at a port.
+    /// Returns the host at a port.
     pub fn host(&self, port: PortId) -> Option<&NodeId> {
         self.ports.get(port.0).map(|p| &p.node)
     }
 
-    /// A host sends a frame. What comes of it is told by [`Self::poll`], which is to be called after the last of
-    /// the frames that are there to push.
+    /// Sends a frame from a host's port. Call [`Self::poll`] after the last frame of a batch.
     pub fn push(&mut self, now: Timestamp, port: PortId, mut frame: Frame) {
         let now = self.advance(now);
         if port.0 >= self.ports.len() {
@@ -217,10 +216,10 @@ impl Fabric {
         self.settle(now);
     }
 
-    /// Hands out every frame that is due and says when the next might be; `None`: not before another is pushed or
-    /// something is changed.
+    /// Hands out every frame that is due, and returns the next deadline; `None` until another frame is pushed or
+    /// something changes.
     ///
-    /// A poll that comes late changes nothing inside: frames go on as of the time that they were due.
+    /// A late poll changes nothing inside: frames move on as of their due times.
     pub fn poll(&mut self, now: Timestamp, deliver: &mut dyn FnMut(PortId, Frame)) -> Option<Timestamp> {
         let now = self.advance(now);
         while let Some((due, port, frame)) = self.outbox.pop_front() {
@@ -239,13 +238,13 @@ impl Fabric {
         [wired, self.radio_deadline, self.link_tests.deadline(), flows].into_iter().flatten().min()
     }
 
-    /// What happened to attachments, oldest first: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned`; and the
-    /// service times of flows.
+    /// Returns the next event: [`cotorra_graph::Event::Handover`], `Detached` and `Scanned` of attachments, oldest first,
+    /// then service times of flows.
     pub fn next_event(&mut self) -> Option<Stamped> {
         self.radio.next_event().or_else(|| self.flows.as_mut()?.next_event())
     }
 
-    /// Measures the flows that these services name, from now on.
+    /// Measures the flows of these services from now on.
     pub fn measure_flows(&mut self, services: &[Service]) {
         for service in services {
             let Some(flow) = &service.kpis.flow else { continue };
@@ -255,18 +254,17 @@ impl Fabric {
         }
     }
 
-    /// What is to be known of flows beside their service times, in words: that nothing was seen of one, or how much is not
-    /// measured.
+    /// Returns remarks on flows for people: flows without any request, and requests that are not measured.
     pub fn flow_remarks(&self) -> Vec<String> {
         self.flows.as_ref().map_or_else(Vec::new, |flows| flows.remarks())
     }
 
-    /// Changes what a link does, in one direction or both. What is in flight stays in flight, and in order: a lower
-    /// delay brings it forward, a higher one leaves it; another rate goes for what is left of the frame that is being
-    /// sent; a shorter queue keeps what it holds.
+    /// Changes the conditions of a link, in one direction or both. Packets in flight stay in flight and in order. A lower
+    /// delay brings them forward; a higher one leaves them. A new rate applies to the rest of the frame that is being sent.
+    /// A shorter queue keeps its packets.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such link or the conditions cannot be; nothing has changed then.
+    /// [`FabricError`] for an unknown link or impossible conditions. Nothing has changed then.
     pub fn change(
         &mut self,
         now: Timestamp,
@@ -294,8 +292,8 @@ impl Fabric {
         Ok(())
     }
 
-    /// Probes every wired link from now on, and each robot's present one, in both directions (STAMP, RFC 8762), with
-    /// packets of its own that cross links as any others do. They are in no counter.
+    /// Probes every wired link and each robot's present link from now on, in both directions (STAMP, RFC 8762). The probes
+    /// are packets that cross links as others do, and are in no counter.
     pub fn probe_links(&mut self, now: Timestamp, settings: Probing) {
         let now = self.advance(now);
         let wires = (0..self.links.len()).map(|link| effective(&self.pipes, link));
@@ -304,11 +302,11 @@ impl Fabric {
         self.link_tests.probe(settings, now, wires, stations);
     }
 
-    /// Tests what one direction of a wired link carries, by packets that cross it as any others do, and are in no
-    /// counter. What came of it is in the link's context a second after the last was sent.
+    /// Starts a throughput test of one direction of a wired link. Its packets cross the link as others do, and are in no
+    /// counter. The result is in the link's context a second after the last packet was sent.
     ///
     /// # Errors
-    /// [`FabricError`] for a link that is not wired, a test without bounds, or one so soon after another.
+    /// [`FabricError`] for a link that is not wired, a test beyond the bounds, or one too soon after another.
     pub fn test_throughput(
         &mut self,
         now: Timestamp,
@@ -328,8 +326,8 @@ impl Fabric {
         self.link_tests.begin_test(now, (edge, link), test, rate)
     }
 
-    /// d, λ, conditions and counters of every link: the wired ones in the graph's order, forward before backward,
-    /// then those of the air that are in use.
+    /// Returns d, λ, conditions and counters of every link: wired ones in the graph's order, forward before backward, then
+    /// wireless ones in use.
     pub fn link_contexts(&mut self, now: Timestamp) -> Vec<LinkContext> {
         let now = self.advance(now);
         let wired = self.links.iter().enumerate().flat_map(|(i, link)| {
@@ -349,28 +347,28 @@ impl Fabric {
         contexts
     }
 
-    /// What a wired link does, scaled, forward and backward; `None` if there is none of that name.
+    /// Returns the scaled conditions of a wired link, forward and backward; `None` for an unknown link.
     pub fn effective(&self, link: &LinkId) -> Option<[&Conditions; 2]> {
         Some(effective(&self.pipes, *self.link_by_name.get(link)?))
     }
 
-    /// ι(R) of every radio unit.
+    /// Returns ι(R) of every radio unit.
     pub fn radio_contexts(&self, now: Timestamp) -> Vec<RadioContext> {
         self.radio.contexts(now)
     }
 
-    /// φ(r,R) of a robot for every radio unit of its network; empty for what is no robot.
+    /// Returns φ(r,R) of a robot for every radio unit of its network; empty for an unknown robot.
     pub fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
         self.radio.attachments(robot)
     }
 
-    /// The radio unit that a robot is attached to.
+    /// Returns the radio unit that a robot is attached to.
     pub fn attached_to(&self, robot: &NodeId) -> Option<&NodeId> {
         let unit = self.radio.attached_to(self.port(robot)?)?;
         self.host(unit)
     }
 
-    /// A robot is somewhere else now.
+    /// Moves a robot.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`].
@@ -381,10 +379,10 @@ impl Fabric {
         done
     }
 
-    /// Lets a robot's radio leave its channel and scan all others; `Scanned` tells when it is back.
+    /// Makes a robot's radio leave its channel and scan all others. The event `Scanned` reports its return.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such robot or its radio is busy.
+    /// [`FabricError`] for an unknown robot or a busy radio.
     pub fn scan(&mut self, now: Timestamp, robot: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.scan(now, robot);
@@ -392,10 +390,11 @@ impl Fabric {
         done
     }
 
-    /// Lets a robot go over to a radio unit; `Handover` tells when it is there. Nothing happens if it is.
+    /// Hands a robot over to a radio unit. The event `Handover` reports the end. Does nothing if the robot is attached
+    /// there.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such robot or radio unit, or the robot cannot go there.
+    /// [`FabricError`] for an unknown robot or radio unit, or one that the robot cannot attach to.
     pub fn attach(&mut self, now: Timestamp, robot: &NodeId, radio_unit: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.attach(now, robot, radio_unit);
@@ -403,10 +402,10 @@ impl Fabric {
         done
     }
 
-    /// A vAP on a radio unit beacons from now on.
+    /// Switches on a vAP on a radio unit.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such radio unit, it serves already, or is made for another network.
+    /// [`FabricError`] for an unknown radio unit, one that serves already, or one made for another network.
     pub fn switch_on(
         &mut self,
         now: Timestamp,
@@ -419,10 +418,10 @@ impl Fabric {
         done
     }
 
-    /// Whether [`Self::switch_on`] would do that now.
+    /// Checks whether [`Self::switch_on`] would succeed now.
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`Self::switch_on`].
     pub fn check_switch_on(
         &self,
         radio_unit: &NodeId,
@@ -431,10 +430,10 @@ impl Fabric {
         self.radio.check_switch_on(radio_unit, access_point)
     }
 
-    /// A radio unit is off from now on; its stations lose it.
+    /// Switches off a radio unit. Its stations lose it.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such radio unit, or it is off.
+    /// [`FabricError`] for an unknown radio unit, or one that is off.
     pub fn switch_off(&mut self, now: Timestamp, radio_unit: &NodeId) -> Result<(), FabricError> {
         let now = self.advance(now);
         let done = self.radio.switch_off(now, radio_unit);
@@ -442,10 +441,10 @@ impl Fabric {
         done
     }
 
-    /// A robot has what a vAP of another domain asks for.
+    /// Gives a robot the credentials of another domain's vAP.
     ///
     /// # Errors
-    /// [`FabricError`], if there is no such robot or radio unit.
+    /// [`FabricError`] for an unknown robot or radio unit.
     pub fn provision(
         &mut self,
         robot: &NodeId,
@@ -455,13 +454,13 @@ impl Fabric {
         self.radio.provision(robot, radio_unit, access_point)
     }
 
-    /// How late frames were handed out.
+    /// Returns how late frames were handed out.
     pub fn lateness(&self) -> Lateness {
         self.lateness.summary()
     }
 
-    /// How late frames came out of one direction of a link, which for all but the last on a frame's way only says
-    /// how late that was noticed. `None` for a link that does not exist, or a wireless one that nothing crossed.
+    /// Returns how late frames left one direction of a link. For all but the last link of a frame's path, this is only how
+    /// late a poll noticed it. `None` for an unknown link, or a wireless one that no frame crossed.
     pub fn link_lateness(&self, link: &LinkId, direction: Direction) -> Option<Lateness> {
         if let Some(&index) = self.link_by_name.get(link) {
             return Some(self.pipes[edge(index, direction)].lateness().summary());
@@ -476,17 +475,17 @@ impl Fabric {
         self.air_lateness.iter().find(|(ends, _)| is_it(ends)).map(|(_, histogram)| histogram.summary())
     }
 
-    /// Frames that the fabric could not lead anywhere.
+    /// Returns the frames that the fabric could not forward.
     pub fn drops(&self) -> Drops {
         self.drops
     }
 
-    /// How many packets, as they are on the wire, are on wired links.
+    /// Returns the number of packets on wired links, counted as they are on the wire.
     pub fn in_flight(&self) -> u64 {
         self.pipes.iter().map(Pipe::in_flight).sum()
     }
 
-    /// Returns what became of all packets that hosts sent.
+    /// Returns the outcome of all packets that hosts sent.
     pub fn balance(&self) -> Balance {
         let mut balance = self.balance;
         self.pipes.iter().for_each(|pipe| balance += pipe.balance());
@@ -496,17 +495,17 @@ impl Fabric {
         balance
     }
 
-    /// An empty buffer with room for a frame of `length` bytes, used before if there is one.
+    /// Returns an empty buffer for a frame of `length` bytes, a recycled one if possible.
     pub fn buffer(&mut self, length: usize) -> Vec<u8> {
         self.pool.take(length)
     }
 
-    /// Takes back the buffer of a frame that was handed out.
+    /// Takes back the buffer of a delivered frame.
     pub fn recycle(&mut self, frame: Frame) {
         self.pool.put(frame.into_bytes());
     }
 
-    /// Shows a frame to the flows at the port that it enters. Out of line, as most testbeds have none.
+    /// Shows a frame to the flows at the port that it enters. Out of line, because most testbeds have no flows.
     #[cold]
     fn observe_entry(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
         let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
@@ -516,7 +515,7 @@ impl Fabric {
         self.flows = Some(flows);
     }
 
-    /// Shows a frame to the flows at the port that it is delivered at.
+    /// Shows a frame to the flows at the port where it is delivered.
     #[cold]
     fn observe_delivery(&mut self, now: Timestamp, port: PortId, frame: &Frame) {
         let Some(mut flows) = self.flows.take_if(|flows| flows.watch(port)) else { return };
@@ -525,7 +524,7 @@ impl Fabric {
         self.flows = Some(flows);
     }
 
-    /// Gives up requests of flows that were not answered in time.
+    /// Expires requests of flows without an answer in time.
     #[cold]
     fn expire_requests(&mut self, now: Timestamp) {
         if let Some(flows) = &mut self.flows {
@@ -533,7 +532,7 @@ impl Fabric {
         }
     }
 
-    /// Does everything that is due by `now`, in the order in which it is due.
+    /// Does everything due by `now`, in the order of due times.
     fn advance(&mut self, now: Timestamp) -> Timestamp {
         self.now = self.now.max(now);
         let now = self.now;
@@ -580,14 +579,14 @@ impl Fabric {
         }
     }
 
-    /// A probe or its answer has come to the other end.
+    /// Handles a probe or its answer at the other end of the link.
     fn probed(&mut self, now: Timestamp, over: ProbeTarget, direction: Direction, frame: Frame) {
         if let Some(answer) = self.link_tests.probe_crossed(now, (over, direction), frame) {
             self.probe(now, over, Direction::Backward, answer);
         }
     }
 
-    /// A packet has crossed an edge; a probe turns back or ends here, others go on.
+    /// Handles a packet that has crossed an edge. Probes turn back or end here; others move on.
     fn crossed(&mut self, now: Timestamp, edge: usize, packet: Packet) {
         match packet.purpose {
             Purpose::Target(target) => self.pending.push((self.routes.end(edge), packet.frame, target)),
@@ -633,7 +632,7 @@ impl Fabric {
         self.arrivals = arrivals;
     }
 
-    /// Leads on all packets that go on at once.
+    /// Forwards all packets that move on at once.
     fn settle(&mut self, now: Timestamp) {
         while let Some((vertex, frame, target)) = self.pending.pop() {
             let here = self.port_of_vertex[vertex];
@@ -658,7 +657,7 @@ impl Fabric {
         }
     }
 
-    /// Sends a packet on from a vertex.
+    /// Forwards a packet from a vertex.
     fn leave(&mut self, now: Timestamp, vertex: usize, frame: Frame, target: Target) {
         let to = |frame, target| Packet { frame, purpose: Purpose::Target(target), entered: now };
         match &target {
@@ -667,7 +666,7 @@ impl Fabric {
                 if let Some(edge) = pinned {
                     return self.cross(now, edge, to(frame, target));
                 }
-                // Its path ends here. The robot may be elsewhere by now; the way there may cross that path again.
+                // The pinned path ends here. The robot may be elsewhere by now, and the way there may cross the path again.
                 let port = *port;
                 match self.hop(vertex, port) {
                     Some(Hop::Edge(edge)) => {
@@ -703,7 +702,7 @@ impl Fabric {
         }
     }
 
-    /// Gives the radio a frame; super-packets are cut, since the air carries packets.
+    /// Gives a frame to the radio. Cuts super-packets, because the air carries single packets.
     fn on_air(&mut self, frame: Frame, mut push: impl FnMut(&mut Radio, Frame)) {
         frame
             .segment_with(&mut self.pool, |packet| push(&mut self.radio, packet))
@@ -711,7 +710,7 @@ impl Fabric {
         self.radio_deadline = self.radio.deadline();
     }
 
-    /// The next hop from a vertex towards a host.
+    /// Returns the next hop from a vertex towards a host.
     fn hop(&mut self, vertex: usize, to: PortId) -> Option<Hop> {
         let Port { vertex: mut end, is_robot, .. } = self.ports[to.0];
         if is_robot {
@@ -723,7 +722,7 @@ impl Fabric {
         self.routes.step(vertex, end).map(Hop::Edge)
     }
 
-    /// Where a frame goes that enters the wired network at a vertex; `None` if it is for its own sender.
+    /// Returns the target of a frame that enters the wired network at a vertex; `None` if its sender is its destination.
     fn target(&mut self, source: PortId, vertex: usize, frame: &Frame) -> Option<Target> {
         let to_all = |fabric: &mut Self| Target::All { tree: fabric.routes.tree(vertex), source };
         let destination = frame.destination()?;
@@ -737,18 +736,18 @@ impl Fabric {
         }
     }
 
-    /// The host that has an address.
+    /// Returns the host that uses an address.
     fn owner(&self, address: [u8; 6]) -> Option<PortId> {
         self.assigned(address).or_else(|| self.learnt.get(&address).copied())
     }
 
-    /// The host that an address was assigned to: [`HostAddress::of`] the other way round.
+    /// Returns the host that an address was assigned to: the inverse of [`HostAddress::of`].
     fn assigned(&self, address: [u8; 6]) -> Option<PortId> {
         let place = usize::from(u16::from_be_bytes([address[4], address[5]])).checked_sub(1)?;
         (place < self.ports.len() && HostAddress::of(place).mac == address).then_some(PortId(place))
     }
 
-    /// Notes that a host uses an address beside its own, as containers and macvlan interfaces do.
+    /// Records that a host uses an address besides its own, as containers and macvlan interfaces do.
     fn learn(&mut self, port: PortId, frame: &Frame) {
         let Some(source) = frame.source() else { return };
         if source[0] & GROUP != 0 || self.assigned(source).is_some() {
@@ -766,16 +765,16 @@ impl Fabric {
     }
 }
 
-/// Set in the first byte of an address of many hosts (IEEE 802, the I/G bit).
+/// The I/G bit in an address's first byte, which marks a group address (IEEE 802).
 const GROUP: u8 = 0x01;
 
-/// What both directions of a link do.
+/// Returns the scaled conditions of both directions of a link.
 fn effective(pipes: &[Pipe], link: usize) -> [&Conditions; 2] {
     [Direction::Forward, Direction::Backward]
         .map(|direction| pipes[edge(link, direction)].settings().effective())
 }
 
-/// The edge of a link's direction.
+/// Returns the edge of a link's direction.
 fn edge(link: usize, direction: Direction) -> usize {
     2 * link + direction as usize
 }

@@ -1,4 +1,4 @@
-//! The flows of services, measured at their clients' ports.
+//! Measures the flows of services at their clients' ports.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -9,10 +9,10 @@ use cotorra_graph::{
 
 use crate::{frame::Frame, port::PortId};
 
-/// Stands for no port.
+/// Marks the absence of a port.
 const NONE: u32 = u32::MAX;
 
-/// Where a request went, and how its robot was attached then.
+/// The server of a request, and its robot's radio unit at that time.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Mark {
     pub server: Option<PortId>,
@@ -31,7 +31,7 @@ impl Mark {
     }
 }
 
-/// A service's flow.
+/// The flow of a service.
 #[derive(Debug)]
 struct Measured {
     service: ServiceId,
@@ -40,18 +40,18 @@ struct Measured {
     meter: Meter,
 }
 
-/// The flows of all services that name one.
+/// The flows of all services that have one.
 #[derive(Debug, Default)]
 pub(crate) struct Flows {
     flows: Vec<Measured>,
-    /// By port: whether one is measured there.
+    /// Whether a flow is measured, by port.
     watched: Vec<bool>,
     deadline: Option<Timestamp>,
     events: VecDeque<Stamped>,
 }
 
 impl Flows {
-    /// Measures the flow of a service at a port.
+    /// Starts to measure the flow of a service at a port.
     pub fn add(&mut self, service: &Service, flow: &Flow, from: PortId) {
         let id = |id: Option<FlowId>| id.map(|FlowId { offset, length }| Id { offset, length });
         let protocol = match flow.protocol.clone() {
@@ -81,7 +81,7 @@ impl Flows {
         self.watched.get(place).is_some_and(|watched| *watched)
     }
 
-    /// A frame enters the network at a port. `mark` says what there is to know for the service of a robot.
+    /// Records a frame that enters the network at a port. `mark` gives the mark for a robot's service.
     pub fn entered(&mut self, now: Timestamp, port: PortId, frame: &Frame, mark: impl Fn(&NodeId) -> Mark) {
         for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
             flow.meter.entered(since_start(now), &seen(frame), mark(&flow.robot).pack());
@@ -89,7 +89,7 @@ impl Flows {
         self.set_deadline();
     }
 
-    /// A frame of a host, if that is known, is delivered at a port.
+    /// Records a frame that is delivered at a port. `from` is the sending host, if known.
     pub fn delivered(
         &mut self,
         now: Timestamp,
@@ -103,7 +103,7 @@ impl Flows {
         self.tell(now, from, name);
     }
 
-    /// Gives up requests that were not answered in time.
+    /// Expires requests without an answer in time.
     pub fn expire(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
         if self.deadline.is_some_and(|deadline| deadline <= now) {
             self.flows.iter_mut().for_each(|flow| flow.meter.expire(since_start(now)));
@@ -124,12 +124,12 @@ impl Flows {
         self.deadline = deadlines.min().map(|deadline| Timestamp::ZERO + deadline);
     }
 
-    /// Tells the samples of what came from this host, if anything did.
+    /// Turns new samples into events. `from` is the host that sent the frame behind them, if any.
     fn tell(&mut self, now: Timestamp, from: Option<PortId>, name: impl Fn(PortId) -> NodeId) {
         for flow in &mut self.flows {
             while let Some(Sample { sequence, entered, took, mark }) = flow.meter.poll() {
                 let Mark { server, attachment } = Mark::unpack(mark);
-                // Who answers what went to a group is its server.
+                // The server of a request to a group is the host that answered.
                 let server = server.or(from.filter(|_| took.is_some()));
                 let sample = ServiceTime {
                     service: flow.service.clone(),
@@ -138,7 +138,7 @@ impl Flows {
                     emitted: Timestamp::ZERO + entered,
                     took,
                     attachment: attachment.map(&name),
-                    // It went to nobody, or to several who did not answer.
+                    // The request went to no host, or to a group that did not answer.
                     server: name(server.unwrap_or(flow.from)),
                 };
                 self.events.push_back(Stamped { at: now, event: Event::ServiceTime(sample) });
@@ -147,7 +147,7 @@ impl Flows {
         self.set_deadline();
     }
 
-    /// What is to be known of flows beside their samples, in words.
+    /// Returns remarks on flows for people: unseen and unmeasured requests.
     pub fn remarks(&self) -> Vec<String> {
         self.flows.iter().flat_map(|flow| remarks(&flow.service, flow.meter.counts())).collect()
     }

@@ -1,5 +1,5 @@
-//! Ethernet frames with the work that a sender left undone: checksums to fill in and super-packets to cut. Both are
-//! put off for as long as no link needs them done, since that is where a fast path's speed comes from.
+//! Ethernet frames with the work that a sender left to the network card: checksums to complete and super-packets to cut.
+//! Both are put off until a link needs them, because that is what makes the data path fast.
 
 use std::ops::Range;
 
@@ -12,17 +12,17 @@ use cotorra_flows::{
 
 use crate::pool::Pool;
 
-/// A checksum left to whoever needs it: the ones' complement sum of everything from `start` on belongs at
-/// `start + offset`, where the sum of the pseudo header stands already (virtio 1.2, 5.1.6.2).
+/// A checksum to complete (virtio 1.2, 5.1.6.2). The ones' complement sum of everything from `start` on belongs at
+/// `start + offset`, which holds the sum of the pseudo header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Checksum {
-    /// First byte that it covers, from the beginning of the frame.
+    /// First covered byte, from the beginning of the frame.
     pub start: u16,
-    /// Where it belongs, from `start`.
+    /// Place of the checksum, from `start`.
     pub offset: u16,
 }
 
-/// What a super-packet holds.
+/// The protocol of a super-packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SegmentationKind {
     /// TCP over IPv4 (TSO).
@@ -33,19 +33,19 @@ pub enum SegmentationKind {
     Udp,
 }
 
-/// A super-packet: how to cut it into packets as they are on the wire.
+/// How to cut a super-packet into packets as they are on the wire.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Segmentation {
-    /// What it holds.
+    /// Protocol of the payload.
     pub kind: SegmentationKind,
-    /// Bytes of payload in a packet (the MSS); the last may have fewer.
+    /// Payload bytes of a packet (the MSS); the last may have fewer.
     pub size: u16,
-    /// Length of all headers, Ethernet to transport. A sender's figure is a hint; a frame out of the fabric has the
+    /// Length of all headers, from Ethernet to transport. A sender's value is a hint; frames out of the fabric have the
     /// right one.
     pub header_len: u16,
 }
 
-/// What the sender left undone: what a `virtio_net_hdr` says.
+/// Work that the sender left undone, as in a `virtio_net_hdr`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Offload {
     /// A checksum to complete.
@@ -55,38 +55,38 @@ pub struct Offload {
 }
 
 impl Offload {
-    /// Nothing was left undone.
+    /// No work left.
     pub const NONE: Self = Self { checksum: None, segmentation: None };
 }
 
-/// Why a frame's offload cannot be what it says.
+/// An inconsistency between a frame and its offload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Malformed {
-    /// Shorter than its Ethernet header.
+    /// A frame shorter than an Ethernet header.
     #[error("a frame has an Ethernet header of 14 bytes; this one is shorter")]
     Short,
-    /// The checksum lies behind the frame's end.
+    /// A checksum behind the frame's end.
     #[error("the checksum's place lies behind the frame's end")]
     ChecksumBeyondEnd,
-    /// The checksum is not the transport's.
+    /// A checksum that is not the transport's.
     #[error("the checksum to complete is not that of the super-packet's transport header")]
     ChecksumElsewhere,
-    /// Cut into packets of nothing.
+    /// A packet size of 0.
     #[error("a super-packet is cut into packets of 1 byte or more, not 0")]
     NoSize,
-    /// Other headers than it says.
+    /// Headers of another kind, or cut off.
     #[error("the super-packet's headers are not those of its kind, or are cut off")]
     Headers,
 }
 
-/// An Ethernet frame, destination address first and without FCS, and what its sender left undone.
+/// An Ethernet frame, destination address first and without FCS, and its offload.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
     bytes: Vec<u8>,
     offload: Offload,
 }
 
-/// Where a super-packet's headers are.
+/// Offsets of a super-packet's headers.
 struct Layout {
     ip: usize,
     version: IpVersion,
@@ -94,53 +94,54 @@ struct Layout {
     payload: usize,
 }
 
-/// Where the checksum stands in the transport's header.
+/// Offset of the checksum in the TCP header.
 const TCP_CHECKSUM: usize = 16;
+/// Offset of the checksum in the UDP header.
 const UDP_CHECKSUM: usize = 6;
 const TCP_FLAGS: usize = 13;
 const FIN_AND_PSH: u8 = 0x09;
 const CWR: u8 = 0x80;
 
 impl Frame {
-    /// A frame with nothing left to do.
+    /// Creates a frame without an offload.
     pub fn new(bytes: Vec<u8>) -> Self {
         Self { bytes, offload: Offload::NONE }
     }
 
-    /// A frame with what its sender left undone.
+    /// Creates a frame with an offload.
     pub fn with_offload(bytes: Vec<u8>, offload: Offload) -> Self {
         Self { bytes, offload }
     }
 
-    /// A second frame like this one, in a buffer of the pool.
+    /// Copies the frame into a buffer of the pool.
     pub(crate) fn copy(&self, pool: &mut Pool) -> Self {
         let mut buffer = pool.take(self.bytes.len());
         buffer.extend_from_slice(&self.bytes);
         Self::with_offload(buffer, self.offload)
     }
 
-    /// The frame, destination address first.
+    /// Returns the frame's bytes, destination address first.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
-    /// How many bytes it has; on the wire there can be more, see [`Frame::wire_bytes`].
+    /// Returns the length in bytes. On the wire it can be more; see [`Frame::wire_bytes`].
     #[expect(clippy::len_without_is_empty, reason = "an Ethernet frame has a header, it is never empty")]
     pub fn len(&self) -> usize {
         self.bytes.len()
     }
 
-    /// What is left to do.
+    /// Returns the work left to do.
     pub fn offload(&self) -> Offload {
         self.offload
     }
 
-    /// The buffer, to be used again.
+    /// Returns the buffer for reuse.
     pub fn into_bytes(self) -> Vec<u8> {
         self.bytes
     }
 
-    /// How many packets it is on the wire.
+    /// Returns the number of packets on the wire.
     pub fn wire_packets(&self) -> u32 {
         match self.offload.segmentation {
             None => 1,
@@ -151,8 +152,8 @@ impl Frame {
         }
     }
 
-    /// How many bytes it is on the wire, without preamble, FCS and gap; each packet of a super-packet has headers
-    /// of its own.
+    /// Returns the bytes on the wire, without preamble, FCS and gap. Each packet of a super-packet counts with its own
+    /// headers.
     pub fn wire_bytes(&self) -> u64 {
         let headers = self
             .offload
@@ -161,21 +162,20 @@ impl Frame {
         self.bytes.len() as u64 + headers
     }
 
-    /// Destination address.
+    /// Returns the destination address.
     pub(crate) fn destination(&self) -> Option<[u8; 6]> {
         self.bytes.first_chunk().copied()
     }
 
-    /// Source address.
+    /// Returns the source address.
     pub(crate) fn source(&self) -> Option<[u8; 6]> {
         self.bytes.get(6..12)?.first_chunk().copied()
     }
 
-    /// Checks that its offload can be what it says and corrects the length of its headers, so that all that
-    /// follows can rely on both.
+    /// Checks the offload and corrects the length of its headers, so that later steps can rely on both.
     ///
     /// # Errors
-    /// [`Malformed`], with what is wrong.
+    /// [`Malformed`] for an inconsistent offload.
     pub fn check(&mut self) -> Result<(), Malformed> {
         if self.bytes.len() < ETHERNET {
             return Err(Malformed::Short);
@@ -191,10 +191,10 @@ impl Frame {
         Ok(())
     }
 
-    /// Fills in the checksum that was left undone, if one was.
+    /// Completes the checksum, if the sender left it undone.
     ///
     /// # Errors
-    /// [`Malformed::ChecksumBeyondEnd`]; the frame is as before.
+    /// [`Malformed::ChecksumBeyondEnd`]. The frame is unchanged then.
     pub fn complete_checksum(&mut self) -> Result<(), Malformed> {
         let Some(checksum) = self.offload.checksum else { return Ok(()) };
         let place = self.checksum_place(checksum).ok_or(Malformed::ChecksumBeyondEnd)?;
@@ -204,19 +204,19 @@ impl Frame {
         Ok(())
     }
 
-    /// Cuts a super-packet into the packets that it is on the wire and appends them to `out`; a frame that is none
-    /// goes there as it is. A checksum left undone is left undone in each packet; one that was done is done.
+    /// Cuts a super-packet into the packets that it is on the wire and appends them to `out`. Any other frame is appended
+    /// unchanged. Each packet has a completed checksum if the super-packet had one, and one to complete otherwise.
     ///
-    /// As a network card does it: TCP sequence numbers and IPv4 identifications count on, FIN and PSH go with the
-    /// last packet, CWR with the first (RFC 3168, 6.1.2).
+    /// Cuts as a network card does: TCP sequence numbers and IPv4 identifications count up, FIN and PSH go with the last
+    /// packet, CWR with the first (RFC 3168, 6.1.2).
     ///
     /// # Errors
-    /// [`Malformed`]; `out` is as before.
+    /// [`Malformed`]. `out` is unchanged then.
     pub fn segment(self, out: &mut Vec<Self>) -> Result<(), Malformed> {
         self.segment_with(&mut Pool::default(), |packet| out.push(packet))
     }
 
-    /// [`Frame::segment`] with buffers from a pool, which gets this frame's.
+    /// [`Frame::segment`] with buffers from a pool, which takes this frame's buffer.
     pub(crate) fn segment_with(
         mut self,
         pool: &mut Pool,
@@ -249,8 +249,8 @@ impl Frame {
         Ok(())
     }
 
-    /// Flips one bit behind the Ethernet header, the `choice`-th of them (modulo their number), with all checksums
-    /// done before, so that the receiver can tell. `false` if there is nothing behind it.
+    /// Flips one bit behind the Ethernet header: the `choice`-th, modulo their number. Completes the checksum first, so that
+    /// the receiver can detect the damage. Returns `false` if there is nothing to flip.
     pub(crate) fn flip_bit(&mut self, choice: u64) -> bool {
         let bits = self.bytes.len().saturating_sub(ETHERNET) as u64 * 8;
         if bits == 0 || self.complete_checksum().is_err() {
@@ -288,7 +288,7 @@ fn checksum_offset(kind: SegmentationKind) -> usize {
 }
 
 impl Layout {
-    /// Finds the headers of a super-packet; `None` if they are not those of its kind.
+    /// Finds the headers of a super-packet; `None` if they do not match its kind.
     fn of(bytes: &[u8], kind: SegmentationKind) -> Option<Self> {
         let (ip, version) = find_ip(bytes)?;
         let (protocol, transport) = match version {
@@ -323,7 +323,7 @@ impl Layout {
             return None;
         }
         let (mut protocol, mut at) = (*bytes.get(ip + 6)?, ip + IPV6);
-        // Hop-by-hop options, routing, destination options (RFC 8200, 4.1); others carry no super-packet.
+        // Hop-by-hop options, routing, destination options (RFC 8200, 4.1). Super-packets have no others.
         while matches!(protocol, 0 | 43 | 60) {
             protocol = *bytes.get(at)?;
             at += (usize::from(*bytes.get(at + 1)?) + 1) * 8;
@@ -331,7 +331,7 @@ impl Layout {
         Some((protocol, at))
     }
 
-    /// Makes the copied headers those of the `i`-th packet.
+    /// Turns the copied headers into those of the `i`-th packet.
     fn renumber(&self, bytes: &mut [u8], kind: SegmentationKind, i: usize, size: usize, last: bool) {
         let ip_length = bytes.len() - self.ip;
         let transport_length = bytes.len() - self.transport;
@@ -366,7 +366,7 @@ impl Layout {
             }
             PROTOCOL_TCP
         };
-        // The sum of the pseudo header, where the rest is added to it.
+        // The checksum's place holds the sum of the pseudo header, to which the rest is added.
         let addresses = match self.version {
             IpVersion::V4 => self.ip + 12..self.ip + 20,
             IpVersion::V6 => self.ip + 8..self.ip + 40,

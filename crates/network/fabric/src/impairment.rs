@@ -1,5 +1,5 @@
-//! What chance does to packets on a link: loss, corruption, duplication, jitter and reordering, drawn from the link's
-//! own stream of random numbers. Wired and wireless links share it.
+//! Random impairments of packets on wired and wireless links: loss, corruption, duplication, jitter and reordering. Each
+//! link draws them from its own stream of random numbers.
 
 use std::time::Duration;
 
@@ -18,19 +18,19 @@ pub(crate) struct Impairments {
     duplication: Probability,
     reordering: Probability,
     jitter: Option<Jitter>,
-    /// The second of the two normal deviates that one draw gives.
+    /// Second of the two normal deviates of one draw.
     spare: Option<f64>,
 }
 
-/// What decides on the next packet's loss.
+/// The random process of losses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum LossProcess {
     None,
     Independent {
         rate: Probability,
     },
-    /// Gilbert's simple form of the Gilbert-Elliott model (Gilbert 1960): two states, all packets of the bad one
-    /// are lost.
+    /// Gilbert's simple form of the Gilbert-Elliott model (Gilbert 1960): two states, of which the bad one loses every
+    /// packet.
     Bursty {
         good_to_bad: f64,
         bad_to_good: f64,
@@ -39,7 +39,7 @@ enum LossProcess {
 }
 
 impl Impairments {
-    /// The impairments that these conditions ask for.
+    /// Creates the impairments of these conditions.
     pub(crate) fn new(conditions: &Conditions, mut rng: Xoshiro256PlusPlus) -> Self {
         Self {
             loss: LossProcess::new(conditions.loss, &mut rng),
@@ -52,7 +52,7 @@ impl Impairments {
         }
     }
 
-    /// Goes on with other conditions. A burst of losses under way goes on, too.
+    /// Changes the conditions. A current burst of losses continues.
     pub(crate) fn change(&mut self, conditions: &Conditions) {
         let mut loss = LossProcess::new(conditions.loss, &mut self.rng);
         if let (LossProcess::Bursty { bad, .. }, LossProcess::Bursty { bad: now, .. }) =
@@ -80,7 +80,7 @@ impl Impairments {
         }
     }
 
-    /// Flips a bit of the packet if chance will have it; whether it did.
+    /// Flips a bit of the packet at random. Returns whether it did.
     pub(crate) fn corrupts(&mut self, frame: &mut Frame) -> bool {
         happens(&mut self.rng, self.corruption) && frame.flip_bit(self.rng.next_u64())
     }
@@ -90,12 +90,12 @@ impl Impairments {
         happens(&mut self.rng, self.duplication)
     }
 
-    /// Whether the packet skips the delay, and so overtakes those before it.
+    /// Whether the packet skips the delay and overtakes those before it.
     pub(crate) fn reorders(&mut self) -> bool {
         happens(&mut self.rng, self.reordering)
     }
 
-    /// How far the packet's delay deviates, in units of the jitter's deviation; 0 without jitter.
+    /// Returns the deviation of the packet's delay, in units of the jitter's deviation; 0 without jitter.
     pub(crate) fn deviate(&mut self) -> f64 {
         match self.jitter.map(|j| j.distribution) {
             None => 0.0,
@@ -105,7 +105,7 @@ impl Impairments {
         }
     }
 
-    /// A standard normal deviate (Box and Muller 1958).
+    /// Returns a standard normal deviate (Box and Muller 1958).
     fn normal(&mut self) -> f64 {
         if let Some(spare) = self.spare.take() {
             return spare;
@@ -118,7 +118,7 @@ impl Impairments {
 }
 
 impl LossProcess {
-    /// A process in its stationary state.
+    /// Creates a process in its stationary state.
     fn new(loss: Loss, rng: &mut Xoshiro256PlusPlus) -> Self {
         match loss {
             Loss::None => Self::None,
@@ -132,19 +132,19 @@ impl LossProcess {
     }
 }
 
-/// Whether an event of that probability happens. What never or always does takes no random number.
+/// Whether an event of probability `p` happens. Probabilities 0 and 1 take no random number.
 fn happens(rng: &mut Xoshiro256PlusPlus, p: Probability) -> bool {
     p != Probability::ZERO && (p == Probability::ONE || unit(rng) < p.get())
 }
 
-/// The value of a Pareto distribution with shape 3, moved and scaled to mean 0 and standard deviation 1, that is
-/// exceeded with probability `u` in (0, 1].
+/// Returns the value that a Pareto distribution with shape 3 exceeds with probability `u` in (0, 1]. The distribution is
+/// moved and scaled to mean 0 and standard deviation 1.
 fn pareto(u: f64) -> f64 {
     // With scale 1: mean 3/2, variance 3/4 (for shape α: α/(α-1) and α/((α-1)²(α-2))).
     (1.0 / u.cbrt() - 1.5) / 0.75f64.sqrt()
 }
 
-/// A delay and its deviation from it, zero at least.
+/// Adds a deviation to a delay. The result is never negative.
 pub(crate) fn jittered(delay: Duration, deviate: f64, jitter: Option<Jitter>) -> Duration {
     let Some(jitter) = jitter else { return delay };
     let extra = deviate * jitter.deviation.as_nanos() as f64;
@@ -171,7 +171,7 @@ mod tests {
         (0..PACKETS).map(|_| impairments.loses()).collect()
     }
 
-    /// Lengths of the runs of lost packets.
+    /// Returns the lengths of the runs of lost packets.
     fn bursts(lost: &[bool]) -> Vec<usize> {
         lost.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len).collect()
     }
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn independent_loss_lies_in_its_binomial_interval() {
+    fn independent_loss_is_within_its_binomial_interval() {
         for rate in [0.0001, 0.01, 0.05, 0.5, 0.9] {
             let lost = share(&losses(Loss::Independent { rate: p(rate) }));
             // Two-sided, 99 %.
@@ -199,10 +199,10 @@ mod tests {
     }
 
     #[test]
-    fn bursts_have_their_share_and_their_mean_length() {
+    fn bursts_have_the_requested_share_and_mean_length() {
         for (rate, mean_burst) in [(0.01, 4.0), (0.001, 1.0), (0.1, 20.0), (0.5, 3.0)] {
             let lost = losses(Loss::Bursty { rate: p(rate), mean_burst });
-            // States follow each other with correlation 1 - p - r, which widens the interval of the share.
+            // Consecutive states have correlation 1 - p - r, which widens the interval of the share.
             let leave = 1.0 / mean_burst;
             let correlation = 1.0 - leave - leave * rate / (1.0 - rate);
             let widened = (1.0 + correlation) / (1.0 - correlation);
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn asking_for_the_same_bursts_again_leaves_the_burst_as_it_is() {
+    fn unchanged_conditions_leave_a_burst_as_it_is() {
         let conditions =
             Conditions { loss: Loss::Bursty { rate: p(0.5), mean_burst: 1e9 }, ..Conditions::default() };
         let mut impairments = impairments(&conditions);
@@ -230,7 +230,7 @@ mod tests {
 
     /// Share of bursts of 1, 2, 3, 4 and 5 packets: (1 - r)^(k - 1)·r.
     #[test]
-    fn burst_lengths_are_as_they_were() {
+    fn burst_lengths_match_the_golden_table() {
         let mut table = String::new();
         for mean_burst in [1.5, 3.0, 8.0] {
             let bursts = bursts(&losses(Loss::Bursty { rate: p(0.05), mean_burst }));
@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn jitter_has_mean_zero_and_the_deviation_asked_for() {
+    fn jitter_has_mean_zero_and_the_requested_deviation() {
         for (distribution, deviation, tolerance) in DISTRIBUTIONS
             .into_iter()
             // The variance of a Pareto distribution with shape 3 converges slowly: its fourth moment is infinite.
@@ -285,7 +285,7 @@ mod tests {
 
     /// Quantiles at 1, 5, 25, 50, 75, 95 and 99 %, in deviations.
     #[test]
-    fn jitter_quantiles_are_as_they_were() {
+    fn jitter_quantiles_match_the_golden_table() {
         let quantiles = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99];
         let mut table = String::new();
         for distribution in DISTRIBUTIONS {
@@ -295,7 +295,7 @@ mod tests {
             table += &format!("{distribution:?}: {}\n", row.join(" "));
         }
         assert_eq!(table, GOLDEN_JITTER);
-        // Φ⁻¹, and (1 - q)^(-1/3) less its mean 3/2 over its deviation √3/2.
+        // Normal: Φ⁻¹(q). Pareto: (1 - q)^(-1/3) less its mean 3/2, over its deviation √3/2.
         let normal = [-2.326, -1.645, -0.674, 0.0, 0.674, 1.645, 2.326];
         let expected = |row: usize, i: usize| match row {
             0 => 2.0 * quantiles[i] - 1.0,

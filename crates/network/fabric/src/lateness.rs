@@ -1,5 +1,5 @@
-//! Asked against delivered: how much later than its due time each frame was handed out, so that a run can say
-//! whether its figures are the network's or the emulator's.
+//! Lateness of frames: how much later than its due time each one was handed out. A run reports it to show whether its
+//! figures are the network's or the emulator's.
 
 use std::time::Duration;
 
@@ -7,14 +7,14 @@ use cotorra_graph::Lateness;
 
 /// Values below this many nanoseconds share the first octave.
 const FINEST_BITS: u32 = 6;
-/// Buckets in an octave, as a power of two: a bucket is 1/32 of its values wide at most.
+/// Buckets in an octave, as a power of two. The width of a bucket is at most 1/32 of its values.
 const STEPS_BITS: u32 = 5;
 const STEPS: usize = 1 << STEPS_BITS;
-/// Octaves above the first: up to 2^36 ns, more than a minute, where the last bucket takes all that is later.
+/// Octaves above the first, up to 2^36 ns (more than a minute). The last bucket takes all larger values.
 const OCTAVES: usize = 36 - (FINEST_BITS + STEPS_BITS) as usize;
 const BUCKETS: usize = STEPS * (OCTAVES + 1);
 
-/// A log-linear histogram of lateness; of fixed size, so that recording allocates nothing.
+/// A log-linear histogram of lateness. Its size is fixed, so that recording allocates nothing.
 #[derive(Debug, Clone)]
 pub struct Histogram {
     buckets: Box<[u64; BUCKETS]>,
@@ -29,7 +29,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// A frame came out that late.
+    /// Records the lateness of a frame.
     pub fn record(&mut self, late: Duration) {
         let ns = late.as_nanos() as u64;
         self.buckets[bucket(ns)] += 1;
@@ -37,7 +37,7 @@ impl Histogram {
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// What was recorded so far.
+    /// Returns count, quantiles and maximum.
     pub fn summary(&self) -> Lateness {
         Lateness {
             frames: self.frames,
@@ -47,14 +47,14 @@ impl Histogram {
         }
     }
 
-    /// The middle of the bucket that holds the quantile.
+    /// Returns the middle of the bucket that holds the quantile, µs.
     fn quantile_us(&self, quantile: f64) -> f64 {
         let rank = (self.frames as f64 * quantile).ceil() as u64;
         let mut seen = 0;
         for (i, count) in self.buckets.iter().enumerate() {
             seen += count;
             if *count > 0 && seen >= rank {
-                // What was never late is exactly that.
+                // Without any lateness, the quantile is exactly 0.
                 let middle = if self.max_ns == 0 { 0 } else { (lower(i) + lower(i + 1)) / 2 };
                 return middle.min(self.max_ns) as f64 / 1e3;
             }
@@ -63,15 +63,15 @@ impl Histogram {
     }
 }
 
-/// The bucket of a value.
+/// Returns the bucket of a value.
 fn bucket(ns: u64) -> usize {
     let value = ns >> FINEST_BITS;
     let octave = (u64::BITS - value.leading_zeros()).saturating_sub(STEPS_BITS + 1);
-    // Within an octave above the first, the values' leading bit is what makes it one octave further.
+    // Above the first octave, the leading bit of `value >> octave` adds one octave to the index.
     (((octave as usize) << STEPS_BITS) + (value >> octave) as usize).min(BUCKETS - 1)
 }
 
-/// The least value of a bucket.
+/// Returns the smallest value of a bucket.
 fn lower(bucket: usize) -> u64 {
     if bucket < 2 * STEPS {
         return (bucket as u64) << FINEST_BITS;
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_are_those_of_what_was_recorded() {
+    fn quantiles_match_the_recorded_values() {
         let mut histogram = Histogram::default();
         assert_eq!(histogram.summary(), Lateness::default());
         (1..=1000).for_each(|us| histogram.record(Duration::from_micros(us)));
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_never_late_is_zero() {
+    fn punctual_frames_have_zero_lateness() {
         let mut histogram = Histogram::default();
         (0..10).for_each(|_| histogram.record(Duration::ZERO));
         assert_eq!(histogram.summary(), Lateness { frames: 10, ..Lateness::default() });

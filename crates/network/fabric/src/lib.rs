@@ -1,25 +1,27 @@
 #![doc = include_str!("../README.md")]
 //!
-//! # What frames meet
+//! # Model
 //!
-//! - **Forwarding.** Unicast takes the path of least delay to the host that has the address, worked out anew when
-//!   delays or attachments change. Hosts have the addresses of [`HostAddress`](cotorra_graph::HostAddress); others
-//!   that they use are learnt from what they send. Broadcast, multicast and unknown addresses reach every other host
-//!   once, along a spanning tree. Robots and servers never forward.
-//! - **Wired links.** Each direction is a drop-tail queue, a transmitter (fixed rate or Mahimahi trace) and a line;
-//!   behind the transmitter come loss, corruption, duplication, and delay with jitter that keeps order.
-//! - **The air.** A robot's frames cross it to and from the radio unit that it is attached to, which takes airtime,
-//!   retries, and a handover's gap.
-//! - **Paths.** Frames take the path of least delay, or one that they are [pinned](Fabric::pin) to.
-//! - **Measurements.** [Probes](Fabric::probe_links) and [tests](Fabric::test_throughput) of wired links are packets
-//!   like others on the way, are for no host, and in no counter.
-//! - **Flows.** The [service times of flows](Fabric::measure_flows) are measured where frames enter and leave.
-//! - **Offloads.** A super-packet stays whole where nothing on its way needs packets, and counts as its packets
-//!   everywhere; random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum that was left undone
-//!   stays so, unless the packet is corrupted.
-//!
-//! All chance comes from one seed, split by link, robot and purpose: the same graph and seed, driven the same way,
-//! give the same bytes.
+//! - **Time.** Every call takes the time. It never falls: a call with an earlier time counts as one with the latest so
+//!   far. A frame moves on at its due time, however late the poll that notices, so that lateness does not add up over
+//!   hops. [`Fabric::lateness`] reports it.
+//! - **Forwarding.** Unicast frames take the path of least delay to the host that has the address, or one that they are
+//!   [pinned](Fabric::pin) to. Paths are worked out anew when delays or attachments change. Hosts have the addresses of
+//!   [`HostAddress`](cotorra_graph::HostAddress); the fabric learns other addresses from the frames that they send.
+//!   Broadcast, multicast and frames to unknown addresses reach every other host once, along a spanning tree. Robots and
+//!   servers never forward.
+//! - **Wired links.** Each direction is a drop-tail queue, a transmitter (fixed rate or Mahimahi trace) and a line.
+//!   Packets that leave the transmitter meet loss, corruption, duplication, and delay with jitter that keeps order.
+//!   Links [change](Fabric::change) in place.
+//! - **The air.** A robot's frames cross the air to and from the radio unit that it is attached to. Airtime, retries and
+//!   a handover's gap delay them. Robots [move](Fabric::move_robot), [scan](Fabric::scan) and
+//!   [attach](Fabric::attach) to other radio units.
+//! - **Measurement.** The packets of [probes](Fabric::probe_links) and [throughput tests](Fabric::test_throughput) cross
+//!   links as others do. They reach no host and are in no counter. The [service times of flows](Fabric::measure_flows)
+//!   are measured where frames enter and leave.
+//! - **Offloads.** A super-packet stays whole where no link on its way needs single packets; all counters count its
+//!   packets. Random impairments, rates below 1 Gbit/s, traces and the air cut it. A checksum left to do stays so, unless
+//!   the packet is corrupted.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 

@@ -1,11 +1,11 @@
-//! What one direction of a link gave: packets and bytes since the run began, delay and throughput over the last
-//! second. Wired and wireless links share it.
+//! Measures one direction of a link, wired or wireless: packets and bytes since the run began, delay and throughput over
+//! the last second.
 
 use std::time::Duration;
 
 use cotorra_graph::{LinkCounters, Timestamp};
 
-/// The last second is kept in so many slices.
+/// Slices of the last second.
 const SLICES: usize = 20;
 const SLICE_NS: u64 = 1_000_000_000 / SLICES as u64;
 
@@ -17,10 +17,10 @@ pub(crate) struct Meter {
     slices: [Slice; SLICES],
 }
 
-/// What crossed within one slice of time.
+/// Counters of one slice of time.
 #[derive(Debug, Clone, Copy, Default)]
 struct Slice {
-    /// Which slice since the run began.
+    /// Number of the slice since the run began.
     number: u64,
     packets: u64,
     bytes: u64,
@@ -28,7 +28,7 @@ struct Slice {
 }
 
 impl Meter {
-    /// Packets that entered at a time came out at another.
+    /// Records packets that crossed the link.
     pub(crate) fn crossed(&mut self, entered: Timestamp, left: Timestamp, packets: u32, bytes: u64) {
         let packets = u64::from(packets);
         self.counters.packets += packets;
@@ -43,17 +43,17 @@ impl Meter {
         slice.delay_ns += left.as_nanos().saturating_sub(entered.as_nanos()) * packets;
     }
 
-    /// d: the mean time that packets took over the last second; `None` if none crossed.
+    /// Returns d, the mean time that packets took over the last second; `None` if none crossed.
     pub(crate) fn delay(&self, now: Timestamp) -> Option<Duration> {
         let (packets, delay_ns) =
             self.last_second(now).fold((0, 0u64), |(p, d), s| (p + s.packets, d.saturating_add(s.delay_ns)));
         delay_ns.checked_div(packets).map(Duration::from_nanos)
     }
 
-    /// λ: what crossed over the last second, bit/s.
+    /// Returns λ, the throughput over the last second, bit/s.
     pub(crate) fn throughput_bps(&self, now: Timestamp) -> f64 {
         let bytes: u64 = self.last_second(now).map(|s| s.bytes).sum();
-        // The current slice is not over, nor has a run that just began lasted a second.
+        // The current slice is not over, and a run may be younger than a second.
         let covered = now.as_nanos().min((SLICES as u64 - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
         bytes as f64 * 8e9 / covered.max(SLICE_NS) as f64
     }
@@ -73,10 +73,10 @@ mod tests {
     }
 
     #[test]
-    fn tells_the_last_second_and_counts_for_ever() {
+    fn delay_and_throughput_cover_the_last_second_and_counters_the_run() {
         let mut meter = Meter::default();
         assert_eq!((meter.delay(at(0)), meter.throughput_bps(at(0))), (None, 0.0));
-        // 1 Mbit/s for three seconds, each packet 7 ms on its way.
+        // 1 Mbit/s for three seconds, 7 ms per packet.
         for i in 0..3000 {
             meter.crossed(at(i), at(i + 7), 1, 125);
         }
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_just_began_is_not_underrated() {
+    fn throughput_is_right_in_the_first_second() {
         let mut meter = Meter::default();
         (0..100).for_each(|i| meter.crossed(at(i), at(i), 1, 125));
         assert!((meter.throughput_bps(at(100)) / 1e6 - 1.0).abs() < 0.02);

@@ -1,5 +1,5 @@
-//! One direction of a wired link: a drop-tail queue, a transmitter, and a line on which packets are under way. What
-//! was due is worked out in the packets' own time, so that a late poll delays nothing but the delivery itself.
+//! One direction of a wired link: a drop-tail queue, a transmitter, and a line with the packets in flight. Due times are
+//! worked out in the packets' own time, so that a late poll delays only the delivery itself.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -18,14 +18,14 @@ use crate::{
     transmitter::Transmitter,
 };
 
-/// What a frame is on a link for.
+/// Why a frame crosses a link.
 #[derive(Debug, Clone)]
 pub(crate) enum Purpose {
-    /// To get there.
+    /// It is on its way to a target.
     Target(Target),
-    /// To measure the link's delay.
+    /// It measures the link's delay, jitter and loss.
     Probe,
-    /// To measure what it carries.
+    /// It measures the link's throughput.
     ThroughputTest,
 }
 
@@ -34,12 +34,12 @@ pub(crate) enum Purpose {
 pub(crate) struct Packet {
     pub(crate) frame: Frame,
     pub(crate) purpose: Purpose,
-    /// When it came to the link that it is on.
+    /// When it entered the current link.
     pub(crate) entered: Timestamp,
 }
 
 impl Packet {
-    /// Whether it is somebody's, and so counts for what the link gave; packets that measure tell that by themselves.
+    /// Whether the link's counters include it. Packets that only measure are not counted.
     fn counts(&self) -> bool {
         matches!(self.purpose, Purpose::Target(_))
     }
@@ -49,12 +49,12 @@ impl Packet {
     }
 }
 
-/// A packet on the line.
+/// A packet on the line of a link.
 #[derive(Debug)]
 struct InFlight {
     due: Timestamp,
     sent: Timestamp,
-    /// In units of the jitter's deviation.
+    /// Deviation of its delay, in units of the jitter's deviation.
     deviate: f64,
     packet: Packet,
 }
@@ -70,18 +70,18 @@ pub(crate) struct Pipe {
     queued_bytes: u64,
     /// In order of `due`.
     line: VecDeque<InFlight>,
-    /// Whether packets pass through in no time and untouched, unless some are on the line.
+    /// Whether packets pass at once and unchanged while the line is empty.
     clear: bool,
     needs_packets: bool,
     impaired: bool,
     meter: Meter,
     lateness: Histogram,
-    /// Room for the packets that a super-packet is cut into.
+    /// Buffer for the packets that a super-packet is cut into.
     cut: Vec<Packet>,
 }
 
 impl Pipe {
-    /// A pipe that does what the settings say and draws from that stream.
+    /// Creates an empty pipe that draws its random numbers from `rng`.
     pub(crate) fn new(settings: Settings, rng: Xoshiro256PlusPlus) -> Self {
         let conditions = settings.effective();
         Self {
@@ -101,24 +101,24 @@ impl Pipe {
         }
     }
 
-    /// What it was asked to do.
+    /// Returns its settings.
     pub(crate) fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// How late packets came out of it.
+    /// Returns how late packets left it.
     pub(crate) fn lateness(&self) -> &Histogram {
         &self.lateness
     }
 
-    /// How many packets, as they are on the wire, are in it.
+    /// Returns the number of packets in it, counted as they are on the wire.
     pub(crate) fn in_flight(&self) -> u64 {
         let sending = self.transmitter.sending().map_or(0, |p| u64::from(p.frame.wire_packets()));
         let line: u64 = self.line.iter().map(|f| u64::from(f.packet.frame.wire_packets())).sum();
         self.queued_packets + sending + line
     }
 
-    /// Returns what became of packets that came to it and do not only measure.
+    /// Returns the outcome of all packets that entered it, without those that only measure.
     pub(crate) fn balance(&self) -> Balance {
         let waiting = self.queue.iter().chain(self.transmitter.sending());
         let all = waiting.chain(self.line.iter().map(|flying| &flying.packet));
@@ -126,7 +126,7 @@ impl Pipe {
         Balance { under_way, ..self.meter.counters.into() }
     }
 
-    /// d, λ, conditions and counters, under the name of the link's direction.
+    /// Returns d, λ, conditions and counters of this direction of the link.
     pub(crate) fn context(&self, now: Timestamp, link: LinkId, direction: Direction) -> LinkContext {
         LinkContext {
             link,
@@ -142,7 +142,7 @@ impl Pipe {
         }
     }
 
-    /// A packet comes to the link. Where nothing holds it, it is returned and has crossed already.
+    /// Adds a packet. Returns it if it has crossed already, because nothing delays it.
     pub(crate) fn push(&mut self, now: Timestamp, mut packet: Packet, pool: &mut Pool) -> Option<Packet> {
         if self.clear && self.line.is_empty() {
             self.count_crossing(&packet, now);
@@ -159,7 +159,7 @@ impl Pipe {
         None
     }
 
-    /// When the pipe wants to be polled next.
+    /// Returns when [`Self::poll`] is due.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         let due = self.line.front().map(|f| f.due);
         match (self.transmitter.deadline(), due) {
@@ -168,7 +168,7 @@ impl Pipe {
         }
     }
 
-    /// Takes the next packet that has crossed by `at`, its deadline; `now` is when that is noticed.
+    /// Takes the next packet that has crossed by the deadline `at`. `now` is the time of the poll.
     pub(crate) fn poll(&mut self, at: Timestamp, now: Timestamp, pool: &mut Pool) -> Option<Packet> {
         while let Some((packet, sent)) = self.transmitter.finish(at) {
             self.depart(sent, packet, pool);
@@ -190,7 +190,7 @@ impl Pipe {
         }
     }
 
-    /// Goes on with other settings. All that was due by `now` has been polled.
+    /// Changes the settings. The caller has polled everything due by `now`.
     pub(crate) fn change(&mut self, now: Timestamp, settings: Settings, pool: &mut Pool) {
         let shorter = settings.effective().delay < self.settings.effective().delay
             || settings.effective().jitter != self.settings.effective().jitter;
@@ -246,14 +246,14 @@ impl Pipe {
         }
     }
 
-    /// Begins to send a packet of which so many bits are left.
+    /// Starts to send the last `bits` of a packet.
     fn send(&mut self, now: Timestamp, packet: Packet, bits: u64, pool: &mut Pool) {
         if let Some(packet) = self.transmitter.begin(now, packet, bits) {
             self.depart(now, packet, pool);
         }
     }
 
-    /// Begins to send the next of the queue; all of it where that takes no time.
+    /// Starts to send the next packet of the queue, or all of them if that takes no time.
     fn send_queued(&mut self, now: Timestamp, pool: &mut Pool) {
         while !self.transmitter.is_busy() {
             let Some(packet) = self.queue.pop_front() else { return };
@@ -264,7 +264,7 @@ impl Pipe {
         }
     }
 
-    /// Does something with each packet that this one is on the wire.
+    /// Calls `each` with every packet that this one is on the wire.
     fn for_each_packet(
         &mut self,
         packet: Packet,
@@ -283,7 +283,7 @@ impl Pipe {
         self.cut = cut;
     }
 
-    /// A packet is sent; chance has its say, and what is left of it is on the line.
+    /// Applies the random impairments to a sent packet and puts the rest on the line.
     fn depart(&mut self, sent: Timestamp, packet: Packet, pool: &mut Pool) {
         if self.impaired {
             self.for_each_packet(packet, pool, |pipe, packet, pool| pipe.impair(sent, packet, pool));
@@ -313,14 +313,14 @@ impl Pipe {
         }
     }
 
-    /// To the end of the line, never before the one before.
+    /// Adds a packet to the end of the line, due no earlier than the one before.
     fn line_up(&mut self, sent: Timestamp, deviate: f64, packet: Packet) {
         let due = sent + self.delay(deviate);
         let due = self.line.back().map_or(due, |before| due.max(before.due));
         self.line.push_back(InFlight { due, sent, deviate, packet });
     }
 
-    /// To the head of the line, behind those that are due.
+    /// Adds a packet to the head of the line, behind those that are due.
     fn overtake(&mut self, sent: Timestamp, packet: Packet) {
         let place = self.line.partition_point(|f| f.due <= sent);
         self.line.insert(place, InFlight { due: sent, sent, deviate: 0.0, packet });
@@ -331,7 +331,7 @@ impl Pipe {
         jittered(*delay, deviate, *jitter)
     }
 
-    /// Lets those on the line profit from a shorter delay, so that who comes behind need not wait for them.
+    /// Applies a shorter delay to the packets on the line, so that later ones need not wait for them.
     fn pull_forward(&mut self, now: Timestamp) {
         let mut before = now;
         for i in 0..self.line.len() {
@@ -343,7 +343,7 @@ impl Pipe {
     }
 }
 
-/// Whether such a link does nothing to packets.
+/// Whether a link with these conditions passes packets at once and unchanged.
 fn is_clear(conditions: &Conditions) -> bool {
     conditions.delay.is_zero() && conditions.rate == Rate::Unlimited && !is_impaired(conditions)
 }

@@ -1,15 +1,15 @@
-//! Buffers that come back: a frame dropped or delivered leaves its memory to the next one, so that nothing is
-//! allocated per packet in the steady state.
+//! A pool of frame buffers. A dropped or delivered frame leaves its memory to the next one, so that the steady state
+//! allocates nothing per packet.
 
-/// Room for a frame of an ordinary link, its header and a VLAN tag.
+/// Capacity for a frame of an ordinary link, with its header and a VLAN tag.
 const SMALL: usize = 2048;
-/// Room for the largest super-packet: 64 KiB and its Ethernet header.
+/// Capacity for the largest super-packet: 64 KiB and its Ethernet header.
 const LARGE: usize = 66 * 1024;
-/// How many buffers of each size wait at most; more are given back to the allocator.
+/// Most buffers of each size in the pool. Further ones go back to the allocator.
 const SMALL_KEPT: usize = 16 * 1024;
 const LARGE_KEPT: usize = 512;
 
-/// Buffers that wait for the next frame.
+/// Free buffers.
 #[derive(Debug, Default)]
 pub(crate) struct Pool {
     small: Vec<Vec<u8>>,
@@ -17,7 +17,7 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    /// An empty buffer with room for `length` bytes.
+    /// Returns an empty buffer with capacity for `length` bytes.
     pub(crate) fn take(&mut self, length: usize) -> Vec<u8> {
         let (kept, capacity) =
             if length <= SMALL { (&mut self.small, SMALL) } else { (&mut self.large, LARGE.max(length)) };
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_buffer_comes_back_empty_and_with_its_room() {
+    fn buffers_are_reused_empty_and_with_their_capacity() {
         let mut pool = Pool::default();
         for length in [60, SMALL, SMALL + 1, LARGE, LARGE + 1] {
             let mut buffer = pool.take(length);

@@ -1,16 +1,16 @@
-//! One seed a run, split by label: each link and each robot draws from a stream of its own, so that what happens on
-//! one never shifts what happens on another.
+//! Random numbers from the run's seed, split by label. Each link and each robot draws from a stream of its own, so that
+//! events on one never shift the numbers of another.
 
 use cotorra_graph::seed;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// The stream of random numbers of whatever `label` names, in a run with this seed.
+/// Returns the stream of random numbers for a label, in a run with this seed.
 pub(crate) fn stream(seed: u64, label: &str) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed::split(seed, label))
 }
 
-/// A number that is as likely anywhere in 0..1 (1 excluded), with 53 random bits.
+/// Returns a uniform number in 0..1 (1 excluded), with 53 random bits.
 pub(crate) fn unit(rng: &mut Xoshiro256PlusPlus) -> f64 {
     (rng.next_u64() >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }

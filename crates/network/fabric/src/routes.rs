@@ -1,41 +1,41 @@
-//! Which way frames go: shortest paths by delay over the wired links, towards each destination, and spanning trees
-//! away from each sender for what goes to all. Both are worked out when first needed, and again after a delay changed.
-//! Frames from one host to another can be pinned to a path of their own.
+//! Routes over the wired links: shortest paths by delay towards each destination, and spanning trees away from each sender
+//! for frames to all hosts. Both are worked out at first use, and again after a delay changed. Frames from one host to
+//! another can be pinned to a path.
 
 use std::{cmp::Reverse, collections::BinaryHeap, sync::Arc, time::Duration};
 
 use crate::port::PortId;
 
-/// Where a frame goes.
+/// The destination of a frame.
 #[derive(Debug, Clone)]
 pub(crate) enum Target {
-    /// To one host, along the path that it set out on while that goes on.
+    /// One host, along the path that the frame started on, until that ends.
     Port { port: PortId, along: Option<Arc<Path>> },
-    /// To all hosts but the one at the source port, along a tree that stays the one it set out on.
+    /// All hosts but the one at the source port, along the tree that the frame started on.
     All { tree: Arc<Tree>, source: PortId },
 }
 
-/// What a path costs: its delay in nanoseconds, then its hops.
+/// Cost of a path: its delay in nanoseconds, then its hops.
 type Cost = (u64, u32);
 
 /// A vertex's step towards a root, or the root's towards it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Step {
-    /// What the whole way costs.
+    /// Cost of the whole path between vertex and root.
     cost: Cost,
     /// The edge at this vertex.
     edge: u32,
 }
 
-/// A spanning tree without the branches on which there is no host.
+/// A spanning tree without the branches that lead to no host.
 #[derive(Debug)]
 pub(crate) struct Tree {
-    /// (from vertex, edge), in order.
+    /// Pairs of vertex and leaving edge, sorted.
     branches: Vec<(u32, u32)>,
 }
 
 impl Tree {
-    /// The edges that lead on from a vertex.
+    /// Returns the edges that lead on from a vertex.
     pub(crate) fn branches(&self, vertex: usize) -> impl Iterator<Item = usize> + '_ {
         let begin = self.branches.partition_point(|(from, _)| (*from as usize) < vertex);
         self.branches[begin..]
@@ -48,19 +48,19 @@ impl Tree {
 /// The wired part of a path that frames are pinned to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Path {
-    /// The vertices at its ends.
+    /// First vertex.
     pub(crate) begin: usize,
+    /// Last vertex.
     pub(crate) end: usize,
-    /// In order.
     pub(crate) edges: Vec<usize>,
 }
 
-/// What a vertex is to the routes.
+/// Properties of a vertex.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Vertex {
-    /// It passes on what is not for it.
+    /// Whether it forwards frames for others.
     pub(crate) forwards: bool,
-    /// It is a place where frames are delivered.
+    /// Whether frames are delivered there.
     pub(crate) is_host: bool,
 }
 
@@ -70,32 +70,32 @@ struct Edge {
     delay_ns: u64,
 }
 
-/// Steps of all vertices; [`UNREACHABLE`] where there is none.
+/// Steps of all vertices; [`UNREACHABLE`] without a path.
 type Steps = Box<[Step]>;
 
 const UNREACHABLE: Step = Step { cost: (u64::MAX, u32::MAX), edge: u32::MAX };
 
-/// The edge of a step, if there is one.
+/// Returns the edge of a step; `None` if there is no path.
 fn taken(step: Step) -> Option<usize> {
     (step != UNREACHABLE).then_some(step.edge as usize)
 }
 
-/// Something worked out for the routes of a certain version.
+/// A result and the version of the routes that it holds for.
 type Cached<T> = Option<(u64, T)>;
 
-/// The wired part of the network, as routes see it.
+/// The wired network as a graph of vertices and edges.
 #[derive(Debug)]
 pub(crate) struct Routes {
     vertices: Vec<Vertex>,
     edges: Vec<Edge>,
-    /// Edges that leave and that enter each vertex.
+    /// Edges that leave, and that enter, each vertex.
     adjacent: [Vec<Vec<u32>>; 2],
     version: u64,
     towards: Vec<Cached<Steps>>,
     away: Vec<Cached<Arc<Tree>>>,
 }
 
-/// Which way edges are followed.
+/// Direction in which edges are followed.
 #[derive(Debug, Clone, Copy)]
 enum Sense {
     /// Away from the root.
@@ -105,7 +105,7 @@ enum Sense {
 }
 
 impl Routes {
-    /// Routes among these vertices, without an edge yet.
+    /// Creates a network of these vertices, without edges.
     pub(crate) fn new(vertices: Vec<Vertex>) -> Self {
         let count = vertices.len();
         Self {
@@ -118,7 +118,7 @@ impl Routes {
         }
     }
 
-    /// Adds an edge; edges are numbered from 0 in the order in which they come.
+    /// Adds an edge. Edges are numbered from 0 in the order of these calls.
     pub(crate) fn connect(&mut self, from: usize, to: usize, delay: Duration) {
         let edge = self.edges.len() as u32;
         self.edges.push(Edge { ends: [from as u32, to as u32], delay_ns: delay.as_nanos() as u64 });
@@ -135,22 +135,22 @@ impl Routes {
         }
     }
 
-    /// Where an edge leaves.
+    /// Returns the vertex that an edge leaves.
     pub(crate) fn start(&self, edge: usize) -> usize {
         self.edges[edge].ends[0] as usize
     }
 
-    /// Where an edge leads.
+    /// Returns the vertex that an edge enters.
     pub(crate) fn end(&self, edge: usize) -> usize {
         self.edges[edge].ends[1] as usize
     }
 
-    /// What a vertex is.
+    /// Returns the properties of a vertex.
     pub(crate) fn vertex(&self, vertex: usize) -> Vertex {
         self.vertices[vertex]
     }
 
-    /// The edge to take from a vertex towards another; `None` if no wired path leads there.
+    /// Returns the next edge from a vertex towards another; `None` without a wired path.
     pub(crate) fn step(&mut self, from: usize, to: usize) -> Option<usize> {
         if self.towards[to].as_ref().is_none_or(|(version, _)| *version != self.version) {
             self.towards[to] = Some((self.version, self.shortest(to, Sense::Towards).0));
@@ -159,12 +159,12 @@ impl Routes {
         taken(steps[from])
     }
 
-    /// The edge of a path that leaves a vertex.
+    /// Returns the edge of a path that leaves a vertex.
     pub(crate) fn along(&self, path: &Path, vertex: usize) -> Option<usize> {
         path.edges.iter().copied().find(|edge| self.start(*edge) == vertex)
     }
 
-    /// The edges of the shortest path from a vertex to another; `None` if no wired path leads there.
+    /// Returns the edges of the shortest path between two vertices; `None` without a wired path.
     pub(crate) fn path(&self, from: usize, to: usize) -> Option<Vec<usize>> {
         let (steps, _) = self.shortest(to, Sense::Towards);
         let mut path = Vec::new();
@@ -177,7 +177,7 @@ impl Routes {
         Some(path)
     }
 
-    /// The tree on which a frame goes from a vertex to all hosts.
+    /// Returns the tree that a frame to all hosts takes from a vertex.
     pub(crate) fn tree(&mut self, root: usize) -> Arc<Tree> {
         if let Some((version, tree)) = &self.away[root]
             && *version == self.version
@@ -202,9 +202,9 @@ impl Routes {
         tree
     }
 
-    /// Shortest paths between the root and all vertices (Dijkstra 1959), and the order in which they were found.
-    /// Equal delays are told apart by hops, equal hops by the order of edges; since every step makes a cost less,
-    /// no path has a loop.
+    /// Returns the shortest paths between the root and all vertices (Dijkstra 1959), and the order in which they were
+    /// found. Of equal delays, fewer hops win, then the order of edges. Every step lowers the cost, so no path has a
+    /// loop.
     fn shortest(&self, root: usize, sense: Sense) -> (Steps, Vec<u32>) {
         let mut steps = vec![UNREACHABLE; self.vertices.len()].into_boxed_slice();
         let mut order = Vec::new();

@@ -1,5 +1,5 @@
-//! What one direction of a link is asked to do, how that changes while it runs, and what is refused. Wired and
-//! wireless links share it, so that a change means the same on both.
+//! Settings of one direction of a link, and the errors of impossible ones. Wired and wireless links share them, so that a
+//! change means the same on both.
 
 use std::{sync::Arc, time::Duration};
 
@@ -8,19 +8,19 @@ use cotorra_graph::{
     QueueLimit, Rate, Scale, Trace,
 };
 
-/// Why the fabric does not do what it was asked. Nothing has changed then.
+/// An error of a call to the fabric. Nothing has changed then.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum FabricError {
-    /// No link of that name.
+    /// An unknown link.
     #[error("there is no link `{0}`")]
     UnknownLink(LinkId),
-    /// No robot of that name.
+    /// An unknown robot.
     #[error("there is no robot `{0}`")]
     UnknownRobot(NodeId),
-    /// No radio unit of that name.
+    /// An unknown radio unit.
     #[error("there is no radio unit `{0}`")]
     UnknownRadioUnit(NodeId),
-    /// The radio unit serves a network that the robot does not join.
+    /// A radio unit of another network than the robot's.
     #[error("`{radio_unit}` serves another network than the one that `{robot}` joins")]
     OtherNetwork {
         /// The robot.
@@ -28,7 +28,7 @@ pub enum FabricError {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// The radio unit's signal is too weak at the robot for the lowest rate.
+    /// A signal too weak for the lowest rate.
     #[error("`{radio_unit}` is out of the reach of `{robot}`")]
     OutOfReach {
         /// The robot.
@@ -39,20 +39,20 @@ pub enum FabricError {
     /// The radio unit is off.
     #[error("`{0}` is off: no vAP is deployed on it")]
     NotServing(NodeId),
-    /// A radio unit has one vAP.
+    /// A radio unit that has a vAP already.
     #[error("a vAP is deployed on `{0}` already")]
     Serving(NodeId),
-    /// What is to be served is another network than the radio unit is made for.
+    /// A vAP for another network than the radio unit's.
     #[error("`{radio_unit}` is made for the network `{network}`, not for `{asked}`")]
     OtherSsid {
         /// The radio unit.
         radio_unit: NodeId,
-        /// Its network.
+        /// The radio unit's network.
         network: String,
-        /// What it was to serve.
+        /// The requested network.
         asked: String,
     },
-    /// The robot has no keys for the radio unit, or others than those that its vAP was deployed with.
+    /// A robot without the key that the radio unit's vAP was deployed with.
     #[error("`{radio_unit}` does not admit `{robot}`, which is of another domain, or has not the right key")]
     NotAdmitted {
         /// The robot.
@@ -60,75 +60,75 @@ pub enum FabricError {
         /// The radio unit.
         radio_unit: NodeId,
     },
-    /// A station does one thing at a time.
+    /// A station that is scanning or handing over.
     #[error("`{0}` is scanning or changing its radio unit: ask again when it is done")]
     Busy(NodeId),
-    /// A delay that no link can have.
+    /// An impossible delay.
     #[error("a delay of {0} ms cannot be: it is between 0 ms and one hour, before and after scaling")]
     Delay(f64),
-    /// A jitter that no link can have.
+    /// An impossible jitter.
     #[error("a jitter of {0} ms cannot be: its deviation is one hour at most, before and after scaling")]
     Jitter(f64),
-    /// ψ is no factor.
+    /// An impossible ψ.
     #[error("a delay scale of {0} cannot be: it is a number, 0 or more, and 1 leaves the delay as it is")]
     DelayScale(f64),
-    /// δ is no divisor.
+    /// An impossible δ.
     #[error("a drop scale of {0} cannot be: it is a number above 0, and 1 leaves the throughput as it is")]
     DropScale(f64),
-    /// More than the medium carries.
+    /// A rate above the medium's.
     #[error("{asked_mbps} Mbit/s are above the {medium} that the medium carries")]
     AboveMedium {
-        /// What the rate would be, after scaling.
+        /// Requested rate after scaling.
         asked_mbps: f64,
-        /// What the medium carries.
+        /// The medium's rate.
         medium: BitRate,
     },
-    /// Less delay than the medium has.
+    /// A delay below the medium's.
     #[error(
         "{offered_ms} ms cannot be offered: the medium itself takes {medium_ms} ms, and no emulation takes time out of it"
     )]
     FasterThanMedium {
-        /// ψ·d.
+        /// The requested ψ·d.
         offered_ms: f64,
-        /// What the medium takes, d_m.
+        /// The medium's own delay, d_m.
         medium_ms: f64,
     },
-    /// Scaled down to nothing.
+    /// A rate scaled down to nothing.
     #[error("a drop scale of {0} leaves less than 1 bit/s, or less than a delivery opportunity in 1000")]
     BelowOneBit(f64),
-    /// A bursty loss that never stops.
+    /// A bursty loss of all packets.
     #[error("a bursty loss of {0} cannot be: with a share of 1 all packets are lost, which is no burst")]
     BurstyRate(f64),
-    /// A burst of less than one packet.
+    /// A mean burst of less than one packet.
     #[error("a mean burst of {0} packets cannot be: it is a number, 1 or more")]
     MeanBurst(f64),
-    /// Bursts so short and losses so many that the good state would end before it began.
+    /// Bursts too short for the share lost: the good state would end before it began.
     #[error(
         "a share of {rate} cannot be lost in bursts of {mean_burst}: they must be {at_least:.3} or longer"
     )]
     BurstsTooShort {
         /// Share lost.
         rate: f64,
-        /// Mean length asked for.
+        /// Requested mean length.
         mean_burst: f64,
         /// Shortest mean length for that share.
         at_least: f64,
     },
-    /// A queue for nothing.
+    /// A queue limit of 0.
     #[error("a queue limit of 0 cannot be: give 1 or more packets or bytes")]
     Queue,
-    /// A test that is too short to tell anything, or disturbs for too long.
+    /// A throughput test that is too short to measure, or disturbs for too long.
     #[error("a throughput test of {0:?} cannot be: it lasts from 10 ms to 10 s")]
     TestDuration(Duration),
-    /// A test that would keep the emulator too busy.
+    /// A throughput test that would overload the emulator.
     #[error("a throughput test at {0} cannot be: 1 Gbit/s is the most")]
     TestRate(BitRate),
-    /// A direction that was tested a moment ago, or is just now.
+    /// A direction with a current or very recent throughput test.
     #[error("`{link}` rests from its last throughput test: ask again in {rest:?}")]
     TestTooSoon {
         /// The link.
         link: LinkId,
-        /// For how much longer.
+        /// Time until the next test may start.
         rest: Duration,
     },
     /// A setting that only wired links have.
@@ -139,12 +139,11 @@ pub enum FabricError {
 /// The longest delay or jitter deviation.
 const LONGEST: Duration = Duration::from_secs(3600);
 
-/// How coarsely a trace is thinned: into one opportunity in so many.
+/// Fewest opportunities of a thinned trace, and largest δ of a trace.
 const TRACE_RESOLUTION: f64 = 1000.0;
 
-/// What one direction of a link was asked to do, what its medium can carry, and what follows from both.
-///
-/// There is no way to make one whose conditions cannot be.
+/// The requested conditions of one direction of a link, its medium, and the resulting conditions, which are always
+/// possible ones.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Settings {
     asked: Conditions,
@@ -154,13 +153,13 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Settings that begin with these conditions, scaled.
+    /// Creates settings from conditions and their scales.
     pub(crate) fn new(asked: Conditions, scale: Scale, medium: Medium) -> Result<Self, FabricError> {
         let effective = effective(&asked, scale, medium)?;
         Ok(Self { asked, scale, medium, effective })
     }
 
-    /// The settings after a change.
+    /// Returns the settings after a change.
     pub(crate) fn changed(&self, change: &ConditionChange) -> Result<Self, FabricError> {
         let mut asked = self.asked.clone();
         if let Some(ms) = change.delay_ms {
@@ -183,33 +182,33 @@ impl Settings {
         Ok(Self { asked, scale, medium: self.medium, effective })
     }
 
-    /// What was asked, unscaled.
+    /// Returns the requested conditions, unscaled.
     pub(crate) fn asked(&self) -> &Conditions {
         &self.asked
     }
 
-    /// ψ and δ.
+    /// Returns ψ and δ.
     pub(crate) fn scale(&self) -> Scale {
         self.scale
     }
 
-    /// What the link does: what was asked, scaled.
+    /// Returns the scaled conditions.
     pub(crate) fn effective(&self) -> &Conditions {
         &self.effective
     }
 
-    /// What it carries at most, bit/s.
+    /// Returns the highest throughput, bit/s.
     pub(crate) fn capacity_bps(&self) -> f64 {
         rate_bps(&self.effective.rate).min(self.medium.rate.bits_per_second() as f64)
     }
 
-    /// Whether nothing crosses it.
+    /// Whether it loses every packet.
     pub(crate) fn is_cut(&self) -> bool {
         matches!(self.effective.loss, Loss::Independent { rate } if rate == Probability::ONE)
     }
 }
 
-/// What a rate comes to, bit/s.
+/// Returns a rate, or a trace's mean rate, in bit/s.
 pub(crate) fn rate_bps(rate: &Rate) -> f64 {
     match rate {
         Rate::Unlimited => f64::INFINITY,
@@ -218,7 +217,7 @@ pub(crate) fn rate_bps(rate: &Rate) -> f64 {
     }
 }
 
-/// A duration from milliseconds, in whole nanoseconds; `None` below zero, above an hour, and for NaN.
+/// Converts milliseconds to whole nanoseconds; `None` below zero, above an hour, and for NaN.
 fn from_ms(ms: f64) -> Option<Duration> {
     let duration = (0.0..=LONGEST.as_secs_f64() * 1e3).contains(&ms);
     duration.then(|| Duration::from_nanos((ms * 1e6).round() as u64))
@@ -277,14 +276,14 @@ fn check_loss(loss: Loss) -> Result<(), FabricError> {
         return Err(FabricError::MeanBurst(mean_burst));
     }
     let at_least = rate / (1.0 - rate);
-    // A share like 0.9 has no exact quotient.
+    // Tolerates rounding: a share like 0.9 has no exact quotient.
     if mean_burst * (1.0 + 1e-9) < at_least {
         return Err(FabricError::BurstsTooShort { rate, mean_burst, at_least });
     }
     Ok(())
 }
 
-/// λ/δ; the medium's own rate is what an unlimited one is scaled from.
+/// Returns λ/δ. An unlimited rate is scaled from the medium's own.
 fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, FabricError> {
     let within = |bits_per_second: f64| {
         if bits_per_second > medium.bits_per_second() as f64 {
@@ -314,8 +313,8 @@ fn scaled_rate(rate: &Rate, drop_scale: f64, medium: BitRate) -> Result<Rate, Fa
     }
 }
 
-/// The trace with its opportunities divided by δ: evenly thinned above 1, multiplied below. It is unrolled first
-/// for as many periods as keep its mean rate within 0.1 %.
+/// Divides the opportunities of a trace by δ: thins them evenly above 1, multiplies them below. The trace is unrolled
+/// first, over enough periods to keep the mean rate within 0.1 %.
 fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricError> {
     if drop_scale == 1.0 {
         return Ok(Arc::clone(trace));
@@ -340,8 +339,8 @@ fn thinned(trace: &Arc<Trace>, drop_scale: f64) -> Result<Arc<Trace>, FabricErro
     Ok(Arc::new(kept))
 }
 
-/// Whether packets must be treated one by one: a random impairment, or a rate at which a super-packet would hold
-/// the link for as long as many packets.
+/// Whether a link needs single packets: it has a random impairment, or a rate at which a super-packet would occupy it for
+/// long.
 pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
     /// At 1 Gbit/s a super-packet of 64 KiB takes half a millisecond.
     const COARSE: u64 = 1_000_000_000;
@@ -353,7 +352,7 @@ pub(crate) fn needs_packets(conditions: &Conditions) -> bool {
     slow || is_impaired(conditions)
 }
 
-/// Whether anything random happens to packets.
+/// Whether a link has random impairments.
 pub(crate) fn is_impaired(conditions: &Conditions) -> bool {
     let random = [conditions.duplication, conditions.corruption, conditions.reordering];
     conditions.loss != Loss::None
@@ -361,14 +360,14 @@ pub(crate) fn is_impaired(conditions: &Conditions) -> bool {
         || random.into_iter().any(|p| p != Probability::ZERO)
 }
 
-/// What one direction of a link carries.
+/// What one direction of a link can carry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Carries {
-    /// Its rate, bit/s.
+    /// Highest throughput, bit/s.
     pub rate_bps: f64,
-    /// It loses every packet.
+    /// Whether it loses every packet.
     pub is_cut: bool,
-    /// A wireless link is there while the robot is attached by it, a wired one always.
+    /// Whether the link exists now. A wireless link does while its robot is attached over it, a wired one always.
     pub is_there: bool,
 }
 
@@ -422,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_medium_takes_is_scaled_with_what_was_asked() {
+    fn the_mediums_delay_is_scaled_with_the_requested_one() {
         let ms = Duration::from_millis;
         let medium = Medium { delay: ms(4), rate: mbps(1000.0) };
         let asked = Conditions { delay: ms(6), ..Conditions::default() };
@@ -460,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused_with_its_reason() {
+    fn impossible_conditions_are_rejected_with_a_reason() {
         let base = ConditionChange::default;
         for ms in [-1.0, f64::NAN, f64::INFINITY, 3_600_001.0] {
             assert!(matches!(
@@ -503,7 +502,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_needs_packets_says_so() {
+    fn only_impairments_and_low_rates_need_single_packets() {
         assert!(!needs_packets(&Conditions::default()));
         assert!(!needs_packets(&Conditions { rate: fixed(1000.0), ..Conditions::default() }));
         assert!(needs_packets(&Conditions { rate: fixed(999.0), ..Conditions::default() }));

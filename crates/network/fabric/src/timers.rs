@@ -1,5 +1,5 @@
-//! Which of many deadlines is next: a binary heap with one entry a timer, however many packets wait behind it, that
-//! finds and moves each entry in place.
+//! The next of many deadlines: a binary heap that finds and moves each entry in place. It has one entry per timer, however
+//! many packets wait behind it.
 
 use cotorra_graph::Timestamp;
 
@@ -8,20 +8,20 @@ const IDLE: u32 = u32::MAX;
 /// One timer for each of a fixed number of owners.
 #[derive(Debug)]
 pub(crate) struct Timers {
-    /// Owners, earliest deadline first; among equals the one with the lower number.
+    /// Owners, earliest deadline first; of equal deadlines, the lower number first.
     heap: Vec<u32>,
-    /// Where in the heap an owner is.
+    /// Index in the heap by owner.
     place: Vec<u32>,
     deadline: Vec<Timestamp>,
 }
 
 impl Timers {
-    /// Timers for so many owners, none of them set.
+    /// Creates a timer for each owner, none of them set.
     pub(crate) fn new(owners: usize) -> Self {
         Self { heap: Vec::new(), place: vec![IDLE; owners], deadline: vec![Timestamp::MAX; owners] }
     }
 
-    /// The next deadline and whose it is.
+    /// Returns the next deadline and its owner.
     pub(crate) fn next(&self) -> Option<(Timestamp, usize)> {
         self.heap.first().map(|&owner| (self.deadline[owner as usize], owner as usize))
     }

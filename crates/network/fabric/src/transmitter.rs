@@ -1,4 +1,4 @@
-//! How packets leave a link's queue: at once, bit by bit at a fixed rate, or when a trace gives an opportunity.
+//! Sends the packets of a link's queue: at once, at a fixed rate, or by a trace of delivery opportunities.
 
 use std::{sync::Arc, time::Duration};
 
@@ -7,44 +7,44 @@ use cotorra_graph::{BitRate, Rate, Timestamp, Trace};
 const NANOS: u128 = 1_000_000_000;
 const NANOS_PER_MS: u64 = 1_000_000;
 
-/// Sends one packet of type `P` after the other.
+/// Sends packets of type `P`, one after the other.
 #[derive(Debug)]
 pub(crate) enum Transmitter<P> {
-    /// In no time.
+    /// Takes no time.
     Unlimited,
-    /// At a fixed rate.
+    /// Sends at a fixed rate.
     Fixed(Fixed<P>),
-    /// When a trace says so.
+    /// Sends at a trace's opportunities.
     Traced(Traced<P>),
 }
 
-/// At a fixed rate, which is kept exactly over packets that follow each other: what a packet would have needed of
-/// its last nanosecond is carried over to the next.
+/// Sends at a fixed rate. The rate is exact over consecutive packets: the part of a packet's last nanosecond that it did
+/// not need is carried over to the next packet.
 #[derive(Debug)]
 pub(crate) struct Fixed<P> {
     rate: BitRate,
     carried: u64,
-    /// The packet, and when its last bit is sent.
+    /// The current packet, and when its last bit is sent.
     sending: Option<(P, Timestamp)>,
 }
 
-/// By delivery opportunities, as Mahimahi does (Netravali et al., USENIX ATC 2015): each delivers 1500 bytes of what
-/// waits, whole packets or parts of them; what nobody uses is gone.
+/// Sends by delivery opportunities, as Mahimahi does (Netravali et al., USENIX ATC 2015). Each opportunity delivers 1500
+/// bytes of the waiting packets, whole or in parts. The unused rest of an opportunity is lost.
 #[derive(Debug)]
 pub(crate) struct Traced<P> {
     trace: Arc<Trace>,
-    /// When the trace began.
+    /// Start of the trace.
     origin: Timestamp,
-    /// The next opportunity: of which period, and which in it.
+    /// The next opportunity: the period, and the index in it.
     next: (u64, usize),
-    /// The opportunity at hand, and what is left of it.
+    /// Time of the current opportunity, and its bytes left.
     at_hand: (Timestamp, u64),
-    /// The packet, and how many bytes of it are to be sent.
+    /// The current packet, and its bytes left to send.
     sending: Option<(P, u64)>,
 }
 
 impl<P> Transmitter<P> {
-    /// An idle transmitter; a trace begins now.
+    /// Creates an idle transmitter. A trace begins `now`.
     pub(crate) fn new(rate: &Rate, now: Timestamp) -> Self {
         match rate {
             Rate::Unlimited => Self::Unlimited,
@@ -70,7 +70,7 @@ impl<P> Transmitter<P> {
         }
     }
 
-    /// The packet that is being sent.
+    /// Returns the packet that is being sent.
     pub(crate) fn sending(&self) -> Option<&P> {
         match self {
             Self::Unlimited => None,
@@ -79,7 +79,7 @@ impl<P> Transmitter<P> {
         }
     }
 
-    /// Gets ready for a packet that finds the transmitter idle: nothing of the past is left for it.
+    /// Prepares for a packet that finds the transmitter idle. Fractions and opportunities of the past expire.
     pub(crate) fn wake(&mut self, now: Timestamp) {
         match self {
             Self::Unlimited => {}
@@ -88,8 +88,8 @@ impl<P> Transmitter<P> {
         }
     }
 
-    /// Begins to send a packet of which so many bits are left, right behind the one before or after
-    /// [`Self::wake`]. One that is sent at once comes back.
+    /// Starts to send the last `bits` of a packet, right after the one before or after [`Self::wake`]. Returns the packet
+    /// if that takes no time.
     pub(crate) fn begin(&mut self, now: Timestamp, packet: P, bits: u64) -> Option<P> {
         debug_assert!(!self.is_busy());
         match self {
@@ -105,7 +105,7 @@ impl<P> Transmitter<P> {
         None
     }
 
-    /// When something more is sent; `None` if idle.
+    /// Returns when the packet, or a part of it, is sent; `None` if idle.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         match self {
             Self::Unlimited => None,
@@ -117,7 +117,7 @@ impl<P> Transmitter<P> {
         }
     }
 
-    /// Takes the packet whose last bit is sent by `at`, and when that was.
+    /// Takes the packet whose last bit is sent by `at`, with the time of that.
     pub(crate) fn finish(&mut self, at: Timestamp) -> Option<(P, Timestamp)> {
         match self {
             Self::Unlimited => None,
@@ -126,7 +126,7 @@ impl<P> Transmitter<P> {
         }
     }
 
-    /// Stops; gives the packet that was being sent, and how many bits of it are left.
+    /// Stops sending. Returns the current packet and its bits left.
     pub(crate) fn stop(&mut self, now: Timestamp) -> Option<(P, u64)> {
         match self {
             Self::Unlimited => None,
@@ -146,11 +146,11 @@ impl<P> Traced<P> {
         self.origin + Duration::from_nanos(ms.saturating_mul(NANOS_PER_MS))
     }
 
-    /// Goes to the first opportunity after now; one right now belongs to those who were there before.
+    /// Moves to the first opportunity after `now`. One at `now` itself belongs to packets that were there before.
     fn seek(&mut self, now: Timestamp) {
         self.at_hand.1 = 0;
         let since_ms = now.since(self.origin).as_nanos() as u64 / NANOS_PER_MS;
-        // Opportunities come at whole milliseconds, and the last one at its period's end.
+        // Opportunities are at whole milliseconds, the last one at the end of the period.
         let into = since_ms % self.trace.period_ms();
         let index = self.trace.opportunities_ms().partition_point(|ms| *ms <= into);
         self.next = (since_ms / self.trace.period_ms(), index);
@@ -200,7 +200,7 @@ mod tests {
         Rate::Trace { trace: Arc::new(Trace::parse(text).unwrap()) }
     }
 
-    /// When each of so many packets, all there at `now`, is sent.
+    /// Returns when each of `packets` packets is sent if all are there at `now`.
     fn back_to_back(rate: &Rate, now: Timestamp, packets: usize, bytes: u64) -> Vec<Timestamp> {
         let mut transmitter = Transmitter::new(rate, Timestamp::ZERO);
         transmitter.wake(now);
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn unused_opportunities_are_gone() {
+    fn unused_opportunities_are_lost() {
         let rate = traced("1\n1\n5");
         // The second at 1 ms was there before the packet was; so was the one at 5 ms.
         assert_eq!(back_to_back(&rate, ms(1.0), 1, 100), [ms(5.0)]);
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_of_an_opportunity_is_not_kept_for_later() {
+    fn the_rest_of_an_opportunity_is_lost() {
         let mut transmitter = Transmitter::new(&traced("1\n5"), Timestamp::ZERO);
         transmitter.wake(Timestamp::ZERO);
         assert!(transmitter.begin(Timestamp::ZERO, 'a', 800).is_none());
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn stopping_tells_what_is_left() {
+    fn stopping_returns_the_packet_and_its_bits_left() {
         let mut transmitter = Transmitter::new(&fixed(8_000_000), Timestamp::ZERO);
         assert!(transmitter.begin(Timestamp::ZERO, 'a', 8000).is_none());
         assert_eq!(transmitter.stop(ms(0.25)), Some(('a', 6000)));

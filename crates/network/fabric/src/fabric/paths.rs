@@ -1,5 +1,5 @@
-//! Paths of one's own choice: frames from one host to another can be pinned to any path between them, in that direction
-//! alone. All others take the shortest.
+//! Pinned paths: frames from one host to another can be pinned to any path between them, in that direction alone. All
+//! others take the shortest path.
 
 use std::{sync::Arc, time::Duration};
 
@@ -8,7 +8,7 @@ use cotorra_graph::{Direction, LinkId, NodeId};
 use super::{Fabric, edge};
 use crate::{error::NoPath, port::PortId, routes::Path, settings::Carries};
 
-/// A path as it was walked.
+/// A checked path.
 struct Walked {
     hops: Vec<(LinkId, Direction)>,
     ends: [PortId; 2],
@@ -29,11 +29,11 @@ impl Fabric {
         self.walk(from, to, links).map(|walked| walked.hops)
     }
 
-    /// Pins frames from one host to another to paths, in place of all that were pinned before. A path to or from a robot
-    /// holds while the robot is attached where that path says. Frames under way stay on theirs.
+    /// Pins frames from one host to another to paths, and replaces all pinned paths. A path to or from a robot holds while
+    /// the robot is attached to the path's radio unit. Frames in flight stay on their paths.
     ///
     /// # Errors
-    /// [`NoPath`] for one that is none; nothing has changed then.
+    /// [`NoPath`] for an impossible path. Nothing has changed then.
     pub fn pin<'a>(
         &mut self,
         paths: impl IntoIterator<Item = (&'a NodeId, &'a NodeId, &'a [LinkId])>,
@@ -44,7 +44,7 @@ impl Fabric {
         Ok(())
     }
 
-    /// What one direction of a link carries now; `None` if there is no such link.
+    /// Returns what one direction of a link can carry now; `None` for an unknown link.
     pub fn carries(&self, link: &LinkId, direction: Direction) -> Option<Carries> {
         match self.link_by_name.get(link) {
             Some(&index) => Some(Carries::of(self.pipes[edge(index, direction)].settings())),
@@ -52,7 +52,7 @@ impl Fabric {
         }
     }
 
-    /// The links that a frame between two nodes would take now; `None` if no path is there.
+    /// Returns the links that a frame between two nodes would cross now; `None` without a path.
     pub fn route(&self, from: &NodeId, to: &NodeId) -> Option<Vec<LinkId>> {
         let (from, to) = (*self.vertices.get(from)?, *self.vertices.get(to)?);
         if from == to {
@@ -72,8 +72,8 @@ impl Fabric {
         Some(air(from, start).into_iter().chain(wired).chain(air(to, end)).collect())
     }
 
-    /// The delay of all wired links that frames between two hosts would cross now, there and back, and how many these are;
-    /// `None` where no path is, or one of them loses every packet.
+    /// Returns the sum of the delays of all wired links that frames between two hosts would cross now, there and back, and
+    /// the number of links. `None` without a path, or if one of the links loses every packet.
     pub fn round_trip(&self, a: &NodeId, b: &NodeId) -> Option<(Duration, usize)> {
         let mut all = (Duration::ZERO, 0);
         for (from, to) in [(a, b), (b, a)] {
@@ -89,7 +89,7 @@ impl Fabric {
         Some(all)
     }
 
-    /// The path that a frame is pinned to which enters the wired network at a vertex.
+    /// Returns the pinned path of a frame that enters the wired network at a vertex.
     pub(super) fn pinned(&self, from: PortId, to: PortId, vertex: usize) -> Option<&Arc<Path>> {
         if self.pinned.is_empty() {
             return None;
@@ -99,7 +99,7 @@ impl Fabric {
         (path.begin == vertex && path.end == end).then_some(path)
     }
 
-    /// Where a node is on the wired network: a robot at its radio unit.
+    /// Returns a node's vertex on the wired network; for a robot, that of its radio unit.
     fn on_wire(&self, vertex: usize) -> Option<usize> {
         match self.port_of_vertex[vertex] {
             Some(port) if self.ports[port.0].is_robot => {
@@ -122,7 +122,7 @@ impl Fabric {
         };
         let mut visited = vec![start];
         let (mut hops, mut edges) = (Vec::new(), Vec::new());
-        // Where the wired part begins and ends: with a robot that is its radio unit.
+        // Ends of the wired part: for a robot, its radio unit.
         let (mut begin, mut end) = (start, goal);
         let mut at = start;
         for link in links {

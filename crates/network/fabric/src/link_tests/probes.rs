@@ -1,6 +1,6 @@
-//! Two-way probes of links by STAMP (RFC 8762): what a link does to packets, measured by packets that cross it, whether
-//! or not any others do. A link's first end asks, its second end answers; both have the fabric's clock, so that each
-//! direction is told by itself. Of the links on the air, each robot's present one is probed.
+//! Two-way probes of links by STAMP (RFC 8762), which measure delay, jitter and loss also on links without other traffic.
+//! The first end of a link sends, the second end answers. Both share the fabric's clock, so that each direction is measured
+//! by itself. On the air, each robot's present link is probed.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::{
     timers::Timers,
 };
 
-/// Of a link's rate, the most that its probes take; of the time on a channel, the most that those of all robots take.
+/// Largest share of a link's rate that its probes take, and of a channel's time that the probes of all robots take.
 const SHARE: f64 = 0.01;
 
 /// The probes of all links.
@@ -24,29 +24,29 @@ pub(super) struct Probes {
     settings: Probing,
     wires: Vec<Link>,
     stations: Vec<Station>,
-    /// Those of the wires, then those of the stations.
+    /// Timers of the wires, then those of the stations.
     timers: Timers,
 }
 
-/// What a probe goes over.
+/// The link that a probe crosses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ProbeTarget {
-    /// A wired link, by its place in the graph.
+    /// A wired link, by its index in the graph.
     Wire(usize),
     /// A robot's link to a radio unit.
     Air(StationIndex, RadioUnitIndex),
 }
 
-/// A probe that crossed a direction of a link.
+/// A probe that crossed one direction of a link.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Crossing {
-    /// How long that took.
+    /// Time that it took.
     pub took: Duration,
-    /// What goes back; `None` if this is what came back.
+    /// Answer to send back; `None` if the probe was an answer.
     pub answer: Option<Frame>,
 }
 
-/// A robot's present link.
+/// The probes of a robot's present link.
 #[derive(Debug)]
 struct Station {
     with: Option<RadioUnitIndex>,
@@ -55,15 +55,15 @@ struct Station {
 }
 
 impl Probes {
-    /// No probes at all.
+    /// Creates a component that probes nothing.
     pub(super) fn none() -> Self {
         let (wires, stations) = (Vec::new(), Vec::new());
         Self { settings: Probing::default(), wires, stations, timers: Timers::new(0) }
     }
 
-    /// Probes of wired links with these conditions, forward and backward, and of the links of robots, of which it is
-    /// said how long a frame of so many bytes keeps their channel, with one of each other robot. They begin one after
-    /// the other, so that they do not come in bursts.
+    /// Probes wired links with these conditions, forward and backward, and the links of robots. `stations` give how long a
+    /// frame of a size keeps the channel of each robot busy if every robot sends one. The first probes are spread over an
+    /// interval, so that they do not come in bursts.
     pub(super) fn new<'a, T>(
         settings: Probing,
         now: Timestamp,
@@ -88,20 +88,20 @@ impl Probes {
         probes
     }
 
-    /// A link has other conditions.
+    /// Adapts the probes of a wired link to new conditions.
     pub(super) fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
         if let Some(link) = self.wires.get_mut(link) {
             link.pace(wired(&self.settings, conditions));
         }
     }
 
-    /// When there is something to do.
+    /// Returns when a probe is due, or given up.
     pub(super) fn deadline(&self) -> Option<Timestamp> {
         self.timers.next().map(|(at, _)| at)
     }
 
-    /// The next probe that is due by then, in a buffer, and what it goes over: a robot's goes to the radio unit that it
-    /// is said to be with.
+    /// Returns the next probe due by `now`, in a buffer from `buffer`, and the link that it crosses. `with` gives the radio
+    /// unit of a robot's present link.
     pub(super) fn poll(
         &mut self,
         now: Timestamp,
@@ -122,8 +122,8 @@ impl Probes {
         Some((over, packet::probe(&probe, buffer(HEADERS + probe.len()))))
     }
 
-    /// A probe came out of a link when it was `received`, and its answer goes back `now`. `None` if it is damaged, or
-    /// nobody's.
+    /// Records a probe that left a link at `received`, and builds the answer as of `now`. `None` if the probe is damaged
+    /// or of no current session.
     pub(super) fn crossed(
         &mut self,
         received: Timestamp,
@@ -137,7 +137,7 @@ impl Probes {
             ProbeTarget::Air(robot, unit) => {
                 let place = self.wires.len() + robot;
                 let station = self.stations.get_mut(robot)?;
-                // It went over another link before, and its session is over.
+                // A probe of another radio unit belongs to a session that is over.
                 (station.with == Some(unit)).then_some((place, &mut station.link))?
             }
         };
@@ -149,7 +149,7 @@ impl Probes {
                 Some(Crossing { took, answer: Some(packet::probe(&answer, bytes)) })
             }
             Direction::Backward => {
-                // What is damaged in a way that the checksum does not see is nobody's answer.
+                // Ignores damage that the checksum does not detect.
                 let took = probed.receive(stamp, utc(received)).ok().flatten();
                 self.arm(place);
                 took.map(|took| Crossing { took, answer: None })
@@ -157,8 +157,8 @@ impl Probes {
         }
     }
 
-    /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it,
-    /// and for a link that a robot has left.
+    /// Returns the estimates of a link's probes, forward and backward. `None` until the first probe was answered or given
+    /// up, and for a link that a robot has left.
     pub(super) fn probed(&self, now: Timestamp, over: ProbeTarget) -> Option<[Probed; 2]> {
         let link = match over {
             ProbeTarget::Wire(link) => self.wires.get(link)?,
@@ -179,7 +179,7 @@ impl Probes {
 }
 
 impl Station {
-    /// Probes the link with this radio unit from now on.
+    /// Probes the link to this radio unit from now on.
     fn follow(&mut self, now: Utc, unit: Option<RadioUnitIndex>) {
         if self.with != unit {
             self.with = unit;
@@ -188,26 +188,27 @@ impl Station {
     }
 }
 
-/// How a wired link with these conditions is probed: so that probes take no more than 1 % of its rate.
+/// Returns the configuration for a wired link with these conditions: probes take no more than 1 % of its rate.
 pub(super) fn wired(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
     let slowest = conditions.iter().map(|c| rate_bps(&c.rate)).fold(f64::INFINITY, f64::min);
     let config = SessionConfig { interval: settings.interval, ..SessionConfig::default() };
     patient(settings, config.within(SHARE, slowest, HEADERS))
 }
 
-/// How a robot's link is probed if a frame for each robot takes so long: there are two in each interval.
+/// Returns the configuration for a robot's link. `turns` is the time of a frame of each robot; each interval has two of
+/// them, a probe and its answer.
 fn on_air(settings: &Probing, turns: Duration) -> SessionConfig {
     let interval = settings.interval.max(turns.mul_f64(2.0 / SHARE));
     patient(settings, SessionConfig { interval, ..SessionConfig::default() })
 }
 
-/// What is sent seldom is kept for longer.
+/// Keeps rare probes for longer.
 fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
     let window = settings.window.max(config.interval.saturating_mul(4));
     SessionConfig { window, patience: window / 2, ..config }
 }
 
-/// What probes tell, in the terms of the graph.
+/// Converts the estimates of probes to the graph's type.
 pub(super) fn probed(told: LinkEstimate) -> Probed {
     Probed {
         delay: told.delays.map(|(delays, _)| delays.mean),
@@ -234,7 +235,7 @@ mod tests {
     use super::*;
     use crate::Fabric;
 
-    /// A link with these keys, probed for so long.
+    /// A link with these keys of the testbed file, after some seconds of probes.
     fn after(keys: &str, seconds: u64) -> (Fabric, Timestamp) {
         let text = format!(
             "name: lab\nnodes:\n  a: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n  b: {{ kind: switch }}\n\
@@ -247,7 +248,7 @@ mod tests {
         (fabric, now)
     }
 
-    /// Goes on for so long.
+    /// Runs for some seconds.
     fn run(fabric: &mut Fabric, from: Timestamp, seconds: u64) -> Timestamp {
         let (mut now, end) = (from, from + Duration::from_secs(seconds));
         while let Some(deadline) = fabric.poll(now, &mut |_, _| panic!("probes are for no host")) {
@@ -259,7 +260,7 @@ mod tests {
         end
     }
 
-    /// What the context says of both directions.
+    /// Returns the estimates of both directions in the contexts.
     fn probed(fabric: &mut Fabric, now: Timestamp) -> Option<[Probed; 2]> {
         let [forward, backward] = &fabric.link_contexts(now)[..] else { panic!("one link") };
         forward.probed.zip(backward.probed).map(|(forward, backward)| [forward, backward])
@@ -270,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn each_direction_is_told_by_itself_and_follows_what_changes() {
+    fn each_direction_is_measured_by_itself_and_follows_changes() {
         let (mut fabric, now) = after("delay: 3 ms, rate: 10 Gbit/s", 20);
         let [there, back] = probed(&mut fabric, now).unwrap();
         // 86 bytes take 68.8 ns at that rate.
@@ -292,13 +293,13 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_takes_no_time_is_probed_too() {
+    fn links_without_delay_are_probed() {
         let (mut fabric, now) = after("delay: 0 ms, rate: unlimited", 5);
         assert_eq!(probed(&mut fabric, now).unwrap().map(|probed| mean(&probed)), [Duration::ZERO; 2]);
     }
 
     #[test]
-    fn jitter_and_loss_are_those_of_the_link() {
+    fn probes_measure_jitter_and_loss() {
         let settings = Probing { interval: Duration::from_millis(10), window: Duration::from_secs(200) };
         let (mut fabric, now) = after("delay: 10 ms, jitter: 1 ms, loss: 5 %", 1);
         fabric.probe_links(now, settings);
@@ -306,14 +307,14 @@ mod tests {
         for probed in probed(&mut fabric, now).unwrap() {
             // 20,000 probes: four standard deviations are 0.6 points.
             assert!((probed.loss.unwrap() - 0.05).abs() < 0.006, "{probed:?}");
-            // The mean difference of two normal values is 2/√π of their deviation; order is kept, which takes some.
+            // The mean difference of two normal values is 2/√π of their deviation. Keeping order lowers it.
             let jitter = probed.jitter.unwrap().as_secs_f64() * 1e3;
             assert!((0.9..1.2).contains(&jitter), "{probed:?}");
         }
     }
 
     #[test]
-    fn a_slow_link_gives_no_more_than_a_hundredth_to_probes() {
+    fn probes_take_at_most_a_hundredth_of_a_slow_link() {
         let (mut fabric, now) = after("delay: 1 ms, rate: 20 kbit/s", 1_000);
         let link: LinkId = "a-b".parse().unwrap();
         for direction in [Direction::Forward, Direction::Backward] {
@@ -328,21 +329,21 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_probe_is_lost_and_nothing_more() {
+    fn damaged_probes_count_as_lost() {
         let (mut fabric, now) = after("delay: 1 ms, corruption: 100 %", 40);
         let [there, back] = probed(&mut fabric, now).unwrap();
         assert_eq!((there.delay, there.loss, back.delay), (None, Some(1.0), None));
     }
 
     #[test]
-    fn nothing_is_told_before_anything_is_known() {
+    fn there_are_no_estimates_before_the_first_answer() {
         let (mut fabric, now) = after("delay: 1 ms", 0);
         assert_eq!(probed(&mut fabric, now), None);
         let now = run(&mut fabric, now, 1);
         assert!(probed(&mut fabric, now).is_some());
     }
 
-    /// So many robots at two radio units on one channel, probed from the beginning.
+    /// Robots at two radio units on one channel, probed from the beginning.
     fn robots(count: usize) -> Fabric {
         let robots: String = (0..count)
             .map(|i| format!("  r{i}: {{ kind: robot, cpus: 1, memory: 1 GB, position: [1, 0] }}\n"))
@@ -359,7 +360,7 @@ mod tests {
         fabric
     }
 
-    /// What is told of the wireless links that were in use, both directions of each.
+    /// Returns name and mean delay of both directions of each wireless link in use.
     fn on_air(fabric: &mut Fabric, now: Timestamp) -> Vec<(String, Option<Duration>)> {
         let wireless = fabric.link_contexts(now).into_iter().filter(|context| context.link.as_str() != "A-B");
         let told = |link: LinkContext| (link.link.to_string(), link.probed.and_then(|probed| probed.delay));
@@ -367,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn the_link_that_a_robot_has_is_probed_and_the_one_that_it_had_is_not() {
+    fn only_the_present_link_of_a_robot_is_probed() {
         let mut fabric = robots(1);
         let now = run(&mut fabric, Timestamp::ZERO, 5);
         // The delay covers the airtime of such short frames.
@@ -382,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_give_no_more_than_a_hundredth_of_a_channel_to_probes() {
+    fn probes_of_robots_take_at_most_a_hundredth_of_a_channel() {
         let mut fabric = robots(40);
         let mut now = Timestamp::ZERO;
         let mut loads = Vec::new();

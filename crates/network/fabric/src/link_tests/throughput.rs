@@ -1,5 +1,5 @@
-//! Tests of what a direction of a link carries: packets at a rate, for a while, and the rate at which they come out. As
-//! with probes, whoever has both ends of real links can carry them, too.
+//! Throughput tests of one direction of a link: sends packets at a rate for some time, and measures the rate at which they
+//! come out. A shell with sockets at both ends of real links can drive them, too.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -12,20 +12,20 @@ use crate::{
     timers::Timers,
 };
 
-/// How long packets count that come out after the last was sent.
+/// Time after the last packet was sent in which arrivals still count.
 const GRACE: Duration = Duration::from_secs(1);
 
 /// Bits of a packet, Ethernet header included.
 const BITS: f64 = ThroughputTests::PACKET_BYTES as f64 * 8.0;
 
-/// A test that goes on or is over.
+/// A current or finished test.
 #[derive(Debug, Clone)]
 struct Running {
     began: Timestamp,
     test: ThroughputTest,
     rate_bps: f64,
     sent: u64,
-    /// Nothing more is sent, however much of it was due.
+    /// Whether the time is over: no more packets are sent, however many were due.
     closed: bool,
     arrived: u64,
     /// When the first and the last packet arrived.
@@ -33,7 +33,7 @@ struct Running {
 }
 
 impl Running {
-    /// A test that begins now, of a link that is asked to carry so many bit/s.
+    /// Starts a test of a link with a rate of `link_bps`, bit/s.
     ///
     /// # Errors
     /// [`FabricError::TestDuration`] or [`FabricError::TestRate`] beyond the bounds.
@@ -52,13 +52,14 @@ impl Running {
         Ok(Self { began: now, test, rate_bps, sent: 0, closed: false, arrived: 0, span: None })
     }
 
-    /// When the next packet is due; `None` after the last.
+    /// Returns when the next packet is due; `None` after the last.
     fn deadline(&self) -> Option<Timestamp> {
         let after = Duration::from_secs_f64(self.sent as f64 * BITS / self.rate_bps);
         (after < self.test.duration && !self.closed).then(|| self.began + after)
     }
 
-    /// Whether a packet is due; it counts as sent. Who could not keep up sends no more once the time is over.
+    /// Returns whether a packet is due, and counts it as sent. A driver that cannot keep up sends no more once the time is
+    /// over.
     fn poll(&mut self, now: Timestamp) -> bool {
         self.closed = now >= self.ended();
         let due = self.deadline().is_some_and(|at| at <= now);
@@ -66,7 +67,7 @@ impl Running {
         due
     }
 
-    /// One of its packets came out of the link.
+    /// Records a packet that left the link.
     fn arrived(&mut self, at: Timestamp) {
         if !self.is_over(at) {
             self.arrived += 1;
@@ -78,20 +79,20 @@ impl Running {
         self.began + self.test.duration
     }
 
-    /// Whether all that counts has arrived.
+    /// Whether later arrivals no longer count.
     fn is_over(&self, now: Timestamp) -> bool {
         now >= self.ended() + GRACE
     }
 
-    /// How long it is until there may be another.
+    /// Returns the time until the next test may start.
     fn rests_for(&self, now: Timestamp) -> Duration {
         (self.ended() + self.test.duration * ThroughputTest::REST).max(self.ended() + GRACE).since(now)
     }
 
-    /// What it told; `None` before it is over.
+    /// Returns the result; `None` before the test is over.
     fn tested(&self, now: Timestamp) -> Option<Tested> {
         let [first, last] = self.span.unwrap_or([self.began; 2]);
-        // From the first to the last there is a packet less. Those that nothing holds apart came as they were sent.
+        // The span from first to last arrival has one packet less. Without a span, the throughput is reported as 0.
         let bits = self.arrived.saturating_sub(1) as f64 * BITS;
         let throughput_bps = bits / last.since(first).as_secs_f64();
         self.is_over(now).then(|| Tested {
@@ -102,7 +103,7 @@ impl Running {
     }
 }
 
-/// The tests of all directions of links, each known by its place.
+/// The throughput tests of all directions of links, by edge: two per link.
 #[derive(Debug)]
 pub struct ThroughputTests {
     of: BTreeMap<usize, Latest>,
@@ -112,7 +113,7 @@ pub struct ThroughputTests {
 #[derive(Debug)]
 struct Latest {
     test: Running,
-    /// The one before, which tells until this one is over.
+    /// The test before, reported until this one is over.
     before: Option<Running>,
 }
 
@@ -120,15 +121,15 @@ impl ThroughputTests {
     /// Octets of a packet, Ethernet header included.
     pub const PACKET_BYTES: usize = 1514;
 
-    /// None yet, of so many edges.
+    /// Creates the component for `edges` directions of links, without tests.
     pub fn new(edges: usize) -> Self {
         Self { of: BTreeMap::new(), timers: Timers::new(edges) }
     }
 
-    /// Begins a test of an edge of that link, which is asked to carry packets at a rate.
+    /// Starts a test of one edge of a link. `rate` is the edge's own.
     ///
     /// # Errors
-    /// [`FabricError`] for a test without bounds, or one so soon after another.
+    /// [`FabricError`] for a test beyond the bounds, or one too soon after another.
     pub fn begin(
         &mut self,
         now: Timestamp,
@@ -147,12 +148,12 @@ impl ThroughputTests {
         Ok(())
     }
 
-    /// When a packet is due.
+    /// Returns when the next packet is due.
     pub fn deadline(&self) -> Option<Timestamp> {
         self.timers.next().map(|(at, _)| at)
     }
 
-    /// The next packet that is due by then, in a buffer, and the edge that it goes over.
+    /// Returns the next packet due by `now`, in a buffer from `buffer`, and the edge that it crosses.
     pub fn poll(&mut self, now: Timestamp, buffer: impl FnOnce(usize) -> Vec<u8>) -> Option<(usize, Frame)> {
         let (_, edge) = self.timers.next().filter(|(at, _)| *at <= now)?;
         let test = &mut self.of.get_mut(&edge)?.test;
@@ -161,14 +162,14 @@ impl ThroughputTests {
         due.then(|| (edge, packet::filler(Self::PACKET_BYTES, buffer(Self::PACKET_BYTES))))
     }
 
-    /// A packet has crossed an edge.
+    /// Records a packet that crossed an edge.
     pub fn crossed(&mut self, at: Timestamp, edge: usize) {
         if let Some(latest) = self.of.get_mut(&edge) {
             latest.test.arrived(at);
         }
     }
 
-    /// What the last test of an edge told.
+    /// Returns the result of the last finished test of an edge.
     pub fn tested(&self, now: Timestamp, edge: usize) -> Option<Tested> {
         let Latest { test, before } = self.of.get(&edge)?;
         test.tested(now).or_else(|| before.as_ref()?.tested(now))
@@ -182,7 +183,7 @@ mod tests {
     use super::*;
     use crate::Fabric;
 
-    /// A link with these keys.
+    /// A link with these keys of the testbed file.
     fn fabric(keys: &str) -> (Fabric, LinkId) {
         let text = format!(
             "name: lab\nnodes:\n  a: {{ kind: server, tier: edge, cpus: 1, memory: 1 GB }}\n  b: {{ kind: switch }}\n\
@@ -200,7 +201,7 @@ mod tests {
         ThroughputTest { rate_limit: BitRate::from_mbps(mbps), ..ThroughputTest::default() }
     }
 
-    /// What the context says of the forward direction; the backward one was never tested.
+    /// Returns the result in the context of the forward direction. The backward one was never tested.
     fn tested(fabric: &mut Fabric, now: Timestamp) -> Option<Tested> {
         let [forward, backward] = &fabric.link_contexts(now)[..] else { panic!("one link") };
         assert_eq!(backward.tested, None);
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_saturated_link_tells_what_it_carries() {
+    fn a_test_measures_the_rate_of_a_saturated_link() {
         let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s");
         fabric.test_throughput(s(1.0), &link, Direction::Forward, ThroughputTest::default()).unwrap();
         assert_eq!(tested(&mut fabric, s(2.9)), None);
@@ -219,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_bounds_what_is_sent_and_what_can_be_told() {
+    fn a_rate_limit_bounds_the_offered_and_measured_rate() {
         let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s, loss: 10 %");
         fabric.test_throughput(s(0.0), &link, Direction::Forward, limit(2.0)).unwrap();
         let told = tested(&mut fabric, s(3.0)).unwrap();
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn who_cannot_keep_up_tells_what_it_sent() {
+    fn a_driver_that_cannot_keep_up_reports_the_rate_that_it_sent() {
         let link: LinkId = "a-b".parse().unwrap();
         let mut throughput_tests = ThroughputTests::new(1);
         throughput_tests.begin(s(0.0), (0, &link), limit(2.0), &Rate::Unlimited).unwrap();
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_rests_after_a_test_and_tells_the_last_meanwhile() {
+    fn a_link_rests_after_a_test_and_keeps_reporting_the_last() {
         let (mut fabric, link) = fabric("rate: 10 Mbit/s");
         let mut test = |at, test| fabric.test_throughput(at, &link, Direction::Forward, test);
         test(s(0.0), ThroughputTest::default()).unwrap();
@@ -256,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_bounded_is_refused() {
+    fn tests_beyond_the_bounds_are_rejected() {
         let (mut fabric, link) = fabric("rate: 10 Mbit/s");
         let mut test = |link: &LinkId, test| fabric.test_throughput(s(0.0), link, Direction::Forward, test);
         for duration in [Duration::ZERO, Duration::from_secs(11)] {

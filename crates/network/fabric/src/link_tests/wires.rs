@@ -1,5 +1,5 @@
-//! The fabric's probes for a shell that has sockets at both ends of real links: no robots, and packets that take time to
-//! be read.
+//! The fabric's probes for a shell with sockets at both ends of real links. There are no robots, and reading a packet takes
+//! time.
 
 use cotorra_graph::{Conditions, Direction, Probed, Probing, Timestamp};
 use cotorra_stamp::{BASE_LENGTH, LinkEstimate, SessionConfig};
@@ -13,31 +13,31 @@ use crate::{
     port::{RadioUnitIndex, StationIndex},
 };
 
-/// The probes of some wired links, each known by its place.
+/// The probes of some wired links, by index.
 #[derive(Debug)]
 pub struct WireProbes(Probes);
 
 impl WireProbes {
-    /// Octets of the Ethernet frame that a probe is.
+    /// Bytes of a probe's Ethernet frame.
     pub const BYTES: usize = HEADERS + BASE_LENGTH;
 
-    /// How a link is probed of which only one end is within reach: so that probes take no more than 1 % of its rate.
+    /// Returns the configuration for a link of which only one end is within reach: probes take no more than 1 % of its rate.
     pub fn session(settings: &Probing, conditions: [&Conditions; 2]) -> SessionConfig {
         wired(settings, conditions)
     }
 
-    /// What the probes of such a link tell of one direction.
+    /// Converts the estimate of one direction of such a link.
     pub fn told(told: LinkEstimate) -> Probed {
         probed(told)
     }
 
-    /// No probes at all.
+    /// Creates a component that probes nothing.
     pub fn none() -> Self {
         Self(Probes::none())
     }
 
-    /// Probes of links with these conditions, forward and backward. They begin one after the other, so that they do not
-    /// come in bursts.
+    /// Probes links with these conditions, forward and backward. The first probes are spread over an interval, so that they
+    /// do not come in bursts.
     pub fn new<'a>(
         settings: Probing,
         now: Timestamp,
@@ -47,20 +47,20 @@ impl WireProbes {
         Self(Probes::new(settings, now, links, nobody.into_iter()))
     }
 
-    /// A link has other conditions.
+    /// Adapts the probes of a link to new conditions.
     pub fn change(&mut self, link: usize, conditions: [&Conditions; 2]) {
         self.0.change(link, conditions);
     }
 
-    /// When there is something to do.
+    /// Returns when a probe is due, or given up.
     pub fn deadline(&self) -> Option<Timestamp> {
         self.0.deadline()
     }
 
-    /// The next probe that is due by then, and the link that it goes over, forward. Call it until there is none.
+    /// Returns the next probe due by `now`, and the link that it crosses, forward. Call it until it returns `None`.
     pub fn poll(&mut self, now: Timestamp) -> Option<(usize, Frame)> {
         let no_robot = |_: StationIndex| -> Option<RadioUnitIndex> { None };
-        // One that is only given up leaves no packet.
+        // A probe that is only given up leaves no packet.
         while self.deadline().is_some_and(|at| at <= now) {
             if let Some((ProbeTarget::Wire(link), frame)) = self.0.poll(now, no_robot, Vec::with_capacity) {
                 return Some((link, frame));
@@ -69,8 +69,8 @@ impl WireProbes {
         None
     }
 
-    /// A probe came out of a direction of a link when it was `received`, and its answer goes back `now`. `None` if it is
-    /// damaged, or nobody's.
+    /// Records a probe that left one direction of a link at `received`, and builds the answer as of `now`. `None` if the
+    /// probe is damaged or of no current session.
     pub fn crossed(
         &mut self,
         received: Timestamp,
@@ -81,7 +81,8 @@ impl WireProbes {
         self.0.crossed(received, now, (ProbeTarget::Wire(link), direction), frame)
     }
 
-    /// What the probes of a link tell, forward and backward; `None` before it is known of the first what became of it.
+    /// Returns the estimates of a link's probes, forward and backward; `None` until the first probe was answered or given
+    /// up.
     pub fn probed(&self, now: Timestamp, link: usize) -> Option<[Probed; 2]> {
         self.0.probed(now, ProbeTarget::Wire(link))
     }

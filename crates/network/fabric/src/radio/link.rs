@@ -1,5 +1,5 @@
-//! One robot's link to one radio unit: what it was asked to do, what it does to frames, and what it gave. The air
-//! decides how long a frame takes and whether it arrives; what emulation adds comes on top.
+//! One robot's link to one radio unit: its settings, impairments and counters. The air decides how long a frame takes and
+//! whether it arrives; emulation adds its conditions on top.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ use crate::{
     settings::{FabricError, Settings},
 };
 
-/// What all links of a network begin with. No station gets more than the fastest PHY rate.
+/// Returns the initial settings of all links of a network. No station gets more than the fastest PHY rate.
 pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<Settings, FabricError> {
     let medium = Medium { delay: Duration::ZERO, rate: phy.top_rate() };
     let rate = match network.rate {
@@ -30,7 +30,7 @@ pub(super) fn initial_settings(network: &WirelessNetwork, phy: &Phy) -> Result<S
     Settings::new(asked, Scale::default(), medium)
 }
 
-/// A link, once a frame crossed it, a station was attached by it or someone changed it.
+/// A link that was in use or changed.
 #[derive(Debug)]
 pub(super) struct WirelessLink {
     id: LinkId,
@@ -45,23 +45,24 @@ pub(super) struct Lane {
     impairments: Impairments,
     rng: Xoshiro256PlusPlus,
     meter: Meter,
-    /// When the last frame that kept its place arrives.
+    /// Arrival of the last frame that kept its order.
     last_due: Timestamp,
 }
 
-/// How a frame crosses a link.
+/// The timing of a frame on a link.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Flight {
-    /// When its first attempt began.
+    /// Start of the first attempt.
     start: Timestamp,
-    /// Airtime of the first attempt, and of the others.
+    /// Airtime of the first attempt.
     first: Duration,
+    /// Airtime of all further attempts.
     retries: Duration,
-    /// In units of the jitter's deviation; `None` if it skips the delay.
+    /// Deviation of the delay, in units of the jitter's deviation; `None` if the frame skips the delay.
     deviate: Option<f64>,
 }
 
-/// A frame that will arrive.
+/// The arrival of a frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Landing {
     pub(super) due: Timestamp,
@@ -84,7 +85,7 @@ impl WirelessLink {
         Self { lanes: [lane("forward"), lane("backward")], id, receptions: None }
     }
 
-    /// Returns what became of frames that were sent on it.
+    /// Returns the frames that the link lost, dropped or duplicated.
     pub(super) fn balance(&self) -> Balance {
         let mut balance = Balance::default();
         self.lanes.iter().for_each(|lane| balance += lane.meter.counters.into());
@@ -99,12 +100,12 @@ impl WirelessLink {
         &self.lanes[direction as usize].settings
     }
 
-    /// What the receiver makes of the sender, if that is known for the robot at this place.
+    /// Returns the cached reception of one direction, if it is for the robot at this place.
     pub(super) fn reception(&self, direction: Direction, place: Position) -> Option<Reception> {
         self.receptions.filter(|(at, _)| *at == place).map(|(_, receptions)| receptions[direction as usize])
     }
 
-    /// What either end makes of the other with the robot at this place, forward first.
+    /// Caches the receptions at both ends for the robot at this place, forward first.
     pub(super) fn set_receptions(&mut self, place: Position, receptions: [Reception; 2]) {
         self.receptions = Some((place, receptions));
     }
@@ -132,7 +133,7 @@ impl WirelessLink {
 }
 
 impl Lane {
-    /// What its settings would be after a change.
+    /// Returns the settings after a change.
     pub(super) fn changed(&self, change: &ConditionChange) -> Result<Settings, FabricError> {
         match change.rate {
             Some(Rate::Trace { .. }) => Err(FabricError::NotOnWireless("trace")),
@@ -140,7 +141,7 @@ impl Lane {
         }
     }
 
-    /// Goes on with other settings, for the frames that go on the air from now on.
+    /// Changes the settings for frames sent from now on.
     pub(super) fn set(&mut self, settings: Settings) {
         self.impairments.change(settings.effective());
         self.settings = settings;
@@ -154,28 +155,29 @@ impl Lane {
         &mut self.meter
     }
 
-    /// Sends a frame over the air; its first attempt takes at least the time that its bits take at the station's rate.
+    /// Sends a frame over the air. The first attempt takes at least the frame's time at the station's rate.
     pub(super) fn exchange(&mut self, reception: &Reception, bytes: usize, contended: bool) -> Exchange {
         let mut exchange = reception.exchange(bytes, contended, || unit(&mut self.rng));
         exchange.first = exchange.first.max(self.least_airtime(bytes));
         exchange
     }
 
-    /// Whether a frame that is sent once arrives.
+    /// Whether a group frame, which is sent once, arrives.
     pub(super) fn receives_group(&mut self, reception: &Reception, bytes: usize) -> bool {
         unit(&mut self.rng) >= reception.group_error_rate(bytes)
     }
 
-    /// What the station's rate makes of a frame.
+    /// Returns the airtime of a frame at the station's rate.
     pub(super) fn least_airtime(&self, bytes: usize) -> Duration {
         match &self.settings.effective().rate {
             Rate::Fixed { bits_per_second } => BitRate::serialisation(*bits_per_second, bytes),
-            // A trace is refused.
+            // Traces are rejected on wireless links.
             Rate::Unlimited | Rate::Trace { .. } => Duration::ZERO,
         }
     }
 
-    /// What becomes of a frame that was on the air from `start`, and whether that `counts`; `None` if it is lost.
+    /// Applies the impairments to a frame that was on the air from `start`; `None` if it is lost. `counts` says whether the
+    /// counters include it.
     pub(super) fn land(
         &mut self,
         start: Timestamp,
@@ -195,8 +197,8 @@ impl Lane {
         Some(Landing { due: self.line_up(&flight), flight, twice })
     }
 
-    /// When a frame arrives: the delay counts from the first attempt and covers it, retries come on top, and nobody
-    /// overtakes unless chance will have it.
+    /// Returns when a frame arrives. The delay includes the first attempt; retries come on top. Frames keep their order,
+    /// except reordered ones.
     fn line_up(&mut self, flight: &Flight) -> Timestamp {
         let Flight { start, first, retries, deviate } = *flight;
         let Some(deviate) = deviate else { return start + first + retries };
@@ -206,8 +208,8 @@ impl Lane {
         self.last_due
     }
 
-    /// Goes over the frames under way after a change, in the order of their arrival: they profit from a shorter delay,
-    /// so that who comes behind need not wait for them.
+    /// Applies a shorter delay to the frames in flight, in the order of their arrival, so that later ones need not wait for
+    /// them.
     pub(super) fn pull_forward<'a>(
         &mut self,
         now: Timestamp,

@@ -1,11 +1,11 @@
-//! The wireless part of the fabric: where robots are and what they hear, which radio unit each is attached to, and
-//! what becomes of frames on the air. Like all of the fabric it is told the time; it draws all chance from the seed.
+//! The wireless part of the fabric: positions of robots, the signals that they receive, their attachments to radio units,
+//! and their frames on the air. The time is an argument of every call; all randomness comes from the seed.
 //!
 //! - Path loss and [`shadowing`] give the signal at a place; [`phy`] turns it into rates, errors and airtime.
-//! - [`medium`] shares each channel's airtime; [`link`] adds what emulation was asked to do.
-//! - [`hearing`] says who hears whom; [`air`] leads frames over it.
-//! - [`access`] says which radio units serve, and whom; [`station`] is the state machine of an attachment, [`roaming`]
-//!   decides from beacons, and [`attaching`] carries it out.
+//! - [`medium`] shares each channel's airtime; [`link`] adds the conditions of emulation.
+//! - [`hearing`] finds the radio units within a robot's reach; [`air`] carries frames.
+//! - [`access`] switches vAPs on and off and admits robots; [`station`] is the state machine of an attachment; [`roaming`]
+//!   decides from beacons; [`attaching`] carries out handovers.
 
 mod access;
 mod air;
@@ -54,7 +54,7 @@ use crate::{
     timers::Timers,
 };
 
-/// A station without a radio unit looks for one this often while it moves.
+/// Interval of scans of a moving station without a radio unit.
 const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A frame that has crossed the air.
@@ -62,13 +62,12 @@ const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
 pub(crate) struct Arrival {
     /// When it arrived.
     pub(crate) due: Timestamp,
-    /// Who sent it: the robot or the radio unit.
+    /// Sender: the robot or the radio unit.
     pub(crate) from: PortId,
-    /// Who has it now.
+    /// Receiver.
     pub(crate) at: PortId,
-    /// The frame.
     pub(crate) frame: Frame,
-    /// The way that it measured, if it is a probe.
+    /// The direction that it measured, if it is a probe.
     pub(crate) probed: Option<Path>,
 }
 
@@ -82,19 +81,19 @@ pub(crate) struct Radio {
     robot_by_name: BTreeMap<NodeId, StationIndex>,
     unit_by_name: BTreeMap<NodeId, RadioUnitIndex>,
     by_port: Vec<Option<Role>>,
-    /// By robot, then radio unit. Both are made when they are first needed.
+    /// Links by robot, then radio unit; created at first use, as the fields are.
     links: Vec<Option<Box<WirelessLink>>>,
     fields: Vec<OnceCell<ShadowingField>>,
     medium: Medium,
-    /// Those of the channels, then those of the robots.
+    /// Timers of the channels, then those of the robots.
     timers: Timers,
     channels: usize,
     in_flight: BinaryHeap<Reverse<InFlight>>,
     sent: u64,
     events: VecDeque<Stamped>,
-    /// Frames that were lost, for their buffers.
+    /// Lost frames, kept for their buffers.
     lost: Vec<Frame>,
-    /// How many frames came that no link of the radio could carry.
+    /// Number of frames that no wireless link could carry.
     without_carrier: u64,
 }
 
@@ -109,7 +108,7 @@ struct Network {
     ssid: String,
     spec: WirelessNetwork,
     phy: &'static Phy,
-    /// Weakest signal that a receiver makes something of.
+    /// Weakest signal that a receiver can decode.
     sensitivity: Dbm,
     settings: Settings,
     units: Vec<RadioUnitIndex>,
@@ -125,11 +124,11 @@ struct Unit {
     channel_number: u8,
     frequency_mhz: u16,
     domain: DomainId,
-    /// What it serves; `None` while it is off.
+    /// Its vAP; `None` while it is off.
     serves: Option<AccessPoint>,
-    /// Who is attached, in order.
+    /// Attached robots, sorted.
     stations: Vec<StationIndex>,
-    /// For the backoff of what it sends to all.
+    /// Random numbers for the backoff of group frames.
     rng: Xoshiro256PlusPlus,
 }
 
@@ -138,31 +137,31 @@ struct RobotRadio {
     id: NodeId,
     port: PortId,
     domain: DomainId,
-    /// What it was given to attach to radio units of other domains.
+    /// Credentials for radio units of other domains.
     access: BTreeMap<RadioUnitIndex, AccessPoint>,
     network: usize,
     position: Position,
     tx_power: Dbm,
-    /// When it changes its radio unit by itself, if it does.
+    /// Thresholds for changing its radio unit by itself, if it does.
     thresholds: Option<Thresholds>,
     station: Station,
     beacons: Beacons,
-    /// Whether it has moved since it last looked at a beacon.
+    /// Whether it has moved since its last beacon.
     moved: bool,
-    /// The radio unit that it is with or was with last: whose link its frames are counted on.
+    /// The radio unit that it is, or was last, attached to. Its frames count on that link.
     home: Option<RadioUnitIndex>,
-    /// What it heard at its last scan, or of each beacon since, in the order of the network's radio units.
+    /// Signals of its last scan, updated by beacons, in the order of the network's radio units.
     heard: Vec<Option<Dbm>>,
 }
 
-/// A frame on its way.
+/// A frame in flight.
 #[derive(Debug)]
 struct InFlight {
     due: Timestamp,
-    /// Among those due at one time, who was sent first arrives first.
+    /// Order of sending, which decides among frames due at the same time.
     order: u64,
     path: Path,
-    /// When it came to the radio.
+    /// When it entered the radio.
     since: Timestamp,
     flight: link::Flight,
     frame: Frame,
@@ -178,11 +177,10 @@ pub(crate) struct Path {
 }
 
 impl Radio {
-    /// The radios of a graph. Every station has been with the strongest radio unit of its network that it can reach
-    /// since before the run began.
+    /// Creates the radios of a graph. Each station begins attached to the strongest radio unit within reach of its network.
     ///
     /// # Errors
-    /// [`GraphError::Conditions`] if a network's delay is one that no link can have.
+    /// [`GraphError::Conditions`] for an impossible delay of a network.
     pub(crate) fn new(graph: &HardwareGraph, seed: u64) -> Result<Self, GraphError> {
         let mut networks = Vec::new();
         let mut network_by_ssid = BTreeMap::new();
@@ -274,7 +272,7 @@ impl Radio {
         Ok(radio)
     }
 
-    /// A robot sends a frame to its radio unit. The frame is one packet as it is on the wire.
+    /// Sends a frame from a robot to its radio unit. The frame is a single packet.
     pub(crate) fn push_up(&mut self, now: Timestamp, robot: PortId, frame: Frame) {
         self.advance(now);
         let station = match self.role(robot) {
@@ -286,14 +284,14 @@ impl Radio {
         self.enqueue(now, Path { robot, unit, direction: Direction::Forward }, frame, false);
     }
 
-    /// No link of the radio can carry a frame.
+    /// Drops a frame that no wireless link can carry.
     fn strand(&mut self, frame: Frame) {
         self.without_carrier += 1;
         self.lost.push(frame);
     }
 
-    /// A radio unit sends a frame to a robot. What comes to a radio unit after the robot has left it goes the way of
-    /// what was there before: on to the new one, or lost, as the network's [`GapPolicy`] says.
+    /// Sends a frame from a radio unit to a robot. A frame that comes after the robot has left is treated like those queued
+    /// before: it moves on to the new radio unit or is lost, by the network's [`GapPolicy`].
     pub(crate) fn push_down(&mut self, now: Timestamp, unit: PortId, robot: PortId, frame: Frame) {
         self.advance(now);
         let (Some(Role::Unit(unit)), Some(Role::Robot(robot))) = (self.role(unit), self.role(robot)) else {
@@ -307,25 +305,24 @@ impl Radio {
         }
     }
 
-    /// How many robots have a radio.
+    /// Returns the number of robots with a radio.
     pub(crate) fn stations(&self) -> usize {
         self.robots.len()
     }
 
-    /// The radio unit that a robot's link is with: the one that it is attached to, or was last.
+    /// Returns the radio unit that a robot is, or was last, attached to.
     pub(crate) fn linked(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
         self.robots[robot].home
     }
 
-    /// How long a frame of so many bytes for each robot of a robot's network takes at the slowest rate, were all on one
-    /// channel.
+    /// Returns the airtime of one frame per robot of a robot's network, at the slowest rate and all on one channel.
     pub(crate) fn turns(&self, robot: StationIndex, bytes: usize) -> Duration {
         let network = self.robots[robot].network;
         let robots = self.robots.iter().filter(|other| other.network == network).count();
         self.networks[network].phy.group_airtime(bytes, true, 0.5) * robots as u32
     }
 
-    /// A frame that only measures goes over a robot's link.
+    /// Sends a probe over a robot's link.
     pub(crate) fn probe(&mut self, now: Timestamp, path: Path, frame: Frame) {
         self.advance(now);
         match self.robots[path.robot].home {
@@ -334,8 +331,8 @@ impl Radio {
         }
     }
 
-    /// A radio unit sends a frame to all its stations but its source at once: group-addressed, at the lowest basic
-    /// rate, a single time. A station that is off the channel misses it.
+    /// Sends a group-addressed frame from a radio unit to all its stations but the source: once, at the lowest basic rate.
+    /// A station that is off the channel misses it.
     pub(crate) fn push_group(&mut self, now: Timestamp, unit: PortId, source: PortId, frame: Frame) {
         self.advance(now);
         let Some(Role::Unit(unit)) = self.role(unit) else { return self.lost.push(frame) };
@@ -358,14 +355,14 @@ impl Radio {
         }
     }
 
-    /// The ways from a radio unit to all its stations but one.
+    /// Returns the paths from a radio unit to all its stations but one.
     fn group(&self, unit: RadioUnitIndex, source: Option<StationIndex>) -> impl Iterator<Item = Path> {
         let others = self.units[unit].stations.iter().filter(move |robot| Some(**robot) != source);
         others.map(move |&robot| Path { robot, unit, direction: Direction::Backward })
     }
 
-    /// Moves time on, appends what has arrived by `now` to `out`, in order, and says when to call again. Buffers of
-    /// lost frames go to the pool.
+    /// Advances to `now`, appends arrived frames to `out` in order, and returns the next deadline. Buffers of lost frames go
+    /// to the pool.
     pub(crate) fn poll(
         &mut self,
         now: Timestamp,
@@ -392,19 +389,19 @@ impl Radio {
         self.deadline()
     }
 
-    /// When [`Self::poll`] is due.
+    /// Returns when [`Self::poll`] is due.
     pub(crate) fn deadline(&self) -> Option<Timestamp> {
         let timer = self.timers.next().map(|(at, _)| at);
         let arrival = self.in_flight.peek().map(|Reverse(f)| f.due);
         timer.into_iter().chain(arrival).min()
     }
 
-    /// The next of what happened: handovers, scans, lost radio units.
+    /// Returns the next event: handovers, scans, lost radio units.
     pub(crate) fn next_event(&mut self) -> Option<Stamped> {
         self.events.pop_front()
     }
 
-    /// A robot is somewhere else now.
+    /// Moves a robot.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`].
@@ -428,7 +425,7 @@ impl Radio {
         Ok(())
     }
 
-    /// Lets a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest.
+    /// Makes a robot's radio leave its channel and scan all others. A robot without a radio unit joins the strongest.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`]; [`FabricError::Busy`] while it scans or changes its radio unit.
@@ -440,13 +437,12 @@ impl Radio {
         self.begin_scan(index, now, purpose).map_err(|_| FabricError::Busy(robot.clone()))
     }
 
-    /// Attaches a robot to a radio unit; after the scan, if one is under way. Does nothing where it is attached
-    /// already, or about to be.
+    /// Attaches a robot to a radio unit, after a current scan. Does nothing if it is attached there, or about to be.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`], [`FabricError::UnknownRadioUnit`], [`FabricError::OtherNetwork`],
-    /// [`FabricError::NotServing`], [`FabricError::NotAdmitted`], [`FabricError::OutOfReach`]; [`FabricError::Busy`] while it changes
-    /// to another one.
+    /// [`FabricError::NotServing`], [`FabricError::NotAdmitted`], [`FabricError::OutOfReach`]; [`FabricError::Busy`] during
+    /// a handover to another radio unit.
     pub(crate) fn attach(
         &mut self,
         now: Timestamp,
@@ -474,14 +470,14 @@ impl Radio {
         Ok(())
     }
 
-    /// The radio unit that a robot is attached to; during a handover still the former one.
+    /// Returns the radio unit that a robot is attached to; during a handover, the former one.
     pub(crate) fn attached_to(&self, robot: PortId) -> Option<PortId> {
         let Some(Role::Robot(robot)) = self.role(robot) else { return None };
         self.robots[robot].station.attached().map(|unit| self.units[unit].port)
     }
 
-    /// φ(r,R) for every radio unit of the robot's network, with what the robot knows of it; empty for a robot that is
-    /// unknown.
+    /// Returns φ(r,R) for every radio unit of the robot's network, with the last signal that the robot received; empty for
+    /// an unknown robot.
     pub(crate) fn attachments(&self, robot: &NodeId) -> Vec<Attachment> {
         let Some(&index) = self.robot_by_name.get(robot) else { return Vec::new() };
         let RobotRadio { network, station, heard, .. } = &self.robots[index];
@@ -496,7 +492,7 @@ impl Radio {
         self.networks[*network].units.iter().zip(heard).map(attachment).collect()
     }
 
-    /// ι(R) of every radio unit.
+    /// Returns ι(R) of every radio unit.
     pub(crate) fn contexts(&self, now: Timestamp) -> Vec<RadioContext> {
         let context = |(index, unit): (usize, &Unit)| RadioContext {
             radio_unit: unit.id.clone(),
@@ -513,7 +509,7 @@ impl Radio {
         StationContext { robot: self.robots[robot].id.clone(), signal, downlink_bps, uplink_bps }
     }
 
-    /// Returns what became of all frames that came to the radio and do not only measure.
+    /// Returns the outcome of all frames that entered the radio, without those that only measure.
     pub(crate) fn balance(&self) -> Balance {
         let mut balance = Balance { stranded: self.without_carrier, ..Balance::default() };
         self.links.iter().flatten().for_each(|link| balance += link.balance());
@@ -522,8 +518,8 @@ impl Radio {
         balance
     }
 
-    /// Both directions of every wireless link that a robot was attached by, or that was changed. The others have
-    /// nothing to tell but what their network says.
+    /// Returns the contexts of both directions of every wireless link that was in use or changed. The others have only the
+    /// defaults of their network.
     pub(crate) fn link_contexts(
         &self,
         now: Timestamp,
@@ -538,7 +534,7 @@ impl Radio {
         links.flat_map(both).collect()
     }
 
-    /// What one direction of a wireless link carries; `None` if there is no such link.
+    /// Returns what one direction of a wireless link can carry; `None` for an unknown link.
     pub(crate) fn carries(&self, link: &LinkId, direction: Direction) -> Option<Carries> {
         let (robot, unit) = self.ends(link)?;
         let settings = match &self.links[self.pair(robot, unit)] {
@@ -549,22 +545,22 @@ impl Radio {
         Some(Carries { is_there, ..Carries::of(settings) })
     }
 
-    /// The robot and the radio unit of a wireless link; `None` if there is no such link.
+    /// Returns the ports of a wireless link's robot and radio unit; `None` for an unknown link.
     pub(crate) fn ends_of(&self, link: &LinkId) -> Option<[PortId; 2]> {
         let (robot, unit) = self.ends(link)?;
         Some([self.robots[robot].port, self.units[unit].port])
     }
 
-    /// Whether there is such a wireless link.
+    /// Whether a wireless link of this name exists.
     pub(crate) fn has_link(&self, link: &LinkId) -> bool {
         self.ends(link).is_some()
     }
 
-    /// Changes what a wireless link does in one direction or both, for all frames that are not on the air yet. Those
-    /// that are profit from a shorter delay.
+    /// Changes the conditions of a wireless link, in one direction or both, for all frames that are not on the air yet.
+    /// Frames on the air profit from a shorter delay.
     ///
     /// # Errors
-    /// [`FabricError`], with the reason; nothing has changed then.
+    /// [`FabricError`] for an unknown link or impossible conditions. Nothing has changed then.
     pub(crate) fn change(
         &mut self,
         now: Timestamp,
@@ -585,7 +581,7 @@ impl Radio {
         Ok(())
     }
 
-    /// Works out anew when the frames under way on a path arrive.
+    /// Recomputes the arrival of the frames in flight on a path.
     fn pull_forward(&mut self, now: Timestamp, path: Path) {
         let mut in_flight = std::mem::take(&mut self.in_flight).into_vec();
         in_flight.sort_unstable_by_key(|Reverse(f)| f.key());
@@ -594,7 +590,7 @@ impl Radio {
         self.in_flight = in_flight.into();
     }
 
-    /// The robot and the radio unit of a wireless link; their names may have a `~`, too.
+    /// Returns the robot and the radio unit of a wireless link. Their names may contain a `~`, too.
     fn ends(&self, link: &LinkId) -> Option<(StationIndex, RadioUnitIndex)> {
         let split = |(at, _): (usize, &str)| {
             let (robot, unit) = (&link.as_str()[..at], &link.as_str()[at + 1..]);

@@ -1,5 +1,5 @@
-//! Slow fading by walls and furniture: a random field over the floor, so that a robot that comes back to a place
-//! finds the signal that it left there, by whatever route and however often it asked in between.
+//! Slow fading by walls and furniture, as a random field over the floor. A robot that returns to a place finds the same
+//! signal there, whatever its route.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,7 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::random::unit;
 
-/// How many waves make up a field; its value is near to normal and its correlation smooth from a few tens on.
+/// Waves of a field. A few tens suffice for values near to normal and a smooth correlation.
 const WAVES: usize = 32;
 
 /// Log-normal shadowing of one link: normal in dB, with mean zero and autocorrelation exp(-Δ/d) over the distance Δ
@@ -17,7 +17,7 @@ const WAVES: usize = 32;
 ///
 /// The field is a sum of plane waves, σ·√(2/M)·Σ cos(k·x + φ), with wave vectors drawn from the spectral density
 /// of that autocorrelation (Rahimi and Recht, Random features for large-scale kernel machines, 2007). In the plane
-/// the spectrum of exp(-Δ/d) is the bivariate Cauchy density: every direction is as likely, and |k| is below K
+/// the spectrum of exp(-Δ/d) is the bivariate Cauchy density: all directions are equally likely, and |k| is below K
 /// with probability 1 - 1/√(1 + (K·d)²).
 #[derive(Debug)]
 pub(super) struct ShadowingField {
@@ -27,7 +27,7 @@ pub(super) struct ShadowingField {
 
 #[derive(Debug)]
 struct Wave {
-    /// Wave vector, radians a metre.
+    /// Wave vector, radians per metre.
     k: [f64; 2],
     phase: f64,
 }
@@ -50,7 +50,7 @@ impl ShadowingField {
         }
     }
 
-    /// What the obstacles take away at a place, in dB; below zero where reflections add.
+    /// Returns the attenuation by obstacles at a place, dB; negative where reflections add up.
     pub(super) fn at(&self, place: Position) -> f64 {
         let sum: f64 = self.waves.iter().map(|w| (w.k[0] * place.x + w.k[1] * place.y + w.phase).cos()).sum();
         self.amplitude_db * sum
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn same_seed_and_place_give_the_same_value_and_another_seed_another() {
+    fn values_depend_only_on_seed_and_place() {
         let place = Position::new(3.0, -7.5);
         let value = field(1).at(place);
         assert_eq!(value, field(1).at(place));
@@ -83,13 +83,13 @@ mod tests {
     }
 
     #[test]
-    fn no_deviation_is_no_shadowing() {
+    fn zero_deviation_means_no_shadowing() {
         let field = ShadowingField::new(Shadowing { deviation_db: 0.0, ..MODEL }, stream(3, "r~R"));
         assert_eq!(field.at(Position::new(1.0, 2.0)), 0.0);
     }
 
     #[test]
-    fn mean_is_zero_and_deviation_as_asked() {
+    fn fields_have_mean_zero_and_the_requested_deviation() {
         let fields: Vec<_> = (0..4000).map(field).collect();
         let place = Position::new(12.0, 4.0);
         let average = mean(fields.iter().map(|f| f.at(place)));
@@ -122,8 +122,8 @@ mod tests {
     }
 
     #[test]
-    fn one_floor_shows_the_whole_spread() {
-        // What one robot meets on a long walk is what the model says, not only the average over many worlds.
+    fn a_single_field_has_the_whole_deviation() {
+        // The model holds for one robot's long walk, not only on average over many fields.
         let field = field(9);
         let places = (0..100_000).map(|i| Position::new(f64::from(i % 317) * 3.1, f64::from(i / 317) * 3.1));
         let deviation = mean(places.map(|p| field.at(p).powi(2))).sqrt();
