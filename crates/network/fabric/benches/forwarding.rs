@@ -1,7 +1,7 @@
-//! How many packets a second one core leads through the fabric. Run with `cargo bench -p cotorra-fabric`.
+//! Packets per second that the fabric forwards on one core. Run with `cargo bench -p cotorra-fabric`.
 //!
-//! What is timed is pushing a batch of frames and polling until all are delivered, buffers taken from the fabric and
-//! given back as a data plane does; `alloc` shows that nothing is allocated on the way.
+//! Each iteration pushes a batch of frames and polls until all are delivered. Buffers come from the fabric and go back, as
+//! in a data plane; `alloc` shows that nothing is allocated on the way.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -29,7 +29,7 @@ fn name(i: usize) -> NodeId {
     format!("n{i}").parse().expect("a letter and a number make a name")
 }
 
-/// Two servers with so many links between them, all alike.
+/// Two servers with `hops` equal links between them.
 fn chain(hops: usize, conditions: &Conditions) -> Fabric {
     let domain: DomainId = "home".parse().expect("letters make a name");
     let server = || {
@@ -86,7 +86,7 @@ fn super_packet(mut buffer: Vec<u8>) -> Frame {
     )
 }
 
-/// Pushes a batch and polls until it is delivered; as many rounds as divan wants, in virtual time.
+/// Pushes a batch and polls until it is delivered, in virtual time, for as many rounds as divan wants.
 fn through(bencher: Bencher, fabric: &mut Fabric, batch: usize, length: usize, make: fn(Vec<u8>) -> Frame) {
     let mut delivered = Vec::with_capacity(batch * 64);
     let mut now = Timestamp::ZERO;
@@ -101,7 +101,7 @@ fn through(bencher: Bencher, fabric: &mut Fabric, batch: usize, length: usize, m
         delivered.drain(..).for_each(|frame| fabric.recycle(frame));
         now = now + Duration::from_micros(100);
     };
-    // All buffers and queues grow to what they need.
+    // All buffers and queues grow to their final size.
     (0..10).for_each(|_| round());
     bencher.bench_local(round);
 }

@@ -1,5 +1,5 @@
-//! Which radio units serve, and whom: a radio unit is off until a virtual access point is deployed on it, and admits the
-//! robots of its own domain, or whoever has the key that it was deployed with.
+//! Virtual access points. A radio unit is off until a vAP is deployed on it. It admits the robots of its own domain, or,
+//! with a key, those that have the key.
 
 use cotorra_graph::{AccessPoint, NodeId, Timestamp};
 
@@ -7,7 +7,7 @@ use super::{Radio, RadioUnitIndex, StationIndex};
 use crate::settings::FabricError;
 
 impl Radio {
-    /// A vAP on a radio unit beacons from now on.
+    /// Switches on a vAP on a radio unit.
     ///
     /// # Errors
     /// [`FabricError::UnknownRadioUnit`], [`FabricError::Serving`] or [`FabricError::OtherSsid`].
@@ -24,10 +24,10 @@ impl Radio {
         Ok(())
     }
 
-    /// Whether a vAP could be deployed on a radio unit.
+    /// Checks whether a vAP could be deployed on a radio unit.
     ///
     /// # Errors
-    /// As [`Self::switch_on`].
+    /// Those of [`Self::switch_on`].
     pub(crate) fn check_switch_on(
         &self,
         unit: &NodeId,
@@ -36,7 +36,7 @@ impl Radio {
         self.check_deployment(self.unit(unit)?, access_point)
     }
 
-    /// The vAP of a radio unit is gone. Stations on its channel lose it now, others when they come back.
+    /// Switches off a radio unit. Stations on its channel lose it now, others when they come back.
     ///
     /// # Errors
     /// [`FabricError::UnknownRadioUnit`] or [`FabricError::NotServing`].
@@ -54,7 +54,7 @@ impl Radio {
         Ok(())
     }
 
-    /// A robot knows from now on what a radio unit was deployed with, or so it was told.
+    /// Gives a robot the credentials of a radio unit's vAP. They are not checked here.
     ///
     /// # Errors
     /// [`FabricError::UnknownRobot`] or [`FabricError::UnknownRadioUnit`].
@@ -69,7 +69,7 @@ impl Radio {
         Ok(())
     }
 
-    /// Whether a robot may attach to a radio unit that is on.
+    /// Whether a radio unit is on and a robot may attach to it.
     pub(super) fn admits(&self, robot: StationIndex, unit: RadioUnitIndex) -> bool {
         let (robot, radio_unit) = (&self.robots[robot], &self.units[unit]);
         let Some(served) = &radio_unit.serves else { return false };
@@ -90,7 +90,7 @@ impl Radio {
         Ok(())
     }
 
-    /// Whether two radio units are of one mobility domain, as far as they serve.
+    /// Whether two radio units are in one mobility domain.
     pub(super) fn is_one_mobility_domain(
         &self,
         from: Option<RadioUnitIndex>,

@@ -1,4 +1,4 @@
-//! What happens to frames: they wait for their turn, are on the air, and are lost or under way from there.
+//! Carries frames over the air: queues them, sends them in turns, and puts received ones in flight.
 
 use std::{cmp::Reverse, time::Duration};
 
@@ -12,7 +12,7 @@ use super::{
 use crate::{frame::Frame, random};
 
 impl Radio {
-    /// Lets a frame wait for its turn on the air; `path.unit` is the robot's radio unit, or its last one.
+    /// Queues a frame for the air. `path.unit` is the robot's present or last radio unit.
     pub(super) fn enqueue(&mut self, now: Timestamp, path: Path, frame: Frame, is_probe: bool) {
         let on = self.robots[path.robot].station.on_channel();
         if on.is_none() && self.gap_policy(path.robot) == GapPolicy::Drop {
@@ -37,7 +37,7 @@ impl Radio {
         self.lost.push(frame);
     }
 
-    /// Puts the next frame on the air, if the channel is idle and one waits.
+    /// Puts the next frame on the air, if the channel is idle and a frame waits.
     pub(super) fn serve(&mut self, channel: usize, now: Timestamp) {
         if let Some((flow, waiting)) = self.medium.next(channel, now) {
             let idle = self.medium.idle_for(channel, now);
@@ -61,7 +61,7 @@ impl Radio {
         waiting: Waiting,
         contended: impl Fn(&Phy) -> bool,
     ) -> Duration {
-        let unit = self.robots[robot].station.on_channel().expect("who takes turns is on the channel");
+        let unit = self.robots[robot].station.on_channel().expect("each sender in turns is on the channel");
         let contended = contended(self.networks[self.units[unit].network].phy);
         let path = Path { robot, unit, direction };
         let reception = self.reception(path);
@@ -95,7 +95,7 @@ impl Radio {
         first
     }
 
-    /// What the receiver makes of the sender where the robot is now.
+    /// Returns the reception on a path at the robot's present place.
     fn reception(&mut self, path: Path) -> Reception {
         let place = self.robots[path.robot].position;
         if let Some(reception) = self.link(path.robot, path.unit).reception(path.direction, place) {
@@ -106,7 +106,7 @@ impl Radio {
         receptions[path.direction as usize]
     }
 
-    /// A frame is on the air from now on; chance decides on its arrival.
+    /// Puts a frame on the air at `now`, and in flight if the receiver gets it.
     fn fly(&mut self, now: Timestamp, path: Path, waiting: Waiting, exchange: &Exchange) {
         let Waiting { mut frame, since, is_probe, .. } = waiting;
         let Some(landing) = self.lane(path).land(now, exchange, &mut frame, !is_probe) else {

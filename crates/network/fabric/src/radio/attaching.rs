@@ -1,4 +1,4 @@
-//! What happens when a timer expires: a station looks at beacons, scans, changes its radio unit, or notices that it is gone.
+//! Handles expired timers: a station looks at beacons, scans, changes its radio unit, or notices that it is gone.
 
 use cotorra_graph::{Direction, Event, GapPolicy, Handover, Timestamp};
 
@@ -9,7 +9,7 @@ use super::{
 };
 
 impl Radio {
-    /// Does all that was due by `now`, each in its own time.
+    /// Does everything due by `now`, each step at its own time.
     pub(super) fn advance(&mut self, now: Timestamp) {
         while let Some((at, owner)) = self.timers.next().filter(|(at, _)| *at <= now) {
             self.timers.set(owner, None);
@@ -21,7 +21,7 @@ impl Radio {
         }
     }
 
-    /// Looks at the next beacon of a station's radio unit, or for one if it has none.
+    /// Sets the timer for the next beacon of a station's radio unit, or for the next search if it has none.
     pub(super) fn watch(&mut self, robot: StationIndex, now: Timestamp) {
         let lost = self.robots[robot].station.attached().is_none();
         let next = if lost { now + SEARCH_INTERVAL } else { next_beacon(now) };
@@ -63,7 +63,7 @@ impl Radio {
         Ok(())
     }
 
-    /// A station has left its channel: what waits stays, or is lost.
+    /// Records that a station has left its channel. Queued frames stay or are lost, by the network's [`GapPolicy`].
     pub(super) fn leave(&mut self, robot: StationIndex) {
         self.medium.leave(robot);
         self.timers.set(self.channels + robot, self.robots[robot].station.deadline());
@@ -100,13 +100,13 @@ impl Radio {
         }
         let on = station.on_channel();
         self.robots[robot].beacons.reset();
-        // Another radio unit may be better still, or its own lost; who has none finds none where it stands.
+        // A better radio unit may be near, or the own one lost. A standing robot without one need not search again.
         if on.is_some() || self.robots[robot].moved {
             self.watch(robot, now);
         }
         if let Some(unit) = on {
             if self.units[unit].serves.is_none() {
-                // It was taken down meanwhile.
+                // The vAP was removed in the meantime.
                 return self.lose_unit(robot, unit, now);
             }
             self.medium.enter(robot, unit);
@@ -114,7 +114,7 @@ impl Radio {
         }
     }
 
-    /// A station on its channel notices that its radio unit is gone, and looks for another.
+    /// Detaches a station on its channel from a radio unit that is gone, and starts a scan for another.
     pub(super) fn lose_unit(&mut self, robot: StationIndex, unit: RadioUnitIndex, now: Timestamp) {
         self.robots[robot].station.detach();
         self.units[unit].stations.retain(|r| *r != robot);
@@ -139,7 +139,7 @@ impl Radio {
         self.tell(now, event);
     }
 
-    /// Notes that a robot is with a radio unit.
+    /// Records that a robot is attached to a radio unit.
     pub(super) fn associate(&mut self, robot: StationIndex, unit: RadioUnitIndex) {
         let stations = &mut self.units[unit].stations;
         let place = stations.partition_point(|r| *r < robot);

@@ -1,4 +1,4 @@
-//! What is heard where: the signal at both ends of a robot's link to a radio unit, and which radio units a robot knows.
+//! Signals at both ends of a robot's link to a radio unit, and the radio units that a robot has heard.
 
 use cotorra_graph::{Dbm, LinkId, WirelessNetwork};
 
@@ -8,8 +8,8 @@ use super::{
 use crate::random::stream;
 
 impl Radio {
-    /// Received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which are
-    /// the same both ways.
+    /// Returns the received power at the radio unit and at the robot: transmitted power less path loss and shadowing, which
+    /// are equal in both directions.
     pub(super) fn signals(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Dbm; 2] {
         let (r, u) = (&self.robots[robot], &self.units[unit]);
         let WirelessNetwork { path_loss, shadowing, .. } = self.networks[r.network].spec;
@@ -21,13 +21,13 @@ impl Radio {
         [Dbm(r.tx_power.0 - loss), Dbm(u.tx_power.0 - loss)]
     }
 
-    /// What the radio unit makes of the robot, and the robot of it.
+    /// Returns the receptions at the radio unit and at the robot.
     pub(super) fn receptions(&self, robot: StationIndex, unit: RadioUnitIndex) -> [Reception; 2] {
         let Network { spec, phy, .. } = &self.networks[self.units[unit].network];
         self.signals(robot, unit).map(|signal| Reception::new(phy, signal.0 - spec.noise_floor.0))
     }
 
-    /// The signal of a radio unit that a robot can hear and be heard by.
+    /// Returns the signal of a radio unit at a robot; `None` if it is off, or either cannot receive the other.
     pub(super) fn hears(&self, robot: StationIndex, unit: RadioUnitIndex) -> Option<Dbm> {
         self.units[unit].serves.as_ref()?;
         let sensitivity = self.networks[self.units[unit].network].sensitivity;
@@ -35,7 +35,7 @@ impl Radio {
         (up >= sensitivity && down >= sensitivity).then_some(down)
     }
 
-    /// Notes what a robot hears of all radio units of its network.
+    /// Records the signals of all radio units of a robot's network.
     pub(super) fn listen(&mut self, robot: StationIndex) {
         let mut heard = std::mem::take(&mut self.robots[robot].heard);
         let units = &self.networks[self.robots[robot].network].units;
@@ -44,18 +44,18 @@ impl Radio {
         self.robots[robot].heard = heard;
     }
 
-    /// The radio units that a robot heard last.
+    /// Returns the radio units that a robot heard last, with their signals.
     fn heard(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
         let RobotRadio { network, heard, .. } = &self.robots[robot];
         self.networks[*network].units.iter().zip(heard).filter_map(|(unit, heard)| Some((*unit, (*heard)?)))
     }
 
-    /// Those of them that it may attach to.
+    /// Returns the radio units that a robot heard last and may attach to, with their signals.
     pub(super) fn joinable(&self, robot: StationIndex) -> impl Iterator<Item = (RadioUnitIndex, Dbm)> {
         self.heard(robot).filter(move |(unit, _)| self.admits(robot, *unit))
     }
 
-    /// The strongest radio unit that a robot heard last, and may attach to; the first among equals.
+    /// Returns the strongest radio unit that a robot heard last and may attach to; of equals, the first.
     pub(super) fn strongest(&self, robot: StationIndex) -> Option<RadioUnitIndex> {
         let stronger = |best: (RadioUnitIndex, Dbm), next: (RadioUnitIndex, Dbm)| {
             if next.1 > best.1 { next } else { best }

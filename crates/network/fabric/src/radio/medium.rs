@@ -1,5 +1,5 @@
-//! Who sends next on each channel. Radio units on one channel, and their stations, share its airtime: one frame is on
-//! the air at a time, the rest waits with its sender, and senders take turns.
+//! Medium access. Radio units on one channel and their stations share its airtime: one frame at a time is on the air, the
+//! others wait with their senders, and senders take turns.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -8,14 +8,14 @@ use cotorra_graph::{QueueLimit, Timestamp};
 use crate::frame::Frame;
 use crate::port::{RadioUnitIndex, StationIndex};
 
-/// A frame that waits for its turn.
+/// A frame that waits for the channel.
 #[derive(Debug)]
 pub(super) struct Waiting {
     pub(super) frame: Frame,
     pub(super) since: Timestamp,
-    /// Of all stations, the one that is not to get it, since it sent it.
+    /// The station that sent a group frame, which must not get it back.
     pub(super) source: Option<StationIndex>,
-    /// Whether it only measures, and counts for nothing that the link gave.
+    /// Whether it only measures and is in no counter.
     pub(super) is_probe: bool,
 }
 
@@ -51,21 +51,21 @@ impl Queue {
     }
 }
 
-/// Who takes turns on a channel.
+/// A sender that takes turns on a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Sender {
     Station(StationIndex),
     RadioUnit(RadioUnitIndex),
 }
 
-/// Whom a radio unit sends to, in turns.
+/// A receiver that a radio unit sends to, in turns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Receiver {
     Station(StationIndex),
     Group,
 }
 
-/// Where a frame goes.
+/// The sender and receiver of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Flow {
     /// From a station up to its radio unit.
@@ -76,7 +76,7 @@ pub(super) enum Flow {
     Group(RadioUnitIndex),
 }
 
-/// A channel. Whoever is in `turns` can send; everyone who can is in it once.
+/// A channel. `turns` holds each sender that can send, once.
 #[derive(Debug, Default)]
 struct Channel {
     turns: VecDeque<Sender>,
@@ -87,22 +87,22 @@ struct Channel {
 #[derive(Debug)]
 struct Unit {
     channel: usize,
-    /// Whoever it can send to is in it once.
+    /// Each receiver that it can send to, once.
     turns: VecDeque<Receiver>,
     group: Queue,
 }
 
 #[derive(Debug, Default)]
 struct Peer {
-    /// The radio unit on whose channel it is now.
+    /// Radio unit on whose channel the station is now.
     on: Option<RadioUnitIndex>,
     up: Queue,
     down: Queue,
 }
 
-/// All channels, with what waits for them.
+/// All channels and the frames that wait for them.
 ///
-/// A station that is off the channel keeps its queues, and its radio unit keeps what is for it: neither takes turns.
+/// A station off the channel keeps its queues, and its radio unit keeps the frames for it. Neither takes turns for them.
 #[derive(Debug)]
 pub(super) struct Medium {
     channels: Vec<Channel>,
@@ -111,7 +111,7 @@ pub(super) struct Medium {
 }
 
 impl Medium {
-    /// A medium with so many stations, and radio units on these channels, numbered from 0.
+    /// Creates a medium with `stations` stations, and radio units on these channels, numbered from 0.
     pub(super) fn new(channel_of_unit: impl Iterator<Item = usize>, stations: usize) -> Self {
         let unit = |channel| Unit { channel, turns: VecDeque::new(), group: Queue::default() };
         let units: Vec<_> = channel_of_unit.map(unit).collect();
@@ -123,12 +123,12 @@ impl Medium {
         }
     }
 
-    /// The channel of a radio unit.
+    /// Returns the channel of a radio unit.
     pub(super) fn channel(&self, unit: RadioUnitIndex) -> usize {
         self.units[unit].channel
     }
 
-    /// A station arrives on a radio unit's channel, and what waited for that can be sent.
+    /// Puts a station on a radio unit's channel. Its waiting frames can be sent now.
     pub(super) fn enter(&mut self, station: StationIndex, unit: RadioUnitIndex) {
         self.leave(station);
         let Peer { on, up, down } = &mut self.peers[station];
@@ -142,7 +142,7 @@ impl Medium {
         }
     }
 
-    /// A station leaves its channel.
+    /// Takes a station off its channel.
     pub(super) fn leave(&mut self, station: StationIndex) {
         let Some(unit) = self.peers[station].on.take() else { return };
         let Unit { channel, turns, .. } = &mut self.units[unit];
@@ -154,24 +154,24 @@ impl Medium {
         });
     }
 
-    /// Takes away what waits to be sent by a station and to it. The station is off the channel, so that no turn is
-    /// left without a frame.
+    /// Removes the frames that wait from and for a station. The station must be off the channel, so that no turn is left
+    /// without a frame.
     pub(super) fn clear(&mut self, station: StationIndex) -> [VecDeque<Waiting>; 2] {
         let Peer { on, up, down } = &mut self.peers[station];
         debug_assert!(on.is_none());
         [up.take(), down.take()]
     }
 
-    /// Returns how many frames wait from or for a single station. Frames that only measure do not count.
+    /// Returns the number of waiting unicast frames, without those that only measure.
     pub(super) fn unicast_waiting(&self) -> u64 {
         let queues = self.peers.iter().flat_map(|peer| [&peer.up, &peer.down]);
         queues.flat_map(|queue| &queue.frames).filter(|waiting| !waiting.is_probe).count() as u64
     }
 
-    /// Lets a frame wait for its turn.
+    /// Queues a frame.
     ///
     /// # Errors
-    /// The frame, where the queue is full.
+    /// The frame, if the queue is full.
     pub(super) fn push(&mut self, flow: Flow, waiting: Waiting, limit: QueueLimit) -> Result<(), Frame> {
         let queue = self.queue(flow);
         if !queue.fits(&waiting.frame, limit) {
@@ -213,7 +213,7 @@ impl Medium {
         turns.push_back(receiver);
     }
 
-    /// Takes the next frame, if the channel is idle and one waits.
+    /// Takes the next frame, if the channel is idle and a frame waits.
     pub(super) fn next(&mut self, channel: usize, now: Timestamp) -> Option<(Flow, Waiting)> {
         let Channel { turns, busy_until, .. } = &mut self.channels[channel];
         if *busy_until > now {
@@ -223,16 +223,16 @@ impl Medium {
         let flow = match sender {
             Sender::Station(station) => Flow::Up(station),
             Sender::RadioUnit(unit) => {
-                match self.units[unit].turns.pop_front().expect("who has a turn has a frame to send") {
+                match self.units[unit].turns.pop_front().expect("each sender in turns has a frame") {
                     Receiver::Station(station) => Flow::Down(station),
                     Receiver::Group => Flow::Group(unit),
                 }
             }
         };
         let queue = self.queue(flow);
-        let waiting = queue.pop().expect("who has a turn has a frame to send");
+        let waiting = queue.pop().expect("each sender in turns has a frame");
         let more = !queue.frames.is_empty();
-        // To the end of the line, behind those who wait.
+        // The sender's next turn is behind all others.
         match (sender, flow) {
             (Sender::Station(_), _) if more => self.channels[channel].turns.push_back(sender),
             (Sender::Station(_), _) => {}
@@ -252,25 +252,25 @@ impl Medium {
         Some((flow, waiting))
     }
 
-    /// When a channel falls idle, if anyone waits for that.
+    /// Returns when a channel falls idle, if any frame waits for it.
     pub(super) fn wakes(&self, channel: usize) -> Option<Timestamp> {
         let Channel { turns, busy_until, .. } = &self.channels[channel];
         (!turns.is_empty()).then_some(*busy_until)
     }
 
-    /// How long ago the channel fell idle; zero while it is busy.
+    /// Returns the time since the channel fell idle; zero while it is busy.
     pub(super) fn idle_for(&self, channel: usize, now: Timestamp) -> Duration {
         now.since(self.channels[channel].busy_until)
     }
 
-    /// Takes the channel for a frame.
+    /// Occupies the channel for a frame.
     pub(super) fn occupy(&mut self, channel: usize, now: Timestamp, airtime: Duration) {
         let channel = &mut self.channels[channel];
         channel.busy_until = now + airtime;
         channel.busy.add(now, airtime);
     }
 
-    /// Share of the last second in which a channel was busy.
+    /// Returns the share of the last second in which a channel was busy.
     pub(super) fn load(&self, channel: usize, now: Timestamp) -> f64 {
         let Channel { busy, busy_until, .. } = &self.channels[channel];
         busy.share(now, busy_until.since(now))
@@ -279,21 +279,21 @@ impl Medium {
 
 #[cfg(test)]
 impl Medium {
-    /// How many frames wait.
+    /// Returns the number of waiting frames.
     pub(super) fn waiting(&self) -> u64 {
         let peers = self.peers.iter().map(|p| p.up.frames.len() + p.down.frames.len());
         (peers.sum::<usize>() + self.units.iter().map(|u| u.group.frames.len()).sum::<usize>()) as u64
     }
 }
 
-/// The last second is kept in so many slices.
+/// Slices of the last second.
 const SLICES: u64 = 20;
 const SLICE_NS: u64 = 1_000_000_000 / SLICES;
 
-/// How long a channel was busy, by slices of time.
+/// Busy time of a channel, by slices.
 #[derive(Debug, Default)]
 struct BusyTime {
-    /// Number of the slice since the run began, and the busy nanoseconds of frames that began in it.
+    /// Number of the slice since the run began, and busy nanoseconds of frames that began in it.
     slices: [(u64, u64); SLICES as usize],
 }
 
@@ -307,12 +307,12 @@ impl BusyTime {
         slice.1 += airtime.as_nanos() as u64;
     }
 
-    /// Share of the last second, of which `ahead` has been counted but is still to come.
+    /// Returns the busy share of the last second. `ahead` has been added already but is still to come.
     fn share(&self, now: Timestamp, ahead: Duration) -> f64 {
         let number = now.as_nanos() / SLICE_NS;
         let recent = self.slices.iter().filter(|(n, _)| *n <= number && number - n < SLICES);
         let busy = recent.map(|(_, busy)| busy).sum::<u64>().saturating_sub(ahead.as_nanos() as u64);
-        // The current slice is not over, nor has a run that just began lasted a second.
+        // The current slice is not over, and a run may be younger than a second.
         let covered = now.as_nanos().min((SLICES - 1) * SLICE_NS + now.as_nanos() % SLICE_NS);
         (busy as f64 / covered.max(SLICE_NS) as f64).min(1.0)
     }
@@ -340,7 +340,7 @@ mod tests {
         (0..frames).for_each(|_| medium.push(flow, waiting(), LIMIT).unwrap());
     }
 
-    /// Who sends on a channel, one after the other.
+    /// Returns the order in which senders use a channel.
     fn turns(medium: &mut Medium, channel: usize, most: usize) -> Vec<Flow> {
         let mut turns = Vec::new();
         while turns.len() < most {
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_off_the_channel_keeps_its_frames_and_takes_no_turns() {
+    fn stations_off_the_channel_keep_their_frames_and_take_no_turns() {
         let mut medium = medium();
         fill(&mut medium, Flow::Up(0), 2);
         fill(&mut medium, Flow::Down(0), 1);
@@ -388,13 +388,13 @@ mod tests {
         fill(&mut medium, Flow::Up(0), 1);
         fill(&mut medium, Flow::Up(1), 1);
         assert_eq!(turns(&mut medium, 0, 9), [Flow::Up(1)]);
-        // Its frames go with it to another radio unit, on another channel.
+        // Its frames move with it to another radio unit, on another channel.
         medium.enter(0, 2);
         assert_eq!(turns(&mut medium, 1, 9), [Flow::Up(0), Flow::Down(0), Flow::Up(0), Flow::Up(0)]);
     }
 
     #[test]
-    fn a_full_queue_gives_the_frame_back() {
+    fn a_full_queue_returns_the_frame() {
         let mut medium = medium();
         for limit in [QueueLimit::Packets(2), QueueLimit::Bytes(200)] {
             let pushes = [(); 3].map(|()| medium.push(Flow::Up(0), waiting(), limit).is_ok());
@@ -415,7 +415,7 @@ mod tests {
         assert!((medium.load(0, now) - 0.25).abs() < 0.01, "{}", medium.load(0, now));
         assert_eq!(medium.load(1, now), 0.0);
         assert_eq!(medium.load(0, now + Duration::from_secs(2)), 0.0);
-        // Of a long frame only what is over counts.
+        // Only the elapsed part of a long frame counts.
         medium.occupy(1, now, Duration::from_secs(1));
         assert!((medium.load(1, now + Duration::from_millis(100)) - 0.1).abs() < 0.02);
     }

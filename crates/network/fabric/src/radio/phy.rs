@@ -1,11 +1,11 @@
-//! The physical layer: from a signal-to-noise ratio to packet errors, from those to the rate that carries most, and
-//! from a rate to the time on the air. Figures are those of IEEE 802.11-2020.
+//! The physical layer. Turns a signal-to-noise ratio into packet errors, these into the rate with the highest goodput, and
+//! a rate into airtime. Clauses and tables are those of IEEE 802.11-2020.
 
 use std::time::Duration;
 
 use cotorra_graph::{BitRate, WifiStandard};
 
-/// How a symbol carries bits on each subcarrier.
+/// Modulation of each subcarrier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Constellation {
     Bpsk,
@@ -24,7 +24,7 @@ enum Coding {
     FiveSixths,
 }
 
-/// One way of sending: a rate of 802.11a/g, an MCS of 802.11n/ac.
+/// A rate of 802.11a/g, or an MCS of 802.11n/ac.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Mode {
     /// Data bits in one symbol of 4 µs; N_DBPS.
@@ -38,52 +38,52 @@ impl Mode {
         Self { bits_per_symbol, constellation, coding }
     }
 
-    /// PHY rate in Mbit/s.
+    /// Returns the PHY rate, Mbit/s.
     pub(super) fn mbps(&self) -> f64 {
         f64::from(self.bits_per_symbol) / 4.0
     }
 }
 
-/// Ways of sending that a standard has at most.
+/// Most modes of a standard.
 const MAX_MODES: usize = 9;
 
-/// Data symbols last 4 µs with the long guard interval.
+/// Duration of a data symbol with the long guard interval.
 const SYMBOL_US: u64 = 4;
 /// Service field and tail of the convolutional code, bits.
 const SERVICE_AND_TAIL: u32 = 16 + 6;
-/// L-STF, L-LTF and L-SIG, with which every OFDM frame begins.
+/// L-STF, L-LTF and L-SIG, which begin every OFDM frame.
 const LEGACY_PREAMBLE_US: u64 = 20;
 /// An acknowledgement's MPDU, bytes (9.3.1.4).
 const ACK_BYTES: u32 = 14;
-/// What an Ethernet frame grows by on the air: a data frame's MAC header (24) and FCS (4), LLC and SNAP (8) and CCMP
+/// Bytes that an Ethernet frame gains on the air: a data frame's MAC header (24) and FCS (4), LLC and SNAP (8) and CCMP
 /// (16), less the Ethernet header (14) (9.3.2.1, 12.5.3).
 const MAC_OVERHEAD: u32 = 24 + 4 + 8 + 16 - 14;
-/// QoS control, which HT and VHT stations send (9.2.4.5).
+/// Bytes of QoS control, which HT and VHT stations send (9.2.4.5).
 const QOS_CONTROL: u32 = 2;
-/// Delimiter of the A-MPDU that a VHT frame always is (9.7.1).
+/// Bytes of the delimiter of the A-MPDU that every VHT frame is (9.7.1).
 const AMPDU_DELIMITER: u32 = 4;
 
-/// Slot of all the modelled layers; in 802.11g the short one (17.4.4, 18.5.4, 19.4.4, 21.4.4).
+/// Slot time of all modelled layers; in 802.11g the short one (17.4.4, 18.5.4, 19.4.4, 21.4.4).
 const SLOT_US: u64 = 9;
-/// Smallest contention window (as above).
+/// Smallest contention window (same clauses).
 const CW_MIN: u32 = 15;
-/// Largest contention window (as above).
+/// Largest contention window (same clauses).
 const CW_MAX: u32 = 1023;
-/// dot11ShortRetryLimit by default (10.3.4.4).
+/// Default of dot11ShortRetryLimit (10.3.4.4).
 const ATTEMPTS: u32 = 7;
 
-/// Frames are counted against this length where no frame is at hand: a full Ethernet frame.
+/// Length of a full Ethernet frame, for figures that are not about one frame.
 pub(super) const REFERENCE_BYTES: usize = 1514;
 
-/// What a standard sends with, and how long that takes.
+/// The modes and timing of a standard.
 #[derive(Debug)]
 pub(super) struct Phy {
-    /// From the slowest, which is also the lowest basic rate, to the fastest.
+    /// Modes from the slowest, which is also the lowest basic rate, to the fastest.
     modes: &'static [Mode],
     sifs_us: u64,
-    /// All that comes before the first data symbol.
+    /// Time before the first data symbol.
     preamble_us: u64,
-    /// Silence that ends an OFDM frame at 2.4 GHz (18.3.2.4).
+    /// Silence at the end of an OFDM frame at 2.4 GHz (18.3.2.4).
     extension_us: u64,
     overhead_bytes: u32,
 }
@@ -146,7 +146,7 @@ impl Phy {
         }
     }
 
-    /// The fastest PHY rate: what the medium carries at most.
+    /// Returns the fastest PHY rate, which limits the medium.
     pub(super) fn top_rate(&self) -> BitRate {
         let bits_per_second = u64::from(self.modes[self.modes.len() - 1].bits_per_symbol) * 250_000;
         BitRate::from_bits_per_second(bits_per_second).expect("every mode carries bits")
@@ -156,14 +156,14 @@ impl Phy {
         frame_bytes as u32 + self.overhead_bytes
     }
 
-    /// TXTIME of a frame (17.4.3, 18.5.3.2, 19.4.3, 21.4.3), µs.
+    /// Returns the TXTIME of a frame (17.4.3, 18.5.3.2, 19.4.3, 21.4.3), µs.
     fn frame_us(&self, mode: &Mode, frame_bytes: usize) -> u64 {
         let bits = SERVICE_AND_TAIL + 8 * self.psdu_bytes(frame_bytes);
         self.preamble_us + SYMBOL_US * u64::from(bits.div_ceil(mode.bits_per_symbol)) + self.extension_us
     }
 
-    /// TXTIME of an acknowledgement, µs: at 6, 12 or 24 Mbit/s, the highest mandatory rate that is no faster than
-    /// the data's modulation allows (10.6.6.5).
+    /// Returns the TXTIME of an acknowledgement, µs. Its rate is 6, 12 or 24 Mbit/s: the highest mandatory rate that the
+    /// data's modulation allows (10.6.6.5).
     fn ack_us(&self, mode: &Mode) -> u64 {
         let bits_per_symbol: u32 = match mode.constellation {
             Constellation::Bpsk => 24,
@@ -174,31 +174,31 @@ impl Phy {
         LEGACY_PREAMBLE_US + SYMBOL_US * u64::from(bits.div_ceil(bits_per_symbol)) + self.extension_us
     }
 
-    /// DIFS: SIFS and two slots (10.3.7), µs.
+    /// Returns DIFS, µs: SIFS and two slots (10.3.7).
     fn difs_us(&self) -> u64 {
         self.sifs_us + 2 * SLOT_US
     }
 
-    /// How long a channel must have been idle for a sender to send at once (10.3.4.2).
+    /// Returns DIFS: the idle time after which a sender may send at once (10.3.4.2).
     pub(super) fn difs(&self) -> Duration {
         Duration::from_micros(self.difs_us())
     }
 
-    /// DIFS, frame, SIFS and acknowledgement, without backoff, µs. A failed attempt takes as long: the sender waits
-    /// for SIFS, a slot and the start of an acknowledgement before it knows.
+    /// Returns the time of an attempt without backoff, µs: DIFS, frame, SIFS and acknowledgement. A failed attempt takes as
+    /// long, because the sender waits for SIFS, a slot and the start of an acknowledgement.
     fn attempt_us(&self, mode: &Mode, frame_bytes: usize) -> u64 {
         self.difs_us() + self.frame_us(mode, frame_bytes) + self.sifs_us + self.ack_us(mode)
     }
 
-    /// Time on the air of a group-addressed frame: DIFS, backoff and the frame at the lowest basic rate; nobody
-    /// acknowledges it.
+    /// Returns the airtime of a group-addressed frame: DIFS, backoff and the frame at the lowest basic rate. It is not
+    /// acknowledged.
     pub(super) fn group_airtime(&self, frame_bytes: usize, contended: bool, random: f64) -> Duration {
         let backoff = if contended { SLOT_US * (random * f64::from(CW_MIN + 1)) as u64 } else { 0 };
         Duration::from_micros(self.difs_us() + backoff + self.frame_us(&self.modes[0], frame_bytes))
     }
 
-    /// The signal-to-noise ratio below which a receiver is deaf, dB: where one in ten PSDUs of 1000 bytes at the
-    /// slowest rate is lost, which is how the standard defines sensitivity (17.3.10.2).
+    /// Returns the lowest signal-to-noise ratio that a receiver can decode, dB. There, one in ten PSDUs of 1000 bytes at the
+    /// slowest rate is lost, by the standard's definition of sensitivity (17.3.10.2).
     pub(super) fn sensitivity_db(&self) -> f64 {
         let (mut deaf, mut hears) = (-20.0, 30.0);
         while hears - deaf > 1e-6 {
@@ -210,11 +210,11 @@ impl Phy {
     }
 }
 
-/// What one receiver makes of one sender, at one signal-to-noise ratio.
+/// Error rates of one receiver at one signal-to-noise ratio.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reception {
     phy: &'static Phy,
-    /// Natural logarithm of the probability that a bit is right, for each mode.
+    /// Natural logarithm of the probability that a bit is correct, by mode.
     ln_bit_success: [f64; MAX_MODES],
 }
 
@@ -227,19 +227,19 @@ impl Reception {
         Self { phy, ln_bit_success: ln }
     }
 
-    /// Probability that a frame is lost in one attempt.
+    /// Returns the probability that one attempt loses a frame.
     fn error_rate(&self, mode: usize, frame_bytes: usize) -> f64 {
         let bits = 8.0 * f64::from(self.phy.psdu_bytes(frame_bytes));
         -(bits * self.ln_bit_success[mode]).exp_m1()
     }
 
-    /// Ideal rate selection: the mode with the highest expected goodput for a frame of that length.
+    /// Returns the mode with the highest expected goodput for a frame of this length (ideal rate selection).
     fn best(&self, frame_bytes: usize) -> usize {
         let mean_backoff_us = SLOT_US as f64 * f64::from(CW_MIN) / 2.0;
         let mut best = (0, 0.0);
         for (i, mode) in self.phy.modes.iter().enumerate().rev() {
             let ceiling = 1.0 / (self.phy.attempt_us(mode, frame_bytes) as f64 + mean_backoff_us);
-            // Slower modes only get longer: once even a sure one cannot win, none can.
+            // Slower modes take longer. If a slower mode cannot win without errors, none can.
             if best.1 >= ceiling {
                 break;
             }
@@ -251,14 +251,14 @@ impl Reception {
         best.0
     }
 
-    /// PHY rate for full frames, Mbit/s.
+    /// Returns the PHY rate for full frames, Mbit/s.
     pub(super) fn mbps(&self) -> f64 {
         self.phy.modes[self.best(REFERENCE_BYTES)].mbps()
     }
 
-    /// Sends a frame and waits for its acknowledgement, up to seven times with a contention window that doubles
-    /// (10.3.3, 10.3.4). A sender that finds the channel idle sends at once; one that had to wait (`contended`) backs
-    /// off first. `random` gives uniform numbers in 0..1.
+    /// Sends a frame and waits for its acknowledgement, up to seven times with a doubling contention window (10.3.3, 10.3.4).
+    /// A sender that finds the channel idle sends at once; one that had to wait (`contended`) backs off first. `random` gives
+    /// uniform numbers in 0..1.
     pub(super) fn exchange(
         &self,
         frame_bytes: usize,
@@ -284,31 +284,30 @@ impl Reception {
         Exchange { first: Duration::from_micros(first), retries: Duration::from_micros(retries), received }
     }
 
-    /// Probability that a group-addressed frame is lost: sent once, at the lowest basic rate (10.6.5).
+    /// Returns the probability that a group-addressed frame is lost. It is sent once, at the lowest basic rate (10.6.5).
     pub(super) fn group_error_rate(&self, frame_bytes: usize) -> f64 {
         self.error_rate(0, frame_bytes)
     }
 }
 
-/// What came of sending a frame.
+/// The outcome of sending a frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Exchange {
     /// Time of the first attempt, backoff included.
     pub(super) first: Duration,
     /// Time of all further attempts.
     pub(super) retries: Duration,
-    /// Whether the receiver has it in the end.
+    /// Whether the receiver got the frame.
     pub(super) received: bool,
 }
 
-/// Natural logarithm of the probability that one bit is right behind the decoder.
+/// Returns the natural logarithm of the probability that a decoded bit is correct.
 ///
-/// On the channel: the bit error probability of Gray-coded M-QAM in white Gaussian noise, with E_s/N_0 the
-/// signal-to-noise ratio in 20 MHz (Proakis, Digital Communications, 5.2). Behind the decoder: the union bound with
-/// hard decisions, P ≤ 1/(2k) Σ c_d D^d, D = √(4p(1-p)), over the first terms of the code's bit weight spectrum
-/// (Frenger, Orten and Ottosson, Convolutional codes with optimum distance spectrum, IEEE Communications Letters
-/// 3(11), 1999). That is the model that Pei and Henderson validated against a testbed (Validation of OFDM error
-/// rate model in ns-3, 2010).
+/// On the channel, this is the bit error probability of Gray-coded M-QAM in white Gaussian noise. E_s/N_0 is the
+/// signal-to-noise ratio in 20 MHz (Proakis, Digital Communications, 5.2). Behind the decoder, it is the union bound with
+/// hard decisions: P ≤ 1/(2k) Σ c_d D^d, D = √(4p(1-p)), over the first terms of the code's bit weight spectrum (Frenger,
+/// Orten and Ottosson, Convolutional codes with optimum distance spectrum, IEEE Communications Letters 3(11), 1999). Pei
+/// and Henderson validated this model against a testbed (Validation of OFDM error rate model in ns-3, 2010).
 fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
     let snr = 10f64.powf(snr_db / 10.0);
     let p = match mode.constellation {
@@ -319,7 +318,7 @@ fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
         Constellation::Qam256 => 15.0 / 64.0 * erfc((snr / 170.0).sqrt()),
     };
     let d = (4.0 * p * (1.0 - p)).sqrt();
-    // Input bits k of the punctured code, its free distance, the step between distances, and the weights c_d.
+    // Input bits k of the punctured code, free distance, step between distances, and weights c_d.
     let (k, free_distance, step, weights): (f64, i32, i32, &[f64]) = match mode.coding {
         Coding::Half => (1.0, 10, 2, &[36.0, 211.0, 1404.0, 11633.0, 77433.0, 502_690.0, 3_322_763.0]),
         Coding::TwoThirds => (2.0, 6, 1, &[3.0, 70.0, 285.0, 1276.0, 6160.0, 27128.0, 117_019.0]),
@@ -335,8 +334,8 @@ fn ln_bit_success(mode: &Mode, snr_db: f64) -> f64 {
     (-bit_error.min(0.5)).ln_1p()
 }
 
-/// The complementary error function, for `x` from 0: a series near to 0 (Abramowitz and Stegun, 7.1.6), a continued
-/// fraction beyond (7.1.14).
+/// Returns the complementary error function for `x` ≥ 0: a series below 2 (Abramowitz and Stegun, 7.1.6), a continued
+/// fraction above (7.1.14).
 fn erfc(x: f64) -> f64 {
     let gauss = (-x * x).exp() / std::f64::consts::PI.sqrt();
     if x < 2.0 {
@@ -376,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_those_of_the_standards() {
+    fn rates_match_the_standards() {
         let rates = |standard| Phy::of(standard).modes.iter().map(Mode::mbps).collect::<Vec<_>>();
         let ofdm = [6.0, 9.0, 12.0, 18.0, 24.0, 36.0, 48.0, 54.0];
         let ht = [6.5, 13.0, 19.5, 26.0, 39.0, 52.0, 58.5, 65.0];
@@ -388,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn airtimes_are_those_of_the_standards() {
+    fn airtimes_match_the_standards() {
         // A PSDU of 1500 bytes at 54 Mbit/s: 20 µs and 56 symbols; at 6 Mbit/s: 20 µs and 501 symbols.
         let payload = 1500 - MAC_OVERHEAD as usize;
         assert_eq!(A.frame_us(&OFDM[7], payload), 20 + 4 * 56);
@@ -407,8 +406,8 @@ mod tests {
     }
 
     #[test]
-    fn packet_errors_stay_as_they_were() {
-        // Mode of 802.11ac, SNR in dB, share of 1000-byte frames lost.
+    fn packet_errors_match_the_golden_table() {
+        // Mode of 802.11ac, SNR (dB), share of 1000-byte frames lost.
         let golden = [
             (0, 3.0, 0.8652),
             (0, 4.0, 0.0616),
@@ -447,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn more_signal_never_loses_more_and_longer_frames_lose_more() {
+    fn errors_fall_with_signal_and_grow_with_length() {
         for standard in [WifiStandard::A, WifiStandard::G, WifiStandard::N, WifiStandard::Ac] {
             for mode in 0..Phy::of(standard).modes.len() {
                 let lost = |i: i32| reception(standard, f64::from(i) * 0.25).error_rate(mode, 1000);
@@ -459,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn sensitivity_is_a_loss_of_a_tenth() {
+    fn a_tenth_of_frames_is_lost_at_the_sensitivity() {
         let snr_db = N.sensitivity_db();
         assert!((snr_db - 3.85).abs() < 0.01, "{snr_db}");
         let psdu = 1000 - N.overhead_bytes as usize;
@@ -467,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exchange_backs_off_and_retries_as_the_standard_says() {
+    fn an_exchange_backs_off_and_retries_by_the_standard() {
         let strong = reception(WifiStandard::N, 40.0);
         let clear = strong.exchange(REFERENCE_BYTES, false, || 0.999_999);
         assert_eq!(

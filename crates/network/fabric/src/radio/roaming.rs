@@ -1,5 +1,5 @@
-//! What a station makes of the beacons that it hears: whether its radio unit is lost, and whether another has been
-//! better for long enough. No clock, no radio; one call a beacon.
+//! Decisions from beacons: whether a station's radio unit is lost, and whether another has been better for long enough. It
+//! takes one call per beacon.
 
 use std::time::Duration;
 
@@ -7,31 +7,31 @@ use cotorra_graph::{Dbm, Timestamp};
 
 use crate::port::RadioUnitIndex;
 
-/// Beacons come every 100 time units of 1.024 ms (IEEE 802.11-2020, 9.4.1.3; the default of most radio units).
+/// Beacon interval: 100 time units of 1.024 ms (IEEE 802.11-2020, 9.4.1.3), the default of most radio units.
 pub(super) const BEACON_INTERVAL: Duration = Duration::from_micros(102_400);
-/// After so many beacons missed in a row the radio unit is lost; what Linux's mac80211 takes by default.
+/// Consecutive missed beacons after which a radio unit is lost: the default of Linux's mac80211.
 const BEACONS_TO_LOSE: u32 = 7;
 
-/// The first beacon after `now`.
+/// Returns the time of the first beacon after `now`.
 pub(super) fn next_beacon(now: Timestamp) -> Timestamp {
     let interval = BEACON_INTERVAL.as_nanos() as u64;
     Timestamp::from_nanos((now.as_nanos() / interval + 1).saturating_mul(interval))
 }
 
-/// When a station that decides by signal changes its radio unit; the entering condition of 3GPP's event A3 (TS 36.331,
-/// 5.5.4.4), which Wi-Fi stations resemble.
+/// Thresholds by which a station changes its radio unit: the entering condition of 3GPP's event A3 (TS 36.331, 5.5.4.4),
+/// which Wi-Fi stations resemble.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Thresholds {
     pub(super) hysteresis_db: f64,
     pub(super) time_to_trigger: Duration,
 }
 
-/// What follows from a beacon.
+/// The decision after a beacon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// All is well, and stays so until the robot moves.
+    /// Nothing changes until the robot moves.
     Stay,
-    /// The next beacon must be looked at, even if the robot stands still.
+    /// The next beacon matters, even if the robot stands still.
     Watch,
     /// Another radio unit has been stronger for long enough.
     Roam,
@@ -43,18 +43,18 @@ pub(super) enum Verdict {
 #[derive(Debug, Default)]
 pub(super) struct Beacons {
     missed: u32,
-    /// A radio unit that is stronger than the own one by the hysteresis, and since when.
+    /// The radio unit that exceeds the own one by the hysteresis, and since when.
     stronger: Option<(RadioUnitIndex, Timestamp)>,
 }
 
 impl Beacons {
-    /// Forgets all: the station has been off its channel.
+    /// Forgets everything, after the station has been off its channel.
     pub(super) fn reset(&mut self) {
         *self = Self::default();
     }
 
-    /// Weighs one beacon of the own radio unit (`None`: too weak to be heard) against the others, which are only looked
-    /// at when the station decides by signal.
+    /// Weighs a beacon of the own radio unit (`None` if too weak) against the signals of others. The others matter only with
+    /// `thresholds`.
     pub(super) fn weigh(
         &mut self,
         now: Timestamp,
@@ -68,7 +68,7 @@ impl Beacons {
         }
         if let (Some(own), Some(Thresholds { hysteresis_db, time_to_trigger })) = (own, thresholds) {
             let known = self.stronger;
-            // The one that is waited for, while it stays above; else the best of those that are.
+            // The known candidate keeps its rank while it stays above the hysteresis. Otherwise the strongest wins.
             let rank =
                 |(ru, signal): &(RadioUnitIndex, Dbm)| (known.is_some_and(|(k, _)| k == *ru), signal.0);
             let entered = others
@@ -90,7 +90,7 @@ mod tests {
     const THRESHOLDS: Thresholds =
         Thresholds { hysteresis_db: 4.0, time_to_trigger: Duration::from_millis(300) };
 
-    /// What a station makes of beacons with these signals of its own radio unit and of two others.
+    /// Returns the verdicts on beacons with these signals of the own radio unit and of two others.
     fn verdicts(signals: &[(Option<f64>, [f64; 2])], thresholds: Option<Thresholds>) -> Vec<Verdict> {
         let mut beacons = Beacons::default();
         let mut now = Timestamp::ZERO;
@@ -110,13 +110,13 @@ mod tests {
     }
 
     #[test]
-    fn within_the_hysteresis_it_stays() {
+    fn a_station_stays_within_the_hysteresis() {
         let signals = [(Some(-70.0), [-66.0, -90.0]); 20];
         assert_eq!(verdicts(&signals, Some(THRESHOLDS)), [Verdict::Stay; 20]);
     }
 
     #[test]
-    fn beyond_it_the_time_to_trigger_must_pass_without_a_break() {
+    fn a_station_roams_after_an_unbroken_time_to_trigger() {
         let better = (Some(-70.0), [-65.9, -90.0]);
         let equal = (Some(-70.0), [-70.0, -90.0]);
         use Verdict::{Roam, Stay, Watch};
@@ -129,19 +129,19 @@ mod tests {
     }
 
     #[test]
-    fn one_that_is_waited_for_is_not_forgotten_for_a_better_one() {
+    fn a_candidate_is_kept_when_a_better_one_appears() {
         let signals = [(Some(-70.0), [-60.0, -90.0]), (Some(-70.0), [-60.0, -50.0])];
         let signals = [&signals[..], &signals[1..], &signals[1..]].concat();
         assert_eq!(verdicts(&signals, Some(THRESHOLDS))[3], Verdict::Roam);
     }
 
     #[test]
-    fn who_does_not_decide_looks_at_no_other() {
+    fn other_signals_are_ignored_without_thresholds() {
         assert_eq!(verdicts(&[(Some(-90.0), [-30.0, -30.0]); 9], None), [Verdict::Stay; 9]);
     }
 
     #[test]
-    fn seven_beacons_missed_in_a_row_lose_the_radio_unit() {
+    fn seven_missed_beacons_in_a_row_lose_the_radio_unit() {
         let (missed, heard) = ((None, [-90.0; 2]), (Some(-80.0), [-90.0; 2]));
         let mut signals = vec![missed; 6];
         signals.push(heard);

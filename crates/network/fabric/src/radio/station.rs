@@ -1,5 +1,5 @@
-//! The attachment of one station: which radio unit it is with, and what it does when it is off the channel. A state
-//! machine that is told the time and says when it wants to hear it again.
+//! The attachment of one station, as a state machine: its radio unit, and the phases of scans and handovers off the
+//! channel.
 
 use std::time::Duration;
 
@@ -9,18 +9,18 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use crate::port::RadioUnitIndex;
 use crate::random::unit;
 
-/// What a scan is for.
+/// The purpose of a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// To know the signals.
+    /// To update the signals.
     Look,
-    /// To join the strongest radio unit, if it is another one.
+    /// To attach to the strongest radio unit, if it is another one.
     Roam,
-    /// A handover that was asked for while the scan ran.
+    /// To attach to a radio unit, as requested during the scan.
     Attach(RadioUnitIndex),
 }
 
-/// What a station does off its channel.
+/// The activity of a station off its channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Phase {
     Scan(Purpose),
@@ -37,14 +37,14 @@ struct Absence {
     ends: Timestamp,
 }
 
-/// What the end of a phase brought.
+/// The result of a finished phase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
     /// The next phase has begun.
     Underway,
-    /// All channels were scanned; the station is back, or goes on to attach.
+    /// All channels were scanned. The station is back, or goes on to attach.
     Scanned,
-    /// The station is with another radio unit now.
+    /// The station is attached to another radio unit now.
     Attached(Joined),
 }
 
@@ -54,11 +54,11 @@ pub(super) struct Joined {
     pub(super) from: Option<RadioUnitIndex>,
     pub(super) to: RadioUnitIndex,
     pub(super) fast: bool,
-    /// Since the station left its channel.
+    /// Time since the station left its channel.
     pub(super) gap: Duration,
 }
 
-/// A station does one thing at a time.
+/// The current activity, which rejects another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Busy {
     Scanning,
@@ -68,8 +68,8 @@ pub(super) enum Busy {
 /// A station's attachment.
 ///
 /// A handover is authentication and reassociation (IEEE 802.11-2020, 11.3), followed by the key handshakes (12.7.6)
-/// unless it is a fast transition (13.5). Fast transition needs a radio unit to come from (13.4): who lost theirs does
-/// the handshakes again. The station is with its former radio unit until the last phase ends.
+/// unless it is a fast transition (13.5). A fast transition needs a former radio unit (13.4): a station that lost its own
+/// does the handshakes again. The station stays attached to its former radio unit until the last phase ends.
 #[derive(Debug)]
 pub(super) struct Station {
     attached: Option<RadioUnitIndex>,
@@ -80,7 +80,7 @@ pub(super) struct Station {
 }
 
 impl Station {
-    /// A station with no radio unit.
+    /// Creates a station without a radio unit.
     pub(super) fn new(network: &WirelessNetwork, rng: Xoshiro256PlusPlus) -> Self {
         Self {
             attached: None,
@@ -91,17 +91,17 @@ impl Station {
         }
     }
 
-    /// It has been with a radio unit since before the run.
+    /// Attaches the station before the run begins.
     pub(super) fn begin_attached(&mut self, to: RadioUnitIndex) {
         self.attached = Some(to);
     }
 
-    /// The radio unit that it is with, be it on the channel or off.
+    /// Returns its radio unit, on or off the channel.
     pub(super) fn attached(&self) -> Option<RadioUnitIndex> {
         self.attached
     }
 
-    /// The radio unit that it can exchange frames with now.
+    /// Returns the radio unit that it can exchange frames with now.
     pub(super) fn on_channel(&self) -> Option<RadioUnitIndex> {
         if self.absence.is_none() { self.attached } else { None }
     }
@@ -116,7 +116,7 @@ impl Station {
         self.absence.is_some_and(|a| matches!(a.phase, Phase::Scan(_)))
     }
 
-    /// When [`Self::expire`] is due.
+    /// Returns when [`Self::expire`] is due.
     pub(super) fn deadline(&self) -> Option<Timestamp> {
         self.absence.map(|a| a.ends)
     }
@@ -140,8 +140,8 @@ impl Station {
         Ok(())
     }
 
-    /// Leaves the channel for another radio unit; at the end of the scan if one is under way. Nothing happens where
-    /// the station is with that radio unit already, or on its way there.
+    /// Leaves the channel for another radio unit, after a current scan. Does nothing if the station is attached there, or
+    /// about to be.
     pub(super) fn attach(&mut self, now: Timestamp, to: RadioUnitIndex) -> Result<(), Busy> {
         match self.busy() {
             Some(Busy::HandingOver(underway)) if underway == to => Ok(()),
@@ -160,12 +160,12 @@ impl Station {
         }
     }
 
-    /// Loses its radio unit, and says which; only on the channel does it notice.
+    /// Detaches from its radio unit and returns it. Off the channel, a station does not notice the loss.
     pub(super) fn detach(&mut self) -> Option<RadioUnitIndex> {
         if self.is_away() { None } else { self.attached.take() }
     }
 
-    /// Where it is going over to.
+    /// Returns the radio unit that it is being handed over to.
     pub(super) fn underway_to(&self) -> Option<RadioUnitIndex> {
         match self.busy() {
             Some(Busy::HandingOver(to)) => Some(to),
@@ -173,8 +173,8 @@ impl Station {
         }
     }
 
-    /// The phase under way has come to its end. `strongest` is what a scan found; `is_one_domain` tells whether the radio
-    /// unit that it is with and the one that it goes to are of one mobility domain.
+    /// Ends the current phase. `strongest` is the result of a scan. `is_one_domain` says whether the former and the next
+    /// radio unit are in one mobility domain.
     pub(super) fn expire(&mut self, strongest: Option<RadioUnitIndex>, is_one_domain: bool) -> Step {
         let Some(Absence { since, phase, ends }) = self.absence.take() else { return Step::Underway };
         match phase {
@@ -271,7 +271,7 @@ mod tests {
         station
     }
 
-    /// Lets all phases end, each when it is due; how long that took in all.
+    /// Ends all phases at their deadlines. Returns the total time.
     fn run(
         station: &mut Station,
         from: Timestamp,
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn between_mobility_domains_the_handshakes_are_done_again() {
+    fn handshakes_are_repeated_between_mobility_domains() {
         let mut station = station(true, 0.0);
         station.attach(at(0), 1).unwrap();
         assert_eq!(station.underway_to(), Some(1));
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn who_lost_its_radio_unit_does_the_handshakes_again() {
+    fn handshakes_are_repeated_after_a_lost_radio_unit() {
         let mut station = station(true, 0.0);
         assert_eq!(station.detach(), Some(0));
         station.scan(at(0), Purpose::Roam).unwrap();
@@ -332,19 +332,19 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_ends_on_the_channel_where_it_began() {
+    fn a_scan_returns_to_its_channel() {
         let mut station = station(true, 0.0);
         station.scan(at(0), Purpose::Look).unwrap();
         assert_eq!(station.on_channel(), None);
         assert_eq!(run(&mut station, at(0), Some(1)), (vec![Step::Scanned], ms(100)));
         assert_eq!(station.on_channel(), Some(0));
-        // One that roams stays, too, where none is better.
+        // A scan to roam returns as well if no radio unit is better.
         station.scan(at(200), Purpose::Roam).unwrap();
         assert_eq!(run(&mut station, at(200), Some(0)), (vec![Step::Scanned], ms(100)));
     }
 
     #[test]
-    fn a_handover_asked_for_during_a_scan_follows_it() {
+    fn a_handover_requested_during_a_scan_follows_it() {
         let mut station = station(true, 0.0);
         station.scan(at(0), Purpose::Look).unwrap();
         station.attach(at(50), 1).unwrap();
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_at_a_time() {
+    fn a_busy_station_rejects_other_activities() {
         let mut station = station(true, 0.0);
         station.attach(at(0), 0).unwrap();
         assert!(!station.is_away(), "it is there already");
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn phases_vary_as_far_as_asked_and_evenly() {
+    fn phases_vary_uniformly_within_the_variation() {
         let mut station = station(true, 0.5);
         let scans: Vec<f64> = (0..2000)
             .map(|i| {

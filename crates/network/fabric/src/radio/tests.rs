@@ -1,4 +1,4 @@
-//! What the radio promises, seen from the fabric: frames in, frames and events out, in virtual time.
+//! Tests of the radio as the fabric uses it: frames in, frames and events out, in virtual time.
 
 use cotorra_graph::{
     BitRate, Capacity, Conditions, Driver, FtKey, Handover, HandoverTimes, HostAddress, Link, Loss, Node,
@@ -26,7 +26,7 @@ fn mbps(rate: f64) -> BitRate {
     BitRate::from_mbps(rate).unwrap()
 }
 
-/// A network without chance: no shadowing, no variation, 1 ms and 8 Mbit/s.
+/// A network without randomness: no shadowing, no variation, 1 ms and 8 Mbit/s.
 fn network() -> WirelessNetwork {
     WirelessNetwork {
         standard: WifiStandard::N,
@@ -82,7 +82,7 @@ fn robot(name: &str, x: f64, roaming: Roaming) -> Node {
     node(name, x, NodeKind::Robot(robot))
 }
 
-/// A radio and all that came out of it.
+/// A radio and its output.
 struct World {
     radio: Radio,
     ports: BTreeMap<NodeId, PortId>,
@@ -111,7 +111,7 @@ impl World {
         self.ports[name]
     }
 
-    /// A frame of that size with a number of its own.
+    /// Returns a numbered frame of a size.
     fn frame(&mut self, bytes: usize) -> Frame {
         let mut frame = vec![0; bytes];
         frame[14..22].copy_from_slice(&self.pushed.to_be_bytes());
@@ -129,7 +129,7 @@ impl World {
         self.radio.push_down(now, self.ports[unit], self.ports[robot], frame);
     }
 
-    /// Polls whenever the radio asks for it, up to a time.
+    /// Polls at every deadline up to a time.
     fn run(&mut self, until: Timestamp) {
         let mut arrivals = Vec::new();
         let mut now = Some(Timestamp::ZERO);
@@ -149,7 +149,7 @@ impl World {
         self.radio.attached_to(self.port(robot))
     }
 
-    /// When each frame arrived, µs.
+    /// Returns the arrival times, µs.
     fn arrivals_us(&self) -> Vec<f64> {
         self.arrived.iter().map(|(due, _, _)| due.as_nanos() as f64 / 1e3).collect()
     }
@@ -173,13 +173,13 @@ impl World {
     }
 }
 
-/// One robot between two radio units, nearer to the first.
+/// One robot between two radio units, closer to the first.
 fn corridor(network: WirelessNetwork, roaming: Roaming) -> World {
     World::new(network, vec![robot("r", 5.0, roaming), unit("R1", 0.0, 1), unit("R2", 30.0, 6)])
 }
 
 #[test]
-fn a_small_frame_on_an_idle_channel_takes_exactly_the_delay() {
+fn small_frames_on_an_idle_channel_take_exactly_the_delay() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.up(at(10), "r", 430);
     world.down(at(20), "R1", "r", 430);
@@ -191,7 +191,7 @@ fn a_small_frame_on_an_idle_channel_takes_exactly_the_delay() {
 }
 
 #[test]
-fn a_frame_is_never_there_before_its_last_bit() {
+fn frames_arrive_no_earlier_than_their_last_bit() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.up(at(10), "r", 1500);
     world.run(at(100));
@@ -200,7 +200,7 @@ fn a_frame_is_never_there_before_its_last_bit() {
 }
 
 #[test]
-fn frames_behind_each_other_wait_for_the_air() {
+fn consecutive_frames_wait_for_the_air() {
     let mut world = corridor(network(), Roaming::Instructed);
     (0..3).for_each(|_| world.up(at(10), "r", 500));
     world.run(at(100));
@@ -208,7 +208,7 @@ fn frames_behind_each_other_wait_for_the_air() {
 }
 
 #[test]
-fn without_a_cap_the_standard_sets_the_pace() {
+fn the_standard_limits_the_rate_without_a_cap() {
     let mut world = corridor(WirelessNetwork { rate: None, ..network() }, Roaming::Instructed);
     (0..900).for_each(|_| world.up(at(10), "r", 1514));
     world.run(at(2000));
@@ -229,7 +229,7 @@ fn a_station_begins_with_the_strongest_radio_unit() {
 }
 
 #[test]
-fn an_instructed_handover_takes_its_phases_and_tells_when_it_is_done() {
+fn an_instructed_handover_takes_its_phases_and_reports_its_end() {
     for (fast_transition, gap) in [(true, 30), (false, 70)] {
         let mut world = corridor(WirelessNetwork { fast_transition, ..network() }, Roaming::Instructed);
         world.radio.attach(at(100), &id("r"), &id("R2")).unwrap();
@@ -249,7 +249,7 @@ fn an_instructed_handover_takes_its_phases_and_tells_when_it_is_done() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_its_reason() {
+fn impossible_calls_are_rejected_with_a_reason() {
     let mut other = unit("X", 1.0, 1);
     let NodeKind::RadioUnit(spec) = &mut other.kind else { unreachable!() };
     spec.network = "other".into();
@@ -289,7 +289,7 @@ fn what_cannot_be_is_refused_with_its_reason() {
 }
 
 #[test]
-fn a_scan_shows_as_a_spike_and_brings_fresh_signals() {
+fn a_scan_delays_frames_and_updates_signals() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.radio.move_robot(at(40), &id("r"), Position::new(12.0, 0.0)).unwrap();
     let stale = world.radio.attachments(&id("r"))[1].signal;
@@ -304,7 +304,7 @@ fn a_scan_shows_as_a_spike_and_brings_fresh_signals() {
 }
 
 #[test]
-fn a_handover_asked_for_during_a_scan_follows_it() {
+fn a_handover_requested_during_a_scan_follows_it() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.radio.scan(at(0), &id("r")).unwrap();
     world.radio.attach(at(50), &id("r"), &id("R2")).unwrap();
@@ -317,10 +317,10 @@ fn a_handover_asked_for_during_a_scan_follows_it() {
 }
 
 #[test]
-fn hold_sends_afterwards_and_in_order_what_came_in_the_gap() {
+fn held_frames_follow_the_gap_in_order() {
     let mut world = corridor(network(), Roaming::Instructed);
     (0..3).for_each(|_| world.up(at(10), "r", 1000));
-    // One frame is on the air: it arrives. The others wait, and go with the station.
+    // One frame is on the air and arrives. The others wait, and move with the station.
     world.radio.attach(at(10), &id("r"), &id("R2")).unwrap();
     for i in 0..5 {
         world.up(at(12 + i), "r", 1000);
@@ -340,13 +340,13 @@ fn hold_sends_afterwards_and_in_order_what_came_in_the_gap() {
 }
 
 #[test]
-fn drop_loses_what_came_in_the_gap_and_what_waited() {
+fn the_drop_policy_loses_queued_frames_and_those_of_the_gap() {
     let mut world = corridor(WirelessNetwork { gap: GapPolicy::Drop, ..network() }, Roaming::Instructed);
     (0..3).for_each(|_| world.up(at(10), "r", 1000));
     world.radio.attach(at(10), &id("r"), &id("R2")).unwrap();
     world.up(at(20), "r", 1000);
     world.down(at(20), "R1", "r", 1000);
-    // The gap is over, but this radio unit is the former one.
+    // The gap is over, but R1 is the former radio unit.
     world.down(at(60), "R1", "r", 1000);
     world.down(at(60), "R2", "r", 1000);
     world.run(at(1000));
@@ -356,7 +356,7 @@ fn drop_loses_what_came_in_the_gap_and_what_waited() {
 }
 
 #[test]
-fn a_held_queue_is_bounded() {
+fn held_queues_are_bounded() {
     let mut world = corridor(network(), Roaming::Instructed);
     world.radio.scan(at(0), &id("r")).unwrap();
     (0..1500).for_each(|_| world.up(at(1), "r", 60));
@@ -365,7 +365,7 @@ fn a_held_queue_is_bounded() {
     assert_eq!((counters.packets, counters.overflowed), (1000, 500));
 }
 
-/// Walks at 1 m/s from one place to another, and tells what happened.
+/// Walks at 1 m/s from one place to another. Returns the events.
 fn walk(world: &mut World, from: f64, to: f64, start: Timestamp) -> Vec<Stamped> {
     let steps = ((to - from).abs() * 20.0) as u64;
     for i in 0..=steps {
@@ -389,7 +389,7 @@ fn handovers(events: &[Stamped]) -> Vec<(Timestamp, &str)> {
 }
 
 #[test]
-fn a_station_that_decides_by_signal_changes_once_and_where_the_hysteresis_says() {
+fn a_station_roams_once_where_the_hysteresis_is_exceeded() {
     let mut world = corridor(network(), Roaming::Signal);
     let events = walk(&mut world, 5.0, 28.0, at(0));
     let found = handovers(&events);
@@ -407,7 +407,7 @@ fn a_station_that_decides_by_signal_changes_once_and_where_the_hysteresis_says()
 }
 
 #[test]
-fn around_the_middle_nothing_is_played_back_and_forth() {
+fn a_station_between_two_radio_units_does_not_alternate() {
     let mut world = corridor(network(), Roaming::Signal);
     let mut count = 0;
     walk(&mut world, 5.0, 15.0, at(0));
@@ -420,7 +420,7 @@ fn around_the_middle_nothing_is_played_back_and_forth() {
 }
 
 #[test]
-fn shadowing_does_not_make_it_flutter() {
+fn shadowing_causes_few_handovers() {
     let shadowing = Shadowing { deviation_db: 4.0, correlation_m: 5.0 };
     for seed in 0..10 {
         let nodes = vec![robot("r", 5.0, Roaming::Signal), unit("R1", 0.0, 1), unit("R2", 30.0, 6)];
@@ -431,14 +431,14 @@ fn shadowing_does_not_make_it_flutter() {
 }
 
 #[test]
-fn a_lost_radio_unit_is_told_and_found_again() {
+fn a_lost_radio_unit_is_reported_and_joined_again() {
     for roaming in [Roaming::Instructed, Roaming::Signal] {
         let mut world = World::new(network(), vec![robot("r", 5.0, roaming), unit("R1", 0.0, 1)]);
         world.radio.move_robot(at(1000), &id("r"), Position::new(9000.0, 0.0)).unwrap();
         world.run(at(5000));
         let events = world.events();
         let lost = Event::Detached { robot: id("r"), from: id("R1") };
-        // Seven beacons after it was last heard.
+        // Seven beacons after the last one received.
         assert_eq!(events[0], Stamped { at: Timestamp::from_nanos(16 * 102_400_000), event: lost });
         assert!(events[1..].iter().all(|s| matches!(s.event, Event::Scanned { .. })));
         assert_eq!(world.attached("r"), None);
@@ -457,7 +457,7 @@ fn a_lost_radio_unit_is_told_and_found_again() {
 }
 
 #[test]
-fn stations_on_one_channel_share_its_airtime_and_others_do_not() {
+fn only_stations_on_one_channel_share_its_airtime() {
     for (channel, share) in [(1, 4.0), (6, 8.0)] {
         let nodes = vec![
             robot("a", 1.0, Roaming::Instructed),
@@ -484,7 +484,7 @@ fn stations_on_one_channel_share_its_airtime_and_others_do_not() {
 }
 
 #[test]
-fn a_group_frame_reaches_all_but_its_source_and_takes_the_air_once() {
+fn a_group_frame_reaches_all_but_its_source_in_one_transmission() {
     let robots = ["a", "b", "c"].map(|name| robot(name, 5.0, Roaming::Instructed));
     let mut world = World::new(network(), [&robots[..], &[unit("R1", 0.0, 1)]].concat());
     world.radio.scan(at(0), &id("c")).unwrap();
@@ -503,7 +503,7 @@ fn a_group_frame_reaches_all_but_its_source_and_takes_the_air_once() {
 }
 
 #[test]
-fn emulation_scales_and_sets_a_wireless_link() {
+fn conditions_and_scales_apply_to_a_wireless_link() {
     let mut world = corridor(network(), Roaming::Instructed);
     let link = LinkId::wireless(&id("r"), &id("R1"));
     let change =
@@ -536,7 +536,7 @@ fn emulation_scales_and_sets_a_wireless_link() {
 }
 
 #[test]
-fn a_shorter_delay_brings_frames_under_way_forward_and_keeps_their_order() {
+fn a_shorter_delay_brings_frames_in_flight_forward_in_order() {
     let mut world = corridor(network(), Roaming::Instructed);
     let link = LinkId::wireless(&id("r"), &id("R1"));
     let delay = |ms| ConditionChange { delay_ms: Some(ms), ..ConditionChange::default() };
@@ -550,7 +550,7 @@ fn a_shorter_delay_brings_frames_under_way_forward_and_keeps_their_order() {
 }
 
 #[test]
-fn at_the_edge_frames_are_retried_and_beyond_it_lost() {
+fn weak_signals_cause_retries_and_weaker_ones_losses() {
     let network = WirelessNetwork { rate: None, ..network() };
     let mut world = World::new(network, vec![robot("r", 228.0, Roaming::Instructed), unit("R1", 0.0, 1)]);
     let send = |world: &mut World, start: u64, count: u64| {
@@ -565,7 +565,7 @@ fn at_the_edge_frames_are_retried_and_beyond_it_lost() {
     let late = world.arrived.iter().filter(|(due, _, _)| due.as_nanos() % 40_000_000 > 3_000_000).count();
     assert_eq!(world.arrived.len(), 1000);
     assert!((30..120).contains(&late), "{late}");
-    // Far beyond, all is lost until the station notices.
+    // Far beyond, every frame is lost until the station notices.
     world.radio.move_robot(at(50_000), &id("r"), Position::new(500.0, 0.0)).unwrap();
     send(&mut world, 50_000, 10);
     world.run(at(60_000));
@@ -573,7 +573,7 @@ fn at_the_edge_frames_are_retried_and_beyond_it_lost() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_run_and_another_another() {
+fn runs_depend_only_on_the_seed() {
     let run = |seed| {
         let shadowing = Shadowing { deviation_db: 6.0, correlation_m: 4.0 };
         let handover = HandoverTimes { variation: 0.3, ..network().handover };
@@ -627,7 +627,7 @@ fn frames_follow_the_robot_through_the_fabric() {
         let [to, from] = [to, from].map(|port| HostAddress::of(port.0).mac);
         Frame::new([&to[..], &from[..], &[8, 0], &[0; 100]].concat())
     };
-    // Pushes a frame, and tells when and where it came out.
+    // Pushes a frame. Returns when and where it came out.
     let cross = |fabric: &mut Fabric, now, from, to| {
         let mut delivered = None;
         let mut next = Some(now);
@@ -639,7 +639,7 @@ fn frames_follow_the_robot_through_the_fabric() {
     };
     assert_eq!(cross(&mut fabric, at(10), r, s), (at(13), s));
     assert_eq!(cross(&mut fabric, at(20), s, r), (at(23), r));
-    // In the gap of 30 ms: held at the robot, and at the radio unit that it leaves; then the other way round.
+    // In the gap of 30 ms, frames are held at the robot and at its former radio unit; then the other way round.
     fabric.attach(at(100), &id("r"), &id("R2")).unwrap();
     assert_eq!(cross(&mut fabric, at(110), r, s), (at(136), s));
     assert_eq!(cross(&mut fabric, at(210), s, r), (at(216), r));
@@ -648,7 +648,7 @@ fn frames_follow_the_robot_through_the_fabric() {
     assert_eq!(cross(&mut fabric, at(410), r, s), (at(413), s));
 }
 
-/// What can happen to a radio.
+/// A call to a radio.
 #[derive(Debug, Clone)]
 enum Operation {
     Up(usize, usize),
@@ -677,7 +677,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_happens_no_frame_is_made_up_or_forgotten(
+    fn no_frame_is_invented_or_forgotten(
         seed: u64,
         gap in prop_oneof![Just(GapPolicy::Hold), Just(GapPolicy::Drop)],
         deviation_db in 0.0..8.0f64,
@@ -708,7 +708,7 @@ proptest! {
                 Operation::Move(r, x) => {
                     world.radio.move_robot(now, &id(robots[r]), Position::new(x, 1.0)).unwrap();
                 }
-                // Either may be refused.
+                // Both may be rejected.
                 Operation::Scan(r) => drop(world.radio.scan(now, &id(robots[r]))),
                 Operation::Attach(r, u) => drop(world.radio.attach(now, &id(robots[r]), &id(units[u]))),
                 Operation::Change(r, u, delay, drop_scale, rate) => {
@@ -731,7 +731,7 @@ proptest! {
         let counters = world.counters(now);
         prop_assert_eq!(counters.packets, world.arrived.len() as u64);
         prop_assert_eq!(world.radio.in_flight.len(), 0);
-        // How many copies a group frame is depends on who is there when it is sent.
+        // The number of copies of a group frame depends on the stations when it is sent.
         if !groups {
             let ended = counters.packets + counters.lost + counters.overflowed + world.radio.medium.waiting();
             prop_assert_eq!(world.pushed + counters.duplicated, ended);
@@ -742,7 +742,7 @@ proptest! {
     }
 }
 
-/// One robot near A, whose domain is another than B's; B is off.
+/// One robot near A. A and B are of different domains, and B is off.
 fn domains(roaming: Roaming) -> World {
     let mut b = unit("B", 20.0, 6);
     b.domain = DomainId::new("other").unwrap();
@@ -756,8 +756,8 @@ fn access_point(mobility_domain: u16, key: Option<u8>) -> AccessPoint {
 }
 
 #[test]
-fn a_radio_unit_that_is_off_is_neither_heard_nor_attached_to() {
-    // By signal it would go over to B, which is nearer.
+fn radio_units_that_are_off_are_not_heard_or_joined() {
+    // By signal, it would roam to B, which is closer.
     let mut world = domains(Roaming::Signal);
     world.radio.scan(at(0), &id("r")).unwrap();
     world.run(at(2_000));
@@ -770,7 +770,7 @@ fn a_radio_unit_that_is_off_is_neither_heard_nor_attached_to() {
 }
 
 #[test]
-fn a_frame_of_a_robot_that_has_no_radio_unit_is_counted() {
+fn frames_without_a_radio_unit_are_counted() {
     let mut off = unit("A", 0.0, 1);
     let NodeKind::RadioUnit(kind) = &mut off.kind else { panic!("a radio unit") };
     kind.serving = false;
@@ -781,7 +781,7 @@ fn a_frame_of_a_robot_that_has_no_radio_unit_is_counted() {
 }
 
 #[test]
-fn a_vap_is_deployed_once_and_for_the_network_that_its_radio_unit_is_made_for() {
+fn a_vap_is_deployed_once_and_for_its_radio_units_network() {
     let mut world = domains(Roaming::Instructed);
     let other = AccessPoint { ssid: "other".into(), ..access_point(1, None) };
     let refused = world.radio.switch_on(at(0), &id("B"), other).unwrap_err();
@@ -792,7 +792,7 @@ fn a_vap_is_deployed_once_and_for_the_network_that_its_radio_unit_is_made_for() 
 }
 
 #[test]
-fn a_robot_of_another_domain_attaches_with_the_very_key_and_no_other() {
+fn a_robot_of_another_domain_needs_the_right_key() {
     let mut world = domains(Roaming::Instructed);
     world.radio.switch_on(at(0), &id("B"), access_point(1, Some(7))).unwrap();
     let other_ssid = AccessPoint { ssid: "labs".into(), ..access_point(1, Some(7)) };
@@ -821,7 +821,7 @@ fn a_robot_of_another_domain_attaches_with_the_very_key_and_no_other() {
 }
 
 #[test]
-fn without_a_key_a_robot_that_lost_its_radio_unit_joins_no_other_domain() {
+fn a_robot_without_a_key_joins_no_other_domain() {
     let mut world = domains(Roaming::Instructed);
     world.radio.switch_on(at(0), &id("B"), access_point(1, None)).unwrap();
     world.radio.switch_off(at(0), &id("A")).unwrap();
@@ -831,7 +831,7 @@ fn without_a_key_a_robot_that_lost_its_radio_unit_joins_no_other_domain() {
 }
 
 #[test]
-fn between_mobility_domains_there_is_no_fast_transition() {
+fn there_is_no_fast_transition_between_mobility_domains() {
     let mut world = domains(Roaming::Instructed);
     world.radio.switch_on(at(0), &id("B"), access_point(2, Some(7))).unwrap();
     world.radio.provision(&id("r"), &id("B"), access_point(2, Some(7))).unwrap();
@@ -841,7 +841,7 @@ fn between_mobility_domains_there_is_no_fast_transition() {
 }
 
 #[test]
-fn who_is_with_a_vap_that_is_taken_down_loses_it_also_on_the_way_there() {
+fn a_removed_vap_is_lost_also_during_a_handover_to_it() {
     for off_at in [10, 200] {
         let mut world = domains(Roaming::Instructed);
         world.radio.switch_on(at(0), &id("B"), access_point(1, Some(7))).unwrap();

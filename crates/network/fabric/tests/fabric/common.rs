@@ -1,4 +1,4 @@
-//! Small networks, and hosts that send numbered frames over them.
+//! Builds small networks, and numbered frames to send over them.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -9,11 +9,11 @@ use cotorra_graph::{
     Shadowing, Tier, Timestamp, WifiStandard, WirelessNetwork,
 };
 
-/// A network in the making.
+/// A builder of networks.
 pub struct Network(HardwareGraph);
 
 impl Network {
-    /// No nodes, and a wireless network `air` without chance: 1 ms, and no more than the standard says.
+    /// No nodes, and a wireless network `air` without randomness: 1 ms of delay, and the standard's rate.
     pub fn new() -> Self {
         let air = WirelessNetwork {
             standard: WifiStandard::N,
@@ -52,7 +52,7 @@ impl Network {
         self.node(name, 0.0, NodeKind::Server(server))
     }
 
-    /// A radio unit, so many metres to the east.
+    /// Adds a radio unit, `x` metres to the east.
     pub fn radio_unit(self, name: &str, x: f64) -> Self {
         let unit = RadioUnit {
             capacity: CAPACITY,
@@ -65,7 +65,7 @@ impl Network {
         self.node(name, x, NodeKind::RadioUnit(unit))
     }
 
-    /// A robot, so many metres to the east, that waits for instructions.
+    /// Adds a robot, `x` metres to the east, that roams by instruction only.
     pub fn robot(self, name: &str, x: f64) -> Self {
         let robot = Robot {
             capacity: CAPACITY,
@@ -88,7 +88,7 @@ impl Network {
         names.iter().fold(self, |network, name| network.node(name, 0.0, NodeKind::Switch))
     }
 
-    /// A link `<a>-<b>` over a medium of 100 Gbit/s, the same both ways.
+    /// Adds a link `<a>-<b>` over a medium of 100 Gbit/s, with the same conditions in both directions.
     pub fn link(mut self, a: &str, b: &str, conditions: Conditions) -> Self {
         self.0.links.push(Link {
             id: format!("{a}-{b}").parse().unwrap(),
@@ -152,7 +152,7 @@ pub fn number(frame: &Frame) -> u32 {
     u32::from_be_bytes(frame.bytes()[14..18].try_into().unwrap())
 }
 
-/// What came out: when, where and what.
+/// A delivered frame: when, where and what.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Delivery {
     pub at: Timestamp,

@@ -1,4 +1,4 @@
-//! Frames take the shortest way to where they belong, and what is for all reaches everyone once.
+//! Unicast frames take the shortest path, and group frames reach every host once.
 
 use crate::common::{A, B, Network, delay, frame, frame_to, ms, number, pair, run};
 use cotorra_fabric::PortId;
@@ -31,7 +31,7 @@ fn a_frame_crosses_a_clear_path_at_once() {
 }
 
 #[test]
-fn a_late_poll_delays_the_delivery_alone() {
+fn a_late_poll_delays_only_the_delivery() {
     let network = Network::new().servers(&["a", "b"]).switches(&["s"]);
     let mut fabric = network.link("a", "s", delay(5)).link("s", "b", delay(5)).fabric(1);
     fabric.push(Timestamp::ZERO, A, frame(A, B, 1, 60));
@@ -44,7 +44,7 @@ fn a_late_poll_delays_the_delivery_alone() {
     assert_eq!((first.frames, first.max_us), (1, 2500.0));
 }
 
-/// A ring of four switches, a host at each, and a server that hangs between two of them without forwarding.
+/// A ring of four switches with a host at each, and a server connected to two of them, which does not forward.
 fn ring() -> Network {
     let network = Network::new().servers(&["a", "b", "c", "d", "e"]).switches(&["s1", "s2", "s3", "s4"]);
     network
@@ -61,7 +61,7 @@ fn ring() -> Network {
 }
 
 #[test]
-fn what_is_for_all_reaches_every_other_host_once_and_stops() {
+fn broadcast_reaches_every_other_host_once() {
     let multicast = [0x33, 0x33, 0, 0, 0, 1];
     let unknown = [0x02, 0x42, 0, 0, 0, 9];
     for destination in [BROADCAST, multicast, unknown] {
@@ -79,24 +79,24 @@ fn what_is_for_all_reaches_every_other_host_once_and_stops() {
 }
 
 #[test]
-fn unicast_goes_the_fastest_way_round_servers_and_nowhere_else() {
+fn unicast_takes_the_fastest_path_around_servers() {
     let mut fabric = ring().fabric(1);
     let (a, c) = (PortId(0), PortId(2));
     fabric.push(Timestamp::ZERO, a, frame(a, c, 1, 60));
     let out = run(&mut fabric, Timestamp::ZERO, Timestamp::MAX);
-    // Past `e` it would be 2 ms, but servers do not forward.
+    // The path over `e` would take 2 ms, but servers do not forward.
     assert_eq!(out.iter().map(|d| (d.at, d.port)).collect::<Vec<_>>(), [(ms(5.0), c)]);
     let route = fabric.route(&"a".parse().unwrap(), &"c".parse().unwrap()).unwrap();
     assert_eq!(route, ["a-s1", "s4-s1", "s3-s4", "c-s3"]);
 }
 
 #[test]
-fn a_changed_delay_changes_the_way_of_frames_that_come_after() {
+fn a_changed_delay_reroutes_later_frames() {
     let mut fabric = ring().fabric(1);
     let (a, c) = (PortId(0), PortId(2));
     fabric.push(Timestamp::ZERO, a, frame(a, c, 1, 60));
     let slow = ConditionChange { delay_ms: Some(50.0), ..ConditionChange::default() };
-    // The first frame is on its way from s1 to s4 by then, and goes on from there.
+    // By then, the first frame is on its way from s1 to s4 and continues from there.
     fabric.change(ms(1.5), &"s4-s1".parse().unwrap(), None, &slow).unwrap();
     fabric.push(ms(2.0), a, frame(a, c, 2, 60));
     let out = run(&mut fabric, ms(2.0), Timestamp::MAX);
@@ -109,7 +109,7 @@ fn a_changed_delay_changes_the_way_of_frames_that_come_after() {
 }
 
 #[test]
-fn equal_delays_are_told_apart_by_hops_then_by_order() {
+fn hops_then_order_decide_between_equal_delays() {
     let network = Network::new().servers(&["a", "b"]).switches(&["s", "t", "u", "v"]);
     let fabric = network
         .link("a", "s", clear())
@@ -125,7 +125,7 @@ fn equal_delays_are_told_apart_by_hops_then_by_order() {
 }
 
 #[test]
-fn an_address_is_learnt_from_its_first_frame_and_follows_its_host() {
+fn addresses_are_learnt_from_frames_and_follow_their_host() {
     let mut fabric = ring().fabric(1);
     let container = [0x02, 0x42, 0xac, 0x11, 0, 2];
     let (a, c, d) = (PortId(0), PortId(2), PortId(3));
@@ -145,7 +145,7 @@ fn an_address_is_learnt_from_its_first_frame_and_follows_its_host() {
 }
 
 #[test]
-fn no_host_takes_another_ones_address() {
+fn no_host_takes_another_hosts_address() {
     let mut fabric = ring().fabric(1);
     let (a, c, d) = (PortId(0), PortId(2), PortId(3));
     // d claims to be c.
@@ -157,7 +157,7 @@ fn no_host_takes_another_ones_address() {
 }
 
 #[test]
-fn frames_to_oneself_and_without_a_header_are_dropped_and_counted() {
+fn frames_to_their_sender_or_without_a_header_are_dropped_and_counted() {
     let mut fabric = pair(clear(), 1);
     fabric.push(ms(0.0), A, frame(A, A, 1, 60));
     fabric.push(ms(0.0), A, cotorra_fabric::Frame::new(vec![0xff; 13]));

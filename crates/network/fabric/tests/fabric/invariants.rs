@@ -1,4 +1,4 @@
-//! What holds whatever is pushed, changed and polled, and whenever.
+//! Invariants under random pushes, changes and polls.
 
 use cotorra_fabric::{Fabric, Frame};
 use cotorra_graph::{
@@ -88,7 +88,7 @@ fn chain(seed: u64) -> Fabric {
     network.link("a", "s", delay(1)).link("s", "b", Conditions::default()).fabric(seed)
 }
 
-/// Drives a fabric; gives what was pushed, what came out, and when it ended.
+/// Drives a fabric. Returns the number of pushed frames, the deliveries, and the time of the end.
 fn drive(fabric: &mut Fabric, steps: &[Step]) -> (u32, Vec<Delivery>, Timestamp) {
     let (mut pushed, mut out, mut now) = (0, Vec::new(), Timestamp::ZERO);
     for step in steps {
@@ -105,7 +105,7 @@ fn drive(fabric: &mut Fabric, steps: &[Step]) -> (u32, Vec<Delivery>, Timestamp)
             }
             Step::Wait { nanos } => {
                 now = now + std::time::Duration::from_nanos(*nanos);
-                // As late as a real loop may be: whatever was due in between comes out now.
+                // Polls late, as a real loop may: everything due in between comes out now.
                 fabric.poll(now, &mut |port, frame| out.push(Delivery { at: now, port, frame }));
             }
         }
@@ -125,7 +125,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
-    fn nothing_is_lost_but_what_is_counted(steps in steps(true), seed in any::<u64>()) {
+    fn all_losses_are_counted(steps in steps(true), seed in any::<u64>()) {
         let mut fabric = chain(seed);
         let (pushed, mut out, now) = drive(&mut fabric, &steps);
         fabric.poll(now, &mut |port, frame| out.push(Delivery { at: now, port, frame }));
@@ -142,7 +142,7 @@ proptest! {
     }
 
     #[test]
-    fn order_is_kept_unless_reordering_was_asked_for(steps in steps(false), seed in any::<u64>()) {
+    fn order_is_kept_without_reordering(steps in steps(false), seed in any::<u64>()) {
         let steps: Vec<_> = steps.into_iter().map(uncorrupted).collect();
         let mut fabric = chain(seed);
         let (_, mut out, now) = drive(&mut fabric, &steps);
@@ -163,7 +163,7 @@ proptest! {
     }
 
     #[test]
-    fn when_it_is_polled_changes_nothing_inside(steps in steps(true), seed in any::<u64>()) {
+    fn the_times_of_polls_change_nothing_inside(steps in steps(true), seed in any::<u64>()) {
         let (mut seldom, mut often) = (chain(seed), chain(seed));
         let (_, mut a, now) = drive(&mut seldom, &steps);
         let in_smaller_steps: Vec<_> = steps.iter().flat_map(|step| match step {
@@ -178,7 +178,7 @@ proptest! {
     }
 }
 
-/// Corruption might hit the number that tells the order.
+/// Removes corruption, which might change a frame's number.
 fn uncorrupted(step: Step) -> Step {
     match step {
         Step::Change { link, direction, change } => {
@@ -189,7 +189,7 @@ fn uncorrupted(step: Step) -> Step {
 }
 
 #[test]
-fn another_seed_gives_other_losses() {
+fn losses_depend_on_the_seed() {
     let lost = |seed| {
         let loss = Loss::Independent { rate: Probability::new(0.5).unwrap() };
         let mut fabric = crate::common::pair(Conditions { loss, ..Conditions::default() }, seed);

@@ -1,4 +1,4 @@
-//! What a link does to packets, and how that changes in place.
+//! Conditions of wired links, and their changes in place.
 
 use std::{sync::Arc, time::Duration};
 
@@ -28,7 +28,7 @@ fn slow() -> Conditions {
 }
 
 #[test]
-fn frames_are_serialised_one_after_the_other() {
+fn frames_are_sent_one_after_the_other() {
     let mut fabric = pair(Conditions { delay: Duration::from_millis(5), ..slow() }, 1);
     (0..3).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
     let out = run(&mut fabric, ms(0.0), ms(100.0));
@@ -58,14 +58,14 @@ fn a_full_queue_drops_at_its_tail() {
         (0..10).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
         let out = run(&mut fabric, ms(0.0), ms(100.0));
         let numbers: Vec<_> = out.iter().map(|d| number(&d.frame)).collect();
-        // The one in transmission does not count.
+        // The frame in transmission does not count.
         assert_eq!(numbers, (0..kept).collect::<Vec<_>>());
         assert_eq!(context(&mut fabric, ms(100.0), "a-b").counters.overflowed, u64::from(10 - kept));
     }
 }
 
 #[test]
-fn a_trace_sets_the_pace() {
+fn frames_follow_a_traces_opportunities() {
     let trace = Arc::new(Trace::parse("2\n2\n10").unwrap());
     let mut fabric = pair(Conditions { rate: Rate::Trace { trace }, ..delay(1) }, 1);
     (0..4).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1500)));
@@ -74,7 +74,7 @@ fn a_trace_sets_the_pace() {
 }
 
 #[test]
-fn a_million_packets_lose_their_share() {
+fn a_million_packets_lose_the_requested_share() {
     let conditions = Conditions { loss: Loss::Independent { rate: p(0.02) }, ..Conditions::default() };
     let mut fabric = pair(conditions, 11);
     let mut delivered = 0u32;
@@ -103,7 +103,7 @@ fn jitter_keeps_order_and_its_mean() {
         let jitter = Some(Jitter { deviation: Duration::from_millis(2), distribution });
         let mut fabric = pair(Conditions { jitter, ..delay(20) }, 5);
         let mut out = Vec::new();
-        // So far apart that order costs nothing.
+        // Packets so far apart that keeping order changes nothing.
         for i in 0..5000 {
             let now = ms(100.0 * f64::from(i));
             fabric.push(now, A, frame(A, B, i, 60));
@@ -112,7 +112,7 @@ fn jitter_keeps_order_and_its_mean() {
         let late = |d: &Delivery| d.at.as_secs_f64() * 1e3 - 100.0 * f64::from(number(&d.frame));
         let mean = out.iter().map(late).sum::<f64>() / 5000.0;
         assert!((mean - 20.0).abs() < 0.1, "{distribution:?}: {mean} ms");
-        // And so close that it is at stake.
+        // Packets so close that order matters.
         (0..5000).for_each(|i| fabric.push(ms(1e6 + 0.01 * f64::from(i)), A, frame(A, B, i, 60)));
         let out = run(&mut fabric, ms(1e6), Timestamp::MAX);
         assert!(out.is_sorted_by_key(|d| number(&d.frame)));
@@ -160,7 +160,7 @@ fn duplicates_arrive_twice_and_corrupted_packets_differ_by_a_bit() {
 }
 
 #[test]
-fn a_lower_delay_brings_forward_what_is_in_flight() {
+fn a_lower_delay_brings_packets_in_flight_forward() {
     let mut fabric = pair(delay(100), 1);
     [0.0, 30.0, 60.0].into_iter().zip(0..).for_each(|(at, i)| fabric.push(ms(at), A, frame(A, B, i, 60)));
     let lower = ConditionChange { delay_ms: Some(20.0), ..ConditionChange::default() };
@@ -171,7 +171,7 @@ fn a_lower_delay_brings_forward_what_is_in_flight() {
 }
 
 #[test]
-fn a_higher_delay_leaves_what_is_in_flight() {
+fn a_higher_delay_leaves_packets_in_flight() {
     let mut fabric = pair(delay(10), 1);
     fabric.push(ms(0.0), A, frame(A, B, 0, 60));
     let higher = ConditionChange { delay_scale: Some(3.0), ..ConditionChange::default() };
@@ -183,7 +183,7 @@ fn a_higher_delay_leaves_what_is_in_flight() {
 }
 
 #[test]
-fn a_lower_delay_leaves_each_packet_its_own_jitter() {
+fn a_lower_delay_keeps_each_packets_jitter() {
     let jitter =
         Some(Jitter { deviation: Duration::from_millis(2), distribution: JitterDistribution::Uniform });
     let mut fabric = pair(Conditions { jitter, ..delay(50) }, 1);
@@ -198,13 +198,13 @@ fn a_lower_delay_leaves_each_packet_its_own_jitter() {
 }
 
 #[test]
-fn another_rate_goes_for_what_is_left_of_the_frame_being_sent() {
+fn a_new_rate_applies_to_the_rest_of_the_current_frame() {
     let trace = Rate::Trace { trace: Arc::new(Trace::parse("1").unwrap()) };
     for (to, first, second) in [
         (rate(16.0), 0.75, 1.25),
         (rate(4.0), 1.5, 3.5),
         (Rate::Unlimited, 0.5, 0.5),
-        // 500 bytes are left; the rest of the first opportunity and the second take the other frame.
+        // 500 bytes are left. The rest of the first opportunity and the second carry the other frame.
         (trace, 1.5, 1.5),
     ] {
         let mut fabric = pair(slow(), 1);
@@ -217,7 +217,7 @@ fn another_rate_goes_for_what_is_left_of_the_frame_being_sent() {
 }
 
 #[test]
-fn a_shorter_queue_keeps_what_it_holds() {
+fn a_shorter_queue_keeps_its_packets() {
     let mut fabric = pair(slow(), 1);
     (0..10).for_each(|i| fabric.push(ms(0.0), A, frame(A, B, i, 1000)));
     let shorter = ConditionChange { queue: Some(QueueLimit::Packets(2)), ..ConditionChange::default() };
@@ -228,12 +228,12 @@ fn a_shorter_queue_keeps_what_it_holds() {
 }
 
 #[test]
-fn a_refused_change_changes_neither_direction() {
+fn a_rejected_change_changes_neither_direction() {
     let mut fabric = pair(delay(1), 1);
     let halve = ConditionChange { drop_scale: Some(2.0), ..ConditionChange::default() };
     fabric.change(ms(0.0), &link(), Some(Direction::Forward), &halve).unwrap();
     let before = fabric.link_contexts(ms(0.0));
-    // Forward it would be 50 Gbit/s over 2, backward 200 Gbit/s.
+    // Forward: 50 Gbit/s over 2; backward: 200 Gbit/s.
     let faster =
         ConditionChange { rate: Some(rate(200_000.0)), delay_ms: Some(9.0), ..ConditionChange::default() };
     let refusal = fabric.change(ms(0.0), &link(), None, &faster).unwrap_err();
@@ -244,7 +244,7 @@ fn a_refused_change_changes_neither_direction() {
 }
 
 #[test]
-fn contexts_tell_what_was_asked_what_is_done_and_what_came_of_it() {
+fn contexts_report_requested_and_effective_conditions_and_measurements() {
     let mut fabric = pair(Conditions { rate: rate(100.0), ..delay(10) }, 1);
     let change =
         ConditionChange { delay_scale: Some(2.0), drop_scale: Some(4.0), ..ConditionChange::default() };
@@ -270,7 +270,7 @@ fn contexts_tell_what_was_asked_what_is_done_and_what_came_of_it() {
 }
 
 #[test]
-fn a_link_begins_with_the_scales_of_its_file() {
+fn links_begin_with_the_scales_of_the_graph() {
     let mut graph = Network::new().servers(&["a", "b"]).link("a", "b", delay(10)).graph();
     graph.links[0].scales[0] = Scale { delay_scale: 3.0, drop_scale: 1.0 };
     let mut fabric = cotorra_fabric::Fabric::new(&graph, 1).unwrap();
@@ -280,7 +280,7 @@ fn a_link_begins_with_the_scales_of_its_file() {
 }
 
 #[test]
-fn conditions_that_cannot_be_make_no_fabric() {
+fn impossible_conditions_are_rejected() {
     let loss = Loss::Bursty { rate: p(0.9), mean_burst: 2.0 };
     let graph = Network::new().servers(&["a", "b"]).link("a", "b", Conditions { loss, ..delay(1) }).graph();
     let error = cotorra_fabric::Fabric::new(&graph, 1).unwrap_err();

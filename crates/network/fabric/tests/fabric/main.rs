@@ -1,4 +1,4 @@
-//! What the fabric promises to those who drive it, in virtual time.
+//! Tests of the fabric's interface, in virtual time.
 #![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 mod common;

@@ -1,5 +1,5 @@
-//! What senders left undone: super-packets come apart into what a network card would have sent, checksums are right
-//! where someone needs them, and headers that lie harm nobody.
+//! Offloads: super-packets are cut as a network card would cut them, checksums are completed where needed, and false
+//! headers do no harm.
 
 use cotorra_fabric::{Checksum, Frame, Malformed, Offload, Segmentation, SegmentationKind};
 use cotorra_graph::{Conditions, Loss, Probability, QueueLimit, Rate, Timestamp};
@@ -13,7 +13,7 @@ const PSH: u8 = 0x08;
 const ACK: u8 = 0x10;
 const CWR: u8 = 0x80;
 
-/// RFC 1071 by the letter.
+/// The checksum by the text of RFC 1071, independent of the one under test.
 fn ones_complement(bytes: &[u8], begin: u32) -> u16 {
     let mut sum = begin;
     for pair in bytes.chunks(2) {
@@ -58,7 +58,7 @@ fn pseudo6(protocol: u8, length: usize) -> u16 {
     ones_complement(&addresses, u32::from(protocol) + length as u32)
 }
 
-/// A TCP header with a time stamp option, and its payload; the checksum's field as it is given.
+/// A TCP header with a time stamp option and a given checksum, and its payload.
 fn tcp(sequence: u32, flags: u8, checksum: u16, payload: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0x1f, 0x90, 0xc3, 0x50];
     bytes.extend(sequence.to_be_bytes());
@@ -77,7 +77,7 @@ fn udp(checksum: u16, payload: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// One packet of the flow, with its checksum done, or with the sum of the pseudo header in its place.
+/// A packet of a flow, with its checksum (`done`) or the sum of the pseudo header in its place.
 fn packet(
     kind: SegmentationKind,
     v6: bool,
@@ -104,7 +104,7 @@ fn offload(kind: SegmentationKind, v6: bool, size: u16) -> Offload {
     let offset = if kind == SegmentationKind::Udp { 6 } else { 16 };
     Offload {
         checksum: Some(Checksum { start, offset }),
-        // What a kernel gives is a hint, and often more than the headers.
+        // A kernel's value is a hint, and often more than the headers.
         segmentation: Some(Segmentation { kind, size, header_len: 200 }),
     }
 }
@@ -128,7 +128,7 @@ fn super_packet(kind: SegmentationKind, v6: bool, length: usize) -> Frame {
     Frame::with_offload(bytes, offload(kind, v6, 1000))
 }
 
-/// The packets that a network card would have sent.
+/// The packets that a network card would send.
 fn on_the_wire(kind: SegmentationKind, v6: bool, length: usize, done: bool) -> Vec<Vec<u8>> {
     let payload = payload(length);
     let parts: Vec<_> = payload.chunks(1000).collect();
@@ -144,7 +144,7 @@ fn on_the_wire(kind: SegmentationKind, v6: bool, length: usize, done: bool) -> V
 }
 
 #[test]
-fn super_packets_come_apart_into_what_a_card_would_have_sent() {
+fn super_packets_are_cut_as_a_network_card_would() {
     for (kind, v6) in FLOWS {
         for length in [1001, 3000, 2999, 9001] {
             let mut packets = Vec::new();
@@ -160,7 +160,7 @@ fn super_packets_come_apart_into_what_a_card_would_have_sent() {
 }
 
 #[test]
-fn a_super_packet_whose_checksum_was_done_gives_packets_whose_is() {
+fn packets_of_a_super_packet_with_a_checksum_have_one() {
     for (kind, v6) in FLOWS {
         let whole = super_packet(kind, v6, 2500);
         let offload = Offload { checksum: None, ..whole.offload() };
@@ -202,7 +202,7 @@ fn tags_and_extension_headers_are_copied() {
 }
 
 #[test]
-fn super_packets_go_whole_where_no_link_needs_packets() {
+fn super_packets_stay_whole_on_links_that_allow_it() {
     let network = Network::new().servers(&["a", "b"]).switches(&["s"]);
     let fast = Conditions { rate: rate(10_000.0), ..delay(1) };
     let mut fabric = network.link("a", "s", delay(1)).link("s", "b", fast).fabric(1);
@@ -214,12 +214,12 @@ fn super_packets_go_whole_where_no_link_needs_packets() {
     let counters = context(&mut fabric, ms(10.0), "s-b").counters;
     let wire = 60_000 + 60 * 66;
     assert_eq!((counters.packets, counters.bytes), (60, wire));
-    // The headers of all its packets take their time.
+    // The headers of all its packets count.
     assert_eq!(out[0].at, Timestamp::from_nanos(2_000_000 + wire * 8 / 10));
 }
 
 #[test]
-fn links_that_need_packets_get_packets() {
+fn super_packets_are_cut_for_links_that_need_packets() {
     let p = |p| Probability::new(p).unwrap();
     for conditions in [
         Conditions { rate: rate(100.0), ..delay(1) },
@@ -239,20 +239,20 @@ fn links_that_need_packets_get_packets() {
 }
 
 #[test]
-fn a_super_packet_takes_as_much_of_the_queue_as_its_packets() {
+fn a_super_packet_fills_the_queue_like_its_packets() {
     for (queue, kept) in [(QueueLimit::Packets(100), 160), (QueueLimit::Bytes(100 * 1066), 160)] {
         let mut fabric = pair(Conditions { rate: rate(1000.0), queue, ..Conditions::default() }, 1);
         (0..4).for_each(|_| fabric.push(ms(0.0), A, super_packet(SegmentationKind::Tcp4, false, 60_000)));
         let out = run(&mut fabric, ms(0.0), ms(100.0));
         let counters = context(&mut fabric, ms(100.0), "a-b").counters;
-        // One is sent, one waits, of the third as much as fits.
+        // The first is sent, the second waits, and the third is cut to what fits.
         assert_eq!((counters.packets, counters.overflowed), (kept, 240 - kept));
         assert_eq!(out.len(), 42);
     }
 }
 
 #[test]
-fn a_super_packet_that_waits_comes_apart_when_its_link_begins_to_lose() {
+fn a_waiting_super_packet_is_cut_when_its_link_becomes_lossy() {
     let mut fabric = pair(Conditions { rate: rate(1000.0), ..Conditions::default() }, 1);
     (0..3).for_each(|_| fabric.push(ms(0.0), A, super_packet(SegmentationKind::Tcp4, false, 60_000)));
     let change = cotorra_graph::ConditionChange {
@@ -269,7 +269,7 @@ fn a_super_packet_that_waits_comes_apart_when_its_link_begins_to_lose() {
 }
 
 #[test]
-fn a_checksum_stays_undone_unless_the_packet_is_corrupted() {
+fn only_corruption_completes_a_checksum() {
     let whole = packet(SegmentationKind::Udp, false, 0, 0, 0, &payload(300), false);
     let offload = Offload { segmentation: None, ..offload(SegmentationKind::Udp, false, 1) };
     let sent = Frame::with_offload(whole, offload);
@@ -290,7 +290,7 @@ fn a_checksum_stays_undone_unless_the_packet_is_corrupted() {
 
 #[test]
 fn a_udp_checksum_of_zero_is_sent_as_all_ones() {
-    // Chosen so that all sums up to ffff.
+    // Chosen so that the sum is ffff.
     let mut bytes = ethernet(0x0800);
     bytes.extend([0xff, 0xff, 0, 0]);
     let checksum = Some(Checksum { start: 14, offset: 2 });
@@ -300,7 +300,7 @@ fn a_udp_checksum_of_zero_is_sent_as_all_ones() {
 }
 
 #[test]
-fn headers_that_lie_are_dropped_and_counted() {
+fn frames_with_false_headers_are_dropped_and_counted() {
     let whole = super_packet(SegmentationKind::Tcp4, false, 3000);
     let with = |change: &dyn Fn(&mut Vec<u8>, &mut Offload)| {
         let (mut bytes, mut offload) = (whole.bytes().to_vec(), whole.offload());
@@ -353,7 +353,7 @@ fn any_offload() -> impl Strategy<Value = Offload> {
 
 proptest! {
     #[test]
-    fn nothing_that_a_sender_says_harms(
+    fn no_offload_of_a_sender_causes_a_panic(
         flow in 0usize..4,
         length in 0usize..2000,
         changes in prop::collection::vec((0usize..120, any::<u8>()), 0..6),

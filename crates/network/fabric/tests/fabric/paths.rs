@@ -1,12 +1,12 @@
-//! Frames that are pinned to a path keep to it, in that direction alone, and never get lost for it.
+//! Pinned frames follow their path, in that direction alone, and are never lost because of it.
 
 use cotorra_fabric::{Fabric, PortId};
 use cotorra_graph::{ConditionChange, Conditions, Direction, LinkId, Loss, NodeId, Probability, Timestamp};
 
 use crate::common::{A, B, Network, context, delay, frame, ms, number, rate, run};
 
-/// From the server a past s or t to the server b, the former faster; a server c hangs beside s, a robot p at the radio
-/// unit R1 behind both, and R2 behind s.
+/// Two paths from the server a to the server b: over s, which is faster, and over t. The server c and the radio unit R2 are
+/// connected to s, the radio unit R1 with the robot p to both.
 fn square() -> Fabric {
     let network = Network::new().servers(&["a", "b", "c"]).switches(&["s", "t"]);
     let network = network.radio_unit("R1", 0.0).radio_unit("R2", 100.0).robot("p", 2.0);
@@ -38,7 +38,7 @@ fn pin(fabric: &mut Fabric, from: &str, to: &str, links: &[&str]) {
 }
 
 #[test]
-fn frames_follow_their_path_in_its_direction_alone() {
+fn pinned_frames_follow_their_path_in_one_direction() {
     let mut fabric = square();
     pin(&mut fabric, "a", "b", &["a-t", "t-b"]);
     for (from, to) in [(A, B), (B, A)] {
@@ -63,7 +63,7 @@ fn frames_follow_their_path_in_its_direction_alone() {
 }
 
 #[test]
-fn frames_under_way_stay_on_the_path_that_they_set_out_on() {
+fn frames_in_flight_stay_on_their_path() {
     let mut fabric = square();
     pin(&mut fabric, "a", "b", &["a-t", "t-b"]);
     fabric.push(ms(0.0), A, frame(A, B, 1, 60));
@@ -74,7 +74,7 @@ fn frames_under_way_stay_on_the_path_that_they_set_out_on() {
 }
 
 #[test]
-fn a_path_to_a_robot_holds_where_it_is_attached_and_no_frame_runs_in_circles() {
+fn a_path_to_a_robot_follows_its_attachment_without_loops() {
     let mut fabric = square();
     pin(&mut fabric, "a", "p", &["a-s", "s-R1", "p~R1"]);
     let (p, a) = (node("p"), node("a"));
@@ -87,7 +87,7 @@ fn a_path_to_a_robot_holds_where_it_is_attached_and_no_frame_runs_in_circles() {
         fabric.push(now, A, frame(A, P, i, 60));
         out.extend(run(&mut fabric, now, now + std::time::Duration::from_nanos(999_999)));
     }
-    // Some were on their path to R1 when the robot was with R2: they turn back over the link that they came by.
+    // Frames on their path to R1 turn back over their last link when the robot is attached to R2.
     out.extend(run(&mut fabric, ms(100.0), ms(1000.0)));
     let mut numbers: Vec<_> = out.iter().map(|d| number(&d.frame)).collect();
     numbers.sort_unstable();
@@ -100,7 +100,7 @@ fn a_path_to_a_robot_holds_where_it_is_attached_and_no_frame_runs_in_circles() {
 }
 
 #[test]
-fn what_is_no_path_is_refused_with_its_reason() {
+fn impossible_paths_are_rejected_with_a_reason() {
     let mut fabric = square();
     let refused = |from: &str, to: &str, links: &[&str]| {
         fabric.check_path(&node(from), &node(to), &names(links)).unwrap_err().to_string()
@@ -118,7 +118,7 @@ fn what_is_no_path_is_refused_with_its_reason() {
     assert_eq!(refused("a", "b", &["a-s"]), "the path ends at `s`, not at `b`");
     assert_eq!(refused("a", "s", &["a-s"]), "`s` is no host of the emulated network");
     assert_eq!(refused("a", "x", &["a-s"]), "`x` is no host of the emulated network");
-    // The robot need not be attached there.
+    // The robot need not be attached to the path's radio unit.
     let hops = fabric.check_path(&node("p"), &node("b"), &names(&["p~R2", "s-R2", "s-b"])).unwrap();
     let directions: Vec<_> = hops.iter().map(|(_, direction)| *direction).collect();
     assert_eq!(directions, [Direction::Forward, Direction::Backward, Direction::Forward]);
@@ -129,7 +129,7 @@ fn what_is_no_path_is_refused_with_its_reason() {
 }
 
 #[test]
-fn a_link_tells_what_it_carries() {
+fn links_report_what_they_can_carry() {
     let mut fabric = square();
     let carries = |fabric: &Fabric, link: &str| {
         let carries = fabric.carries(&link.parse().unwrap(), Direction::Forward)?;
@@ -150,7 +150,7 @@ fn a_link_tells_what_it_carries() {
 }
 
 #[test]
-fn a_round_trip_adds_up_the_delays_of_both_ways_as_they_are_now() {
+fn a_round_trip_sums_the_present_delays_of_both_directions() {
     let mut fabric = square();
     let trip = |fabric: &Fabric, to: &str| {
         let trip = fabric.round_trip(&node("a"), &node(to));

@@ -1,4 +1,4 @@
-//! Robots on the fabric: over the air, round the radio units, to whoever is attached where.
+//! Robots on the fabric: frames over the air and between radio units.
 
 use cotorra_fabric::{Checksum, Frame, GraphError, Offload, PortId, Segmentation, SegmentationKind};
 use cotorra_graph::{Conditions, Direction, Event, HostAddress, Timestamp};
@@ -45,7 +45,7 @@ fn robots_reach_servers_and_each_other() {
 }
 
 #[test]
-fn what_is_for_all_reaches_robots_too_and_each_once() {
+fn broadcast_reaches_each_robot_once() {
     for sender in (0..6).map(PortId) {
         let mut fabric = floor().fabric(1);
         fabric.push(ms(0.0), sender, frame_to([0xff; 6], sender, 1, 60));
@@ -76,7 +76,7 @@ fn frames_follow_a_robot_to_its_next_radio_unit() {
     assert!(matches!(fabric.next_event().unwrap().event, Event::Handover(_)));
     assert_eq!(fabric.attached_to(&p), Some(&r2));
     assert_eq!(fabric.route(&b, &p).unwrap(), ["s-b", "R2-s", "p~R2"]);
-    // Held in the gap. Those that were on their way to R1 when it ended go on to R2, and so are overtaken.
+    // Frames are held in the gap. Those on their way to R1 at its end move on to R2 and are overtaken.
     let numbers: Vec<_> = out.iter().map(|d| number(&d.frame)).collect();
     let overtaken: Vec<_> = numbers.windows(2).filter(|pair| pair[1] < pair[0]).map(|pair| pair[1]).collect();
     assert_eq!(overtaken, [27, 28, 29]);
@@ -104,7 +104,7 @@ fn super_packets_are_cut_for_the_air() {
 }
 
 #[test]
-fn lateness_on_the_air_is_told_by_link() {
+fn lateness_on_the_air_is_reported_by_link() {
     let mut fabric = floor().fabric(1);
     let link = "p~R1".parse().unwrap();
     assert_eq!(fabric.link_lateness(&link, Direction::Backward), None);
@@ -119,14 +119,14 @@ fn lateness_on_the_air_is_told_by_link() {
 }
 
 #[test]
-fn a_robot_has_no_wire() {
+fn wired_robots_are_rejected() {
     let graph = floor().link("p", "s", delay(1)).graph();
     let error = cotorra_fabric::Fabric::new(&graph, 1).unwrap_err();
     assert!(matches!(error, GraphError::WiredRobot { .. }), "{error}");
 }
 
 #[test]
-fn who_has_no_radio_unit_is_not_reached() {
+fn robots_without_a_radio_unit_are_unreachable() {
     let mut fabric = Network::new().server("b").radio_unit("R1", 0.0).robot("p", 1e5).fabric(1);
     fabric.push(Timestamp::ZERO, PortId(0), frame(PortId(0), PortId(2), 1, 60));
     assert!(run(&mut fabric, Timestamp::ZERO, ms(100.0)).is_empty());
