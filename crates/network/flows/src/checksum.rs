@@ -1,8 +1,8 @@
-//! The Internet checksum (RFC 1071), fast enough to compute for every packet that a link corrupts.
+//! The Internet checksum (RFC 1071).
 
-/// The ones' complement sum of `bytes` as big-endian 16-bit words, odd bytes padded with zero, not yet folded.
+/// Returns the ones' complement sum of `bytes` as big-endian 16-bit words, with an odd byte padded with zero.
 pub fn sum(bytes: &[u8]) -> u64 {
-    // The sum does not depend on byte order but for a final swap (RFC 1071, 2.B), so that native words do.
+    // Byte order changes the sum only by a final swap (RFC 1071, 2.B), so that native words suffice.
     let (words, rest) = bytes.as_chunks::<4>();
     let mut total: u64 = words.iter().map(|w| u64::from(u32::from_ne_bytes(*w))).sum();
     let mut last = [0; 4];
@@ -20,7 +20,7 @@ pub fn fold(mut sum: u64) -> u16 {
     sum as u16
 }
 
-/// The checksum of a folded sum, as TCP and UDP send it: zero goes as all ones, since in UDP zero means none.
+/// Returns the checksum of a sum, as TCP and UDP send it: zero is sent as all ones, because zero means none in UDP.
 #[inline]
 pub fn complement(sum: u64) -> u16 {
     match !fold(sum) {

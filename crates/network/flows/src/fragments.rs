@@ -1,21 +1,21 @@
-//! Datagrams that came in several IP fragments.
+//! Reassembles datagrams from IP fragments, and keeps sets of ranges.
 
 use std::{collections::VecDeque, net::IpAddr, ops::Range, time::Duration};
 
 use crate::packet::{Fragment, Packet};
 
-/// Of so many datagrams fragments wait for others at most.
+/// Most datagrams with missing fragments.
 const MOST: usize = 64;
-/// So long fragments wait for others at most, as in their receiver.
+/// Longest wait for missing fragments, as in a receiver.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// The beginning of a datagram, all of which has come.
+/// The beginning of a complete datagram.
 #[derive(Debug)]
 pub(crate) struct Whole {
     pub source: IpAddr,
     pub destination: IpAddr,
     pub head: Vec<u8>,
-    /// When its first fragment came, with its mark.
+    /// Time and mark of its first fragment.
     pub began: (Duration, u64),
 }
 
@@ -23,15 +23,15 @@ pub(crate) struct Whole {
 struct Parts {
     key: (IpAddr, IpAddr, u8, u32),
     head: Vec<u8>,
-    came: Ranges,
+    received: Ranges,
     end: Option<usize>,
     began: (Duration, u64),
 }
 
-/// Puts datagrams together.
+/// Reassembles datagrams.
 #[derive(Debug)]
 pub(crate) struct Fragments {
-    /// So much of a datagram's beginning is kept.
+    /// Bytes kept of a datagram's beginning.
     keep: usize,
     parts: VecDeque<Parts>,
 }
@@ -41,7 +41,7 @@ impl Fragments {
         Self { keep, parts: VecDeque::new() }
     }
 
-    /// Takes a fragment; gives the datagram once it is whole.
+    /// Takes a fragment. Returns the datagram once it is complete.
     pub fn take(&mut self, now: (Duration, u64), packet: &Packet<'_>, fragment: Fragment) -> Option<Whole> {
         let Fragment { id, offset, more } = fragment;
         let key = (packet.source, packet.destination, packet.protocol, id);
@@ -50,8 +50,8 @@ impl Fragments {
             if self.parts.len() == MOST {
                 self.parts.pop_front();
             }
-            let (head, came) = Default::default();
-            self.parts.push_back(Parts { key, head, came, end: None, began: now });
+            let (head, received) = Default::default();
+            self.parts.push_back(Parts { key, head, received, end: None, began: now });
             self.parts.len() - 1
         });
         let parts = &mut self.parts[place];
@@ -62,8 +62,8 @@ impl Fragments {
         if !more {
             parts.end = Some(end);
         }
-        parts.came.add(offset as u64..end as u64);
-        if !parts.end.is_some_and(|end| parts.came.are(end as u64)) {
+        parts.received.add(offset as u64..end as u64);
+        if !parts.end.is_some_and(|end| parts.received.covers(end as u64)) {
             return None;
         }
         let Parts { head, began, .. } = self.parts.remove(place)?;
@@ -71,7 +71,7 @@ impl Fragments {
     }
 }
 
-/// What has come of something, in order.
+/// A set of numbers, as sorted ranges.
 #[derive(Debug, Default)]
 pub(crate) struct Ranges(Vec<Range<u64>>);
 
@@ -93,17 +93,17 @@ impl Ranges {
         self.0.get(place).is_some_and(|range| range.contains(&number))
     }
 
-    /// Whether all has come, up to this end.
-    pub fn are(&self, end: u64) -> bool {
+    /// Whether the set is exactly `0..end`.
+    pub fn covers(&self, end: u64) -> bool {
         self.0.first().is_some_and(|first| *first == (0..end))
     }
 
-    /// How many there are: at most 8192 of a datagram, whose offsets count in eights.
+    /// Returns the number of ranges: at most 8192 for a datagram, whose offsets count in eights.
     pub fn count(&self) -> usize {
         self.0.len()
     }
 
-    /// Takes what is between the first two as come.
+    /// Adds the numbers between the first two ranges.
     pub fn close_first_gap(&mut self) {
         if let [first, second, ..] = &mut self.0[..] {
             second.start = first.start;

@@ -1,4 +1,4 @@
-//! Requests and responses of HTTP/1 on one connection (RFC 9112).
+//! Parses requests and responses of HTTP/1 on one connection (RFC 9112).
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -10,22 +10,22 @@ use self::{
     head::{Head, NotHttp},
 };
 
-/// So many requests of a connection wait for their responses at most.
+/// Most requests of a connection that wait for their responses.
 const MOST: usize = 128;
 
-/// What comes next on the connection.
+/// The protocol of the connection's next bytes.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Told {
-    /// More of HTTP.
-    More,
-    /// Another protocol, as both ends agreed.
-    Another,
+pub(crate) enum Next {
+    /// HTTP.
+    Http,
+    /// Another protocol that both ends agreed on.
+    Other,
 }
 
 /// A request that waits for its response.
 #[derive(Debug)]
-struct Asked {
-    /// Its number on the connection, if it is measured.
+struct Pending {
+    /// Number on the connection, if it is measured.
     measured: Option<u64>,
     method: Method,
 }
@@ -37,34 +37,34 @@ enum Method {
     Other,
 }
 
-/// Where one direction is.
+/// The parser's position in one direction.
 #[derive(Debug)]
 enum Place {
-    /// In front of a message, or in its head.
+    /// Before a message, or in its head.
     Head(Head),
     Body(Body),
 }
 
-/// What both ends said so far.
+/// The state of both directions of a connection.
 #[derive(Debug)]
 pub(crate) struct Exchange {
     path: Option<String>,
     client: Place,
-    /// When the request's first byte entered, and its mark.
+    /// Time and mark of the request's first byte.
     began: Option<(Duration, u64)>,
     server: Place,
-    asked: VecDeque<Asked>,
-    /// Requests so far.
+    pending: VecDeque<Pending>,
+    /// Number of measured requests so far.
     count: u64,
 }
 
 impl Exchange {
     pub fn new(path: Option<String>) -> Self {
         let [client, server] = [Place::Head(Head::default()), Place::Head(Head::default())];
-        Self { path, client, began: None, server, asked: VecDeque::new(), count: 0 }
+        Self { path, client, began: None, server, pending: VecDeque::new(), count: 0 }
     }
 
-    /// The client says this next.
+    /// Takes the client's next bytes. Passes each measured request to `begin`.
     pub fn client(
         &mut self,
         now: (Duration, u64),
@@ -89,7 +89,7 @@ impl Exchange {
                     }
                     let (path, method, body) = request(head.bytes())?;
                     let entered = self.began.take().unwrap_or(now);
-                    if self.asked.len() == MOST {
+                    if self.pending.len() == MOST {
                         return Err(NotHttp);
                     }
                     let is_measured = self.path.as_ref().is_none_or(|wanted| *wanted == path);
@@ -98,7 +98,7 @@ impl Exchange {
                         begin(number, entered);
                         self.count += 1;
                     }
-                    self.asked.push_back(Asked { measured, method });
+                    self.pending.push_back(Pending { measured, method });
                     self.client = body.map_or_else(|| Place::Head(Head::default()), Place::Body);
                 }
             }
@@ -106,8 +106,8 @@ impl Exchange {
         Ok(())
     }
 
-    /// The server says this next. `answer` gets the requests whose responses end in it.
-    pub fn server(&mut self, mut bytes: &[u8], mut answer: impl FnMut(u64)) -> Result<Told, NotHttp> {
+    /// Takes the server's next bytes. Passes each measured request whose response ends in them to `answer`.
+    pub fn server(&mut self, mut bytes: &[u8], mut answer: impl FnMut(u64)) -> Result<Next, NotHttp> {
         while !bytes.is_empty() {
             match &mut self.server {
                 Place::Body(body) => {
@@ -119,16 +119,16 @@ impl Exchange {
                     if !head.take(&mut bytes)? {
                         continue;
                     }
-                    let asked = self.asked.front().ok_or(NotHttp)?;
-                    let (status, body) = response(head.bytes(), asked.method)?;
+                    let pending = self.pending.front().ok_or(NotHttp)?;
+                    let (status, body) = response(head.bytes(), pending.method)?;
                     let is_another =
-                        status == 101 || asked.method == Method::Connect && (200..300).contains(&status);
+                        status == 101 || pending.method == Method::Connect && (200..300).contains(&status);
                     match body {
                         _ if is_another => {
                             self.respond(&mut answer);
-                            return Ok(Told::Another);
+                            return Ok(Next::Other);
                         }
-                        // The response proper is still to come.
+                        // The final response is still to come.
                         _ if status < 200 => self.server = Place::Head(Head::default()),
                         None => self.respond(&mut answer),
                         Some(body) => self.server = Place::Body(body),
@@ -136,10 +136,10 @@ impl Exchange {
                 }
             }
         }
-        Ok(Told::More)
+        Ok(Next::Http)
     }
 
-    /// The server says nothing more; gives the request whose response this ends.
+    /// Ends the server's direction. Returns the measured request whose response ends with it.
     pub fn close(&mut self) -> Option<u64> {
         let ends = matches!(&self.server, Place::Body(Body::UntilClose));
         ends.then(|| self.end_response()).flatten()
@@ -153,17 +153,17 @@ impl Exchange {
 
     fn end_response(&mut self) -> Option<u64> {
         self.server = Place::Head(Head::default());
-        self.asked.pop_front()?.measured
+        self.pending.pop_front()?.measured
     }
 }
 
-/// The path, the method and the body of a request with this head.
+/// Returns path, method and body of a request with this head.
 fn request(head: &[u8]) -> Result<(String, Method, Option<Body>), NotHttp> {
     let mut headers = [httparse::EMPTY_HEADER; head::MOST_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     request.parse(head).ok().filter(httparse::Status::is_complete).ok_or(NotHttp)?;
     let target = request.path.ok_or(NotHttp)?;
-    // RFC 9112, 3.2.2: to a proxy a request names the whole URI.
+    // RFC 9112, 3.2.2: a request to a proxy has the absolute URI.
     let path = match target.split_once("://") {
         Some((_, rest)) if !target.starts_with('/') => rest.find('/').map_or("/", |slash| &rest[slash..]),
         _ => target,
@@ -174,12 +174,12 @@ fn request(head: &[u8]) -> Result<(String, Method, Option<Body>), NotHttp> {
         Some("CONNECT") => Method::Connect,
         _ => Method::Other,
     };
-    // RFC 9112, 6.3: a request that says nothing of its body has none.
+    // RFC 9112, 6.3: a request without a length has no body.
     let body = Body::of(request.headers)?.filter(|body| !matches!(body, Body::UntilClose));
     Ok((path, method, body))
 }
 
-/// The status and the body of a response with this head to such a request.
+/// Returns status and body of a response with this head to a request of this method.
 fn response(head: &[u8], to: Method) -> Result<(u16, Option<Body>), NotHttp> {
     let mut headers = [httparse::EMPTY_HEADER; head::MOST_HEADERS];
     let mut response = httparse::Response::new(&mut headers);

@@ -1,4 +1,4 @@
-//! One flow at one host's port.
+//! Measures one flow at one host's port.
 
 use std::time::Duration;
 
@@ -11,57 +11,57 @@ use crate::{
     udp::Udp,
 };
 
-/// Which flow.
+/// The flow to measure.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Protocol {
-    /// A datagram to this port, and the datagram that answers it.
+    /// Datagrams to a port, and the datagrams that answer them.
     Udp {
         /// The server's port.
         port: u16,
-        /// What tells requests of one socket apart.
+        /// Distinguishes requests of one socket.
         id: Option<Id>,
     },
-    /// What a client says on a connection to this port before the server says something, and the first byte of that.
+    /// Bursts of a client on a connection to a port, each up to the first byte of the server's answer.
     Tcp {
         /// The server's port.
         port: u16,
     },
-    /// An HTTP/1 request to this port, and the last byte of the response.
+    /// HTTP/1 requests to a port, each up to the last byte of the response.
     Http {
         /// The server's port.
         port: u16,
-        /// Only requests of this path, whatever their query.
+        /// Measures only requests of this path, with any query.
         path: Option<String>,
     },
-    /// A message of a topic of ROS 1 from the port, and one of another topic to it.
+    /// Messages of a ROS 1 topic from the port, and messages of another topic to it.
     Ros1 {
         /// The topic of requests.
         request: String,
         /// The topic of answers.
         answer: String,
-        /// What tells messages apart: bytes of both, behind their length.
+        /// Distinguishes messages: bytes of both, behind their length.
         id: Option<Id>,
     },
-    /// A call of a service of ROS 1.
+    /// Calls of a ROS 1 service.
     Ros1Service {
         /// The service.
         service: String,
     },
-    /// A message of a topic of ROS 2 from the port, and one of another topic to it.
+    /// Messages of a ROS 2 topic from the port, and messages of another topic to it.
     Ros2 {
         /// The topic of requests.
         request: String,
         /// The topic of answers.
         answer: String,
-        /// What tells messages apart: bytes of both, behind what says how they are serialized.
+        /// Distinguishes messages: bytes of both, behind the encapsulation header.
         id: Option<Id>,
     },
-    /// A call of a service of ROS 2.
+    /// Calls of a ROS 2 service.
     Ros2Service {
         /// The service.
         service: String,
     },
-    /// A goal of an action of ROS 2, and its result.
+    /// Goals of a ROS 2 action, up to their results.
     Ros2Action {
         /// The action.
         action: String,
@@ -80,7 +80,7 @@ enum Followed {
 pub struct Meter(Followed);
 
 impl Meter {
-    /// A meter that has seen nothing. A request without an answer after `timeout` is lost; an answer that comes then is none.
+    /// Creates a meter. A request without an answer within `timeout` is lost, and later answers are ignored.
     pub fn new(protocol: Protocol, timeout: Duration) -> Self {
         Self(match protocol {
             Protocol::Udp { port, id } => Followed::Udp(Udp::new(port, id, timeout)),
@@ -105,7 +105,7 @@ impl Meter {
         })
     }
 
-    /// A frame entered the network at the port. Samples of requests in it have the mark.
+    /// Records a frame that entered the network at the port. Samples of its requests carry `mark`.
     pub fn entered(&mut self, at: Duration, frame: &Frame<'_>, mark: u64) {
         match &mut self.0 {
             Followed::Udp(udp) => udp.entered(at, frame, mark),
@@ -114,7 +114,7 @@ impl Meter {
         }
     }
 
-    /// A frame was delivered at the port.
+    /// Records a frame that was delivered at the port.
     pub fn delivered(&mut self, at: Duration, frame: &Frame<'_>) {
         match &mut self.0 {
             Followed::Udp(udp) => udp.delivered(at, frame),
@@ -123,7 +123,7 @@ impl Meter {
         }
     }
 
-    /// Gives up requests that were not answered in time.
+    /// Expires requests without an answer in time.
     pub fn expire(&mut self, now: Duration) {
         match &mut self.0 {
             Followed::Udp(udp) => udp.requests.expire(now),
@@ -132,7 +132,7 @@ impl Meter {
         }
     }
 
-    /// When [`Meter::expire`] has something to do.
+    /// Returns when [`Meter::expire`] is due.
     pub fn deadline(&self) -> Option<Duration> {
         match &self.0 {
             Followed::Udp(udp) => udp.requests.deadline(),
@@ -141,7 +141,7 @@ impl Meter {
         }
     }
 
-    /// The next sample, in the order in which they came about.
+    /// Returns the next sample, in the order of their completion.
     pub fn poll(&mut self) -> Option<Sample> {
         match &mut self.0 {
             Followed::Udp(udp) => udp.requests.poll(),
@@ -150,7 +150,7 @@ impl Meter {
         }
     }
 
-    /// How much was seen so far.
+    /// Returns the counters.
     pub fn counts(&self) -> Counts {
         match &self.0 {
             Followed::Udp(udp) => udp.requests.counts,

@@ -1,4 +1,4 @@
-//! Takes IP packets out of Ethernet frames, and UDP and TCP out of these.
+//! Parses IP packets in Ethernet frames, and TCP segments in IP packets.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -9,14 +9,14 @@ use crate::{
     },
 };
 
-/// An Ethernet frame at the port.
+/// An Ethernet frame at a host's port.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
     /// The frame, destination address first.
     pub bytes: &'a [u8],
-    /// Whether the transport's checksum is left to whoever needs it.
+    /// Whether the sender left the transport's checksum to the network card.
     pub checksum_left: bool,
-    /// Of a super-packet: how many bytes of payload one of its packets has.
+    /// Payload bytes per packet of a super-packet; `None` for a single packet.
     pub segment: Option<u16>,
 }
 
@@ -26,24 +26,24 @@ pub(crate) struct Packet<'a> {
     pub source: IpAddr,
     pub destination: IpAddr,
     pub protocol: u8,
-    /// What follows the header and its extensions.
+    /// Bytes behind the header and its extensions.
     pub payload: &'a [u8],
     pub fragment: Option<Fragment>,
 }
 
-/// Which part of a packet this is.
+/// The place of a fragment in its packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Fragment {
     pub id: u32,
-    /// Where it begins.
+    /// Offset in the packet's payload, bytes.
     pub offset: usize,
-    /// Whether others come after it.
+    /// Whether more fragments follow.
     pub more: bool,
 }
 
 impl<'a> Packet<'a> {
-    /// The packet in a frame, behind up to two VLAN tags; `None` if there is none, or its receiver would drop it because a bit
-    /// of it is flipped.
+    /// Parses the packet in a frame, behind up to two VLAN tags. `None` if there is none, or if its receiver would drop it
+    /// because of a wrong checksum.
     pub fn of(frame: &Frame<'a>) -> Option<Self> {
         let (at, version) = find_ip(frame.bytes)?;
         let bytes = frame.bytes.get(at..)?;
@@ -107,7 +107,7 @@ impl<'a> Packet<'a> {
         })
     }
 
-    /// Whether the transport's checksum is right, left to others, or cannot be told.
+    /// Whether the transport's checksum is correct, left to the network card, or unknown.
     fn is_intact(&self, frame: &Frame<'_>) -> bool {
         if frame.checksum_left || self.fragment.is_some() {
             return true;
@@ -132,7 +132,7 @@ pub(crate) struct Segment<'a> {
     pub from: u16,
     pub to: u16,
     pub sequence: u32,
-    /// What its sender has of the other direction, if it says.
+    /// Acknowledgment number, if the segment has one.
     pub acknowledged: Option<u32>,
     pub syn: bool,
     pub fin: bool,

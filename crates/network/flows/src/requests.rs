@@ -1,51 +1,51 @@
-//! Requests under way, and what became of them.
+//! Pending requests and their samples.
 
 use std::{collections::VecDeque, time::Duration};
 
-/// Bytes of a request that its answer repeats at the same place.
+/// Bytes of a request that its answer repeats at the same offset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Id {
-    /// Where they begin in the datagram's payload.
+    /// Offset in the payload.
     pub offset: u8,
-    /// How many they are; [`Id::MOST`] at most.
+    /// Number of bytes, at most [`Id::MOST`].
     pub length: u8,
 }
 
 impl Id {
-    /// The most bytes that it can have.
+    /// Largest length.
     pub const MOST: u8 = 16;
-    /// The farthest place at which it can begin.
+    /// Largest offset.
     pub const FARTHEST: u8 = 200;
 }
 
-/// So many are under way at most; then the oldest is forgotten.
+/// Most pending requests. Beyond that, the oldest is forgotten.
 const MOST: usize = 1024;
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
     /// Number of the request, from 0.
     pub sequence: u32,
-    /// When its first byte entered the network, since the run began.
+    /// Time at which its first byte entered the network, since the run began.
     pub entered: Duration,
-    /// From then to its answer; `None` if none came in time.
+    /// Time from then to its answer; `None` without an answer in time.
     pub took: Option<Duration>,
-    /// What [`crate::Meter::entered`] was given with it.
+    /// Mark given to [`crate::Meter::entered`].
     pub mark: u64,
 }
 
-/// How much was seen, and how much of it is in no sample.
+/// Counters of requests, and of those without a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counts {
-    /// Requests that were seen.
+    /// All requests.
     pub requests: u64,
-    /// Requests beside others of the same socket, whose answers cannot be told apart.
+    /// Requests whose answers could belong to other requests of the same socket.
     pub unclear: u64,
-    /// Requests forgotten because too many were under way.
+    /// Requests forgotten because too many were pending.
     pub forgotten: u64,
-    /// Requests that the server refused.
+    /// Requests that the server rejected.
     pub refused: u64,
-    /// Connections, and writers of ROS 2, that were not followed any more: too many, too much out of order, or another
+    /// Connections, and writers of ROS 2, that were not followed to their end: too many, too much out of order, or another
     /// protocol.
     pub given_up: u64,
 }
@@ -59,7 +59,7 @@ struct Pending<K> {
     unclear: bool,
 }
 
-/// Requests under way, oldest first, by what tells their answers.
+/// Pending requests, oldest first. `K` identifies the answer.
 #[derive(Debug)]
 pub(crate) struct Requests<K> {
     timeout: Duration,
@@ -73,7 +73,7 @@ impl<K: PartialEq> Requests<K> {
         Self { timeout, pending: VecDeque::new(), samples: VecDeque::new(), counts: Counts::default() }
     }
 
-    /// A request entered the network.
+    /// Adds a request that entered the network.
     pub fn begin(&mut self, key: K, entered: Duration, mark: u64) {
         if self.pending.len() == MOST {
             self.pending.pop_front();
@@ -81,7 +81,7 @@ impl<K: PartialEq> Requests<K> {
         }
         let sequence = self.counts.requests as u32;
         self.counts.requests += 1;
-        // One whose end tells that it is one may have begun before others.
+        // A request that is recognized at its end may have begun before others.
         let place = self.pending.partition_point(|other| other.entered <= entered);
         self.pending.insert(place, Pending { sequence, key, entered, mark, unclear: false });
     }
@@ -90,12 +90,12 @@ impl<K: PartialEq> Requests<K> {
         self.pending.iter().any(|pending| pending.key == *key)
     }
 
-    /// The key of the first request for which this holds.
+    /// Returns the key of the first request that matches.
     pub fn find(&mut self, is_it: impl Fn(&K) -> bool) -> Option<&mut K> {
         self.pending.iter_mut().map(|pending| &mut pending.key).find(|key| is_it(key))
     }
 
-    /// Forgets the first request for which this holds: there will be no answer, and the client knows.
+    /// Removes the first request that matches, because the server rejected it.
     pub fn refuse(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
         self.expire(at);
         let place = self.pending.iter().position(|pending| is_it(&pending.key));
@@ -105,13 +105,13 @@ impl<K: PartialEq> Requests<K> {
         }
     }
 
-    /// An answer to the request with this key was delivered; an answer to no request is ignored. One that could be to several
-    /// makes all of them unclear.
+    /// Records the answer to the request with this key. Ignores an answer without a request. An answer that could belong to
+    /// several requests makes all of them unclear.
     pub fn answer(&mut self, key: &K, at: Duration) {
         self.answer_to(|its| its == key, at);
     }
 
-    /// The same, to the request for whose key this holds.
+    /// [`Self::answer`] for the request whose key matches.
     pub fn answer_to(&mut self, is_it: impl Fn(&K) -> bool, at: Duration) {
         self.expire(at);
         let mut its = self.pending.iter_mut().enumerate().filter(|(_, pending)| is_it(&pending.key));
@@ -128,7 +128,7 @@ impl<K: PartialEq> Requests<K> {
         self.samples.push_back(Sample { sequence, entered, took: Some(at.saturating_sub(entered)), mark });
     }
 
-    /// Gives up requests that were not answered in time.
+    /// Expires requests without an answer in time.
     pub fn expire(&mut self, now: Duration) {
         while let Some(lost) = self.pending.pop_front_if(|pending| pending.entered + self.timeout <= now) {
             if lost.unclear {

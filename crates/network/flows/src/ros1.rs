@@ -4,40 +4,40 @@ use std::time::Duration;
 
 use crate::requests::Id;
 
-/// So long a connection header is at most.
+/// Longest connection header, bytes.
 const MOST_HEADER: usize = 64 << 10;
 const LENGTH: usize = 4;
 
-/// What is measured.
+/// The topics or service to measure.
 #[derive(Debug, Clone)]
 pub(crate) enum Measured {
-    /// A message of one topic from here, and one of another to here.
+    /// Messages of one topic from the port, and messages of another to it.
     Topics { request: String, answer: String, id: Option<Id> },
-    /// A call of a service from here.
+    /// Calls of a service from the port.
     Service(String),
 }
 
-/// What a request or an answer is known by.
+/// A request or an answer on a connection.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Told {
-    /// A request that began then, with its mark.
+pub(crate) enum Message {
+    /// A request, with the time and mark of its first byte.
     Request(Name, (Duration, u64)),
     Answer(Name),
 }
 
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Name {
-    /// The call of this number on the connection.
+    /// Number of the call on the connection.
     Call(u64),
-    /// What the message has as its id; empty without.
-    Message(Vec<u8>),
+    /// The message's id; empty if messages have none.
+    Id(Vec<u8>),
 }
 
-/// The connection is none of those that are measured.
+/// The connection is not measured.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Other;
+pub(crate) struct NotMeasured;
 
-/// What a connection is for.
+/// The content of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
     Requests,
@@ -45,21 +45,21 @@ enum Role {
     Calls,
 }
 
-/// A frame as far as it has come.
+/// A partly received frame.
 #[derive(Debug, Default)]
 struct Framed {
-    /// What stands in front of it.
+    /// Bytes before the frame's content, with its length.
     front: Vec<u8>,
     left: usize,
-    /// Its beginning.
+    /// Beginning of the content.
     kept: Vec<u8>,
     began: Option<(Duration, u64)>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl Framed {
-    /// Takes what belongs to it off the front of `bytes`, which are not empty; gives whether it is whole. Its length stands behind
-    /// `before` other bytes.
+    /// Takes its part off the front of `bytes`, which must not be empty. Returns whether the frame is complete. The length
+    /// stands behind `before` other bytes.
     fn take(&mut self, now: (Duration, u64), bytes: &mut &[u8], before: usize, keep: usize) -> bool {
         self.began.get_or_insert(now);
         if self.front.len() < before + LENGTH {
@@ -79,16 +79,16 @@ impl Framed {
     }
 }
 
-/// A connection, of which one end is here.
+/// A connection with one end at the port.
 #[derive(Debug)]
 pub(crate) struct Conversation {
     measured: Measured,
     role: Option<Role>,
     initiator: Framed,
     responder: Framed,
-    /// Whether the responder's header has come.
+    /// Whether the responder's header is complete.
     is_accepted: bool,
-    /// Calls and their answers so far.
+    /// Number of calls and of their answers so far.
     calls: [u64; 2],
 }
 
@@ -98,30 +98,30 @@ impl Conversation {
         Self { measured, role: None, initiator, responder, is_accepted: false, calls: [0; 2] }
     }
 
-    /// Whoever opened the connection says this next; `is_here` if that is at this end.
+    /// Takes the next bytes of the end that opened the connection. `is_here` says whether that end is at the port.
     pub fn initiator(
         &mut self,
         now: (Duration, u64),
         is_here: bool,
         mut bytes: &[u8],
-        tell: &mut dyn FnMut(Told),
-    ) -> Result<(), Other> {
+        report: &mut dyn FnMut(Message),
+    ) -> Result<(), NotMeasured> {
         while !bytes.is_empty() {
             let is_header = self.role.is_none();
             let is_whole = self.initiator.take(now, &mut bytes, 0, if is_header { MOST_HEADER } else { 0 });
             if is_header {
                 if self.initiator.kept.len() + self.initiator.left > MOST_HEADER {
-                    return Err(Other);
+                    return Err(NotMeasured);
                 }
                 if is_whole {
-                    self.role = Some(self.role(is_here).ok_or(Other)?);
+                    self.role = Some(self.role(is_here).ok_or(NotMeasured)?);
                 }
             } else if self.role != Some(Role::Calls) {
-                // Subscribers have nothing more to say.
-                return Err(Other);
-            } else if !std::mem::replace(&mut self.initiator.is_told, true) {
+                // Subscribers send nothing behind their header.
+                return Err(NotMeasured);
+            } else if !std::mem::replace(&mut self.initiator.is_reported, true) {
                 let began = self.initiator.began.unwrap_or(now);
-                tell(Told::Request(Name::Call(self.calls[0]), began));
+                report(Message::Request(Name::Call(self.calls[0]), began));
                 self.calls[0] += 1;
             }
             if is_whole {
@@ -131,25 +131,25 @@ impl Conversation {
         Ok(())
     }
 
-    /// Whoever accepted the connection says this next.
+    /// Takes the next bytes of the end that accepted the connection.
     pub fn responder(
         &mut self,
         now: (Duration, u64),
         mut bytes: &[u8],
-        tell: &mut dyn FnMut(Told),
-    ) -> Result<(), Other> {
-        let role = self.role.ok_or(Other)?;
+        report: &mut dyn FnMut(Message),
+    ) -> Result<(), NotMeasured> {
+        let role = self.role.ok_or(NotMeasured)?;
         let id = match &self.measured {
             Measured::Topics { id, .. } => *id,
             Measured::Service(_) => None,
         };
         let end = id.map_or(0, |id| usize::from(id.offset) + usize::from(id.length));
         while !bytes.is_empty() {
-            // An answer to a call begins with whether it went well.
+            // An answer to a call begins with a success byte.
             let before = usize::from(self.is_accepted && role == Role::Calls);
             let is_whole = self.responder.take(now, &mut bytes, before, end);
             if self.is_accepted {
-                self.message(role, is_whole, now, (id, end), tell);
+                self.message(role, is_whole, now, (id, end), report);
             }
             if is_whole {
                 self.is_accepted = true;
@@ -165,30 +165,30 @@ impl Conversation {
         is_whole: bool,
         now: (Duration, u64),
         (id, end): (Option<Id>, usize),
-        tell: &mut dyn FnMut(Told),
+        report: &mut dyn FnMut(Message),
     ) {
         let framed = &mut self.responder;
         let name = || {
             let its = id.map_or(0, |id| usize::from(id.offset))..end;
-            Some(Name::Message(framed.kept.get(its)?.to_vec()))
+            Some(Name::Id(framed.kept.get(its)?.to_vec()))
         };
         match role {
-            Role::Requests if !framed.is_told => {
+            Role::Requests if !framed.is_reported => {
                 if let Some(name) = name() {
-                    tell(Told::Request(name, framed.began.unwrap_or(now)));
-                    framed.is_told = true;
+                    report(Message::Request(name, framed.began.unwrap_or(now)));
+                    framed.is_reported = true;
                 }
             }
-            Role::Answers if is_whole => name().into_iter().for_each(|name| tell(Told::Answer(name))),
+            Role::Answers if is_whole => name().into_iter().for_each(|name| report(Message::Answer(name))),
             Role::Calls if is_whole => {
-                tell(Told::Answer(Name::Call(self.calls[1])));
+                report(Message::Answer(Name::Call(self.calls[1])));
                 self.calls[1] += 1;
             }
             Role::Requests | Role::Answers | Role::Calls => {}
         }
     }
 
-    /// What the header of whoever opened the connection makes it; `None` if it is not measured.
+    /// Returns the role by the initiator's connection header; `None` if the connection is not measured.
     fn role(&self, is_here: bool) -> Option<Role> {
         let mut fields = self.initiator.kept.as_slice();
         let (mut topic, mut service) = (None, None);
@@ -198,7 +198,7 @@ impl Conversation {
             service = service.or(field.strip_prefix(b"service="));
             fields = &rest[field.len()..];
         }
-        // A subscriber opens the connection to its publisher, a client the one to its server.
+        // Subscribers open connections to publishers, and clients to servers.
         match &self.measured {
             Measured::Topics { request, .. } if topic == Some(request.as_bytes()) && !is_here => {
                 Some(Role::Requests)

@@ -1,7 +1,7 @@
 //! Messages, service calls and actions of ROS 2 over DDS.
 //!
 //! Sources: ROS 2 design, "Topic and Service name mapping to DDS" and "Actions"; OMG, "RPC over DDS" 1.0; `rmw_fastrtps`
-//! and `rmw_cyclonedds` for how a reply says to which request it belongs.
+//! and `rmw_cyclonedds` for how replies name their requests.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -14,68 +14,68 @@ use crate::{
     udp::datagrams,
 };
 
-/// So many writers are known at most; then the one that was quiet for longest is forgotten.
+/// Most known writers. Beyond that, the one that was quiet for longest is forgotten.
 const MOST_WRITERS: usize = 256;
-/// Of so many samples fragments wait for others at most.
+/// Most samples with missing fragments.
 const MOST_PARTS: usize = 64;
-/// So many gaps are known at most, between the samples of a writer and the fragments of a sample.
+/// Most known gaps between the samples of a writer, or the fragments of a sample.
 const MOST_GAPS: usize = 1024;
-/// So much of a sample's beginning is kept: its id, wherever that may be.
+/// Bytes kept of a sample's beginning: enough for any id.
 const HEAD: usize = 256;
-/// So long a datagram is at most.
+/// Longest datagram, bytes.
 const MOST_DATAGRAM: usize = 1 << 16;
 
-/// In front of calls and replies, `rmw_cyclonedds` puts the client and the number of its call.
+/// Length of the header of calls and replies in `rmw_cyclonedds`: the client and the number of its call.
 const CYCLONE_HEADER: usize = 16;
-/// A goal's UUID.
+/// Length of a goal's UUID.
 const GOAL: usize = 16;
-/// The reply to a goal: whether it is accepted, and a stamp.
+/// Length of the reply to a goal: whether it is accepted, and a time stamp.
 const ACCEPTANCE: usize = 12;
 
-/// What is measured.
+/// The topics, service or action to measure.
 #[derive(Debug, Clone)]
 pub(crate) enum Measured {
-    /// A message of one topic from here, and one of another to here.
+    /// Messages of one topic from the port, and messages of another to it.
     Topics { request: String, answer: String, id: Option<Id> },
-    /// A call of a service from here.
+    /// Calls of a service from the port.
     Service(String),
-    /// A goal of an action from here, to its result.
+    /// Goals of an action from the port, up to their results.
     Action(String),
 }
 
-/// What the samples of a writer are.
+/// The content of a writer's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
     Request,
     Answer,
-    /// Whether a goal is accepted.
+    /// Replies that accept or reject goals.
     Acceptance,
-    /// The call that asks for a goal's result.
-    AskForResult,
+    /// Calls for the results of goals.
+    ResultCall,
 }
 
-/// What tells an answer.
+/// Identifies the answer to a request.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Key {
-    /// The message's id; empty without.
+    /// The message's id; empty if messages have none.
     Message(Vec<u8>),
     Call(Call),
     Goal {
-        sent: Call,
+        goal_call: Call,
         /// The beginning of the goal's message, with its UUID.
         head: Vec<u8>,
-        /// What asks for its result.
-        asked: Option<Call>,
+        /// The call for its result.
+        result_call: Option<Call>,
     },
 }
 
-/// A call, as replies may name it.
+/// The ways in which replies may name a call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Call {
     identity: Identity,
-    /// Where the reply is awaited, if the call says so: `rmw_fastrtps` names that in place of its writer.
+    /// Reader of the reply, if the call names it: `rmw_fastrtps` replies name it in place of the call's writer.
     reader: Option<Guid>,
-    /// What stands in front of it in Cyclone DDS.
+    /// Header of the call in Cyclone DDS.
     header: Option<[u64; 2]>,
 }
 
@@ -99,19 +99,19 @@ impl Call {
     }
 }
 
-/// A sample that came, all of it.
+/// A completely received sample.
 struct Reply<'a> {
     related: Option<Identity>,
-    /// Its beginning.
+    /// Beginning of the payload.
     head: &'a [u8],
 }
 
 #[derive(Debug)]
 struct Writer {
     guid: Guid,
-    /// What its samples are if they come from elsewhere, and if they are from here.
+    /// Content of its samples if they arrive at the port, and if they leave it.
     roles: [Option<Role>; 2],
-    /// Numbers of the samples that were seen.
+    /// Sequence numbers of seen samples.
     seen: Ranges,
 }
 
@@ -124,31 +124,31 @@ impl Writer {
     }
 }
 
-/// A sample of which fragments have come.
+/// A partly received sample.
 #[derive(Debug)]
 struct Parts {
     identity: Identity,
     related: Option<Identity>,
     head: Vec<u8>,
-    came: Ranges,
+    received: Ranges,
 }
 
 /// A flow of ROS 2.
 #[derive(Debug)]
 pub(crate) struct Ros2 {
     measured: Measured,
-    /// The topics that matter, by DDS's names, whether they are published here, and what their samples are.
+    /// DDS names of the measured topics, whether they are published at the port, and the content of their samples.
     topics: Vec<(String, bool, Role)>,
     pub requests: Requests<Key>,
-    /// The one that was quiet for longest first.
+    /// Writers, the one that was quiet for longest first.
     writers: VecDeque<Writer>,
-    /// IP fragments of what leaves and of what comes.
+    /// IP fragments of arriving and of leaving datagrams.
     fragments: [Fragments; 2],
-    /// Samples that come in parts, oldest first.
+    /// Samples with missing fragments, oldest first.
     parts: VecDeque<Parts>,
 }
 
-/// Which way a datagram went, when it began to, and its mark.
+/// Direction, times and mark of a datagram.
 #[derive(Clone, Copy)]
 struct Passed {
     is_here: bool,
@@ -173,7 +173,7 @@ impl Ros2 {
                 vec![
                     request(&goal, Role::Request),
                     reply(&goal, Role::Acceptance),
-                    request(&result, Role::AskForResult),
+                    request(&result, Role::ResultCall),
                     reply(&result, Role::Answer),
                 ]
             }
@@ -188,7 +188,7 @@ impl Ros2 {
         }
     }
 
-    /// A frame entered the network at the port, or was delivered there.
+    /// Records a frame that entered the network at the port (`is_here`), or was delivered there.
     pub fn passed(&mut self, at: Duration, frame: &Frame<'_>, mark: u64, is_here: bool) {
         let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_UDP) else { return };
         let passed = Passed { is_here, began: (at, mark), ended: at };
@@ -220,7 +220,7 @@ impl Ros2 {
         });
     }
 
-    /// A writer is there, on this topic.
+    /// Records the announcement of a writer on a topic.
     fn announce(&mut self, guid: Guid, topic: &[u8]) {
         let role = |wanted: bool| {
             let mut its = self
@@ -244,13 +244,13 @@ impl Ros2 {
         }
     }
 
-    /// What a sample is; `None` if it does not matter, or was seen before.
+    /// Returns the content of a sample; `None` if it is not measured, or was seen before.
     fn first_seen(&mut self, is_here: bool, data: &Data<'_>) -> Option<Role> {
         let Identity { writer: guid, sequence } = data.identity;
         let place = self.writers.iter().position(|writer| writer.guid == guid)?;
         let mut writer = self.writers.remove(place)?;
         let role = writer.roles[usize::from(is_here)].filter(|_| !writer.seen.has(sequence));
-        // A sample that comes is there with its last fragment; one that leaves begins with its first.
+        // An arriving sample counts with its last fragment, a leaving one with its first.
         if role.is_some() && if is_here { data.fragments.start == 0 } else { data.count == 1 } {
             writer.see(sequence);
         }
@@ -267,36 +267,37 @@ impl Ros2 {
             (Measured::Topics { id, .. }, _) => {
                 let Some(name) = name(*id, data.payload) else { return };
                 let key = Key::Message(name);
-                // One with the same words is the same request once more.
+                // A request with the id of a pending one is a retransmission.
                 if id.is_some() && self.requests.has(&key) {
                     return;
                 }
                 key
             }
             (Measured::Service(_), _) => Key::Call(Call::of(data)),
-            (Measured::Action(_), Role::AskForResult) => return self.ask_for_result(Call::of(data), body),
+            (Measured::Action(_), Role::ResultCall) => return self.call_for_result(Call::of(data), body),
             (Measured::Action(_), _) => {
                 let head = body[..body.len().min(CYCLONE_HEADER + GOAL)].to_vec();
-                Key::Goal { sent: Call::of(data), head, asked: None }
+                Key::Goal { goal_call: Call::of(data), head, result_call: None }
             }
         };
         self.requests.begin(key, entered, mark);
     }
 
-    /// The call has nothing in it but the goal's UUID, so that its length tells what is in front of it.
-    fn ask_for_result(&mut self, call: Call, body: &[u8]) {
+    /// Records a call for a goal's result. The call contains only the goal's UUID, so that its length shows whether a
+    /// header precedes it.
+    fn call_for_result(&mut self, call: Call, body: &[u8]) {
         let place = if body.len() < CYCLONE_HEADER + GOAL { 0 } else { CYCLONE_HEADER };
         let Some(goal) = body.get(place..place + GOAL) else { return };
-        let is_its = |key: &Key| match key {
-            Key::Goal { head, asked: None, .. } => head.get(place..place + GOAL) == Some(goal),
+        let matches = |key: &Key| match key {
+            Key::Goal { head, result_call: None, .. } => head.get(place..place + GOAL) == Some(goal),
             _ => false,
         };
-        if let Some(Key::Goal { asked, .. }) = self.requests.find(is_its) {
-            *asked = Some(call);
+        if let Some(Key::Goal { result_call, .. }) = self.requests.find(matches) {
+            *result_call = Some(call);
         }
     }
 
-    /// Of a sample from elsewhere a part has come, or all.
+    /// Takes an arriving sample, or a fragment of one.
     fn part(&mut self, role: Role, at: Duration, data: &Data<'_>) {
         if data.count == 1 {
             return self.reply(role, at, &Reply { related: data.related, head: data.payload });
@@ -306,8 +307,8 @@ impl Ros2 {
                 if self.parts.len() == MOST_PARTS {
                     self.parts.pop_front();
                 }
-                let (head, came) = Default::default();
-                self.parts.push_back(Parts { identity: data.identity, related: None, head, came });
+                let (head, received) = Default::default();
+                self.parts.push_back(Parts { identity: data.identity, related: None, head, received });
                 self.parts.len() - 1
             });
         let parts = &mut self.parts[place];
@@ -315,9 +316,9 @@ impl Ros2 {
         if data.fragments.start == 0 {
             parts.head = data.payload[..data.payload.len().min(HEAD)].to_vec();
         }
-        parts.came.add(data.fragments.clone());
-        let is_whole = parts.came.are(data.count);
-        if !is_whole && parts.came.count() <= MOST_GAPS {
+        parts.received.add(data.fragments.clone());
+        let is_whole = parts.received.covers(data.count);
+        if !is_whole && parts.received.count() <= MOST_GAPS {
             return;
         }
         let Some(parts) = self.parts.remove(place) else { return };
@@ -342,20 +343,19 @@ impl Ros2 {
                 let body = reply.head.get(ENCAPSULATION..).unwrap_or_default();
                 let place = if body.len() < CYCLONE_HEADER + ACCEPTANCE { 0 } else { CYCLONE_HEADER };
                 if body.get(place) == Some(&0) {
-                    let is_its =
-                        |key: &Key| matches!(key, Key::Goal { sent, .. } if sent.is_answered_by(reply));
-                    self.requests.refuse(is_its, at);
+                    let matches = |key: &Key| matches!(key, Key::Goal { goal_call, .. } if goal_call.is_answered_by(reply));
+                    self.requests.refuse(matches, at);
                 }
             }
             Measured::Action(_) => {
-                let is_its = |key: &Key| matches!(key, Key::Goal { asked: Some(asked), .. } if asked.is_answered_by(reply));
-                self.requests.answer_to(is_its, at);
+                let matches = |key: &Key| matches!(key, Key::Goal { result_call: Some(result_call), .. } if result_call.is_answered_by(reply));
+                self.requests.answer_to(matches, at);
             }
         }
     }
 }
 
-/// What a message has as its id, behind what says how it is serialized; `None` for one that ends before.
+/// Returns the id of a message, counted from behind the encapsulation header; `None` if the message ends before it.
 fn name(id: Option<Id>, payload: &[u8]) -> Option<Vec<u8>> {
     let Some(Id { offset, length }) = id else { return Some(Vec::new()) };
     let from = ENCAPSULATION + usize::from(offset);

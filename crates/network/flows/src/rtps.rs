@@ -1,4 +1,4 @@
-//! Takes samples, and parts of them, out of messages of DDS (OMG, "DDS Interoperability Wire Protocol" 2.5).
+//! Parses the samples, and fragments of samples, in messages of DDS (OMG, "DDS Interoperability Wire Protocol" 2.5).
 
 use std::ops::Range;
 
@@ -15,41 +15,42 @@ const DATA_FRAG: u8 = 0x16;
 
 const LITTLE_ENDIAN: u8 = 0x01;
 const INLINE_QOS: u8 = 0x02;
-/// Of `DATA`: that it has data. Of `DATA_FRAG`: that it has a key instead.
+/// Flag of `DATA` for data, and of `DATA_FRAG` for a key in place of data.
 const THIRD: u8 = 0x04;
 
 const SENTINEL: u16 = 0x0001;
 const TOPIC_NAME: u16 = 0x0005;
 const ENDPOINT_GUID: u16 = 0x005a;
-/// 0x0083 by the standard, 0x800f as Fast DDS had it first.
+/// Parameter ids: 0x0083 by the standard, 0x800f in earlier versions of Fast DDS.
 const RELATED_SAMPLE_IDENTITY: [u16; 2] = [0x0083, 0x800f];
 
-/// What announces the writers of a participant.
+/// Entity id of the writer that announces a participant's writers.
 pub(crate) const PUBLICATIONS_WRITER: [u8; 4] = [0, 0, 0x03, 0xc2];
 
-/// So many bytes in front of serialized data say how it is serialized.
+/// Length of the encapsulation header, which names the serialization.
 pub(crate) const ENCAPSULATION: usize = 4;
 
-/// Which sample of which writer.
+/// The writer of a sample, and its sequence number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Identity {
     pub writer: Guid,
     pub sequence: u64,
 }
 
-/// A sample, or a part of one.
+/// A sample, or fragments of one.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Data<'a> {
     pub identity: Identity,
-    /// What its writer names beside it: of an answer the request; of a request where the answer is awaited.
+    /// Related sample identity: for an answer, its request; for a request, the reader of its answer.
     pub related: Option<Identity>,
-    /// Which of its fragments these are, and how many it has.
+    /// Fragments of the sample, from 0.
     pub fragments: Range<u64>,
+    /// Number of fragments of the whole sample.
     pub count: u64,
     pub payload: &'a [u8],
 }
 
-/// Bytes in the order of their sender.
+/// Fields in the sender's byte order.
 #[derive(Clone, Copy)]
 struct Fields<'a> {
     bytes: &'a [u8],
@@ -76,7 +77,8 @@ impl<'a> Fields<'a> {
         Some(if self.is_little { u64::from_le_bytes(bytes) } else { u64::from_be_bytes(bytes) })
     }
 
-    /// The high half comes first in either order. The standard has them signed, and from 1 on.
+    /// Reads a sequence number. The high half comes first in either byte order. By the standard, numbers are signed and
+    /// begin with 1.
     fn sequence(self, at: usize) -> Option<u64> {
         Some(u64::from(self.u32(at)?) << 32 | u64::from(self.u32(at + 4)?))
     }
@@ -85,8 +87,8 @@ impl<'a> Fields<'a> {
         Some(Identity { writer: self.array(0)?, sequence: self.sequence(16)? })
     }
 
-    /// Tells each parameter of a list, and gives how long the list is.
-    fn parameters(self, mut tell: impl FnMut(u16, Self)) -> Option<usize> {
+    /// Calls `each` with every parameter of a list. Returns the list's length.
+    fn parameters(self, mut each: impl FnMut(u16, Self)) -> Option<usize> {
         let mut at = 0;
         loop {
             let (id, length) = (self.u16(at)?, usize::from(self.u16(at + 2)?));
@@ -95,14 +97,14 @@ impl<'a> Fields<'a> {
                 return Some(at);
             }
             let bytes = self.bytes.get(at..at + length)?;
-            tell(id, Self { bytes, ..self });
+            each(id, Self { bytes, ..self });
             at += length;
         }
     }
 }
 
-/// Tells each sample, and part of one, that is in a message.
-pub(crate) fn read<'a>(message: &'a [u8], mut tell: impl FnMut(Data<'a>)) {
+/// Calls `each` with every sample, or fragments of one, in a message.
+pub(crate) fn read<'a>(message: &'a [u8], mut each: impl FnMut(Data<'a>)) {
     if !message.starts_with(b"RTPS") {
         return;
     }
@@ -111,16 +113,16 @@ pub(crate) fn read<'a>(message: &'a [u8], mut tell: impl FnMut(Data<'a>)) {
     while let Some((&[kind, flags, ..], after)) = rest.split_first_chunk::<4>() {
         let is_little = flags & LITTLE_ENDIAN != 0;
         let length = Fields { bytes: rest, is_little }.u16(2).map_or(0, usize::from);
-        // The last one can do without a length.
+        // The last submessage may have no length.
         let length = if length == 0 && !matches!(kind, PAD | INFO_TS) { after.len() } else { length };
         let Some((bytes, next)) = after.split_at_checked(length) else { return };
         rest = next;
         let fields = Fields { bytes, is_little };
         match kind {
             INFO_SRC => prefix = bytes.get(8..8 + PREFIX).unwrap_or(prefix),
-            DATA if flags & THIRD != 0 => data(prefix, flags, fields, false).into_iter().for_each(&mut tell),
+            DATA if flags & THIRD != 0 => data(prefix, flags, fields, false).into_iter().for_each(&mut each),
             DATA_FRAG if flags & THIRD == 0 => {
-                data(prefix, flags, fields, true).into_iter().for_each(&mut tell);
+                data(prefix, flags, fields, true).into_iter().for_each(&mut each);
             }
             _ => {}
         }
@@ -142,7 +144,7 @@ fn data<'a>(prefix: &[u8], flags: u8, fields: Fields<'a>, is_part: bool) -> Opti
     if fragments.is_empty() || fragments.end > count {
         return None;
     }
-    // Counted from behind the field that says so.
+    // The offset counts from behind its own field.
     let mut at = 4 + usize::from(fields.u16(2)?);
     let mut related = None;
     if flags & INLINE_QOS != 0 {
@@ -157,18 +159,18 @@ fn data<'a>(prefix: &[u8], flags: u8, fields: Fields<'a>, is_part: bool) -> Opti
     Some(Data { identity: Identity { writer, sequence }, related, fragments, count, payload })
 }
 
-/// The fields of serialized data.
+/// Returns the fields of serialized data.
 fn serialized(payload: &[u8]) -> Option<Fields<'_>> {
     let (encapsulation, bytes) = payload.split_first_chunk::<ENCAPSULATION>()?;
     Some(Fields { bytes, is_little: encapsulation[1] & 1 != 0 })
 }
 
-/// The writer and the topic that a sample of [`PUBLICATIONS_WRITER`] announces.
+/// Returns the writer and the topic that a sample of [`PUBLICATIONS_WRITER`] announces.
 pub(crate) fn announced(payload: &[u8]) -> Option<(Guid, &[u8])> {
     let (mut guid, mut topic) = (None, None);
     serialized(payload)?.parameters(|id, value| match id {
         ENDPOINT_GUID => guid = value.array(0),
-        // It ends with a zero.
+        // The name ends with a zero.
         TOPIC_NAME => {
             let length = value.u32(0).and_then(|length| (length as usize).checked_sub(1));
             topic = length.and_then(|length| value.bytes.get(4..)?.get(..length));
@@ -178,7 +180,7 @@ pub(crate) fn announced(payload: &[u8]) -> Option<(Guid, &[u8])> {
     Some((guid?, topic?))
 }
 
-/// The two numbers with which data begins.
+/// Returns the first two numbers of serialized data.
 pub(crate) fn numbers(payload: &[u8]) -> Option<[u64; 2]> {
     let fields = serialized(payload)?;
     Some([fields.u64(0)?, fields.u64(8)?])

@@ -1,11 +1,11 @@
-//! One direction of a TCP connection, put in order.
+//! Reorders the segments of one direction of a TCP connection.
 
-/// Bytes that may wait for others before them, of all streams of a flow.
+/// Most bytes that all streams of a flow may hold back for missing ones.
 const MOST_HELD: usize = 8 << 20;
-/// Segments of one stream that may wait.
+/// Most segments that one stream may hold back.
 const MOST_AHEAD: usize = 4096;
 
-/// What a stream may hold is held already.
+/// The stream reached a bound and cannot be followed any more.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Full;
 
@@ -15,30 +15,31 @@ struct Ahead {
     bytes: Vec<u8>,
 }
 
-/// Puts segments in order, whichever came first, more than once, or overlap.
+/// Reorders segments that may be repeated or overlap.
 #[derive(Debug)]
 pub(crate) struct Stream {
     next: u32,
-    /// In order, by how far they are behind `next`.
+    /// Segments held back, by their distance behind `next`.
     ahead: Vec<Ahead>,
     end: Option<u32>,
 }
 
-/// How far a place in a stream is behind another; negative before it.
+/// Returns how far `to` is behind `from` in a stream; negative if it is before.
 fn distance(from: u32, to: u32) -> i32 {
     to.wrapping_sub(from).cast_signed()
 }
 
 impl Stream {
-    /// A stream whose first byte has this number.
+    /// Creates a stream whose first byte has this sequence number.
     pub fn new(first: u32) -> Self {
         Self { next: first, ahead: Vec::new(), end: None }
     }
 
-    /// Takes a segment, and hands out what is in order now. `held` is what all streams hold.
+    /// Takes a segment, and passes the bytes that are in order now to `take`. `held` counts the bytes that all streams hold
+    /// back.
     ///
     /// # Errors
-    /// [`Full`]: the stream cannot be followed any more.
+    /// [`Full`] if a bound is exceeded.
     pub fn push(
         &mut self,
         sequence: u32,
@@ -79,25 +80,25 @@ impl Stream {
         Ok(())
     }
 
-    /// What it holds.
+    /// Returns the bytes held back.
     pub fn held(&self) -> usize {
         self.ahead.iter().map(|ahead| ahead.bytes.len()).sum()
     }
 
-    /// Lets go of what it holds; gives how much that was.
+    /// Drops the bytes held back. Returns their number.
     pub fn clear(&mut self) -> usize {
         let held = self.held();
         self.ahead = Vec::new();
         held
     }
 
-    /// Whether all of it, to the end that its sender made, has come.
+    /// Whether everything up to the sender's FIN has come.
     pub fn is_over(&self) -> bool {
         self.end.is_some_and(|end| distance(end, self.next) >= 0)
     }
 }
 
-/// Hands out what of these bytes is not behind `next`, and moves that.
+/// Passes the bytes from `next` on to `take`, and advances `next`.
 fn advance(next: &mut u32, sequence: u32, bytes: &[u8], take: &mut dyn FnMut(&[u8])) {
     let skipped = next.wrapping_sub(sequence) as usize;
     if let Some(new) = bytes.get(skipped..).filter(|new| !new.is_empty()) {

@@ -4,34 +4,34 @@ use std::{collections::HashMap, net::IpAddr, time::Duration};
 
 use crate::{
     headers::PROTOCOL_TCP,
-    http::{Exchange, Told},
+    http::{Exchange, Next},
     packet::{Frame, Packet, Segment},
     requests::Requests,
     ros1,
     stream::Stream,
 };
 
-/// So many connections are followed at most; then the one that was quiet for longest is not followed any more.
+/// Most connections that are followed. Beyond that, the one that was quiet for longest is dropped.
 const MOST: usize = 256;
 
-/// What connections carry.
+/// The protocol of the connections.
 #[derive(Debug, Clone)]
 pub(crate) enum Kind {
-    /// To this port, nothing that is known: whoever speaks after the other is taken for it.
+    /// An unknown protocol to this port. The first bytes of the server after the client's answer the client's.
     Bursts(u16),
-    /// To this port, HTTP/1, of which requests of one path count, or all.
+    /// HTTP/1 to this port: requests of one path, or all.
     Http(u16, Option<String>),
-    /// To any port, ROS 1.
+    /// ROS 1 to any port.
     Ros1(ros1::Measured),
 }
 
-/// The end that opened the connection, then the other.
+/// Both ends of a connection, the one that opened it first.
 type Ends = [(IpAddr, u16); 2];
 
-/// What tells an answer.
+/// Identifies the answer to a request.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Key {
-    /// The connection, and the request's number on it.
+    /// The connection's number, and the request's number on it.
     Connection(u64, u64),
     /// The message's id.
     Message(Vec<u8>),
@@ -39,51 +39,51 @@ pub(crate) enum Key {
 
 #[derive(Debug)]
 enum Conversation {
-    /// Whether what the client says next begins a request.
+    /// `is_open` if the client's next bytes begin a request.
     Bursts {
         is_open: bool,
     },
     Http(Exchange),
     Ros1(ros1::Conversation),
-    /// It is not followed any more.
+    /// No longer followed.
     Lost,
 }
 
 #[derive(Debug)]
 struct Connection {
-    /// Requests of the connection have it.
+    /// Number of the connection, part of its requests' keys.
     number: u64,
-    /// Of the client's SYN, if there was one.
+    /// Sequence number of the client's SYN, if it was seen.
     first: Option<u32>,
     client: Stream,
-    /// Known once the server's first byte has a number.
+    /// The server's bytes, once the number of the first is known.
     server: Option<Stream>,
     used: Duration,
     conversation: Conversation,
 }
 
-/// A flow on connections.
+/// A flow on TCP connections.
 #[derive(Debug)]
 pub(crate) struct Tcp {
     kind: Kind,
     pub requests: Requests<Key>,
     connections: HashMap<Ends, Connection>,
-    /// Connections so far.
+    /// Number of connections so far.
     count: u64,
-    /// What all streams hold.
+    /// Bytes that all streams hold back.
     held: usize,
-    /// The connection whose messages without an id are requests: others have the same ones for other subscribers.
+    /// The connection whose messages without an id are requests. Others carry the same messages to other subscribers.
     leading: Option<u64>,
 }
 
-/// Bytes that passed the port.
+/// The origin of bytes that passed the port.
 #[derive(Clone, Copy)]
-struct Said {
+struct Passed {
     at: Duration,
     mark: u64,
-    /// Whether the end that opened the connection said them.
+    /// Whether the end that opened the connection sent them.
     of_client: bool,
-    /// Whether the end at this port said them.
+    /// Whether the end at the port sent them.
     is_here: bool,
 }
 
@@ -93,7 +93,7 @@ impl Tcp {
         Self { kind, requests, connections, count: 0, held: 0, leading: None }
     }
 
-    /// A frame entered the network at the port, or was delivered there.
+    /// Records a frame that entered the network at the port (`is_here`), or was delivered there.
     pub fn passed(&mut self, at: Duration, frame: &Frame<'_>, mark: u64, is_here: bool) {
         let Some((packet, segment)) = segment(frame) else { return };
         let mut ends = [(packet.source, segment.from), (packet.destination, segment.to)];
@@ -123,9 +123,9 @@ impl Tcp {
         let Some(stream) = stream else { return };
         let (number, conversation) = (its.number, &mut its.conversation);
         let (requests, leading) = (&mut self.requests, &mut self.leading);
-        let said = Said { at, mark, of_client, is_here };
+        let passed = Passed { at, mark, of_client, is_here };
         let pushed = stream.push(first, segment.payload, segment.fin, &mut self.held, &mut |bytes| {
-            if !conversation.take(said, bytes, number, requests, leading) {
+            if !conversation.take(passed, bytes, number, requests, leading) {
                 *conversation = Conversation::Lost;
             }
         });
@@ -139,7 +139,7 @@ impl Tcp {
         self.settle(&ends, pushed.is_err());
     }
 
-    /// Whether a segment from and to these ends is of whoever opened the connection; `None` if it is none that is followed.
+    /// Whether a segment comes from the end that opened its connection; `None` if the connection is not followed.
     fn is_of_client(&self, ends: &Ends, segment: &Segment<'_>, is_here: bool) -> Option<bool> {
         match self.kind {
             Kind::Bursts(port) | Kind::Http(port, _) => match is_here {
@@ -186,7 +186,7 @@ impl Tcp {
         }
     }
 
-    /// Forgets a connection that is over, and the bytes of one that cannot be followed any more.
+    /// Removes a connection that is over, and the bytes of one that can no longer be followed.
     fn settle(&mut self, ends: &Ends, is_full: bool) {
         let Some(its) = self.connections.get_mut(ends) else { return };
         let is_over = its.client.is_over() && its.server.as_ref().is_some_and(Stream::is_over);
@@ -203,16 +203,16 @@ impl Tcp {
 }
 
 impl Conversation {
-    /// Takes what was said next on the connection of this number; gives whether it is to be followed on.
+    /// Takes the next bytes of a connection. Returns whether to follow it further.
     fn take(
         &mut self,
-        said: Said,
+        passed: Passed,
         bytes: &[u8],
         number: u64,
         requests: &mut Requests<Key>,
         leading: &mut Option<u64>,
     ) -> bool {
-        let Said { at, mark, of_client, is_here } = said;
+        let Passed { at, mark, of_client, is_here } = passed;
         let key = |request| Key::Connection(number, request);
         match self {
             Self::Bursts { is_open } if of_client => {
@@ -227,36 +227,36 @@ impl Conversation {
             Self::Http(exchange) => {
                 let taken = if of_client {
                     let begin = |request, (entered, mark)| requests.begin(key(request), entered, mark);
-                    exchange.client((at, mark), bytes, begin).map(|()| Told::More)
+                    exchange.client((at, mark), bytes, begin).map(|()| Next::Http)
                 } else {
                     exchange.server(bytes, |request| requests.answer(&key(request), at))
                 };
                 requests.counts.given_up += u64::from(taken.is_err());
-                return taken == Ok(Told::More);
+                return taken == Ok(Next::Http);
             }
             Self::Ros1(conversation) => {
                 let name = |name| match name {
                     ros1::Name::Call(call) => key(call),
-                    ros1::Name::Message(id) => Key::Message(id),
+                    ros1::Name::Id(id) => Key::Message(id),
                 };
-                let mut tell = |told| match told {
-                    ros1::Told::Answer(answer) => requests.answer(&name(answer), at),
-                    ros1::Told::Request(request, (entered, mark)) => {
+                let mut report = |message| match message {
+                    ros1::Message::Answer(answer) => requests.answer(&name(answer), at),
+                    ros1::Message::Request(request, (entered, mark)) => {
                         let request = name(request);
-                        let is_once_more = match &request {
+                        let is_repeated = match &request {
                             Key::Connection(..) => false,
                             Key::Message(id) if id.is_empty() => *leading.get_or_insert(number) != number,
                             Key::Message(_) => requests.has(&request),
                         };
-                        if !is_once_more {
+                        if !is_repeated {
                             requests.begin(request, entered, mark);
                         }
                     }
                 };
                 let taken = if of_client {
-                    conversation.initiator((at, mark), is_here, bytes, &mut tell)
+                    conversation.initiator((at, mark), is_here, bytes, &mut report)
                 } else {
-                    conversation.responder((at, mark), bytes, &mut tell)
+                    conversation.responder((at, mark), bytes, &mut report)
                 };
                 return taken.is_ok();
             }

@@ -1,4 +1,4 @@
-//! Frames for tests, as a host's kernel makes them.
+//! Builds frames for tests, as a host's kernel does.
 
 use std::{net::Ipv4Addr, time::Duration};
 
@@ -10,7 +10,7 @@ use crate::{
 
 pub(crate) mod rtps;
 
-/// A host's last byte and a port.
+/// The last byte of a host's address, and a port.
 pub(crate) type End = (u8, u16);
 
 pub(crate) const SYN: u8 = 0x02;
@@ -50,7 +50,7 @@ pub(crate) fn udp(from: End, to: End, payload: &[u8]) -> Vec<u8> {
     ipv4(from.0, to.0, PROTOCOL_UDP, 0, &datagram(from, to, payload))
 }
 
-/// The same, in fragments of so many bytes: a multiple of eight.
+/// Builds the fragments of a datagram. `size` is in bytes, a multiple of eight.
 pub(crate) fn udp_fragments(from: End, to: End, payload: &[u8], size: usize) -> Vec<Vec<u8>> {
     let datagram = datagram(from, to, payload);
     let last = datagram.len().div_ceil(size) - 1;
@@ -86,8 +86,8 @@ pub(crate) fn frame(bytes: &[u8]) -> Frame<'_> {
     Frame { bytes, checksum_left: false, segment: None }
 }
 
-/// What a meter says of requests: their number, when they entered, and what they took, in ms.
-pub(crate) fn told(meter: &mut Meter) -> Vec<(u32, u64, Option<u64>)> {
+/// Returns a meter's samples: sequence number, time of entry and duration, ms.
+pub(crate) fn samples(meter: &mut Meter) -> Vec<(u32, u64, Option<u64>)> {
     let samples = std::iter::from_fn(|| meter.poll());
     let plain = |Sample { sequence, entered, took, .. }: Sample| {
         (sequence, entered.as_millis() as u64, took.map(|took| took.as_millis() as u64))
@@ -95,7 +95,7 @@ pub(crate) fn told(meter: &mut Meter) -> Vec<(u32, u64, Option<u64>)> {
     samples.map(plain).collect()
 }
 
-/// A client's connection, and both of its ends' next bytes.
+/// A client's connection, with the next sequence number of each end.
 pub(crate) struct Talk {
     pub client: End,
     pub server: End,
@@ -103,9 +103,9 @@ pub(crate) struct Talk {
 }
 
 impl Talk {
-    /// Connects.
+    /// Opens the connection.
     pub fn begin(meter: &mut Meter, at: u64, client: End, server: End) -> Self {
-        // Sequence numbers pass the end of their range.
+        // Sequence numbers wrap around.
         let first = [u32::MAX - 20, u32::MAX - 40];
         meter.entered(ms(at), &frame(&tcp(client, server, first[0], 0, SYN, b"")), 0);
         let next = first.map(|first| first.wrapping_add(1));
@@ -114,14 +114,14 @@ impl Talk {
         Self { client, server, next }
     }
 
-    /// What the client sends next, as a frame.
+    /// Builds the client's next frame.
     pub fn client_sends(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
         let sent = tcp(self.client, self.server, self.next[0], self.next[1], flags, bytes);
         self.next[0] = self.next[0].wrapping_add(bytes.len() as u32);
         sent
     }
 
-    /// What the server sends next, as a frame.
+    /// Builds the server's next frame.
     pub fn server_sends(&mut self, flags: u8, bytes: &[u8]) -> Vec<u8> {
         let sent = tcp(self.server, self.client, self.next[1], self.next[0], flags, bytes);
         self.next[1] = self.next[1].wrapping_add(bytes.len() as u32);

@@ -1,4 +1,4 @@
-//! Requests and answers that are one datagram each.
+//! Requests and answers of one datagram each.
 
 use std::{net::IpAddr, time::Duration};
 
@@ -9,7 +9,7 @@ use crate::{
     requests::{Id, Requests},
 };
 
-/// Two sockets, the client's first, and what a request says to tell it from others.
+/// Both sockets, the client's first, and the request's id.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Key {
     ends: [(IpAddr, u16); 2],
@@ -25,7 +25,7 @@ pub(crate) struct Udp {
     answers: Fragments,
 }
 
-/// What of a datagram is kept: its header, and its id wherever that may be.
+/// Bytes kept of a datagram: enough for its header and any id.
 const HEAD: usize = 256;
 
 impl Udp {
@@ -35,7 +35,7 @@ impl Udp {
 
     pub fn entered(&mut self, at: Duration, frame: &Frame<'_>, mark: u64) {
         let Some(packet) = Packet::of(frame).filter(|packet| packet.protocol == PROTOCOL_UDP) else { return };
-        // Only the first has the ports. Its time is that of the request's first byte.
+        // Only the first fragment has the ports. Its time is that of the request's first byte.
         if packet.fragment.is_some_and(|fragment| fragment.offset > 0) {
             return;
         }
@@ -47,7 +47,7 @@ impl Udp {
         for payload in datagrams(packet.payload, frame) {
             let Some(id) = self.id(payload) else { continue };
             let key = Key { ends: [(packet.source, from), (packet.destination, to)], id };
-            // One with the same words is the same request once more.
+            // A request with the id of a pending one is a retransmission.
             if self.id.is_none() || !self.requests.has(&key) {
                 self.requests.begin(key, at, mark);
             }
@@ -80,7 +80,7 @@ impl Udp {
         }
     }
 
-    /// `None` for a datagram that ends before it.
+    /// Returns the id of a datagram; `None` if the datagram ends before it.
     fn id(&self, payload: &[u8]) -> Option<Vec<u8>> {
         let Some(Id { offset, length }) = self.id else { return Some(Vec::new()) };
         let offset = usize::from(offset);
@@ -92,11 +92,11 @@ fn is_broadcast(address: IpAddr) -> bool {
     matches!(address, IpAddr::V4(address) if address.is_broadcast())
 }
 
-/// The payloads of the datagrams in a packet: several in a super-packet.
+/// Returns the payloads of the datagrams in a packet. A super-packet has several.
 pub(crate) fn datagrams<'a>(bytes: &'a [u8], frame: &Frame<'_>) -> impl Iterator<Item = &'a [u8]> {
     let payload = bytes.get(UDP..).unwrap_or_default();
     let size = frame.segment.map_or(payload.len(), usize::from).max(1);
-    // A datagram without payload is one, too.
+    // A datagram may have no payload.
     let empty = payload.is_empty() && bytes.len() >= UDP;
     payload.chunks(size).chain(empty.then_some(payload))
 }

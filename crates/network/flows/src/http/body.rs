@@ -1,13 +1,13 @@
-//! The body of a message, skipped.
+//! Skips the body of a message.
 
 use httparse::Header;
 
 use super::head::NotHttp;
 
-/// So long the line in front of a chunk, or one behind the last, is at most.
+/// Longest chunk-size or trailer line, bytes.
 const MOST_LINE: usize = 4096;
 
-/// How much of a body is still to come.
+/// The rest of a body.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Body {
     Length(u64),
@@ -15,19 +15,19 @@ pub(crate) enum Body {
     UntilClose,
 }
 
-/// Where in chunks (RFC 9112, 7.1).
+/// The position in a chunked body (RFC 9112, 7.1).
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Chunked {
-    /// In the line with its size, of which this has come.
+    /// In the size line of a chunk, with the part received.
     Size(Vec<u8>),
-    /// So much is to come, the line's end behind it among that.
+    /// In a chunk, with the bytes left, including its line end.
     Data(u64),
-    /// Behind the last chunk, in a line of which so many bytes have come.
+    /// Behind the last chunk, with the length of the current line.
     Trailer(usize),
 }
 
 impl Body {
-    /// What these headers say; `None` for an empty one.
+    /// Returns the body that headers describe; `None` for an empty one.
     pub fn of(headers: &[Header<'_>]) -> Result<Option<Self>, NotHttp> {
         let its = |name: &'static str| {
             let is = move |header: &&Header<'_>| header.name.eq_ignore_ascii_case(name);
@@ -52,7 +52,7 @@ impl Body {
         Ok((length > 0).then_some(Self::Length(length)))
     }
 
-    /// Takes what belongs to it off the front of `bytes`; gives whether it is over.
+    /// Takes its part off the front of `bytes`. Returns whether the body is over.
     pub fn take(&mut self, bytes: &mut &[u8]) -> Result<bool, NotHttp> {
         match self {
             Self::UntilClose => *bytes = &[],
@@ -117,11 +117,11 @@ impl Chunked {
     }
 }
 
-/// What the line in front of a chunk says; extensions are ignored.
+/// Parses a chunk-size line. Ignores extensions.
 fn size(line: &[u8]) -> Result<u64, NotHttp> {
     let digits = line.split(|byte| *byte == b';').next().unwrap_or_default().trim_ascii();
     let digits = std::str::from_utf8(digits).map_err(|_| NotHttp)?;
-    // `from_str_radix` would take a sign.
+    // `from_str_radix` would accept a sign.
     let is_hex = digits.bytes().all(|byte| byte.is_ascii_hexdigit());
     u64::from_str_radix(digits, 16).ok().filter(|_| is_hex).ok_or(NotHttp)
 }

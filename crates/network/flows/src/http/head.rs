@@ -1,27 +1,27 @@
-//! The head of a message, gathered.
+//! Collects the head of a message.
 
 /// The bytes are not HTTP/1, or exceed a bound.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct NotHttp;
 
-/// So long a head is at most.
+/// Longest head, bytes.
 const MOST: usize = 32 << 10;
-/// So many headers it has at most.
+/// Most headers of a message.
 pub(super) const MOST_HEADERS: usize = 128;
 
-/// A head as far as it has come.
+/// A partly received head.
 #[derive(Debug, Default)]
 pub(crate) struct Head {
     bytes: Vec<u8>,
-    /// Bytes of the last line but carriage returns.
+    /// Length of the last line, without carriage returns.
     line: usize,
 }
 
 impl Head {
-    /// Takes what belongs to it off the front of `bytes`; gives whether it is whole.
+    /// Takes its part off the front of `bytes`. Returns whether the head is complete.
     pub fn take(&mut self, bytes: &mut &[u8]) -> Result<bool, NotHttp> {
         for (place, byte) in bytes.iter().enumerate() {
-            // RFC 9112, 2.2: empty lines in front of a request are ignored.
+            // RFC 9112, 2.2: empty lines before a request are ignored.
             if self.bytes.is_empty() && matches!(byte, b'\r' | b'\n') {
                 continue;
             }

@@ -2,12 +2,12 @@ use proptest::{collection::vec, prelude::*, sample::Index};
 
 use crate::{
     Counts, Id, Meter, Protocol,
-    testing::{End, FIN, RST, SYN, frame, ms, tcp, told},
+    testing::{End, FIN, RST, SYN, frame, ms, samples, tcp},
 };
 
 const ROBOT: u8 = 1;
 
-/// A connection between the robot and another node, whichever opened it.
+/// A connection between the robot and another node, opened by either.
 struct Talk {
     initiator: End,
     responder: End,
@@ -22,7 +22,7 @@ impl Talk {
         talk
     }
 
-    /// The initiator's or the responder's next frame.
+    /// Builds the next frame of the initiator (`side` 0) or the responder (1).
     fn frame(&mut self, side: usize, flags: u8, bytes: &[u8]) -> Vec<u8> {
         let ends = [self.initiator, self.responder];
         let acknowledged = if flags & SYN != 0 && side == 0 { 0 } else { self.next[1 - side] };
@@ -58,11 +58,11 @@ fn topics(id: Option<Id>) -> Meter {
     Meter::new(Protocol::Ros1 { request, answer, id }, ms(1000))
 }
 
-/// Opened by a subscriber to a topic: what its publisher says are messages.
+/// Opens a subscriber's connection to the publisher of a topic.
 fn subscribed(meter: &mut Meter, subscriber: End, publisher: End, topic: &str) -> Talk {
     let mut talk = Talk::begin(meter, 0, subscriber, publisher);
     let asked = header(&["callerid=/node", &format!("topic={topic}"), "md5sum=*"]);
-    // In two parts.
+    // The header comes in two parts.
     talk.say(meter, 0, 0, 0, &asked[..9]);
     talk.say(meter, 0, 0, 0, &asked[9..]);
     talk.say(meter, 0, 1, 0, &header(&["callerid=/other", "md5sum=*"]));
@@ -75,31 +75,31 @@ const PLANNER: End = (2, 30_002);
 const BASE: End = (ROBOT, 40_002);
 
 #[test]
-fn topics_are_measured_from_a_messages_first_byte_to_the_last_of_the_next_one() {
+fn topics_are_measured_from_the_first_byte_of_a_message_to_the_last_of_its_answer() {
     let mut meter = topics(None);
     let mut camera = subscribed(&mut meter, DETECTOR, CAMERA, "/camera");
     let mut commands = subscribed(&mut meter, BASE, PLANNER, "/cmd_vel");
-    // Others have the same messages for themselves.
+    // Other subscribers get the same messages.
     let mut recorder = subscribed(&mut meter, (3, 40_003), CAMERA, "/camera");
     for (number, at) in [(0, 10), (1, 100)] {
         camera.say(&mut meter, at, 1, 0, &framed(b"image")[..6]);
         recorder.say(&mut meter, at, 1, 0, &framed(b"image"));
         camera.say(&mut meter, at + 1, 1, 0, b"age");
         commands.say(&mut meter, at + 20, 1, 0, &framed(b"twist")[..8]);
-        assert_eq!(told(&mut meter), []);
+        assert_eq!(samples(&mut meter), []);
         commands.say(&mut meter, at + 30, 1, 0, b"t");
-        assert_eq!(told(&mut meter), [(number, at, Some(30))]);
+        assert_eq!(samples(&mut meter), [(number, at, Some(30))]);
     }
-    // When the first subscriber is gone, another's messages count.
+    // When the first subscriber has left, another's messages count.
     camera.say(&mut meter, 200, 0, RST, b"");
     recorder.say(&mut meter, 210, 1, 0, &framed(b""));
     commands.say(&mut meter, 220, 1, 0, &framed(b""));
-    assert_eq!(told(&mut meter), [(2, 210, Some(10))]);
+    assert_eq!(samples(&mut meter), [(2, 210, Some(10))]);
     assert_eq!(meter.counts(), Counts { requests: 3, ..Counts::default() });
 }
 
 #[test]
-fn connections_for_anything_else_are_ignored() {
+fn other_connections_are_ignored() {
     let mut meter = topics(None);
     // Published elsewhere, subscribed to elsewhere, another topic, a service of that name, the master's XML-RPC.
     let mut others = vec![
@@ -117,13 +117,13 @@ fn connections_for_anything_else_are_ignored() {
         other.say(&mut meter, 2, 1, 0, &framed(b"message"));
         other.say(&mut meter, 3, 1, FIN, b"");
     }
-    // And one of which the beginning was not seen.
+    // A connection whose beginning was not seen.
     pass(&mut meter, 4, CAMERA, &tcp(CAMERA, DETECTOR, 7, 8, 0, &framed(b"message")));
-    assert_eq!((told(&mut meter), meter.counts()), (vec![], Counts::default()));
+    assert_eq!((samples(&mut meter), meter.counts()), (vec![], Counts::default()));
 }
 
 #[test]
-fn calls_are_measured_to_the_end_of_their_result() {
+fn calls_are_measured_up_to_the_end_of_their_result() {
     let mut meter = Meter::new(Protocol::Ros1Service { service: "/plan".to_owned() }, ms(1000));
     let mut probe = Talk::begin(&mut meter, 0, (ROBOT, 1), (2, 8));
     probe.say(&mut meter, 0, 0, 0, &header(&["probe=1", "service=/plan"]));
@@ -135,22 +135,22 @@ fn calls_are_measured_to_the_end_of_their_result() {
     let result = [&[1], &framed(b"path")[..]].concat();
     talk.say(&mut meter, 20, 1, 0, &result[..1]);
     talk.say(&mut meter, 21, 1, 0, &result[1..8]);
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     talk.say(&mut meter, 25, 1, 0, &result[8..]);
-    // One that fails, and one with nothing in it.
+    // A call that fails, and one without content.
     talk.say(&mut meter, 30, 0, 0, &framed(b"nowhere"));
     talk.say(&mut meter, 33, 1, 0, &[&[0], &framed(b"no way")[..]].concat());
     talk.say(&mut meter, 40, 0, 0, &framed(b""));
     talk.say(&mut meter, 41, 1, 0, &[1, 0, 0, 0, 0]);
-    assert_eq!(told(&mut meter), [(0, 10, Some(15)), (1, 30, Some(3)), (2, 40, Some(1))]);
+    assert_eq!(samples(&mut meter), [(0, 10, Some(15)), (1, 30, Some(3)), (2, 40, Some(1))]);
     assert_eq!(meter.counts().requests, 3);
 }
 
 proptest! {
-    /// Messages with ids, cut and reordered on their way back, are answered when the last byte of them and of all before them has
-    /// come; what has been answered is told once, whoever else has the message.
+    /// Messages with ids, cut and reordered on their way back, are answered when their last byte and all before have come.
+    /// Each answer counts once, also with several subscribers.
     #[test]
-    fn an_id_tells_messages_apart(
+    fn ids_distinguish_messages(
         sizes in vec(0..60_usize, 1..12),
         drops in vec(any::<bool>(), 12),
         cuts in vec(any::<Index>(), 0..20),
@@ -168,7 +168,7 @@ proptest! {
         };
         let (mut said, mut ends) = (Vec::new(), Vec::new());
         for (number, size) in sizes.iter().enumerate() {
-            // Its first byte comes by itself.
+            // The first byte comes by itself.
             let sent = message(number, *size, 1);
             camera.say(&mut meter, number as u64, 1, 0, &sent[..1]);
             camera.say(&mut meter, 50, 1, 0, &sent[1..]);
@@ -178,7 +178,7 @@ proptest! {
                 ends.push((number as u32, said.len()));
             }
         }
-        // Too short for an id.
+        // A message too short for an id.
         said.extend(framed(&[0; 11]));
         let mut places: Vec<_> = cuts.iter().map(|cut| cut.index(said.len())).chain([0, said.len()]).collect();
         places.sort_unstable();
@@ -202,7 +202,7 @@ proptest! {
                 (*number, entered, came[..*end].iter().max().map(|came| came - entered))
             })
             .collect();
-        prop_assert_eq!(told(&mut meter), expected);
+        prop_assert_eq!(samples(&mut meter), expected);
         prop_assert_eq!(meter.counts(), Counts { requests: sizes.len() as u64, ..Counts::default() });
     }
 }

@@ -4,18 +4,18 @@ use super::*;
 use crate::testing::rtps::{CUSTOM_RELATED, Message, RELATED, guid};
 
 /// A sample, with its payload.
-type Told = (Identity, Option<Identity>, Range<u64>, u64, Vec<u8>);
+type Sample = (Identity, Option<Identity>, Range<u64>, u64, Vec<u8>);
 
-/// What is in a message.
-fn told(message: &[u8]) -> Vec<Told> {
-    let mut told = Vec::new();
+/// Returns the samples in a message.
+fn samples(message: &[u8]) -> Vec<Sample> {
+    let mut samples = Vec::new();
     read(message, |Data { identity, related, fragments, count, payload }| {
-        told.push((identity, related, fragments, count, payload.to_vec()));
+        samples.push((identity, related, fragments, count, payload.to_vec()));
     });
-    told
+    samples
 }
 
-/// All that a flow reads, and more.
+/// A message with everything that a flow reads, and more.
 fn message(is_little: bool) -> Message {
     let request = Identity { writer: guid(9, 9), sequence: 1 << 33 };
     let message = Message::of(1, is_little);
@@ -25,7 +25,7 @@ fn message(is_little: bool) -> Message {
     message
         .submessage(0x09, 0, &[0; 8])
         .data(guid(1, 1), 5, b"", b"plain")
-        // Without its time, and nothing at all.
+        // A time stamp without a time, and an empty submessage.
         .submessage(0x09, 0x02, b"")
         .submessage(0x01, 0, b"")
         .data(guid(1, 2), 6, &[&others[..], &standard].concat(), b"standard")
@@ -37,7 +37,7 @@ fn message(is_little: bool) -> Message {
 }
 
 #[test]
-fn samples_are_read_in_either_order_of_bytes() {
+fn samples_are_read_in_either_byte_order() {
     let request = Some(Identity { writer: guid(9, 9), sequence: 1 << 33 });
     let of = |writer, sequence| Identity { writer, sequence };
     for is_little in [false, true] {
@@ -49,17 +49,17 @@ fn samples_are_read_in_either_order_of_bytes() {
             (of(guid(2, 4), 9), None, 0..1, 1, b"from another".to_vec()),
         ];
         let mut bytes = message(is_little).bytes;
-        assert_eq!(told(&bytes), expected);
-        // The last one does not need its length.
+        assert_eq!(samples(&bytes), expected);
+        // The last submessage needs no length.
         let last = bytes.len() - b"from another".len() - 22;
         assert_eq!(bytes[last..last + 2].iter().map(|byte| u16::from(*byte)).max(), Some(32));
         bytes[last..last + 2].fill(0);
-        assert_eq!(told(&bytes), expected);
+        assert_eq!(samples(&bytes), expected);
     }
 }
 
 #[test]
-fn what_cannot_be_is_no_sample() {
+fn impossible_samples_are_ignored() {
     let fragment = |number, size, sample: &[u8]| {
         Message::of(1, true).fragment(guid(1, 1), 1, number, size, sample).bytes
     };
@@ -67,46 +67,46 @@ fn what_cannot_be_is_no_sample() {
     for (at, value) in [(24 + 20, 0), (24 + 20, 4), (24 + 24, 0), (24 + 24, 3), (24 + 26, 0), (24 + 28, 4)] {
         let mut bytes = whole.clone();
         bytes[at] = value;
-        assert_eq!(told(&bytes), [], "{value} at {at}");
+        assert_eq!(samples(&bytes), [], "{value} at {at}");
     }
-    // Keys, in place of data.
+    // Keys in place of data.
     for (mut bytes, flags) in
         [(whole, 0x05), (Message::of(1, true).data(guid(1, 1), 1, b"", b"").bytes, 0x09)]
     {
-        assert_eq!(told(&bytes).len(), 1);
+        assert_eq!(samples(&bytes).len(), 1);
         bytes[21] = flags;
-        assert_eq!(told(&bytes), []);
+        assert_eq!(samples(&bytes), []);
     }
-    assert_eq!(told(&Message::of(1, true).data(guid(1, 1), 0, b"", b"").bytes), []);
-    assert_eq!(told(&Message::of(1, true).data(guid(1, 1), 1 << 63, b"", b"").bytes), []);
-    assert_eq!(told(b"RTPX"), []);
+    assert_eq!(samples(&Message::of(1, true).data(guid(1, 1), 0, b"", b"").bytes), []);
+    assert_eq!(samples(&Message::of(1, true).data(guid(1, 1), 1 << 63, b"", b"").bytes), []);
+    assert_eq!(samples(b"RTPX"), []);
 }
 
 #[test]
-fn writers_are_announced_with_their_topics() {
+fn announcements_name_writers_and_topics() {
     for is_little in [false, true] {
         let bytes = Message::of(3, is_little).announce(guid(3, 7), "rt/camera").bytes;
-        let [(identity, _, _, _, payload)] = &told(&bytes)[..] else { panic!("one sample") };
+        let [(identity, _, _, _, payload)] = &samples(&bytes)[..] else { panic!("one sample") };
         assert!(identity.writer.ends_with(&PUBLICATIONS_WRITER));
         assert_eq!(announced(payload), Some((guid(3, 7), &b"rt/camera"[..])));
-        // A fragment has them without the list's end.
+        // A fragment has the parameters without the end of the list.
         assert_eq!(announced(&payload[..payload.len() - 4]), Some((guid(3, 7), &b"rt/camera"[..])));
         assert_eq!(announced(&payload[..payload.len() - 5]), None);
     }
 }
 
 proptest! {
-    /// A message that is cut has the samples in front of the cut, and at most one that is cut with it.
+    /// A cut message has the samples before the cut, and at most one that is cut itself.
     #[test]
-    fn whatever_is_behind_a_cut_is_missing(is_little: bool, length in 0..400_usize) {
+    fn only_samples_behind_a_cut_are_missing(is_little: bool, length in 0..400_usize) {
         let whole = message(is_little).bytes;
-        let (all, some) = (told(&whole), told(&whole[..length.min(whole.len())]));
+        let (all, some) = (samples(&whole), samples(&whole[..length.min(whole.len())]));
         prop_assert!(some.len() <= all.len());
         prop_assert_eq!(&some[..], &all[..some.len()]);
     }
 
     #[test]
-    fn nothing_makes_it_panic(
+    fn arbitrary_bytes_cause_no_panic(
         is_little: bool,
         changes in vec((0..400_usize, any::<u8>()), 1..20),
         random in vec(any::<u8>(), 0..200),
@@ -116,9 +116,9 @@ proptest! {
             let at = at % bytes.len();
             bytes[at] = value;
         }
-        for (_, _, _, _, payload) in told(&bytes) {
+        for (_, _, _, _, payload) in samples(&bytes) {
             let _ = (announced(&payload), numbers(&payload));
         }
-        let _ = (told(&[b"RTPS", &random[..]].concat()), announced(&random), numbers(&random));
+        let _ = (samples(&[b"RTPS", &random[..]].concat()), announced(&random), numbers(&random));
     }
 }

@@ -2,7 +2,7 @@ use proptest::{collection::vec, prelude::*, sample::Index};
 
 use crate::{
     Counts, Frame, Meter, Protocol,
-    testing::{FIN, RST, SYN, Talk, frame, ms, tcp, told},
+    testing::{FIN, RST, SYN, Talk, frame, ms, samples, tcp},
 };
 
 const CLIENT: (u8, u16) = (1, 40_000);
@@ -17,7 +17,7 @@ fn http(path: Option<&str>) -> Meter {
 }
 
 #[test]
-fn a_burst_is_measured_from_its_first_byte_to_the_first_of_what_follows() {
+fn a_burst_is_measured_up_to_the_first_byte_of_its_answer() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     // A greeting answers nothing.
@@ -28,12 +28,12 @@ fn a_burst_is_measured_from_its_first_byte_to_the_first_of_what_follows() {
     talk.hear(&mut meter, 40, b"more of it");
     talk.say(&mut meter, 50, b"second");
     talk.hear(&mut meter, 55, b"answer");
-    assert_eq!(told(&mut meter), [(0, 10, Some(20)), (1, 50, Some(5))]);
+    assert_eq!(samples(&mut meter), [(0, 10, Some(20)), (1, 50, Some(5))]);
     assert_eq!(meter.counts(), Counts { requests: 2, ..Counts::default() });
 }
 
 #[test]
-fn what_is_sent_again_begins_no_request_and_ends_none() {
+fn retransmissions_neither_begin_nor_end_requests() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     let opened = tcp(CLIENT, SERVER, talk.next[0].wrapping_sub(1), 0, SYN, b"");
@@ -46,66 +46,66 @@ fn what_is_sent_again_begins_no_request_and_ends_none() {
     meter.entered(ms(240), &frame(&asked), 0);
     talk.say(&mut meter, 300, b"next");
     meter.delivered(ms(310), &frame(&answered));
-    assert_eq!(told(&mut meter), [(0, 10, Some(220))]);
+    assert_eq!(samples(&mut meter), [(0, 10, Some(220))]);
     talk.hear(&mut meter, 320, b"answer");
-    assert_eq!(told(&mut meter), [(1, 300, Some(20))]);
+    assert_eq!(samples(&mut meter), [(1, 300, Some(20))]);
 }
 
 #[test]
-fn an_answer_whose_first_bytes_were_overtaken_begins_with_them() {
+fn an_answer_begins_with_its_first_bytes_even_if_overtaken() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 10, b"ask");
     let first = talk.server_sends(0, b"one");
     talk.hear(&mut meter, 20, b"two");
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     meter.delivered(ms(30), &frame(&first));
-    assert_eq!(told(&mut meter), [(0, 10, Some(20))]);
-    // All of it is in order again.
+    assert_eq!(samples(&mut meter), [(0, 10, Some(20))]);
+    // Everything is in order again.
     talk.say(&mut meter, 40, b"ask");
     talk.hear(&mut meter, 45, b"three");
-    assert_eq!(told(&mut meter), [(1, 40, Some(5))]);
+    assert_eq!(samples(&mut meter), [(1, 40, Some(5))]);
 }
 
 #[test]
-fn what_is_not_answered_is_lost_also_when_its_connection_is_over() {
+fn requests_without_an_answer_are_lost_also_after_their_connection() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 10, b"ask");
     let reset = talk.server_sends(RST, b"");
     meter.delivered(ms(20), &frame(&reset));
-    // The next one has the same ports, and is another.
+    // The next connection has the same ports.
     let mut talk = Talk::begin(&mut meter, 30, CLIENT, SERVER);
     talk.say(&mut meter, 40, b"ask");
     talk.hear(&mut meter, 50, b"answer");
     meter.expire(ms(1010));
-    assert_eq!(told(&mut meter), [(1, 40, Some(10)), (0, 10, None)]);
+    assert_eq!(samples(&mut meter), [(1, 40, Some(10)), (0, 10, None)]);
 }
 
 #[test]
-fn a_connection_that_was_there_before_is_joined() {
+fn existing_connections_are_joined() {
     let mut meter = bursts();
-    // What answers a request that was not seen.
+    // The answer to an unseen request.
     meter.delivered(ms(1), &frame(&tcp(SERVER, CLIENT, 500, 100, 0, b"answer")));
     meter.entered(ms(10), &frame(&tcp(CLIENT, SERVER, 100, 506, 0, b"ask")), 0);
     meter.delivered(ms(15), &frame(&tcp(SERVER, CLIENT, 506, 103, 0, b"answer")));
-    assert_eq!(told(&mut meter), [(0, 10, Some(5))]);
+    assert_eq!(samples(&mut meter), [(0, 10, Some(5))]);
 }
 
 #[test]
-fn http_is_measured_to_the_end_of_each_response() {
+fn http_is_measured_up_to_the_end_of_each_response() {
     let mut meter = http(None);
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
-    // With a length, in two parts, and its head in two.
+    // A body with a length, in two parts, and a head in two parts.
     talk.say(&mut meter, 10, b"POST /detect HTTP/1.1\r\nContent-Le");
     talk.say(&mut meter, 12, b"ngth: 4\r\nExpect: 100-continue\r\n\r\n");
     talk.hear(&mut meter, 14, b"HTTP/1.1 100 Continue\r\n\r\n");
     talk.say(&mut meter, 16, b"jpeg");
     talk.hear(&mut meter, 20, b"HTTP/1.1 200 OK\r\ncontent-length: 10\r\n\r\n12345");
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     talk.hear(&mut meter, 30, b"67890");
-    assert_eq!(told(&mut meter), [(0, 10, Some(20))]);
-    // In chunks, with an extension and a trailer.
+    assert_eq!(samples(&mut meter), [(0, 10, Some(20))]);
+    // A chunked body, with an extension and a trailer.
     talk.say(
         &mut meter,
         40,
@@ -117,27 +117,27 @@ fn http_is_measured_to_the_end_of_each_response() {
         b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\na;x=y\r\n0123456789\r\n",
     );
     talk.hear(&mut meter, 55, b"1\r\n.\r\n0\r\nTrailer: yes\r\n");
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     talk.hear(&mut meter, 60, b"\r\n");
-    assert_eq!(told(&mut meter), [(1, 40, Some(20))]);
-    // Without a body.
+    assert_eq!(samples(&mut meter), [(1, 40, Some(20))]);
+    // Responses without a body.
     talk.say(&mut meter, 70, b"HEAD / HTTP/1.1\r\n\r\n");
     talk.hear(&mut meter, 71, b"HTTP/1.1 200 OK\r\nContent-Length: 900\r\n\r\n");
     talk.say(&mut meter, 80, b"GET / HTTP/1.1\r\n\r\n");
     talk.hear(&mut meter, 82, b"HTTP/1.1 304 Not Modified\r\nContent-Length: 900\r\n\r\n");
-    assert_eq!(told(&mut meter), [(2, 70, Some(1)), (3, 80, Some(2))]);
-    // To the end of the connection.
+    assert_eq!(samples(&mut meter), [(2, 70, Some(1)), (3, 80, Some(2))]);
+    // A body up to the end of the connection.
     talk.say(&mut meter, 90, b"GET / HTTP/1.0\r\n\r\n");
     talk.hear(&mut meter, 95, b"HTTP/1.0 200 OK\r\n\r\nsome");
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     let last = talk.server_sends(FIN, b"thing");
     meter.delivered(ms(99), &frame(&last));
-    assert_eq!(told(&mut meter), [(4, 90, Some(9))]);
+    assert_eq!(samples(&mut meter), [(4, 90, Some(9))]);
     assert_eq!(meter.counts(), Counts { requests: 5, ..Counts::default() });
 }
 
 #[test]
-fn a_request_is_lost_as_long_after_its_first_byte_whenever_its_head_ends() {
+fn the_timeout_counts_from_a_requests_first_byte() {
     let mut meter = http(None);
     let mut slow = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     let mut other = Talk::begin(&mut meter, 0, (1, 40_001), SERVER);
@@ -146,13 +146,13 @@ fn a_request_is_lost_as_long_after_its_first_byte_whenever_its_head_ends() {
     slow.say(&mut meter, 30, b"HTTP/1.1\r\n\r\n");
     assert_eq!(meter.deadline(), Some(ms(1010)));
     meter.expire(ms(1010));
-    assert_eq!(told(&mut meter), [(1, 10, None)]);
+    assert_eq!(samples(&mut meter), [(1, 10, None)]);
     meter.expire(ms(1020));
-    assert_eq!(told(&mut meter), [(0, 20, None)]);
+    assert_eq!(samples(&mut meter), [(0, 20, None)]);
 }
 
 #[test]
-fn heads_without_end_and_lengths_that_disagree_are_not_followed() {
+fn endless_heads_and_contradicting_lengths_are_not_followed() {
     let mut meter = http(None);
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     for _ in 0..33 {
@@ -165,7 +165,7 @@ fn heads_without_end_and_lengths_that_disagree_are_not_followed() {
 }
 
 #[test]
-fn only_requests_of_the_path_count_and_responses_keep_their_order() {
+fn only_requests_of_the_path_count_and_responses_are_in_order() {
     let mut meter = http(Some("/detect"));
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     let request = |path| format!("GET {path} HTTP/1.1\r\nHost: edge\r\n\r\n");
@@ -175,38 +175,38 @@ fn only_requests_of_the_path_count_and_responses_keep_their_order() {
     for at in 1..=5 {
         talk.hear(&mut meter, 10 + at, b"HTTP/1.1 204 No Content\r\n\r\n");
     }
-    assert_eq!(told(&mut meter), [(0, 10, Some(1)), (1, 10, Some(4))]);
+    assert_eq!(samples(&mut meter), [(0, 10, Some(1)), (1, 10, Some(4))]);
     assert_eq!(meter.counts(), Counts { requests: 2, ..Counts::default() });
 }
 
 #[test]
-fn another_protocol_is_not_followed_and_counted() {
+fn other_protocols_are_counted_and_not_followed() {
     let mut meter = http(None);
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 1, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n");
     talk.hear(&mut meter, 2, &[0; 40]);
     let mut other = Talk::begin(&mut meter, 3, (1, 40_001), SERVER);
-    // An agreed change is no failure, and its response ends with its head.
+    // A change that both ends agree on is no failure. Its response ends with its head.
     other.say(&mut meter, 4, b"GET /ws HTTP/1.1\r\nUpgrade: websocket\r\n\r\n");
     other.hear(&mut meter, 6, b"HTTP/1.1 101 Switching Protocols\r\n\r\n\x81\x05");
     other.say(&mut meter, 7, &[0x81; 90]);
-    assert_eq!(told(&mut meter), [(0, 4, Some(2))]);
+    assert_eq!(samples(&mut meter), [(0, 4, Some(2))]);
     assert_eq!(meter.counts(), Counts { requests: 1, given_up: 1, ..Counts::default() });
 }
 
 #[test]
-fn more_connections_than_are_followed_end_the_quietest() {
+fn the_quietest_connection_makes_room_for_a_new_one() {
     let mut meter = bursts();
     let mut all: Vec<_> =
         (0..257).map(|i| Talk::begin(&mut meter, u64::from(i), (1, 20_000 + i), SERVER)).collect();
     assert_eq!(meter.counts().given_up, 1);
     all[256].say(&mut meter, 300, b"ask");
     all[256].hear(&mut meter, 301, b"answer");
-    assert_eq!(told(&mut meter), [(0, 300, Some(1))]);
+    assert_eq!(samples(&mut meter), [(0, 300, Some(1))]);
 }
 
 #[test]
-fn what_waits_for_a_gap_has_a_bound() {
+fn bytes_behind_a_gap_are_bounded() {
     let mut meter = bursts();
     let mut talk = Talk::begin(&mut meter, 0, CLIENT, SERVER);
     talk.say(&mut meter, 1, b"ask");
@@ -217,8 +217,8 @@ fn what_waits_for_a_gap_has_a_bound() {
     }
     assert_eq!(meter.counts().given_up, 1);
     meter.expire(ms(2000));
-    assert_eq!(told(&mut meter), [(0, 1, None)]);
-    // Others are followed as before.
+    assert_eq!(samples(&mut meter), [(0, 1, None)]);
+    // Other connections are followed as before.
     let mut other = Talk::begin(&mut meter, 3000, (1, 40_001), SERVER);
     other.say(&mut meter, 3001, b"ask");
     let first = other.server_sends(0, b"one");
@@ -226,14 +226,13 @@ fn what_waits_for_a_gap_has_a_bound() {
         other.hear(&mut meter, 3003, &[0; 1 << 14]);
     }
     meter.delivered(ms(3004), &frame(&first));
-    assert_eq!(told(&mut meter), [(1, 3001, Some(3))]);
+    assert_eq!(samples(&mut meter), [(1, 3001, Some(3))]);
     meter.delivered(ms(3005), &frame(&lost));
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
 }
 
 proptest! {
-    /// However responses are cut, repeated and reordered on the way: each ends when the last of its bytes, and of all before
-    /// them, has come.
+    /// Each response ends when its last byte and all before have come, however they are cut, repeated and reordered.
     #[test]
     fn http_responses_end_with_their_last_byte_in_any_order(
         bodies in vec((any::<bool>(), 0..300_usize), 1..6),
@@ -261,14 +260,14 @@ proptest! {
         places.dedup();
         let first = talk.next[1];
         let mut parts: Vec<_> = places.windows(2).map(|ends| (ends[0], ends[1])).collect();
-        // Some once more, and overlapping those before them.
+        // Some segments are repeated and overlap those before.
         let again: Vec<_> = order.iter().map(|i| parts[i.index(parts.len())]).map(|(a, b)| (a.saturating_sub(3), b)).collect();
         parts.extend(again);
         for (i, other) in order.iter().enumerate() {
             let (i, other) = (i % parts.len(), other.index(parts.len()));
             parts.swap(i, other);
         }
-        // When each byte came first.
+        // Time at which each byte came first.
         let mut came = vec![u64::MAX; said.len()];
         for (i, (from, to)) in parts.iter().enumerate() {
             let at = 1 + i as u64;
@@ -282,13 +281,13 @@ proptest! {
             .enumerate()
             .map(|(i, end)| (i as u32, 0, came[..*end].iter().max().copied()))
             .collect();
-        prop_assert_eq!(told(&mut meter), expected);
+        prop_assert_eq!(samples(&mut meter), expected);
         prop_assert_eq!(meter.counts().given_up, 0);
     }
 
-    /// A client's super-packets and its small packets are the same request.
+    /// A client's super-packets and small packets make the same requests.
     #[test]
-    fn requests_begin_with_their_first_byte_however_they_are_cut(
+    fn requests_begin_with_their_first_byte_in_any_segmentation(
         count in 1..20_usize,
         size in 1..60_usize,
     ) {
@@ -304,6 +303,6 @@ proptest! {
             talk.say(&mut meter, at, part);
         }
         talk.hear(&mut meter, 900, &b"HTTP/1.1 204 No Content\r\n\r\n".repeat(count));
-        prop_assert_eq!(told(&mut meter), expected);
+        prop_assert_eq!(samples(&mut meter), expected);
     }
 }

@@ -1,18 +1,18 @@
-//! Messages of DDS's wire protocol for tests.
+//! Builds messages of DDS's wire protocol for tests.
 
 use crate::rtps::{Guid, Identity, PUBLICATIONS_WRITER};
 
 pub(crate) const CUSTOM_RELATED: u16 = 0x800f;
 pub(crate) const RELATED: u16 = 0x0083;
 
-/// A writer or a reader of a participant.
+/// Returns the GUID of a participant's writer or reader.
 pub(crate) fn guid(participant: u8, entity: u8) -> Guid {
     let mut guid = [participant; 16];
     guid[12..].copy_from_slice(&[0, 0, entity, 3]);
     guid
 }
 
-/// A message of a participant, in either order of bytes.
+/// A message of a participant, in either byte order.
 #[derive(Clone)]
 pub(crate) struct Message {
     pub bytes: Vec<u8>,
@@ -52,7 +52,7 @@ impl Message {
         self
     }
 
-    /// A parameter of a list.
+    /// Builds a parameter of a list.
     pub fn parameter(&self, id: u16, value: &[u8]) -> Vec<u8> {
         [&self.n16(id)[..], &self.n16(value.len() as u16), value].concat()
     }
@@ -61,7 +61,7 @@ impl Message {
         self.parameter(id, &[&identity.writer[..], &self.sequence(identity.sequence)].concat())
     }
 
-    /// A sample, with such parameters beside it.
+    /// Adds a sample with parameters.
     pub fn data(self, writer: Guid, sequence: u64, parameters: &[u8], payload: &[u8]) -> Self {
         let mut body =
             [&[0, 0][..], &self.n16(16), &[0; 4], &writer[12..], &self.sequence(sequence)].concat();
@@ -73,12 +73,12 @@ impl Message {
         self.submessage(0x15, 0x04 | if parameters.is_empty() { 0 } else { 0x02 }, &body)
     }
 
-    /// A fragment of a sample, from 0, of which each has so many bytes.
+    /// Adds a fragment of a sample, numbered from 0, `size` bytes each.
     pub fn fragment(self, writer: Guid, sequence: u64, number: usize, size: usize, sample: &[u8]) -> Self {
         self.fragment_with(b"", writer, sequence, number, size, sample)
     }
 
-    /// The same, with such parameters beside it.
+    /// Adds a fragment with parameters.
     pub fn fragment_with(
         self,
         parameters: &[u8],
@@ -103,7 +103,7 @@ impl Message {
         self.submessage(0x16, if has_parameters { 0x02 } else { 0 }, &body)
     }
 
-    /// Says that a writer publishes a topic.
+    /// Adds the announcement of a writer on a topic.
     pub fn announce(self, writer: Guid, topic: &str) -> Self {
         let mut name = self.n32(topic.len() as u32 + 1).to_vec();
         name.extend_from_slice(topic.as_bytes());
@@ -121,12 +121,12 @@ impl Message {
         self.data(announcer, 1, b"", &payload)
     }
 
-    /// Serialized data.
+    /// Adds the encapsulation header to data.
     pub fn serialized(&self, body: &[u8]) -> Vec<u8> {
         [&[0, u8::from(self.is_little), 0, 0][..], body].concat()
     }
 
-    /// The same behind a client and the number of its call, as `rmw_cyclonedds` has them.
+    /// Adds the headers of `rmw_cyclonedds`: the client and the number of its call.
     pub fn cyclone(&self, client: u64, call: u64, body: &[u8]) -> Vec<u8> {
         let [client, call] = [client, call].map(|number| self.order(number.to_be_bytes()));
         self.serialized(&[&client[..], &call, body].concat())

@@ -2,7 +2,7 @@ use proptest::{collection::vec, prelude::*};
 
 use crate::{
     Counts, Frame, Id, Meter, Protocol,
-    testing::{frame, ms, told, udp, udp_fragments},
+    testing::{frame, ms, samples, udp, udp_fragments},
 };
 
 const CLIENT: (u8, u16) = (1, 40_000);
@@ -21,47 +21,47 @@ fn answer(meter: &mut Meter, at: u64, payload: &[u8]) {
 }
 
 #[test]
-fn one_after_the_other_is_measured_and_what_is_not_answered_in_time_is_lost() {
+fn consecutive_requests_are_measured_and_late_answers_ignored() {
     let mut meter = meter(None);
     ask(&mut meter, 1, b"a");
     answer(&mut meter, 13, b"b");
     ask(&mut meter, 20, b"c");
     assert_eq!(meter.deadline(), Some(ms(120)));
     meter.expire(ms(119));
-    assert_eq!(told(&mut meter), [(0, 1, Some(12))]);
+    assert_eq!(samples(&mut meter), [(0, 1, Some(12))]);
     meter.expire(ms(120));
-    assert_eq!(told(&mut meter), [(1, 20, None)]);
+    assert_eq!(samples(&mut meter), [(1, 20, None)]);
     answer(&mut meter, 121, b"late");
-    assert_eq!((told(&mut meter), meter.deadline()), (vec![], None));
-    // An answer at the very end comes too late.
+    assert_eq!((samples(&mut meter), meter.deadline()), (vec![], None));
+    // An answer at the very end of the timeout is too late.
     ask(&mut meter, 200, b"d");
     answer(&mut meter, 300, b"e");
-    assert_eq!(told(&mut meter), [(2, 200, None)]);
+    assert_eq!(samples(&mut meter), [(2, 200, None)]);
     assert_eq!(meter.counts(), Counts { requests: 3, ..Counts::default() });
 }
 
 #[test]
-fn answers_that_cannot_be_told_apart_are_in_no_sample() {
+fn ambiguous_answers_are_in_no_sample() {
     let mut meter = meter(None);
     ask(&mut meter, 0, b"a");
     ask(&mut meter, 30, b"b");
     answer(&mut meter, 40, b"to which?");
-    // Until the others are given up, an answer may be to any of them.
+    // Until the other requests expire, an answer may belong to any of them.
     ask(&mut meter, 60, b"c");
     answer(&mut meter, 70, b"");
-    // Other sockets are not concerned.
+    // Other sockets are not affected.
     meter.entered(ms(70), &frame(&udp((1, 40_001), SERVER, b"")), 0);
     meter.delivered(ms(75), &frame(&udp(SERVER, (1, 40_001), b"")));
-    assert_eq!(told(&mut meter), [(3, 70, Some(5))]);
+    assert_eq!(samples(&mut meter), [(3, 70, Some(5))]);
     meter.expire(ms(160));
     ask(&mut meter, 200, b"d");
     answer(&mut meter, 201, b"");
-    assert_eq!(told(&mut meter), [(4, 200, Some(1))]);
+    assert_eq!(samples(&mut meter), [(4, 200, Some(1))]);
     assert_eq!(meter.counts(), Counts { requests: 5, unclear: 3, ..Counts::default() });
 }
 
 #[test]
-fn a_request_stays_unclear_when_the_others_are_given_up() {
+fn a_request_stays_unclear_when_the_others_expire() {
     let mut meter = meter(None);
     ask(&mut meter, 0, b"a");
     ask(&mut meter, 30, b"b");
@@ -69,12 +69,12 @@ fn a_request_stays_unclear_when_the_others_are_given_up() {
     meter.expire(ms(100));
     answer(&mut meter, 110, b"perhaps the other");
     meter.expire(ms(130));
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     assert_eq!(meter.counts(), Counts { requests: 2, unclear: 2, ..Counts::default() });
 }
 
 #[test]
-fn requests_and_fragments_have_bounds_and_the_oldest_go() {
+fn requests_and_fragments_are_bounded_and_the_oldest_are_forgotten() {
     let mut meter = meter(Some(Id { offset: 0, length: 2 }));
     for number in 0..1025_u16 {
         ask(&mut meter, 1, &number.to_be_bytes());
@@ -88,27 +88,27 @@ fn requests_and_fragments_have_bounds_and_the_oldest_go() {
         meter.delivered(ms(3), &frame(&udp_fragments((other, SERVER.1), CLIENT, &long, 1480)[0]));
     }
     meter.delivered(ms(4), &frame(&second));
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     meter.delivered(ms(5), &frame(&first));
-    assert_eq!(told(&mut meter), [(1, 1, Some(4))]);
+    assert_eq!(samples(&mut meter), [(1, 1, Some(4))]);
 }
 
 #[test]
-fn an_id_tells_answers_apart_whatever_is_lost_repeated_or_overtaken() {
+fn ids_distinguish_answers_despite_loss_repetition_and_reordering() {
     let mut meter = meter(Some(Id { offset: 1, length: 2 }));
     ask(&mut meter, 0, b"?01");
     ask(&mut meter, 10, b"?02...");
     ask(&mut meter, 20, b"?03");
-    // The same once more.
+    // A retransmission.
     ask(&mut meter, 25, b"!03");
-    // Too short for one.
+    // A datagram too short for an id.
     ask(&mut meter, 26, b"?0");
     answer(&mut meter, 30, b"=03 and more");
     answer(&mut meter, 31, b"=03 again");
     answer(&mut meter, 32, b"=01");
     answer(&mut meter, 33, b"=04");
     meter.expire(ms(110));
-    assert_eq!(told(&mut meter), [(2, 20, Some(10)), (0, 0, Some(32)), (1, 10, None)]);
+    assert_eq!(samples(&mut meter), [(2, 20, Some(10)), (0, 0, Some(32)), (1, 10, None)]);
     assert_eq!(meter.counts(), Counts { requests: 3, ..Counts::default() });
 }
 
@@ -117,7 +117,7 @@ fn other_frames_are_ignored() {
     let mut meter = meter(None);
     let entered = |meter: &mut Meter, from, to| meter.entered(ms(0), &frame(&udp(from, to, b"")), 0);
     entered(&mut meter, CLIENT, (2, 9001));
-    // The server's own answers, where it is on the same node as a client of another one.
+    // Answers of a server on the same node as the client of another one.
     entered(&mut meter, (1, 9000), (2, 40_000));
     let broadcast = {
         let mut bytes = udp(CLIENT, SERVER, b"");
@@ -130,13 +130,13 @@ fn other_frames_are_ignored() {
     meter.delivered(ms(2), &frame(&udp((2, 9001), CLIENT, b"")));
     meter.delivered(ms(2), &frame(&udp((3, 9000), CLIENT, b"")));
     meter.delivered(ms(2), &frame(&udp(SERVER, (1, 40_001), b"")));
-    assert_eq!(told(&mut meter), []);
+    assert_eq!(samples(&mut meter), []);
     answer(&mut meter, 3, b"");
-    assert_eq!(told(&mut meter), [(0, 1, Some(2))]);
+    assert_eq!(samples(&mut meter), [(0, 1, Some(2))]);
 }
 
 #[test]
-fn an_answer_with_a_flipped_bit_is_none() {
+fn answers_with_a_flipped_bit_are_ignored() {
     let mut meter = meter(None);
     ask(&mut meter, 0, b"a");
     let good = udp(SERVER, CLIENT, b"odd");
@@ -144,29 +144,29 @@ fn an_answer_with_a_flipped_bit_is_none() {
         let mut bad = good.clone();
         bad[bit / 8] ^= 1 << (bit % 8);
         meter.delivered(ms(1), &frame(&bad));
-        assert_eq!(told(&mut meter), [], "bit {bit}");
+        assert_eq!(samples(&mut meter), [], "bit {bit}");
     }
-    // A checksum that is left to others is not looked at.
+    // A checksum left to the network card is not verified.
     let mut left = good;
     let place = left.len() - 5;
     left[place] ^= 1;
     meter.delivered(ms(2), &Frame { checksum_left: true, ..frame(&left) });
-    assert_eq!(told(&mut meter), [(0, 0, Some(2))]);
+    assert_eq!(samples(&mut meter), [(0, 0, Some(2))]);
 }
 
 #[test]
-fn a_super_packet_is_all_its_datagrams() {
+fn a_super_packet_counts_as_its_datagrams() {
     let mut meter = meter(Some(Id { offset: 0, length: 2 }));
     let both = udp(CLIENT, SERVER, b"01..02");
     meter.entered(ms(0), &Frame { segment: Some(4), ..frame(&both) }, 0);
     answer(&mut meter, 5, b"02");
     answer(&mut meter, 6, b"01");
-    assert_eq!(told(&mut meter), [(1, 0, Some(5)), (0, 0, Some(6))]);
+    assert_eq!(samples(&mut meter), [(1, 0, Some(5)), (0, 0, Some(6))]);
 }
 
 proptest! {
     #[test]
-    fn a_fragmented_answer_is_there_with_its_last_fragment_in_any_order(
+    fn a_fragmented_answer_is_complete_with_its_last_fragment_in_any_order(
         length in 1..4000_usize,
         size in 2..180_usize,
         order in vec(any::<proptest::sample::Index>(), 600),
@@ -190,9 +190,9 @@ proptest! {
         if again != last {
             meter.delivered(ms(3), &frame(&again));
         }
-        prop_assert_eq!(told(&mut meter), []);
+        prop_assert_eq!(samples(&mut meter), []);
         meter.delivered(ms(4), &frame(&last));
 
-        prop_assert_eq!(told(&mut meter), [(0, 1, Some(3))]);
+        prop_assert_eq!(samples(&mut meter), [(0, 1, Some(3))]);
     }
 }
