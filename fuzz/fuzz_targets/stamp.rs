@@ -25,7 +25,7 @@ fuzz_target!(|datagrams: Vec<(u32, &[u8])>| {
     if let Some(measured) = session.measurement(now) {
         assert!((0.0..=1.0).contains(&measured.loss()));
     }
-    for told in link.told(now).into_iter().flatten() {
+    for told in link.estimates(now).into_iter().flatten() {
         assert!(told.loss.is_none_or(|loss| (0.0..=1.0).contains(&loss)));
     }
 });

@@ -179,7 +179,7 @@ impl Reflected {
         let since = shared.clock.now().since(at);
         Some(told.map(|told| {
             let delays = told.delays.map(|(delays, age)| (delays, age + since));
-            WireProbes::told(LinkEstimate { delays, loss: told.loss, loss_age: told.loss_age + since })
+            WireProbes::estimate(LinkEstimate { delays, loss: told.loss, loss_age: told.loss_age + since })
         }))
     }
 
@@ -231,7 +231,7 @@ impl Shared {
             sender.session_mut().pace(config);
             state.forget(now - config.window);
             if state.told.is_none_or(|(at, _)| now.since(at) >= NOTICE) {
-                state.told = sender.session().apart(now, |at| state.least(at)).map(|told| (now, told));
+                state.told = sender.session().one_way(now, |at| state.least(at)).map(|told| (now, told));
             }
         }
     }

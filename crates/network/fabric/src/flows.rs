@@ -100,14 +100,14 @@ impl Flows {
         for flow in self.flows.iter_mut().filter(|flow| flow.from == port) {
             flow.meter.delivered(since_start(now), &seen(frame));
         }
-        self.tell(now, from, name);
+        self.collect_samples(now, from, name);
     }
 
     /// Expires requests without an answer in time.
     pub fn expire(&mut self, now: Timestamp, name: impl Fn(PortId) -> NodeId) {
         if self.deadline.is_some_and(|deadline| deadline <= now) {
             self.flows.iter_mut().for_each(|flow| flow.meter.expire(since_start(now)));
-            self.tell(now, None, name);
+            self.collect_samples(now, None, name);
         }
     }
 
@@ -125,7 +125,7 @@ impl Flows {
     }
 
     /// Turns new samples into events. `from` is the host that sent the frame behind them, if any.
-    fn tell(&mut self, now: Timestamp, from: Option<PortId>, name: impl Fn(PortId) -> NodeId) {
+    fn collect_samples(&mut self, now: Timestamp, from: Option<PortId>, name: impl Fn(PortId) -> NodeId) {
         for flow in &mut self.flows {
             while let Some(Sample { sequence, entered, took, mark }) = flow.meter.poll() {
                 let Mark { server, attachment } = Mark::unpack(mark);

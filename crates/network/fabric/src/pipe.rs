@@ -18,7 +18,7 @@ use crate::{
     transmitter::Transmitter,
 };
 
-/// Why a frame crosses a link.
+/// The reason for which a frame crosses a link.
 #[derive(Debug, Clone)]
 pub(crate) enum Purpose {
     /// It is on its way to a target.
@@ -34,7 +34,7 @@ pub(crate) enum Purpose {
 pub(crate) struct Packet {
     pub(crate) frame: Frame,
     pub(crate) purpose: Purpose,
-    /// When it entered the current link.
+    /// Time of entering the current link.
     pub(crate) entered: Timestamp,
 }
 

@@ -360,7 +360,7 @@ pub(crate) fn is_impaired(conditions: &Conditions) -> bool {
         || random.into_iter().any(|p| p != Probability::ZERO)
 }
 
-/// What one direction of a link can carry.
+/// The capacity of one direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Carries {
     /// Highest throughput, bit/s.

@@ -1,5 +1,5 @@
-//! Extensions behind the base packet (RFC 8972, section 4): flags, type, length, value. The only one that is
-//! understood is padding; a reflector sends the others back and says that it does not know them.
+//! Extensions behind the base packet (RFC 8972, section 4): flags, type, length, value. Only padding is supported. A
+//! reflector returns the others, flagged as unrecognized.
 
 /// The reflector does not know the type.
 const UNRECOGNIZED: u8 = 0x80;
@@ -9,7 +9,7 @@ const MALFORMED: u8 = 0x40;
 const PADDING: u8 = 1;
 const HEADER: usize = 4;
 
-/// Turns what a sender put behind the base packet into what goes back to it, in place.
+/// Turns a sender's extensions into those of the reply, in place.
 pub(crate) fn reflect(mut extensions: &mut [u8]) {
     while extensions.len() >= HEADER {
         let length = usize::from(u16::from_be_bytes([extensions[2], extensions[3]]));
@@ -23,13 +23,13 @@ pub(crate) fn reflect(mut extensions: &mut [u8]) {
     }
 }
 
-/// Makes the room behind the base packet one padding, where it has room for its header.
+/// Fills the space behind the base packet with one padding, if its header fits.
 pub(crate) fn pad(extensions: &mut [u8]) {
     let Some(length) = extensions.len().checked_sub(HEADER).and_then(|length| u16::try_from(length).ok())
     else {
         return;
     };
-    // A sender sets the flag; a reflector that knows the type takes it away.
+    // A sender sets the flag; a reflector that recognizes the type clears it.
     extensions[0] = UNRECOGNIZED;
     extensions[1] = PADDING;
     extensions[2..HEADER].copy_from_slice(&length.to_be_bytes());
@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_known_is_flagged_and_padding_is_not() {
+    fn only_unknown_extensions_are_flagged() {
         let mut extensions = [0x80, 1, 0, 2, 7, 7, 0, 200, 0, 1, 9, 0x80, 1, 0, 9, 1];
         reflect(&mut extensions);
         assert_eq!(extensions, [0, 1, 0, 2, 7, 7, 0x80, 200, 0, 1, 9, 0xc0, 1, 0, 9, 1]);
@@ -58,7 +58,7 @@ mod tests {
         }
 
         #[test]
-        fn any_extensions_come_back_in_their_length(mut extensions in prop::collection::vec(any::<u8>(), 0..200)) {
+        fn replies_keep_the_length_of_extensions(mut extensions in prop::collection::vec(any::<u8>(), 0..200)) {
             let before = extensions.clone();
             reflect(&mut extensions);
             let changed = before.iter().zip(&extensions).filter(|(a, b)| a != b).count();

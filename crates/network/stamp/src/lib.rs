@@ -2,10 +2,10 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
-mod apart;
 mod extension;
 mod link;
 mod measurement;
+mod one_way;
 mod packet;
 mod reflector;
 mod sender;

@@ -1,4 +1,4 @@
-//! Both ends of one link in one hand, with one clock: then each direction is told by itself, whatever gets lost.
+//! Both ends of a link in one process, with one clock. Each direction is measured by itself, whatever gets lost.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -10,13 +10,13 @@ use crate::{
     utc::{ErrorEstimate, Utc},
 };
 
-/// A link of which both ends are within reach. Its first end asks, its second end answers.
+/// Both ends of a link. The first end sends probes, the second end answers.
 #[derive(Debug)]
 pub struct Link {
     config: SessionConfig,
     session: Session,
     reflector: Reflector<()>,
-    /// What was sent within the window, in order.
+    /// Probes sent within the window, in order.
     probes: VecDeque<Probe>,
 }
 
@@ -24,7 +24,7 @@ pub struct Link {
 struct Probe {
     sequence: u32,
     sent_at: Utc,
-    /// How far it got.
+    /// Directions that it crossed.
     crossed: Crossed,
 }
 
@@ -36,7 +36,7 @@ enum Crossed {
 }
 
 impl Link {
-    /// A link that is probed from a time on, as the configuration says; whose clock it is has no part in that.
+    /// Starts to probe a link at `begins`. The configuration's error estimate and `reflector_counts` are ignored.
     pub fn new(config: SessionConfig, begins: Utc) -> Self {
         let clock = ErrorEstimate::new(true, Duration::from_nanos(1));
         let config = SessionConfig { error: clock, reflector_counts: true, ..config };
@@ -48,7 +48,7 @@ impl Link {
         }
     }
 
-    /// The probe that is due at the first end, if one is.
+    /// Returns the probe that is due at the first end, if any.
     pub fn poll(&mut self, now: Utc) -> Option<Vec<u8>> {
         let sequence = self.session.sent();
         let bytes = self.session.poll(now)?;
@@ -60,22 +60,22 @@ impl Link {
         Some(bytes)
     }
 
-    /// When [`Link::poll`] has something to do.
+    /// Returns when [`Link::poll`] is due.
     pub fn deadline(&self) -> Option<Utc> {
         self.session.deadline()
     }
 
-    /// As [`Session::pace`].
+    /// Changes the pace; see [`Session::pace`].
     pub fn pace(&mut self, config: SessionConfig) {
         let SessionConfig { patience, window, .. } = config;
         self.config = SessionConfig { patience, window, ..self.config };
         self.session.pace(config);
     }
 
-    /// A probe came to the second end: gives the answer, which goes back `now`, and what the way there took.
+    /// Takes a probe at the second end. Returns the answer, to be sent back `now`, and the delay of the way there.
     ///
     /// # Errors
-    /// [`Malformed`] if it is none.
+    /// [`Malformed`] for bytes that are no probe.
     pub fn reflect(
         &mut self,
         bytes: &[u8],
@@ -89,10 +89,10 @@ impl Link {
         Ok((answer, received.since(sent)))
     }
 
-    /// An answer came to the first end: gives what the way back took. One that came twice or too late is `None`.
+    /// Takes an answer at the first end. Returns the delay of the way back; `None` for a repeated or late answer.
     ///
     /// # Errors
-    /// [`Malformed`] if it is none.
+    /// [`Malformed`] for bytes that are no answer.
     pub fn receive(&mut self, bytes: &[u8], received: Utc) -> Result<Option<Duration>, Malformed> {
         let Some((sequence, back)) = self.session.receive_which(bytes, received)? else { return Ok(None) };
         self.got(sequence, Crossed::Both);
@@ -106,11 +106,11 @@ impl Link {
         }
     }
 
-    /// What probes tell of the way there and the way back; `None` before it is known of the first what became of it.
-    pub fn told(&self, now: Utc) -> Option<[LinkEstimate; 2]> {
+    /// Returns the estimates of the way there and the way back; `None` until the first probe was answered or given up.
+    pub fn estimates(&self, now: Utc) -> Option<[LinkEstimate; 2]> {
         let from = now - self.config.window;
         let recent = self.probes.iter().filter(|probe| probe.sent_at >= from);
-        // An answer settles all that was sent before it: what is still missing is lost, unless it comes after all.
+        // An answer settles all probes sent before it. Those without an answer count as lost, unless it still comes.
         let settled =
             |probe: &&Probe| probe.crossed == Crossed::Both || probe.sent_at + self.config.patience <= now;
         let latest = recent.clone().rfind(settled)?.sent_at;
@@ -138,7 +138,7 @@ mod tests {
         Utc::UNIX_EPOCH + Duration::from_millis(ms)
     }
 
-    /// Probes every 100 ms over a way that says what becomes of each: lost there, lost back, or neither.
+    /// Probes every 100 ms. `way` gives the directions that each probe crosses.
     fn after(count: u64, way: impl Fn(u64) -> Crossed) -> Option<[LinkEstimate; 2]> {
         let config = SessionConfig { patience: Duration::from_millis(500), ..SessionConfig::default() };
         let mut link = Link::new(config, ms(0));
@@ -150,7 +150,7 @@ mod tests {
             if way(n) == Crossed::Nothing {
                 continue;
             }
-            // The second end rests for a millisecond, which is nobody's delay.
+            // The second end rests for a millisecond, which counts in neither delay.
             let (answer, took) = link.reflect(&probe, ms(n * 100 + 3), ms(n * 100 + 4)).unwrap();
             assert_eq!(took, Duration::from_millis(3));
             if way(n) == Crossed::Both {
@@ -159,7 +159,7 @@ mod tests {
                 assert_eq!(link.receive(&answer, ms(n * 100 + 12)), Ok(None), "the same again");
             }
         }
-        link.told(ms(count * 100))
+        link.estimates(ms(count * 100))
     }
 
     #[test]
@@ -181,9 +181,9 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_went_silent_is_told_before_its_delay_is_forgotten() {
+    fn loss_is_reported_before_the_delay_is_forgotten() {
         let [there, back] = after(120, |n| if n < 60 { Crossed::Both } else { Crossed::Nothing }).unwrap();
-        // Of the last 100, 40 came back and 56 were given up.
+        // 40 of the last 100 came back, and 56 were given up.
         assert!((there.loss.unwrap() - 56.0 / 96.0).abs() < 1e-9, "{there:?}");
         assert_eq!(back.loss, Some(0.0));
         assert_eq!(
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_told_before_anything_is_known() {
+    fn there_are_no_estimates_before_the_first_answer() {
         assert_eq!(after(1, |_| Crossed::Nothing), None);
         assert_eq!(after(6, |_| Crossed::Nothing).unwrap().map(|told| told.loss), [Some(1.0), None]);
         assert!(after(1, |_| Crossed::Both).is_some());

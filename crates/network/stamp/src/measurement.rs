@@ -1,10 +1,10 @@
-//! What the packets of the last while tell: delay, jitter and loss.
+//! Delay, jitter and loss of the packets in a window.
 
 use std::time::Duration;
 
 use crate::utc::Utc;
 
-/// What became of a test packet, and when it was sent.
+/// The outcome of a test packet.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Outcome {
     pub(crate) sent_at: Utc,
@@ -12,21 +12,21 @@ pub(crate) struct Outcome {
 }
 
 impl Outcome {
-    /// The delay there (0) or back (1), if the clocks tell it.
+    /// Returns the delay there (0) or back (1), if both clocks are synchronised.
     fn one_way(&self, way: usize) -> Option<Duration> {
         Some(duration(self.sample?.one_way()?[way]))
     }
 }
 
-/// What one reply tells.
+/// The measurement by one reply.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
     pub(crate) replied_at: Utc,
-    /// Without the time that the reflector took.
+    /// Round-trip time without the reflector's processing time.
     pub(crate) round_trip: Duration,
-    /// Nanoseconds there and back, each from one clock's reading to the other's.
+    /// Differences of both clocks' readings there and back, ns.
     pub(crate) ways: [i64; 2],
-    /// Whether both clocks tell the same time.
+    /// Whether both clocks are synchronised.
     pub(crate) synchronized: bool,
     pub(crate) sequence: u32,
     /// The reflector's count.
@@ -34,37 +34,37 @@ pub(crate) struct Sample {
 }
 
 impl Sample {
-    /// Nanoseconds there and back, if both clocks tell the same time.
+    /// Returns the delays there and back, ns, if both clocks are synchronised.
     pub(crate) fn one_way(&self) -> Option<[i64; 2]> {
         self.synchronized.then_some(self.ways)
     }
 }
 
-/// No time at all if it is negative.
+/// Converts nanoseconds; negative values become zero.
 pub(crate) fn duration(ns: i64) -> Duration {
     Duration::from_nanos(ns.max(0).unsigned_abs())
 }
 
-/// The delays of some packets.
+/// Statistics of delays.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Delays {
-    /// The least.
+    /// The minimum.
     pub min: Duration,
     /// The mean.
     pub mean: Duration,
     /// The median.
     pub p50: Duration,
-    /// What 99 % did not exceed.
+    /// The 99th percentile.
     pub p99: Duration,
-    /// The most.
+    /// The maximum.
     pub max: Duration,
-    /// The mean difference of two packets in a row, without its sign (packet delay variation by RFC 3393, of
-    /// consecutive packets as in RFC 5481, section 4.1). `None` if no two in a row were answered.
+    /// Mean absolute difference of consecutive packets (packet delay variation by RFC 3393, of consecutive packets as in
+    /// RFC 5481, section 4.1). `None` if no two consecutive packets were answered.
     pub jitter: Option<Duration>,
 }
 
 impl Delays {
-    /// Of packets in the order of sending; of some the delay is not known.
+    /// Returns the statistics of packets in order of sending. Delays may be unknown.
     fn of(delays: impl Iterator<Item = Option<Duration>> + Clone) -> Option<Self> {
         let mut sorted: Vec<_> = delays.clone().flatten().collect();
         sorted.sort_unstable();
@@ -75,7 +75,7 @@ impl Delays {
     }
 }
 
-/// `None` of nothing.
+/// Returns the mean; `None` without delays.
 pub(crate) fn mean(delays: impl Iterator<Item = Duration>) -> Option<Duration> {
     let (count, total) = delays.fold((0, Duration::ZERO), |(n, total), delay| (n + 1, total + delay));
     total.checked_div(count)
@@ -85,17 +85,17 @@ pub(crate) fn jitter(delays: impl Iterator<Item = Option<Duration>> + Clone) -> 
     mean(delays.clone().zip(delays.skip(1)).filter_map(|(a, b)| Some(a?.abs_diff(b?))))
 }
 
-/// What the delays of one direction come to.
+/// Mean delay and jitter of one direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OneWay {
     /// The mean.
     pub mean: Duration,
-    /// As [`Delays::jitter`].
+    /// The jitter; see [`Delays::jitter`].
     pub jitter: Option<Duration>,
 }
 
 impl OneWay {
-    /// Both directions, there and back, by outcomes in the order of sending; `None` if nothing was answered.
+    /// Returns both directions, there and back, of outcomes in order of sending; `None` without answers.
     pub(crate) fn of<'a>(outcomes: impl Iterator<Item = &'a Outcome> + Clone) -> Option<[Self; 2]> {
         let way = |i: usize| {
             let delays = outcomes.clone().map(move |outcome| outcome.one_way(i));
@@ -105,51 +105,51 @@ impl OneWay {
     }
 }
 
-/// What probes tell of one direction of a link.
+/// The estimate of one direction of a link.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinkEstimate {
-    /// Delay and its variation, and how long ago the latest answer came; `None` if none came within the window.
+    /// Delay and jitter, with the age of the latest answer; `None` without an answer within the window.
     pub delays: Option<(OneWay, Duration)>,
-    /// Share of those that came to this direction that it lost, from 0 to 1; `None` if none came.
+    /// Lost share of the packets that entered this direction, from 0 to 1; `None` if none did.
     pub loss: Option<f64>,
-    /// How long ago the latest probe was sent that `loss` counts.
+    /// Age of the latest packet that `loss` counts.
     pub loss_age: Duration,
 }
 
-/// What was measured over a session's window. Only packets of which it is known what became of them count.
+/// The measurement over a session's window. Only answered and given-up packets count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
-    /// Packets that were answered, or given up.
+    /// Answered and given-up packets.
     pub sent: u32,
-    /// Packets that were given up.
+    /// Given-up packets.
     pub lost: u32,
-    /// Of the packets that got lost or not, how many the way there lost, from 0 to 1. `None` if the reflector has no
-    /// count of its own, or too few packets were answered to tell.
+    /// Share of packets lost on the way there, from 0 to 1. `None` if the reflector does not count its replies, or too few
+    /// packets were answered.
     pub forward_loss: Option<f64>,
-    /// The same of the way back, of those that reached the reflector.
+    /// Share of packets lost on the way back, of those that reached the reflector.
     pub backward_loss: Option<f64>,
-    /// There and back, without the time that the reflector took; `None` if nothing was answered.
+    /// Round-trip delays without the reflector's processing time; `None` without answers.
     pub round_trip: Option<Delays>,
-    /// The way there, where both clocks are synchronised.
+    /// Delays of the way there, if both clocks are synchronised.
     pub forward: Option<Delays>,
-    /// The way back, where both clocks are synchronised.
+    /// Delays of the way back, if both clocks are synchronised.
     pub backward: Option<Delays>,
-    /// When the latest reply came.
+    /// Time of the latest reply.
     pub last_reply: Option<Utc>,
 }
 
 impl Measurement {
-    /// Lost packets, of all, from 0 to 1.
+    /// Returns the lost share of all packets, from 0 to 1.
     pub fn loss(&self) -> f64 {
         f64::from(self.lost) / f64::from(self.sent.max(1))
     }
 
-    /// How old the latest reply is.
+    /// Returns the age of the latest reply.
     pub fn age(&self, now: Utc) -> Option<Duration> {
         self.last_reply.map(|at| now.since(at))
     }
 
-    /// What outcomes, in the order of sending, say; `None` if there are none.
+    /// Returns the measurement of outcomes in order of sending; `None` without outcomes.
     pub(crate) fn of<'a>(outcomes: impl Iterator<Item = &'a Outcome> + Clone, counts: bool) -> Option<Self> {
         let samples = outcomes.clone().filter_map(|outcome| outcome.sample);
         let sent = outcomes.clone().count() as u32;
@@ -170,14 +170,15 @@ impl Measurement {
     }
 }
 
-/// Of the packets between the first and the last that were answered, which share each direction lost.
+/// Returns the share that each direction lost of the packets between the first and the last answered one; `None` if the
+/// reflector's count is unusable.
 pub(crate) fn directions(samples: impl Iterator<Item = Sample> + Clone) -> Option<[f64; 2]> {
     let first = samples.clone().next()?;
     let last = samples.clone().last()?;
     let sent = last.sequence.wrapping_sub(first.sequence);
     let reflected = last.reflected.wrapping_sub(first.reflected);
     let answered = samples.count() as u32 - 1;
-    // A reflector that was started again, or that reordered packets, counts something else.
+    // The count is inconsistent if the reflector was restarted, or packets were reordered.
     (sent > 0 && answered <= reflected && reflected <= sent).then(|| {
         let share = |lost: u32, of: u32| if of == 0 { 0.0 } else { f64::from(lost) / f64::from(of) };
         [share(sent - reflected, sent), share(reflected - answered, reflected)]

@@ -1,9 +1,9 @@
-//! The directions of a path between two clocks that nothing synchronises.
+//! Estimates both directions of a path between unsynchronised clocks.
 //!
-//! The clocks' difference θ is in what the way there seems to take, and with the other sign in what the way back seems to.
-//! Their sum is the round trip, and how either varies is the path's own, for as long as θ stays (RFC 3393, section 4.3). What is
-//! left open is one figure, θ itself. It follows if of each direction it is known how long it takes at least, but for a rest
-//! that is the same both ways: the least that either took beyond that is that rest, plus or minus θ.
+//! The clocks' offset θ is part of the apparent delay of the way there and, with the opposite sign, of the way back. Their
+//! sum is the round trip, and their variations are the path's own while θ is constant (RFC 3393, section 4.3). Only θ is
+//! unknown. It follows from the known least delay of each direction, if the rest is equal in both. The least excess over
+//! the known delay is then that rest, plus or minus θ.
 
 use std::time::Duration;
 
@@ -12,9 +12,9 @@ use crate::{
     utc::Utc,
 };
 
-/// What outcomes, in the order of sending, say of the way there and the way back; `None` if there are none. A packet that was
-/// sent then takes `least` in either direction, and the same rest in both.
-pub(crate) fn apart<'a>(
+/// Returns the estimates of the way there and the way back of outcomes in order of sending; `None` without outcomes.
+/// `least` gives the known least delay of either direction for a packet's time of sending.
+pub(crate) fn one_way<'a>(
     outcomes: impl Iterator<Item = &'a Outcome> + Clone,
     now: Utc,
     least: impl Fn(Utc) -> [Duration; 2],
@@ -43,14 +43,14 @@ pub(crate) fn apart<'a>(
     ])
 }
 
-/// Which share of so many packets either direction lost, by the reflector's count: of those before the first that was
-/// answered, and after the last, nobody knows that they came there.
+/// Returns the share of `sent` packets that either direction lost, by the reflector's count. Lost packets before the first
+/// answered one and after the last count as lost on the way there.
 fn losses(sent: u32, samples: impl Iterator<Item = Sample> + Clone) -> [Option<f64>; 2] {
     let (Some(first), Some(last)) = (samples.clone().next(), samples.clone().last()) else {
         return [Some(1.0), None];
     };
     let Some([there, back]) = directions(samples) else {
-        // One answer alone says what became of one packet; more of them, that the reflector's count is none.
+        // A single answer settles one packet. With several, the reflector's count is unusable.
         let one = first.sequence == last.sequence;
         return [one.then(|| 1.0 - 1.0 / f64::from(sent)), one.then_some(0.0)];
     };
@@ -71,8 +71,8 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// What a session tells of packets each 100 ms, to a clock that is so far ahead; each takes so long there and back, if it
-    /// gets through, of which so much is known.
+    /// Returns the estimates of `count` packets, one per 100 ms, with a reflector's clock that is ahead. `way` gives the delay of each
+    /// packet there and back, ms; `None` if it is lost. `least` gives the known delays.
     fn told(
         ahead_ms: i64,
         count: u64,
@@ -100,12 +100,12 @@ mod tests {
         }
         let now = begins + ms(count * 100);
         let _ = session.poll(now);
-        session.apart(now, |sent_at| least(sent_at.since(begins).as_millis() as u64 / 100))
+        session.one_way(now, |sent_at| least(sent_at.since(begins).as_millis() as u64 / 100))
     }
 
     #[test]
-    fn what_is_known_of_the_directions_tells_them_apart() {
-        // 10 ms there and 2 ms back, and 3 ms each that nobody knew of; a queue on the way back.
+    fn known_least_delays_separate_the_directions() {
+        // 10 ms there and 2 ms back, 3 ms of unknown delay each, and a queue on the way back.
         let way = |i: u64| [Some(13), Some(5 + 4 * (i % 2))];
         for ahead in [-5_000_000, 0, 77] {
             let [there, back] = told(ahead, 40, way, |_| [ms(10), ms(2)]).unwrap();
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_may_change_on_the_way() {
+    fn known_least_delays_may_change() {
         let way = |i: u64| if i < 10 { [Some(5), Some(5)] } else { [Some(45), Some(5)] };
         let least = |i: u64| if i < 10 { [ms(4), ms(4)] } else { [ms(44), ms(4)] };
         let [there, back] = told(1_234, 20, way, least).unwrap().map(|told| told.delays.unwrap().0.mean);
@@ -125,12 +125,13 @@ mod tests {
     }
 
     #[test]
-    fn each_direction_answers_for_what_it_lost() {
-        // Of a hundred, ten get lost on the way there, and of the ninety others nine on the way back; not the first, not the last.
+    fn losses_are_assigned_to_their_direction() {
+        // Of a hundred packets, ten are lost on the way there, and nine of the others on the way back; not the first, not the
+        // last.
         let way = |i: u64| [(i % 10 != 5).then_some(3), (i % 10 != 3 || i == 3).then_some(7)];
         let [there, back] = told(9, 100, way, |_| [ms(0), ms(0)]).unwrap().map(|told| told.loss.unwrap());
         assert!((there - 0.1).abs() < 1e-9 && (back - 0.1).abs() < 1e-9, "{there} {back}");
-        // Of a path that went silent it is not known where.
+        // The direction of losses on a silent path is unknown.
         let way = |i: u64| [(i < 25).then_some(3), Some(7)];
         let [there, back] = told(9, 100, way, |_| [ms(0), ms(0)]).unwrap().map(|told| told.loss);
         assert_eq!((there, back), (Some(0.75), Some(0.0)));
@@ -144,7 +145,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn both_directions_make_the_round_trip(
+        fn both_directions_sum_to_the_round_trip(
             ways in prop::collection::vec((0..80_u64, 0..18_u64), 1..40),
             ahead in -1_000_000..1_000_000_i64,
             known in (0..50_u64, 0..50_u64),
@@ -154,7 +155,7 @@ mod tests {
             let way = |i: u64| { let (there, back) = ways[i as usize]; [Some(there), Some(back)] };
             let [there, back] = told(ahead, ways.len() as u64, way, least).unwrap();
             let [there_ms, back_ms] = [there, back].map(|told| told.delays.unwrap().0.mean.as_secs_f64() * 1e3);
-            // What is known falsely puts the one below zero, and is none then.
+            // Wrong known delays would make one direction negative, which is reported as zero.
             prop_assert!(there_ms + back_ms >= mean - 1e-3);
             let least_there = ways.iter().map(|way| way.0).min().unwrap();
             let least_back = ways.iter().map(|way| way.1).min().unwrap();

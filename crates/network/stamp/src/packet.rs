@@ -1,5 +1,5 @@
-//! The two packets of unauthenticated mode (RFC 8762, sections 4.2.1 and 4.3.1), both as long as a sender likes, at
-//! least 44 octets. What is behind those are extensions.
+//! The two packets of unauthenticated mode (RFC 8762, sections 4.2.1 and 4.3.1). Both have at least 44 octets; extensions
+//! follow behind.
 
 use crate::utc::ErrorEstimate;
 
@@ -9,21 +9,21 @@ pub const PORT: u16 = 862;
 /// Octets of a packet without extensions.
 pub const BASE_LENGTH: usize = 44;
 
-/// What a test packet of TWAMP Light has at least.
+/// Least octets of a test packet of TWAMP Light.
 const SHORTEST_TEST: usize = 14;
 
-/// What its reply has at least.
+/// Least octets of its reply.
 const SHORTEST_REPLY: usize = 41;
 
-/// Why bytes are no packet of STAMP, or none that can be meant.
+/// An error in a received packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Malformed {
-    /// It has fewer octets than the shortest packet.
+    /// Fewer octets than the shortest packet.
     #[error("{found} octets are too few: a packet has at least {least}")]
     Short {
-        /// What it has.
+        /// Received octets.
         found: usize,
-        /// What it needs.
+        /// Required octets.
         least: usize,
     },
     /// An error estimate with a multiplier of zero (RFC 4656, section 4.1.2).
@@ -31,18 +31,18 @@ pub enum Malformed {
     Corrupt,
 }
 
-/// What a sender sends.
+/// A test packet of a sender.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Test {
     pub(crate) sequence: u32,
     pub(crate) sent_at: [u8; 8],
     pub(crate) error: ErrorEstimate,
-    /// Zero for a sender that knows no sessions (RFC 8972, section 3).
+    /// Session identifier; zero for a sender without (RFC 8972, section 3).
     pub(crate) session: u16,
 }
 
 impl Test {
-    /// A packet of a length, which is at least the base length.
+    /// Encodes the packet, at least [`BASE_LENGTH`] long.
     pub(crate) fn encode(&self, length: usize) -> Vec<u8> {
         let mut bytes = vec![0; length.max(BASE_LENGTH)];
         bytes[0..4].copy_from_slice(&self.sequence.to_be_bytes());
@@ -63,16 +63,16 @@ impl Test {
     }
 }
 
-/// What a reflector answers.
+/// A reflector's reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Reply {
-    /// The reflector's own count, if it keeps one, or the sender's.
+    /// The reflector's own count if it keeps one, or the sender's number.
     pub(crate) sequence: u32,
     pub(crate) sent_at: [u8; 8],
     pub(crate) error: ErrorEstimate,
     pub(crate) received_at: [u8; 8],
     pub(crate) test: Test,
-    /// As the reflector received the test packet; 255 if it can't know.
+    /// TTL of the received test packet; 255 if unknown.
     pub(crate) test_ttl: u8,
 }
 
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_are_where_the_rfc_has_them() {
+    fn fields_are_at_the_rfcs_offsets() {
         let error = ErrorEstimate::default().to_wire();
         let bytes = test().encode(0);
         assert_eq!(bytes.len(), BASE_LENGTH);
@@ -157,7 +157,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
+        fn arbitrary_bytes_are_decoded_or_rejected(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
             if let Ok(test) = Test::decode(&bytes) {
                 prop_assert_eq!(Test::decode(&test.encode(bytes.len())), Ok(test));
             }

@@ -1,5 +1,5 @@
-//! The side that answers (RFC 8762, section 4.3), with a count of its own for each session, so that a sender can tell
-//! which direction lost a packet.
+//! The Session-Reflector (RFC 8762, section 4.3). It is stateful: it counts the replies of each session, so that senders can
+//! assign losses to a direction.
 
 use std::{collections::HashMap, hash::Hash, time::Duration};
 
@@ -9,16 +9,16 @@ use crate::{
     utc::{ErrorEstimate, Utc},
 };
 
-/// A session that was silent for so long is forgotten: REFWAIT of RFC 5357, section 4.2.
+/// Time after which a silent session is forgotten: REFWAIT of RFC 5357, section 4.2.
 const FORGET_AFTER: Duration = Duration::from_secs(900);
 
-/// So many sessions are kept; the one that was silent for longest makes room.
+/// Most sessions. Beyond that, the one that was silent for longest is forgotten.
 const MOST_SESSIONS: usize = 1024;
 
-/// What a reflector writes when it can't know how many hops a packet has left.
+/// Value for an unknown TTL.
 const UNKNOWN_TTL: u8 = 255;
 
-/// Answers test packets. `P` is what tells senders apart: a socket address.
+/// Answers test packets. `P` identifies senders, for example by socket address.
 #[derive(Debug)]
 pub struct Reflector<P> {
     error: ErrorEstimate,
@@ -31,7 +31,7 @@ struct Counted {
     heard_at: Utc,
 }
 
-/// An answer that only lacks the time of its sending.
+/// An answer without its time of sending.
 #[derive(Debug, Clone)]
 #[must_use]
 pub struct Reflection {
@@ -40,7 +40,7 @@ pub struct Reflection {
 }
 
 impl Reflection {
-    /// The packet that goes back, as of now.
+    /// Returns the packet to send back, with `now` as its time of sending.
     pub fn sent_at(mut self, now: Utc) -> Vec<u8> {
         self.reply.sent_at = now.to_wire(self.reply.error.format);
         let base = self.reply.encode(BASE_LENGTH);
@@ -50,16 +50,15 @@ impl Reflection {
 }
 
 impl<P: Eq + Hash + Clone> Reflector<P> {
-    /// A reflector by a clock of which so much is known.
+    /// Creates a reflector with the error estimate of its clock.
     pub fn new(error: ErrorEstimate) -> Self {
         Self { error, sessions: HashMap::new() }
     }
 
-    /// Answers a packet that came from there, then, with so many hops left, if that is known. The answer is as long as
-    /// the packet, at least 44 octets.
+    /// Answers a packet. `ttl` is the received TTL, if known. The answer is as long as the packet, at least 44 octets.
     ///
     /// # Errors
-    /// [`Malformed`] if it is no test packet; it then gets no answer.
+    /// [`Malformed`] for bytes that are no test packet. They get no answer.
     pub fn reflect(
         &mut self,
         from: P,
@@ -83,7 +82,7 @@ impl<P: Eq + Hash + Clone> Reflector<P> {
         Ok(Reflection { reply, bytes })
     }
 
-    /// The number of this answer in its session. A sender that begins again begins a session.
+    /// Returns the number of an answer in its session. A sender that restarts begins a new session.
     fn count(&mut self, from: P, test: &Test, now: Utc) -> u32 {
         let key = (from, test.session);
         if !self.sessions.contains_key(&key) && self.sessions.len() >= MOST_SESSIONS {
@@ -107,7 +106,7 @@ impl<P: Eq + Hash + Clone> Reflector<P> {
     }
 }
 
-/// By a clock that nothing synchronises.
+/// A reflector with an unsynchronised clock.
 impl<P: Eq + Hash + Clone> Default for Reflector<P> {
     fn default() -> Self {
         Self::new(ErrorEstimate::default())
@@ -125,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_what_came_for_each_sender_and_session() {
+    fn replies_are_counted_by_sender_and_session() {
         let mut reflector = Reflector::default();
         let mut number = |from, sequence, session| {
             let reflection = reflector.reflect(from, &probe(sequence, session), NOW, Some(64)).unwrap();
@@ -133,16 +132,16 @@ mod tests {
             assert_eq!((reply.test.sequence, reply.test_ttl), (sequence, 64));
             reply.sequence
         };
-        // The third of the first sender got lost on its way here.
+        // The third packet of the first sender was lost.
         assert_eq!([0, 1, 3].map(|sequence| number("a", sequence, 1)), [0, 1, 2]);
         assert_eq!([0, 1].map(|sequence| number("a", sequence, 2)), [0, 1]);
         assert_eq!([7, 8].map(|sequence| number("b", sequence, 1)), [7, 8]);
-        // It was started again.
+        // The sender restarted.
         assert_eq!(number("a", 0, 1), 0);
     }
 
     #[test]
-    fn a_short_packet_of_twamp_light_gets_a_whole_answer_and_nonsense_none() {
+    fn short_packets_of_twamp_light_are_answered_and_malformed_ones_not() {
         let mut reflector = Reflector::default();
         let answer = reflector.reflect(1, &probe(3, 0)[..14], NOW, None).unwrap().sent_at(NOW);
         let reply = Reply::decode(&answer).unwrap();
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crowd_of_senders_takes_bounded_room() {
+    fn memory_is_bounded_for_any_number_of_senders() {
         let mut reflector = Reflector::default();
         for sender in 0..3 * MOST_SESSIONS {
             let _ = reflector.reflect(sender, &probe(5, 0), NOW + Duration::from_secs(sender as u64), None);

@@ -1,4 +1,4 @@
-//! The shell of a session: a UDP socket and this machine's clock.
+//! Runs a session over a UDP socket and this machine's clock.
 #![allow(clippy::disallowed_types, reason = "another machine answers on the wall clock")]
 
 use std::{
@@ -15,7 +15,7 @@ use crate::{
 /// Larger than any datagram.
 const LARGEST: usize = 65_536;
 
-/// UTC that never steps: the system's as of the beginning, and the monotonic clock from there on.
+/// UTC that never steps: the system's time at the start, advanced by the monotonic clock.
 #[derive(Debug, Clone, Copy)]
 pub struct Clock {
     began: Instant,
@@ -23,13 +23,13 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// As of now.
+    /// Starts the clock at the system's time.
     pub fn start() -> Self {
         let since_1970 = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
         Self { began: Instant::now(), began_at: Utc::UNIX_EPOCH + since_1970 }
     }
 
-    /// The time.
+    /// Returns the time.
     pub fn now(&self) -> Utc {
         self.began_at + self.began.elapsed()
     }
@@ -45,10 +45,10 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A session with a reflector, whose first packet is due at once.
+    /// Starts a session with a reflector. The first packet is due at once.
     ///
     /// # Errors
-    /// What the system says: no socket is to be had, or no way leads there.
+    /// The error of the system if it has no socket, or no route to the reflector.
     pub fn connect(reflector: SocketAddr, config: SessionConfig) -> io::Result<Self> {
         let any: SocketAddr = if reflector.is_ipv4() { ([0; 4], 0).into() } else { ([0_u16; 8], 0).into() };
         let socket = UdpSocket::bind(any)?;
@@ -58,30 +58,30 @@ impl Sender {
         Ok(Self { socket, clock, session, buffer: vec![0; LARGEST] })
     }
 
-    /// The session.
+    /// Returns the session.
     pub fn session(&self) -> &Session {
         &self.session
     }
 
-    /// The session, to pace or stop it.
+    /// Returns the session, to pace or stop it.
     pub fn session_mut(&mut self) -> &mut Session {
         &mut self.session
     }
 
-    /// Its clock.
+    /// Returns the clock.
     pub fn clock(&self) -> Clock {
         self.clock
     }
 
-    /// Sends the packet that is due, and waits for a reply until the session has something else to do, and no longer than so.
-    /// Gives what the reply says as [`Session::receive`] does.
+    /// Sends the packet that is due, and waits for a reply until the session's deadline, for at most `no_longer`. Returns the
+    /// reply's round-trip time as [`Session::receive`] does.
     ///
     /// # Errors
-    /// What the system says. That nobody listens there is none: packets count as lost.
+    /// The error of the system. A refused connection is none: its packets count as lost.
     pub fn step(&mut self, no_longer: Duration) -> io::Result<Option<Duration>> {
         if let Some(probe) = self.session.poll(self.clock.now()) {
             match self.socket.send(&probe) {
-                // What an earlier packet met.
+                // The refusal of an earlier packet.
                 Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
                 sent => drop(sent?),
             }
@@ -89,21 +89,21 @@ impl Sender {
         let Some(deadline) = self.session.deadline() else { return Ok(None) };
         let wait = deadline.since(self.clock.now()).min(no_longer);
         let Some((length, _)) = receive(&self.socket, &mut self.buffer, wait)? else { return Ok(None) };
-        // Whatever else comes to this port is nobody's reply.
+        // Ignores datagrams that are no reply.
         Ok(self.session.receive(&self.buffer[..length], self.clock.now()).ok().flatten())
     }
 }
 
-/// A datagram, if one comes in time, and whose it is.
+/// Waits for a datagram. Returns its length and sender; `None` if none comes in time.
 ///
 /// # Errors
-/// What the system says.
+/// The error of the system.
 pub fn receive(
     socket: &UdpSocket,
     buffer: &mut [u8],
     wait: Duration,
 ) -> io::Result<Option<(usize, SocketAddr)>> {
-    // A socket can't wait for no time at all.
+    // A read timeout of zero is invalid.
     socket.set_read_timeout(Some(wait.max(Duration::from_micros(1))))?;
     match socket.recv_from(buffer) {
         Ok(received) => Ok(Some(received)),

@@ -1,36 +1,36 @@
-//! The side that asks (RFC 8762, section 4.2): when the next packet is due, and what the replies mean.
+//! The Session-Sender (RFC 8762, section 4.2): schedules test packets and evaluates the replies.
 
 use std::{collections::VecDeque, time::Duration};
 
 use crate::{
-    apart::apart,
     extension,
     measurement::{LinkEstimate, Measurement, Outcome, Sample, duration},
+    one_way::one_way,
     packet::{BASE_LENGTH, Malformed, Reply, Test},
     utc::{ErrorEstimate, Utc},
 };
 
-/// How a session measures.
+/// The configuration of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SessionConfig {
-    /// Tells sessions of one sender apart (RFC 8972, section 3); zero for none.
+    /// Session identifier, which distinguishes sessions of one sender (RFC 8972, section 3); zero for none.
     pub identifier: u16,
-    /// From one test packet to the next.
+    /// Time from one test packet to the next.
     pub interval: Duration,
-    /// Octets of a packet; at least 44.
+    /// Length of a packet, octets; at least 44.
     pub length: usize,
-    /// A packet that has no reply after so long is lost.
+    /// Time after which a packet without a reply is lost.
     pub patience: Duration,
-    /// How far back [`Session::measurement`] looks.
+    /// Time span of [`Session::measurement`].
     pub window: Duration,
-    /// How far the session's own clock is to be trusted.
+    /// Error estimate of the session's own clock.
     pub error: ErrorEstimate,
-    /// Whether the reflector counts its replies by itself (RFC 8762, section 4.3: stateful): only then can the
-    /// directions that lose packets be told apart.
+    /// Whether the reflector counts its replies by itself (stateful; RFC 8762, section 4.3). Without that, losses cannot be
+    /// assigned to a direction.
     pub reflector_counts: bool,
 }
 
-/// Ten packets a second, over ten seconds.
+/// Ten packets per second, over ten seconds.
 impl Default for SessionConfig {
     fn default() -> Self {
         Self {
@@ -46,8 +46,8 @@ impl Default for SessionConfig {
 }
 
 impl SessionConfig {
-    /// The same, but no oftener than that test packets, each with `overhead` octets around it, take this share of a
-    /// rate of so many bit/s.
+    /// Extends the interval so that test packets, each with `overhead` octets of headers, take at most `share` of a rate of
+    /// `rate_bps`, bit/s.
     #[must_use]
     pub fn within(self, share: f64, rate_bps: f64, overhead: usize) -> Self {
         let bits = 8.0 * (self.length.max(BASE_LENGTH) + overhead) as f64;
@@ -56,27 +56,27 @@ impl SessionConfig {
     }
 }
 
-/// A measurement that goes on.
+/// A session: sends test packets and measures by the replies.
 #[derive(Debug)]
 pub struct Session {
     config: SessionConfig,
     next: Option<Utc>,
     sequence: u32,
-    /// Sent, and neither answered nor given up; in order.
+    /// Packets that are neither answered nor given up, in order of sending.
     open: VecDeque<(u32, Utc)>,
-    /// In the order of sending, but for late replies.
+    /// Outcomes of packets, in order of sending.
     outcomes: VecDeque<Outcome>,
 }
 
 impl Session {
-    /// A session whose first packet is due at a time.
+    /// Creates a session whose first packet is due at `begins`.
     pub fn new(config: SessionConfig, begins: Utc) -> Self {
         let outcomes = VecDeque::new();
         Self { config, next: Some(begins), sequence: 0, open: VecDeque::new(), outcomes }
     }
 
-    /// The packet that is due, if one is. Call it at [`Session::deadline`]; packets that were due long ago are left
-    /// out, not sent in a burst.
+    /// Returns the packet that is due, if any. Call it at [`Session::deadline`]. A late call skips packets rather than
+    /// sending them in a burst.
     pub fn poll(&mut self, now: Utc) -> Option<Vec<u8>> {
         self.give_up(now);
         let due = self.next.filter(|due| *due <= now)?;
@@ -95,34 +95,34 @@ impl Session {
         Some(bytes)
     }
 
-    /// When [`Session::poll`] has something to do: a packet to send, or one to give up.
+    /// Returns when [`Session::poll`] is due: a packet is to be sent, or given up.
     pub fn deadline(&self) -> Option<Utc> {
         let given_up = self.open.front().map(|(_, sent_at)| *sent_at + self.config.patience);
         [self.next, given_up].into_iter().flatten().min()
     }
 
-    /// From now on sends as often, waits as long and looks as far back as this other configuration says; the next packet
-    /// stays due when it was.
+    /// Takes interval, patience and window from another configuration. The next packet stays due when it was.
     pub fn pace(&mut self, config: SessionConfig) {
         let SessionConfig { interval, patience, window, .. } = config;
         self.config = SessionConfig { interval, patience, window, ..self.config };
     }
 
-    /// Sends no more packets; replies to those on their way still count.
+    /// Stops sending. Replies to packets in flight still count.
     pub fn stop(&mut self) {
         self.next = None;
     }
 
-    /// Takes a packet that came, and gives the round trip that it tells, without the time that the reflector took. A
-    /// reply that came twice, too late, or to another session is `None`.
+    /// Takes a received packet. Returns its round-trip time without the reflector's processing time; `None` for a repeated
+    /// or late reply, or one of another session.
     ///
     /// # Errors
-    /// [`Malformed`] if it is no reply.
+    /// [`Malformed`] for bytes that are no reply.
     pub fn receive(&mut self, bytes: &[u8], now: Utc) -> Result<Option<Duration>, Malformed> {
         Ok(self.take(bytes, now)?.map(|sample| sample.round_trip))
     }
 
-    /// The same, but gives which of its packets was answered, and what the way back took if the clocks tell that.
+    /// [`Self::receive`], but returns the sequence number of the answered packet, and the delay of the way back if both
+    /// clocks are synchronised.
     pub(crate) fn receive_which(
         &mut self,
         bytes: &[u8],
@@ -143,7 +143,7 @@ impl Session {
         let received = Utc::from_wire(reply.received_at, reply.error.format, now);
         let sent_back = Utc::from_wire(reply.sent_at, reply.error.format, now);
         let rested = Duration::from_nanos(u64::try_from(sent_back.minus(received)).unwrap_or(0));
-        // A reflector that says it rested for longer than all took does not know.
+        // Ignores a reflector's processing time that exceeds the round trip.
         let round_trip = now.since(sent_at).checked_sub(rested).unwrap_or(now.since(sent_at));
         let sample = Sample {
             replied_at: now,
@@ -157,28 +157,28 @@ impl Session {
         Ok(Some(sample))
     }
 
-    /// What the window tells; `None` before the first packet was answered or given up.
+    /// Returns the measurement over the window; `None` until the first packet was answered or given up.
     pub fn measurement(&self, now: Utc) -> Option<Measurement> {
         Measurement::of(self.recent(now), self.config.reflector_counts)
     }
 
-    /// What the window tells of the way there and the way back though nothing synchronises the two clocks. It is known how
-    /// long a packet that was sent then takes `least` in either direction, and assumed that the rest of the least round trip
-    /// is the same both ways. `None` before the first packet was answered or given up.
+    /// Estimates the way there and the way back over the window without synchronised clocks. `least` gives the known least
+    /// delay of either direction for a packet's time of sending. The rest of the least round trip is assumed to be equal in
+    /// both directions. `None` until the first packet was answered or given up.
     ///
-    /// Losses are told apart by the reflector's count; of packets after the last that was answered it is not known where they
-    /// got lost, and they count as lost on the way there.
-    pub fn apart(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[LinkEstimate; 2]> {
-        apart(self.recent(now), now, least)
+    /// The reflector's count assigns losses to directions. Packets lost after the last answered one count as lost on the way
+    /// there, because their direction is unknown.
+    pub fn one_way(&self, now: Utc, least: impl Fn(Utc) -> [Duration; 2]) -> Option<[LinkEstimate; 2]> {
+        one_way(self.recent(now), now, least)
     }
 
-    /// What became of the window's packets, in the order of sending.
+    /// Returns the outcomes of the window's packets, in order of sending.
     pub(crate) fn recent(&self, now: Utc) -> impl Iterator<Item = &Outcome> + Clone {
         let from = now - self.config.window;
         self.outcomes.iter().filter(move |outcome| outcome.sent_at >= from)
     }
 
-    /// Packets that were sent since the session began.
+    /// Returns the number of packets sent since the session began.
     pub fn sent(&self) -> u32 {
         self.sequence
     }
@@ -217,7 +217,7 @@ mod tests {
         Duration::from_millis(ms)
     }
 
-    /// A hundred packets over a way that loses some and takes so long, there and back.
+    /// Sends a hundred packets. `way` gives the delay of each, there and back, ms; `None` if it is lost.
     fn over(mut way: impl FnMut(u64) -> (Option<u64>, Option<u64>), config: SessionConfig) -> (Session, Utc) {
         let mut session = Session::new(config, at(0));
         let mut reflector = Reflector::new(config.error);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn delay_is_told_by_direction_and_without_the_reflectors_rest() {
+    fn delays_are_measured_by_direction_without_the_reflectors_time() {
         let (session, now) = over(|i| (Some(3 + i % 2), Some(7)), all());
         let measured = session.measurement(now).unwrap();
         let round_trip = measured.round_trip.unwrap();
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn clocks_that_nothing_synchronises_tell_round_trips_only() {
+    fn unsynchronised_clocks_give_only_round_trips() {
         let (session, now) =
             over(|_| (Some(3), Some(7)), SessionConfig { error: ErrorEstimate::default(), ..all() });
         let measured = session.measurement(now).unwrap();
@@ -276,8 +276,8 @@ mod tests {
     }
 
     #[test]
-    fn each_direction_answers_for_what_it_lost() {
-        // Ten get lost on the way there, and of the ninety others nine on the way back; not the first, not the last.
+    fn losses_are_assigned_to_their_direction() {
+        // Ten packets are lost on the way there, and nine of the others on the way back; not the first, not the last.
         let way = |i: u64| (((i % 10 != 5).then_some(3)), (i % 10 != 3 || i == 3).then_some(7));
         let (session, now) = over(way, all());
         let measured = session.measurement(now).unwrap();
@@ -290,14 +290,14 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_loses_all_says_so() {
+    fn total_loss_is_measured() {
         let (session, now) = over(|_| (None, None), all());
         let measured = session.measurement(now).unwrap();
         assert_eq!((measured.sent, measured.lost, measured.round_trip), (100, 100, None));
     }
 
     #[test]
-    fn a_late_shell_sends_no_burst() {
+    fn late_polls_cause_no_burst() {
         let mut session = Session::new(all(), at(0));
         assert!(session.poll(at(5_000)).is_some());
         assert!(session.poll(at(5_000)).is_none());
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn probes_keep_within_their_share_of_a_rate() {
+    fn packets_stay_within_their_share_of_a_rate() {
         let config = all().within(0.01, 100_000.0, 42);
         // 86 octets at 1 kbit/s.
         assert_eq!(config.interval, ms(688));
@@ -316,7 +316,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn room_is_bounded_and_nothing_counts_twice(
+        fn memory_is_bounded_and_no_packet_counts_twice(
             steps in prop::collection::vec((0..400_u64, 0..4_u8, any::<u8>()), 1..200)
         ) {
             let config = SessionConfig { patience: ms(500), window: ms(2_000), ..all() };
@@ -343,7 +343,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_taken_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..120)) {
+        fn arbitrary_bytes_cause_no_panic(bytes in prop::collection::vec(any::<u8>(), 0..120)) {
             let mut session = Session::new(all(), at(0));
             let _ = session.poll(at(0));
             let _ = session.receive(&bytes, at(1));

@@ -1,11 +1,11 @@
-//! Points in time, as clocks tell them and as packets carry them: NTP's format or PTP's, and how far to trust them.
+//! Points in time, their NTP and PTP formats in packets, and the error estimates of clocks.
 
 use std::{
     ops::{Add, Sub},
     time::Duration,
 };
 
-/// From 1900, where NTP begins, to 1970.
+/// Seconds from 1900, where NTP begins, to 1970.
 const NTP_TO_UNIX_S: u64 = 2_208_988_800;
 const NS_PER_S: u64 = 1_000_000_000;
 
@@ -17,29 +17,29 @@ impl Utc {
     /// 1970-01-01T00:00:00Z.
     pub const UNIX_EPOCH: Self = Self(0);
 
-    /// The time from an earlier point to this one; zero if that is later.
+    /// Returns the time since an earlier point; zero if that is later.
     pub fn since(self, earlier: Self) -> Duration {
         Duration::from_nanos(self.0.saturating_sub(earlier.0))
     }
 
-    /// Nanoseconds from that point to this one; negative if that is later. Two clocks need not agree.
+    /// Returns the nanoseconds since another point; negative if that is later, as may happen with two clocks.
     pub(crate) fn minus(self, other: Self) -> i64 {
         self.0.wrapping_sub(other.0).cast_signed()
     }
 
-    /// The 64 bits of a packet. A clock's own seconds count from 1900 (NTP; RFC 5905, section 6) or from 1970 (PTP;
-    /// IEEE 1588-2008, section 5.3.3, the last 32 bits of the seconds); what they can't hold wraps around.
+    /// Encodes the 64 bits of a packet. Seconds count from 1900 (NTP; RFC 5905, section 6) or from 1970 (PTP;
+    /// IEEE 1588-2008, section 5.3.3, the last 32 bits of the seconds), and wrap around.
     pub(crate) fn to_wire(self, format: Format) -> [u8; 8] {
         let (s, ns) = (self.0 / NS_PER_S, self.0 % NS_PER_S);
         let (high, low) = match format {
-            // Rounded up: reading, which rounds down, gives the same nanosecond again.
+            // Rounds up, because decoding rounds down: that gives the same nanosecond.
             Format::Ntp => (s + NTP_TO_UNIX_S, ((ns << 32).div_ceil(NS_PER_S)) & 0xffff_ffff),
             Format::Ptp => (s, ns),
         };
         ((high << 32) | low).to_be_bytes()
     }
 
-    /// Reads the 64 bits of a packet, as of the era (136 years) that is closest to a time.
+    /// Decodes the 64 bits of a packet, in the era (136 years) closest to `near`.
     pub(crate) fn from_wire(bytes: [u8; 8], format: Format, near: Self) -> Self {
         let bits = u64::from_be_bytes(bytes);
         let (s, fraction) = ((bits >> 32) as u32, bits & 0xffff_ffff);
@@ -69,17 +69,17 @@ impl Sub<Duration> for Utc {
     }
 }
 
-/// How a timestamp is written: the Z bit of an error estimate (RFC 8186).
+/// The format of timestamps: the Z bit of an error estimate (RFC 8186).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Format {
     Ntp,
     Ptp,
 }
 
-/// How far a clock is to be trusted (RFC 4656, section 4.1.2).
+/// The error estimate of a clock (RFC 4656, section 4.1.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ErrorEstimate {
-    /// Whether it is synchronised to UTC by something outside: only then is a one-way delay worth anything.
+    /// Whether the clock is synchronised to UTC by an external source. One-way delays need this.
     pub synchronized: bool,
     pub(crate) format: Format,
     scale: u8,
@@ -87,9 +87,9 @@ pub struct ErrorEstimate {
 }
 
 impl ErrorEstimate {
-    /// The estimate of a clock, whose timestamps will be NTP's. What the format can't hold is rounded up.
+    /// Creates the estimate of a clock with NTP timestamps. Rounds the error up to the next value of the format.
     pub fn new(synchronized: bool, error: Duration) -> Self {
-        // Multiplier x 2^(scale - 32) seconds.
+        // Error = multiplier x 2^(scale - 32) seconds.
         let mut units = ((error.as_nanos() << 32).div_ceil(u128::from(NS_PER_S))).max(1);
         let mut scale = 0;
         while units > 0xff {
@@ -100,7 +100,7 @@ impl ErrorEstimate {
         Self { synchronized, format, scale: scale.min(0x3f), multiplier: units as u8 }
     }
 
-    /// The error that the clock thinks it may have.
+    /// Returns the estimated error.
     pub fn error(self) -> Duration {
         let units = u128::from(self.multiplier) << self.scale;
         let ns = units.saturating_mul(u128::from(NS_PER_S)) >> 32;
@@ -112,7 +112,7 @@ impl ErrorEstimate {
         [flags | self.scale, self.multiplier]
     }
 
-    /// `None` if the multiplier is zero, which marks a packet as corrupt.
+    /// Decodes an estimate; `None` if the multiplier is zero, which marks a packet as corrupt.
     pub(crate) fn from_wire([first, multiplier]: [u8; 2]) -> Option<Self> {
         (multiplier > 0).then_some(Self {
             synchronized: first & 0x80 != 0,
@@ -123,7 +123,7 @@ impl ErrorEstimate {
     }
 }
 
-/// A clock that nothing synchronises, right to the microsecond within itself.
+/// The estimate of an unsynchronised clock with an internal error of one microsecond.
 impl Default for ErrorEstimate {
     fn default() -> Self {
         Self::new(false, Duration::from_micros(1))
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_formats_are_ntps_and_ptps() {
+    fn timestamps_have_the_formats_of_ntp_and_ptp() {
         // 2021-01-18T00:00:00.5Z.
         let time = Utc(1_610_928_000_500_000_000);
         assert_eq!(
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_era_of_ntp_is_read_as_such() {
+    fn the_next_era_of_ntp_is_decoded() {
         // NTP's seconds wrap around in February 2036.
         let (before, after) = (Utc(2_085_978_495 * NS_PER_S), Utc(2_085_978_497 * NS_PER_S));
         assert_eq!(Utc::from_wire(after.to_wire(Format::Ntp), Format::Ntp, before), after);
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_never_understated() {
+    fn errors_are_rounded_up() {
         for ns in [0, 1, 59, 1_000, 1_000_000, 3_600 * NS_PER_S] {
             let estimate = ErrorEstimate::new(true, Duration::from_nanos(ns));
             assert!(estimate.error().as_nanos() as u64 + 1 >= ns, "{ns}: {estimate:?}");
@@ -166,7 +166,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read(ns in 0..4_000_000_000_000_000_000_u64, off_s in -2_000_000_000..2_000_000_000_i64) {
+        fn timestamps_survive_the_wire(ns in 0..4_000_000_000_000_000_000_u64, off_s in -2_000_000_000..2_000_000_000_i64) {
             let time = Utc(ns);
             let near = Utc((ns / NS_PER_S).saturating_add_signed(off_s) * NS_PER_S);
             for format in [Format::Ntp, Format::Ptp] {
@@ -175,7 +175,7 @@ mod tests {
         }
 
         #[test]
-        fn any_estimate_survives_the_wire(bytes: [u8; 2]) {
+        fn estimates_survive_the_wire(bytes: [u8; 2]) {
             if let Some(estimate) = ErrorEstimate::from_wire(bytes) {
                 prop_assert_eq!(estimate.to_wire(), bytes);
             } else {

@@ -166,7 +166,7 @@ impl Probes {
                 &self.stations.get(robot).filter(|station| station.with == Some(unit))?.link
             }
         };
-        Some(link.told(utc(now))?.map(probed))
+        Some(link.estimates(utc(now))?.map(probed))
     }
 
     fn arm(&mut self, place: usize) {
@@ -209,13 +209,13 @@ fn patient(settings: &Probing, config: SessionConfig) -> SessionConfig {
 }
 
 /// Converts the estimates of probes to the graph's type.
-pub(super) fn probed(told: LinkEstimate) -> Probed {
+pub(super) fn probed(estimate: LinkEstimate) -> Probed {
     Probed {
-        delay: told.delays.map(|(delays, _)| delays.mean),
-        jitter: told.delays.and_then(|(delays, _)| delays.jitter),
-        delay_age: told.delays.map(|(_, age)| age),
-        loss: told.loss,
-        loss_age: told.loss_age,
+        delay: estimate.delays.map(|(delays, _)| delays.mean),
+        jitter: estimate.delays.and_then(|(delays, _)| delays.jitter),
+        delay_age: estimate.delays.map(|(_, age)| age),
+        loss: estimate.loss,
+        loss_age: estimate.loss_age,
     }
 }
 

@@ -28,7 +28,7 @@ struct Running {
     /// Whether the time is over: no more packets are sent, however many were due.
     closed: bool,
     arrived: u64,
-    /// When the first and the last packet arrived.
+    /// Arrival of the first and the last packet.
     span: Option<[Timestamp; 2]>,
 }
 
@@ -213,18 +213,18 @@ mod tests {
         let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s");
         fabric.test_throughput(s(1.0), &link, Direction::Forward, ThroughputTest::default()).unwrap();
         assert_eq!(tested(&mut fabric, s(2.9)), None);
-        let told = tested(&mut fabric, s(3.5)).unwrap();
-        assert!((told.throughput_bps / 20e6 - 1.0).abs() < 1e-6, "{told:?}");
-        assert!((told.offered_bps / 22e6 - 1.0).abs() < 1e-9, "{told:?}");
-        assert_eq!(told.age, Duration::from_secs_f64(1.5));
+        let result = tested(&mut fabric, s(3.5)).unwrap();
+        assert!((result.throughput_bps / 20e6 - 1.0).abs() < 1e-6, "{result:?}");
+        assert!((result.offered_bps / 22e6 - 1.0).abs() < 1e-9, "{result:?}");
+        assert_eq!(result.age, Duration::from_secs_f64(1.5));
     }
 
     #[test]
     fn a_rate_limit_bounds_the_offered_and_measured_rate() {
         let (mut fabric, link) = fabric("delay: 5 ms, rate: 20 Mbit/s, loss: 10 %");
         fabric.test_throughput(s(0.0), &link, Direction::Forward, limit(2.0)).unwrap();
-        let told = tested(&mut fabric, s(3.0)).unwrap();
-        assert!((told.throughput_bps / 1.8e6 - 1.0).abs() < 0.1 && told.offered_bps == 2e6, "{told:?}");
+        let result = tested(&mut fabric, s(3.0)).unwrap();
+        assert!((result.throughput_bps / 1.8e6 - 1.0).abs() < 0.1 && result.offered_bps == 2e6, "{result:?}");
         let crossed = fabric.link_lateness(&link, Direction::Forward).unwrap().frames;
         assert!((130..166).contains(&crossed), "of 166: 2 Mbit in packets of 1514 bytes");
         assert_eq!(fabric.link_contexts(s(3.0))[0].counters, Default::default());
@@ -238,8 +238,8 @@ mod tests {
         let mut due = |at| std::iter::from_fn(|| throughput_tests.poll(at, Vec::with_capacity)).count();
         assert_eq!((due(s(0.5)), due(s(1.0))), (83, 0));
         assert_eq!(throughput_tests.deadline(), None);
-        let told = throughput_tests.tested(s(2.0), 0).unwrap();
-        assert!((told.offered_bps / 1e6 - 1.0).abs() < 0.01, "{told:?}");
+        let result = throughput_tests.tested(s(2.0), 0).unwrap();
+        assert!((result.offered_bps / 1e6 - 1.0).abs() < 0.01, "{result:?}");
     }
 
     #[test]
@@ -251,8 +251,8 @@ mod tests {
         let refused = test(s(4.0), ThroughputTest::default());
         assert_eq!(refused, Err(FabricError::TestTooSoon { link: link.clone(), rest }));
         test(s(5.0), limit(1.0)).unwrap();
-        let told = tested(&mut fabric, s(6.0)).unwrap();
-        assert!(told.throughput_bps > 9e6 && told.age == Duration::from_secs(5), "{told:?}");
+        let result = tested(&mut fabric, s(6.0)).unwrap();
+        assert!(result.throughput_bps > 9e6 && result.age == Duration::from_secs(5), "{result:?}");
         assert_eq!(tested(&mut fabric, s(7.0)).unwrap().offered_bps, 1e6);
     }
 

@@ -27,8 +27,8 @@ impl WireProbes {
     }
 
     /// Converts the estimate of one direction of such a link.
-    pub fn told(told: LinkEstimate) -> Probed {
-        probed(told)
+    pub fn estimate(estimate: LinkEstimate) -> Probed {
+        probed(estimate)
     }
 
     /// Creates a component that probes nothing.

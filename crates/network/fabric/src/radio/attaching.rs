@@ -90,7 +90,7 @@ impl Radio {
             Step::Underway => {}
             Step::Scanned => {
                 let robot = self.robots[robot].id.clone();
-                self.tell(now, Event::Scanned { robot });
+                self.emit(now, Event::Scanned { robot });
             }
             Step::Attached(joined) => self.join(robot, now, joined),
         }
@@ -119,7 +119,7 @@ impl Radio {
         self.robots[robot].station.detach();
         self.units[unit].stations.retain(|r| *r != robot);
         let (robot_id, from) = (self.robots[robot].id.clone(), self.units[unit].id.clone());
-        self.tell(now, Event::Detached { robot: robot_id, from });
+        self.emit(now, Event::Detached { robot: robot_id, from });
         self.begin_scan(robot, now, Purpose::Roam).expect("a station that lost its unit is not away");
     }
 
@@ -136,7 +136,7 @@ impl Radio {
             fast,
             gap,
         });
-        self.tell(now, event);
+        self.emit(now, event);
     }
 
     /// Records that a robot is attached to a radio unit.

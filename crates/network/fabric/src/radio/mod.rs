@@ -60,7 +60,7 @@ const SEARCH_INTERVAL: Duration = Duration::from_secs(1);
 /// A frame that has crossed the air.
 #[derive(Debug)]
 pub(crate) struct Arrival {
-    /// When it arrived.
+    /// Time of arrival.
     pub(crate) due: Timestamp,
     /// Sender: the robot or the radio unit.
     pub(crate) from: PortId,
@@ -161,7 +161,7 @@ struct InFlight {
     /// Order of sending, which decides among frames due at the same time.
     order: u64,
     path: Path,
-    /// When it entered the radio.
+    /// Time of entering the radio.
     since: Timestamp,
     flight: link::Flight,
     frame: Frame,
@@ -631,7 +631,7 @@ impl Radio {
         self.link(path.robot, path.unit).lane(path.direction)
     }
 
-    fn tell(&mut self, at: Timestamp, event: Event) {
+    fn emit(&mut self, at: Timestamp, event: Event) {
         self.events.push_back(Stamped { at, event });
     }
 }

@@ -5,8 +5,8 @@ use cotorra_graph::{ConditionChange, Conditions, Direction, LinkId, Loss, NodeId
 
 use crate::common::{A, B, Network, context, delay, frame, ms, number, rate, run};
 
-/// Two paths from the server a to the server b: over s, which is faster, and over t. The server c and the radio unit R2 are
-/// connected to s, the radio unit R1 with the robot p to both.
+/// Two paths from the server a to the server b: over s, which is faster, and over t. The server c and the radio unit R1,
+/// with the robot p, are connected to both s and t; the radio unit R2 to s.
 fn square() -> Fabric {
     let network = Network::new().servers(&["a", "b", "c"]).switches(&["s", "t"]);
     let network = network.radio_unit("R1", 0.0).radio_unit("R2", 100.0).robot("p", 2.0);
