@@ -1,5 +1,5 @@
-//! Virtual access points: the VNF `vAP`, which makes a radio unit serve its network. It takes some time to deploy, and
-//! nothing to take down.
+//! Virtual access points: the VNF `vAP`, which makes a radio unit serve its network. Deployment takes some time, removal
+//! none.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -10,12 +10,12 @@ use crate::{
     vim::{Engine, Vim},
 };
 
-/// What a vAP takes of its radio unit, CPUs.
+/// CPUs of a vAP.
 const CPUS: f64 = 0.5;
-/// What a vAP takes of its radio unit, bytes.
+/// Memory of a vAP, bytes.
 const MEMORY: u64 = 128_000_000;
 
-/// Deployments that are under way.
+/// Current deployments of vAPs.
 #[derive(Debug, Default)]
 pub(crate) struct AccessPoints {
     times: BTreeMap<NodeId, Duration>,
@@ -30,7 +30,7 @@ impl AccessPoints {
         Self { times: graph.radio_units().map(time).collect(), deploying: BTreeMap::new() }
     }
 
-    /// Begins to deploy a vAP.
+    /// Starts to deploy a vAP.
     pub(crate) fn deploy<E: Engine>(
         &mut self,
         now: Timestamp,
@@ -51,7 +51,7 @@ impl AccessPoints {
         Ok(())
     }
 
-    /// Takes a vAP down, or gives its deployment up.
+    /// Removes a vAP, or cancels its deployment.
     pub(crate) fn remove<E: Engine>(
         &mut self,
         radio_unit: &NodeId,
@@ -67,7 +67,7 @@ impl AccessPoints {
         Ok(vec![life(radio_unit, VnfState::Stopped, None)])
     }
 
-    /// Lets those serve whose deployment is done.
+    /// Switches on the vAPs whose deployment is done.
     pub(crate) fn poll<E: Engine>(
         &mut self,
         now: Timestamp,
@@ -90,7 +90,7 @@ impl AccessPoints {
         Ok(events)
     }
 
-    /// When [`Self::poll`] has something to do.
+    /// Returns when [`Self::poll`] is due.
     pub(crate) fn next_deadline(&self) -> Option<Timestamp> {
         self.deploying.values().map(|(at, _)| *at).min()
     }

@@ -1,4 +1,4 @@
-//! What Network Control offers to plug-ins and to the API: contexts of the network, and changes to it.
+//! The interface of Network Control: contexts of the network, and instructions that change it.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -15,7 +15,7 @@ use crate::{
     vim::{Engine, Managed, Vim},
 };
 
-/// Names in notes have so many characters at most.
+/// Longest name in a note, characters.
 const LONGEST_NAME: usize = 128;
 
 /// The Network Control block.
@@ -25,17 +25,17 @@ pub struct NetworkControl<N, E> {
     access_points: AccessPoints,
     virtual_links: Vec<VirtualLink>,
     mappings: Mappings,
-    /// The paths that the fabric was told.
+    /// The paths that are pinned in the fabric.
     pinned: Vec<Path>,
-    /// a(n1,n2) as it was told last.
-    told: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
+    /// The last reported a(n1,n2).
+    reported: BTreeMap<(VnfId, VnfId), VirtualLinkMapping>,
 }
 
-/// From one node to another, over these links.
+/// A path from one node to another over links.
 type Path = (NodeId, NodeId, Vec<LinkId>);
 
 impl<N: Network, E: Engine> NetworkControl<N, E> {
-    /// Controls this network; nothing runs before [`NetworkControl::start`].
+    /// Creates the control of a network. No VNF runs before [`NetworkControl::start`].
     pub fn new(testbed: &Testbed, network: N, engine: E) -> Self {
         Self {
             network,
@@ -48,7 +48,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
                 .collect(),
             mappings: Mappings::default(),
             pinned: Vec::new(),
-            told: BTreeMap::new(),
+            reported: BTreeMap::new(),
         }
     }
 
@@ -57,24 +57,23 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.start(now)
     }
 
-    /// Whether every VNF serves.
+    /// Whether all instances of every VNF are ready.
     pub fn all_ready(&self) -> bool {
         self.vim.all_ready()
     }
 
-    /// The node on which a VNF runs; of several, the one that is preferred.
+    /// Returns the node on which a VNF runs; of several, the preferred one.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
         self.vim.node(vnf)
     }
 
-    /// The nodes of a VNF's instances that serve, in the order in which they are preferred.
+    /// Returns the nodes of a VNF's serving instances, preferred ones first.
     pub fn serving(&self, vnf: &VnfId) -> Vec<&NodeId> {
         self.vim.serving(vnf)
     }
 
-    /// Returns the nodes of each VNF's instances by their delay from a host, the nearest first: of the links on the way as
-    /// they are now, there and back. Of several with the same delay, the one over fewer links is nearer, then the first by
-    /// name.
+    /// Returns the nodes of each VNF's instances by their distance from a host, the nearest first. The distance is the present
+    /// delay of all links there and back. Of equal delays, fewer links are nearer, then the first name.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -96,7 +95,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         })
     }
 
-    /// a(n) of all nodes.
+    /// Returns a(n) of all nodes.
     pub fn placements(&self) -> Vec<Placement> {
         self.vim.placements()
     }
@@ -106,7 +105,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         self.vim.managed()
     }
 
-    /// What became of VNFs, and what happened in the network, since the last call.
+    /// Returns the events of VNFs and vAPs since the last call.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -116,12 +115,12 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(events)
     }
 
-    /// When [`NetworkControl::poll`] has something to do by itself.
+    /// Returns when [`NetworkControl::poll`] is due without an event of the engine.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         self.vim.next_deadline().into_iter().chain(self.access_points.next_deadline()).min()
     }
 
-    /// Tells the network where robots are, and gives φ of each, in the same order.
+    /// Moves robots in the network. Returns φ of each, in the same order.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -136,8 +135,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         })
     }
 
-    /// ι of every radio unit, d, λ and conditions of every link, the emulator's lateness, and those virtual links
-    /// that other hardware links carry than at the last call.
+    /// Returns ι of every radio unit, d, λ and conditions of every link, the emulator's lateness, and the virtual links whose
+    /// hardware links have changed since the last call.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -154,7 +153,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(events)
     }
 
-    /// What is to be known of services' flows at the end, beside their times.
+    /// Returns the remarks on services' flows at the end of a run.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -163,8 +162,8 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(remarks.into_iter().map(|message| Event::Notice { message }).collect())
     }
 
-    /// Attachments, links or placements changed: works out which mappings are used, and gives the virtual links that
-    /// other hardware links carry now. Does nothing where nothing is mapped, nor was.
+    /// Updates mappings after a change of attachments, links or placements. Returns the virtual links whose hardware links
+    /// have changed. Does nothing without present or former mappings.
     ///
     /// # Errors
     /// [`NetworkGone`].
@@ -177,17 +176,17 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(events)
     }
 
-    /// What mappings reserve of each direction of a link, bit/s.
+    /// Returns the reservations of mappings on each direction of a link, bit/s.
     pub fn reserved(&self) -> impl Iterator<Item = (&LinkId, Direction, f64)> {
         self.mappings.reserved().into_iter().map(|((link, direction), bps)| (link, *direction, bps))
     }
 
-    /// Works out what mappings reserve and whether they are used, and tells the fabric.
+    /// Updates the reservations and states of mappings, and pins their paths in the fabric.
     fn settle(&mut self) -> Result<Vec<Event>, NetworkGone> {
         let mut mappings = std::mem::take(&mut self.mappings);
         let changes = self.work_out(&mut mappings);
         self.mappings = mappings;
-        let told = changes?.into_iter().map(|message| Event::Notice { message }).collect();
+        let notices = changes?.into_iter().map(|message| Event::Notice { message }).collect();
         let path = |mapping: &Mapping| (mapping.from.clone(), mapping.to.clone(), mapping.links.clone());
         let pinned: Vec<Path> = self.mappings.pinned().map(path).collect();
         if pinned != self.pinned {
@@ -195,12 +194,14 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             let pin = move |fabric: &mut Fabric, _| {
                 fabric.pin(pinned.iter().map(|(from, to, links)| (from, to, links.as_slice())))
             };
-            self.network.with(pin)?.expect("it was a path when it was mapped, and the graph stays");
+            self.network
+                .with(pin)?
+                .expect("paths are checked when they are mapped, and the graph is constant");
         }
-        Ok(told)
+        Ok(notices)
     }
 
-    /// Works out what these mappings reserve and whether they are used; gives what changed, for people.
+    /// Updates the reservations and states of mappings. Returns the changes, for people.
     fn work_out(&self, mappings: &mut Mappings) -> Result<Vec<String>, NetworkGone> {
         if mappings.is_empty() {
             return Ok(Vec::new());
@@ -213,7 +214,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         Ok(mappings.settle(|a, b| self.rate_between(a, b).unwrap_or(0.0), &carries))
     }
 
-    /// Both directions of those virtual links that other hardware links carry than at the last call.
+    /// Returns both directions of the virtual links whose hardware links have changed since the last call.
     fn changed_virtual_links(&mut self) -> Result<Vec<Event>, NetworkGone> {
         let both =
             self.virtual_links.iter().flat_map(|link| [(&link.from, &link.to), (&link.to, &link.from)]);
@@ -242,15 +243,15 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             let Some(InstancePath { links, path, .. }) = paths.next() else { continue };
             let (from, to) = key.clone();
             let mapping = VirtualLinkMapping { from, to, links, path, others: paths.collect() };
-            if self.told.get(&key) != Some(&mapping) {
-                self.told.insert(key, mapping.clone());
+            if self.reported.get(&key) != Some(&mapping) {
+                self.reported.insert(key, mapping.clone());
                 events.push(Event::VirtualLink(mapping));
             }
         }
         Ok(events)
     }
 
-    /// Maps the virtual links between two nodes to a path, or takes that back.
+    /// Maps the virtual links between two nodes to a path, or removes the mapping if `links` is empty.
     fn map(&mut self, from: NodeId, to: NodeId, links: Vec<LinkId>) -> Result<(), InstructionError> {
         if links.is_empty() {
             let removed = self.mappings.remove(&from, &to);
@@ -267,18 +268,18 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
             return Err(InstructionError(format!("no virtual link is between VNFs on `{from}` and `{to}`")));
         }
         let mapping = Mapping::new(from, to, links, hops);
-        let mut tried = self.mappings.clone();
-        tried.insert(mapping.clone());
-        self.work_out(&mut tried).map_err(refused)?;
-        if let Some(shortage) = tried.get(&mapping.from, &mapping.to).and_then(Mapping::shortage) {
+        let mut planned = self.mappings.clone();
+        planned.insert(mapping.clone());
+        self.work_out(&mut planned).map_err(refused)?;
+        if let Some(shortage) = planned.get(&mapping.from, &mapping.to).and_then(Mapping::shortage) {
             return Err(refused(shortage));
         }
         self.mappings.insert(mapping);
         Ok(())
     }
 
-    /// The sum of the rates of virtual links between VNFs on two nodes, or on their way there, bit/s; `None` if there is
-    /// none. A virtual link has its rate in either direction.
+    /// Returns the sum of the rates of virtual links between VNFs on two nodes, or on their way there, bit/s; `None` without
+    /// virtual links. A virtual link has its rate in each direction.
     fn rate_between(&self, a: &NodeId, b: &NodeId) -> Option<f64> {
         let joins = |link: &&VirtualLink| {
             let lies = |from, to| self.vim.is_on(&link.from, from) && self.vim.is_on(&link.to, to);
@@ -288,18 +289,18 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         rates.reduce(|sum, rate| sum + rate)
     }
 
-    /// Does what was asked: scans, attachments, placements, mappings, conditions and tests. Movements are the Robot
-    /// Middleware's.
+    /// Carries out an instruction: scans, attachments, placements, mappings, conditions and tests. Movements belong to the
+    /// Robot Middleware.
     ///
     /// # Errors
-    /// [`InstructionError`] with the reason; then nothing changed.
+    /// [`InstructionError`]. Nothing has changed then.
     pub fn instruct(
         &mut self,
         now: Timestamp,
         instruction: &Instruction,
     ) -> Result<Vec<Event>, InstructionError> {
         let mut events = self.follow(now, instruction)?;
-        // It is done, even if the network is stopped right now.
+        // The instruction is done, even if the network stops now.
         events.extend(self.remap().unwrap_or_default());
         Ok(events)
     }
@@ -360,7 +361,7 @@ impl<N: Network, E: Engine> NetworkControl<N, E> {
         }
     }
 
-    /// Stops every VNF and waits for it.
+    /// Stops every VNF and waits for their ends.
     pub fn shut_down(&mut self) {
         self.vim.shut_down();
     }

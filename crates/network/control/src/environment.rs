@@ -1,5 +1,5 @@
-//! The environment of programs that others wrote: of this process's variables they get what programs need to start and
-//! to find each other, and what the testbed file names. This process's own may hold tokens and passwords.
+//! The environment of third-party programs. They get only usual variables and those that the testbed file names, because
+//! this process's variables may hold tokens and passwords.
 
 use std::{
     env,
@@ -7,7 +7,7 @@ use std::{
     process::Command,
 };
 
-/// What everyone gets: where programs are, how people read and what time it is, and how to find a bug.
+/// Variables that all programs get: paths, locale, time zone, and settings for debugging.
 const USUAL: &[&str] = &[
     "HOME",
     "LANG",
@@ -25,12 +25,11 @@ const USUAL: &[&str] = &[
     "CMAKE_PREFIX_PATH",
     "CYCLONEDDS_URI",
 ];
-/// What everyone gets of the variables that begin so: the locale, Python, ROS and its middlewares.
+/// Prefixes of variables that all programs get: locale, Python, ROS and its middlewares.
 const USUAL_BEGINNINGS: &[&str] =
     &["AMENT_", "COLCON_", "FASTDDS_", "FASTRTPS_", "LC_", "PYTHON", "RCL_", "RCUTILS_", "RMW_", "ROS_"];
 
-/// A command with an empty environment but for the usual variables and those that are named here. What it needs besides
-/// is set on it.
+/// Creates a command whose environment has only the usual variables and `named` ones. Callers add others themselves.
 pub fn program_of_others(program: impl AsRef<OsStr>, named: &[String]) -> Command {
     let mut command = Command::new(program);
     command.env_clear().envs(allowed(env::vars_os(), named));
@@ -54,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn programs_of_others_get_what_is_usual_or_named_and_no_secret() {
+    fn third_party_programs_get_usual_and_named_variables_only() {
         let ours = [
             ("PATH", "/bin"),
             ("ROS_DOMAIN_ID", "7"),

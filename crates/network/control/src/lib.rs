@@ -1,8 +1,8 @@
-//! The Network Control block: holds what is known of the network (ι of radio units, d and λ of links), changes what
-//! links do (ψ, δ and absolute conditions), steers attachments, and maps VNFs and virtual links (VIM).
+//! The Network Control block. It observes the network (ι of radio units, d and λ of links), changes the conditions of links
+//! (ψ, δ and absolute ones), hands robots over, and maps VNFs and virtual links (VIM).
 //!
-//! It reaches the emulated network through [`Network`] and what runs VNFs through [`vim::Engine`]; it owns neither a
-//! clock nor a socket, and every call takes the time.
+//! It reaches the emulated network through [`Network`], and the processes of VNFs through [`vim::Engine`]. It owns neither
+//! a clock nor a socket; every call takes the time.
 #![forbid(unsafe_code)]
 
 mod access;

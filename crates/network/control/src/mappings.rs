@@ -1,9 +1,9 @@
-//! Mappings of virtual links to paths, a(n1,n2), and what they reserve of links.
+//! Mappings of virtual links to paths, a(n1,n2), and their reservations on links.
 //!
-//! A mapping is of two nodes, in one direction. It carries all virtual links between VNFs on these nodes, and reserves the
-//! sum of their rates on each link of its path. It keeps that while its path is cut, so that nothing stands against using
-//! it again. Only where a link no longer has room for all does a mapping lose its reservation, the latest first; it has
-//! it again once there is room.
+//! A mapping is for packets from one node to another. It carries all virtual links between VNFs on these nodes, and
+//! reserves the sum of their rates on each link of its path. It keeps the reservation while its path is cut, so that the
+//! path can be used again. If a link has too little capacity for all reservations, the latest mapping loses its own first.
+//! It gets the reservation back once there is capacity.
 
 use std::{collections::BTreeMap, fmt};
 
@@ -20,23 +20,23 @@ pub(crate) struct Mapping {
     pub(crate) to: NodeId,
     pub(crate) links: Vec<LinkId>,
     pub(crate) hops: Vec<Hop>,
-    /// What it reserves, or would.
+    /// Reserved rate, also while it lacks the reservation, bit/s.
     rate_bps: f64,
     state: State,
 }
 
-/// Whether packets take a path.
+/// The state of a mapped path.
 #[derive(Debug, Clone, PartialEq)]
 enum State {
     Used,
-    /// The robot is attached elsewhere.
+    /// The robot is attached to another radio unit.
     Away,
-    /// This link loses every packet.
+    /// A link loses every packet.
     Cut(LinkId),
     Full(Shortage),
 }
 
-/// A link without the room that a mapping needs.
+/// A link with too little capacity for a mapping.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Shortage {
     hop: Hop,
@@ -58,12 +58,12 @@ impl Mapping {
         Self { from, to, links, hops, rate_bps: 0.0, state: State::Used }
     }
 
-    /// Whether packets take its path.
+    /// Whether packets take its path now.
     pub(crate) fn is_used(&self) -> bool {
         self.state == State::Used
     }
 
-    /// What it lacks to reserve its rate.
+    /// Returns the shortage that prevents its reservation.
     pub(crate) fn shortage(&self) -> Option<&Shortage> {
         match &self.state {
             State::Full(shortage) => Some(shortage),
@@ -71,8 +71,8 @@ impl Mapping {
         }
     }
 
-    /// Returns what to tell of a change of its state; handovers are told already.
-    fn told(&self, before: &State) -> Option<String> {
+    /// Describes a change of its state for people. Handovers have events of their own.
+    fn describe_change(&self, before: &State) -> Option<String> {
         let why = match &self.state {
             State::Cut(link) => format!("is cut at `{link}`: packets take the shortest"),
             State::Full(shortage) => format!("lost its reservation: {shortage}; packets take the shortest"),
@@ -86,7 +86,7 @@ impl Mapping {
     }
 }
 
-/// All mappings, in the order in which they were made.
+/// All mappings, in order of creation.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Mappings(Vec<Mapping>);
 
@@ -99,30 +99,30 @@ impl Mappings {
         self.0.iter().find(|mapping| mapping.from == *from && mapping.to == *to)
     }
 
-    /// Adds a mapping, in place of the one of the same nodes.
+    /// Adds a mapping, and replaces one of the same nodes.
     pub(crate) fn insert(&mut self, mapping: Mapping) {
         self.remove(&mapping.from, &mapping.to);
         self.0.push(mapping);
     }
 
-    /// Takes a mapping back; false if there is none.
+    /// Removes a mapping. Returns whether it existed.
     pub(crate) fn remove(&mut self, from: &NodeId, to: &NodeId) -> bool {
         let before = self.0.len();
         self.0.retain(|mapping| mapping.from != *from || mapping.to != *to);
         self.0.len() < before
     }
 
-    /// All that they cross.
+    /// Returns the hops of all mappings.
     pub(crate) fn hops(&self) -> impl Iterator<Item = &Hop> {
         self.0.iter().flat_map(|mapping| &mapping.hops)
     }
 
-    /// Those that packets take, or will once the robot is attached there.
+    /// Returns the mappings that packets take, or will take once the robot is attached there.
     pub(crate) fn pinned(&self) -> impl Iterator<Item = &Mapping> {
         self.0.iter().filter(|mapping| matches!(mapping.state, State::Used | State::Away))
     }
 
-    /// What is reserved of each direction of a link, bit/s.
+    /// Returns the reservations on each direction of a link, bit/s.
     pub(crate) fn reserved(&self) -> BTreeMap<&Hop, f64> {
         let mut reserved = BTreeMap::new();
         for mapping in self.0.iter().filter(|mapping| mapping.shortage().is_none()) {
@@ -133,8 +133,8 @@ impl Mappings {
         reserved
     }
 
-    /// Works out what they reserve and whether they are used, by the rates between nodes and by what links carry. Returns
-    /// what changed, for people.
+    /// Updates reservations and states, by the rates between nodes and the capacities of links. Returns the changes, for
+    /// people.
     pub(crate) fn settle(
         &mut self,
         rate_bps: impl Fn(&NodeId, &NodeId) -> f64,
@@ -142,7 +142,7 @@ impl Mappings {
     ) -> Vec<String> {
         let mut left: BTreeMap<&Hop, f64> =
             carries.iter().map(|(hop, carries)| (hop, carries.rate_bps)).collect();
-        // Those that have a reservation keep it before others get one.
+        // Present reservations come before new ones.
         let mut order: Vec<_> = self.0.iter_mut().collect();
         order.sort_by_key(|mapping| mapping.shortage().is_some());
         let mut changes = Vec::new();
@@ -163,14 +163,14 @@ impl Mappings {
             };
             let before = std::mem::replace(&mut mapping.state, state);
             if std::mem::discriminant(&before) != std::mem::discriminant(&mapping.state) {
-                changes.extend(mapping.told(&before));
+                changes.extend(mapping.describe_change(&before));
             }
         }
         changes
     }
 }
 
-/// Whether packets can take a path that has room.
+/// Returns the state of a path with enough capacity.
 fn state(hops: &[Hop], carries: &BTreeMap<Hop, Carries>) -> State {
     let first = |lacks: fn(&Carries) -> bool| hops.iter().find(|hop| carries.get(hop).is_none_or(lacks));
     match (first(|carries| carries.is_cut), first(|carries| !carries.is_there)) {
@@ -188,7 +188,7 @@ mod tests {
         (link.parse().unwrap(), Direction::Forward)
     }
 
-    /// A mapping of the nodes `<name>` and `z`, over these links.
+    /// A mapping from the node `name` to `z` over these links.
     fn mapping(name: &str, links: &[&str]) -> Mapping {
         let hops: Vec<_> = links.iter().map(|link| hop(link)).collect();
         let links = hops.iter().map(|(link, _)| link.clone()).collect();
@@ -200,7 +200,7 @@ mod tests {
         links.iter().map(all).collect()
     }
 
-    /// All need 4 bit/s.
+    /// Updates mappings that need 4 bit/s each.
     fn settle(mappings: &mut Mappings, carries: &BTreeMap<Hop, Carries>) -> Vec<String> {
         mappings.settle(|_, _| 4.0, carries)
     }
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_becomes_narrow_takes_the_latest_reservation_and_gives_it_back() {
+    fn a_narrow_link_takes_the_latest_reservation_and_returns_it() {
         let mut mappings = Mappings::default();
         ["a", "b"].iter().for_each(|name| mappings.insert(mapping(name, &["x", "y"])));
         let wide = carries(&[("x", 8.0), ("y", 8.0)]);
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_a_reservation_keeps_it_before_an_older_mapping_that_lost_its_own() {
+    fn present_reservations_come_before_lost_older_ones() {
         let mut mappings = Mappings::default();
         mappings.insert(mapping("old", &["x"]));
         settle(&mut mappings, &carries(&[("x", 3.0)]));
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_that_is_cut_keeps_its_reservation_and_is_used_again() {
+    fn a_cut_path_keeps_its_reservation_and_is_used_again() {
         let mut mappings = Mappings::default();
         mappings.insert(mapping("a", &["x", "y"]));
         let whole = carries(&[("x", 4.0), ("y", 4.0)]);
@@ -257,7 +257,7 @@ mod tests {
         assert!(told.len() == 1 && told[0].contains("over x, y is cut at `y`"), "{told:?}");
         assert_eq!((used(&mappings).len(), mappings.pinned().count()), (0, 0));
         assert_eq!(mappings.reserved().len(), 2);
-        // The fabric looks itself where a robot is attached.
+        // The fabric itself checks attachments.
         settle(&mut mappings, &with(false, false));
         assert_eq!((used(&mappings).len(), mappings.pinned().count()), (0, 1));
         assert!(settle(&mut mappings, &whole).is_empty());

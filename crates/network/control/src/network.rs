@@ -1,23 +1,24 @@
-//! The seam to the emulated network, and why it rejects instructions.
+//! The interface to the emulated network, and its errors.
 
 use cotorra_fabric::Fabric;
 use cotorra_graph::{ConditionChange, Direction, Lateness, LinkContext, LinkId, ThroughputTest, Timestamp};
 
-/// The emulated network, wherever it runs: on another thread in real time, right here in virtual time.
+/// The emulated network: on another thread in real time, in the same one in virtual time.
 pub trait Network {
-    /// Does something with the fabric, at its own time, and gives what came of it.
+    /// Runs an action on the fabric, at the fabric's time, and returns the result.
     ///
     /// # Errors
-    /// [`NetworkGone`] once it is stopped.
+    /// [`NetworkGone`] once the network is stopped.
     fn with<R: Send + 'static>(
         &self,
         action: impl FnOnce(&mut Fabric, Timestamp) -> R + Send + 'static,
     ) -> Result<R, NetworkGone>;
 
-    /// Changes what a link does, in one direction or both, and gives its contexts; it does so when this returns.
+    /// Changes the conditions of a link, in one direction or both, and returns its contexts. The change is in effect when
+    /// this returns.
     ///
     /// # Errors
-    /// [`InstructionError`] with the reason; then nothing changed.
+    /// [`InstructionError`]. Nothing has changed then.
     fn change(
         &self,
         link: &LinkId,
@@ -27,10 +28,10 @@ pub trait Network {
         change_fabric(self, link, direction, change)
     }
 
-    /// Begins to test what one direction of a link carries; what came of it is in its context later.
+    /// Starts a throughput test of one direction of a link. Its context has the result later.
     ///
     /// # Errors
-    /// [`InstructionError`] with the reason; then no packet was sent.
+    /// [`InstructionError`]. No packet was sent then.
     fn test_throughput(
         &self,
         link: &LinkId,
@@ -40,12 +41,12 @@ pub trait Network {
         test_fabric_throughput(self, link, direction, test)
     }
 
-    /// Completes what the fabric knows of links, where not only the fabric carries packets.
+    /// Completes the fabric's contexts of links, if other networks carry packets, too.
     fn complete(&self, _now: Timestamp, contexts: Vec<LinkContext>) -> Vec<LinkContext> {
         contexts
     }
 
-    /// How late packets were, where not only the fabric carries them, which was that late.
+    /// Completes the fabric's lateness, if other networks carry packets, too.
     fn lateness(&self, fabric: Lateness) -> Lateness {
         fabric
     }
@@ -54,7 +55,7 @@ pub trait Network {
 /// [`Network::change`] in the fabric alone.
 ///
 /// # Errors
-/// As there.
+/// Those of [`Network::change`].
 pub fn change_fabric<N: Network + ?Sized>(
     network: &N,
     link: &LinkId,
@@ -69,10 +70,10 @@ pub fn change_fabric<N: Network + ?Sized>(
     network.with(apply).map_err(refused)?
 }
 
-/// [`Network::test_throughput`] in the fabric.
+/// [`Network::test_throughput`] in the fabric alone.
 ///
 /// # Errors
-/// As there.
+/// Those of [`Network::test_throughput`].
 pub fn test_fabric_throughput<N: Network + ?Sized>(
     network: &N,
     link: &LinkId,
@@ -89,7 +90,7 @@ pub fn test_fabric_throughput<N: Network + ?Sized>(
 #[error("the emulated network was stopped")]
 pub struct NetworkGone;
 
-/// Why an instruction was not done; for people.
+/// The reason for which an instruction was rejected, for people.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct InstructionError(pub String);

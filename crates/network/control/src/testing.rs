@@ -7,7 +7,7 @@ use cotorra_graph::{HardwareGraph, Timestamp};
 
 use crate::{Network, NetworkGone};
 
-/// A fabric within reach, at time zero.
+/// A network of one fabric, at time zero.
 pub(crate) struct Here(pub(crate) RefCell<Fabric>);
 
 impl Here {

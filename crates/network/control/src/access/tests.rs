@@ -54,7 +54,7 @@ fn a_vap_serves_once_its_deployment_is_done() {
 }
 
 #[test]
-fn a_deployment_can_be_given_up() {
+fn a_deployment_can_be_cancelled() {
     let (_, network, mut vim, mut access_points) = world();
     access_points.deploy(at(0), &id("off"), lab(), &network, &mut vim).unwrap();
     access_points.remove(&id("off"), &network, &mut vim).unwrap();
@@ -63,7 +63,7 @@ fn a_deployment_can_be_given_up() {
 }
 
 #[test]
-fn what_cannot_be_deployed_is_refused_at_once() {
+fn impossible_deployments_are_rejected_at_once() {
     let (_, network, mut vim, mut access_points) = world();
     let mut refused = |unit: &str, access_point: AccessPoint| {
         access_points.deploy(at(0), &id(unit), access_point, &network, &mut vim).unwrap_err().0
@@ -79,7 +79,7 @@ fn what_cannot_be_deployed_is_refused_at_once() {
 }
 
 #[test]
-fn a_vap_has_its_room_from_the_start_of_its_deployment_to_its_end() {
+fn a_vap_takes_room_from_the_start_of_its_deployment_to_its_removal() {
     let (graph, network, ..) = world();
     let vnf = VnfId::new("other").unwrap();
     let mut vim = Vim::new(graph.clone(), &[], InMemoryEngine::default());

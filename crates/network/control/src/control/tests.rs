@@ -5,8 +5,8 @@ use cotorra_graph::{ConditionChange, Loss, Probability};
 use super::*;
 use crate::{testing::Here, vim::InMemoryEngine};
 
-/// Two robots with a service each, and two switches between their radio unit and the servers: past `fast` the path is
-/// shorter, past `wide` there is more room.
+/// Two robots with a service each, and two switches between their radio unit and the servers. The path over `fast` is
+/// shorter; the one over `wide` has more capacity.
 const TESTBED: &str = "
 name: two
 wireless: { lab: { rate: 10 Mbit/s } }
@@ -58,34 +58,34 @@ impl Lab {
         lab
     }
 
-    fn instruct(&mut self, instruction: &Instruction) -> Result<Told, String> {
+    fn instruct(&mut self, instruction: &Instruction) -> Result<Reported, String> {
         let events = self.0.instruct(Timestamp::ZERO, instruction).map_err(|refused| refused.0)?;
-        Ok(told(events))
+        Ok(reported(events))
     }
 
-    /// Asks for a path; links are named by spaces between.
-    fn map(&mut self, from: &str, to: &str, links: &str) -> Result<Told, String> {
+    /// Maps a path. `links` are separated by spaces.
+    fn map(&mut self, from: &str, to: &str, links: &str) -> Result<Reported, String> {
         let links = links.split_whitespace().map(|link| link.parse().unwrap()).collect();
         self.instruct(&Instruction::Map { from: node(from), to: node(to), links })
     }
 
-    fn change(&mut self, link: &str, change: ConditionChange) -> Told {
+    fn change(&mut self, link: &str, change: ConditionChange) -> Reported {
         let condition = Instruction::Condition { link: link.parse().unwrap(), direction: None, change };
         self.instruct(&condition).unwrap()
     }
 
-    fn lose(&mut self, link: &str, share: f64) -> Told {
+    fn lose(&mut self, link: &str, share: f64) -> Reported {
         let loss = Some(Loss::Independent { rate: Probability::new(share).unwrap() });
         self.change(link, ConditionChange { loss, ..ConditionChange::default() })
     }
 
-    /// Moves a brain, up to its first packets there.
-    fn place(&mut self, vnf: &str, on: &str) -> Told {
+    /// Moves a brain, until packets go there.
+    fn place(&mut self, vnf: &str, on: &str) -> Reported {
         let place = Instruction::Place { vnf: vnf.parse().unwrap(), node: node(on).into() };
         let mut events = self.0.instruct(Timestamp::ZERO, &place).unwrap();
         events.extend(self.0.poll(Timestamp::ZERO).unwrap());
         events.extend(self.0.remap().unwrap());
-        told(events)
+        reported(events)
     }
 
     fn route(&self, from: &str, to: &str) -> String {
@@ -93,17 +93,17 @@ impl Lab {
         links.iter().map(LinkId::as_str).collect::<Vec<_>>().join(" ")
     }
 
-    /// What is reserved, Mbit/s.
+    /// Returns the reservations, Mbit/s.
     fn reserved(&self) -> Vec<String> {
         let all = self.0.reserved().filter(|(.., bps)| *bps > 0.0);
         all.map(|(link, way, bps)| format!("{link} {way:?} {}", bps / 1e6)).collect()
     }
 }
 
-/// What is told of mappings: virtual links, and notices.
-type Told = (Vec<String>, Vec<String>);
+/// Reports about mappings: virtual links, and notices.
+type Reported = (Vec<String>, Vec<String>);
 
-fn told(events: Vec<Event>) -> Told {
+fn reported(events: Vec<Event>) -> Reported {
     let (mut mapped, mut notices) = (Vec::new(), Vec::new());
     for event in events {
         match event {
@@ -125,7 +125,7 @@ const FAST: &str = "r~R R-fast fast-one";
 const WIDE: &str = "r~R R-wide wide-one";
 
 #[test]
-fn a_mapping_is_of_one_direction_and_reserves_the_rate_there() {
+fn a_mapping_reserves_its_rate_in_one_direction() {
     let mut lab = Lab::new();
     assert_eq!(lab.route("r", "one"), FAST);
     let (mapped, notices) = lab.map("r", "one", WIDE).unwrap();
@@ -146,7 +146,7 @@ fn a_mapping_is_of_one_direction_and_reserves_the_rate_there() {
 }
 
 #[test]
-fn what_cannot_be_mapped_is_refused_and_changes_nothing() {
+fn impossible_mappings_are_rejected_and_change_nothing() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
     let full = "the link `R-wide` has 2 Mbit/s left forward, and 3 Mbit/s are needed";
@@ -163,7 +163,7 @@ fn what_cannot_be_mapped_is_refused_and_changes_nothing() {
         (lab.route("q", "one"), lab.route("r", "one")),
         ("q~R R-fast fast-one".to_owned(), WIDE.to_owned())
     );
-    // There is room the other way, on the other path, and where the first leaves it.
+    // There is capacity in the other direction, on the other path, and beside the first mapping.
     lab.map("one", "q", "wide-one R-wide q~R").unwrap();
     lab.map("q", "one", "q~R R-fast fast-one").unwrap();
     assert!(lab.map("r", "one", FAST).unwrap_err().contains("`R-fast` has 0 Mbit/s left"));
@@ -173,17 +173,17 @@ fn what_cannot_be_mapped_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn a_path_that_is_cut_falls_back_and_is_used_again_when_it_is_mended() {
+fn a_cut_path_falls_back_and_is_used_again_after_its_repair() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
-    assert_eq!(lab.lose("R-wide", 0.9), Told::default());
+    assert_eq!(lab.lose("R-wide", 0.9), Reported::default());
     let (mapped, notices) = lab.lose("R-wide", 1.0);
     assert_eq!(mapped, ["r-driver r-brain fallback"]);
     let cut =
         "the path from `r` to `one` over r~R, R-wide, wide-one is cut at `R-wide`: packets take the shortest";
     assert_eq!(notices, [cut]);
     assert_eq!(lab.route("r", "one"), FAST);
-    // Nobody else gets its room.
+    // No other mapping gets its capacity.
     assert!(lab.map("q", "one", "q~R R-wide wide-one").unwrap_err().contains("2 Mbit/s left"));
     let (mapped, notices) = lab.lose("R-wide", 0.0);
     assert_eq!(mapped, ["r-driver r-brain mapped"]);
@@ -192,7 +192,7 @@ fn a_path_that_is_cut_falls_back_and_is_used_again_when_it_is_mended() {
 }
 
 #[test]
-fn a_mapping_loses_its_reservation_where_a_link_carries_less_than_that() {
+fn a_mapping_loses_its_reservation_on_a_link_that_becomes_too_slow() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
     let scale = |by| ConditionChange { drop_scale: Some(by), ..ConditionChange::default() };
@@ -206,7 +206,7 @@ fn a_mapping_loses_its_reservation_where_a_link_carries_less_than_that() {
 }
 
 #[test]
-fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
+fn mappings_stay_with_their_nodes_when_a_vnf_moves() {
     let mut lab = Lab::new();
     lab.map("r", "one", WIDE).unwrap();
     assert_eq!(lab.place("r-brain", "two").0, ["r-brain r-driver shortest", "r-driver r-brain shortest"]);
@@ -215,16 +215,16 @@ fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
         (WIDE.to_owned(), "r~R R-fast fast-two".to_owned())
     );
     assert_eq!(lab.reserved().len(), 0, "there is no virtual link between them");
-    // What is mapped before a VNF is there holds once it is.
+    // A mapping made before a VNF arrives holds once it is there.
     lab.0
         .instruct(
             Timestamp::ZERO,
             &Instruction::Place { vnf: "q-brain".parse().unwrap(), node: node("two").into() },
         )
         .unwrap();
-    assert_eq!(lab.map("q", "two", "q~R R-wide wide-two").unwrap(), Told::default());
+    assert_eq!(lab.map("q", "two", "q~R R-wide wide-two").unwrap(), Reported::default());
     assert_eq!(lab.place("q-brain", "two").0, ["q-brain q-driver shortest", "q-driver q-brain mapped"]);
-    // It comes back, and there is no room for both any more: the later one loses its reservation.
+    // The VNF returns, and the capacity is too small for both mappings: the later one loses its reservation.
     let (mapped, notices) = lab.place("r-brain", "one");
     assert!(mapped.contains(&"r-driver r-brain mapped".to_owned()), "{mapped:?}");
     assert!(notices.len() == 1 && notices[0].contains("from `q` to `two`"), "{notices:?}");
@@ -232,7 +232,7 @@ fn a_mapping_stays_with_its_nodes_when_a_vnf_moves() {
 }
 
 #[test]
-fn a_path_to_where_a_robot_is_not_attached_waits_for_it() {
+fn a_path_over_another_radio_unit_waits_for_the_robot() {
     let mut lab = Lab::new();
     lab.0
         .instruct(
@@ -249,7 +249,7 @@ fn a_path_to_where_a_robot_is_not_attached_waits_for_it() {
         fabric.poll(Timestamp::from_secs_f64(1.0), &mut |_, _| {});
         assert_eq!(fabric.attached_to(&node("r")), Some(&node("S")));
     }
-    // The fabric does not wait for anybody to look.
+    // The fabric switches to the path by itself.
     assert_eq!(lab.route("r", "one"), "r~S wide-S wide-one");
-    assert_eq!(told(lab.0.remap().unwrap()).0, ["r-brain r-driver shortest", "r-driver r-brain mapped"]);
+    assert_eq!(reported(lab.0.remap().unwrap()).0, ["r-brain r-driver shortest", "r-driver r-brain mapped"]);
 }

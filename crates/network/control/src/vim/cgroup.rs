@@ -1,6 +1,7 @@
-//! Limits of VNFs on CPU, memory and processes through cgroups, version 2 or 1, where this process may make them.
+//! Limits VNFs in CPU, memory and processes by cgroups, version 2 or 1, if this process may create them.
 //!
-//! A run's groups are `cotorra-<pid>/<instance>`: what a killed run left behind is known by a process that is gone.
+//! A run's groups are named `cotorra-<pid>/<instance>`, so that the leftovers of a killed run can be found: their process
+//! no longer exists.
 
 use std::{
     fs, io,
@@ -15,19 +16,20 @@ use super::engine::InstanceId;
 const ROOT: &str = "/sys/fs/cgroup";
 const PREFIX: &str = "cotorra-";
 const CPU_PERIOD_US: f64 = 100_000.0;
-/// What real-time threads of a run's VNFs get in a second at most, µs: the kernel has 950,000 for all groups together,
-/// and other runs may want their part.
+/// Most time of a run's real-time threads per second, µs. The kernel has 950,000 for all groups together, and other runs
+/// need their share.
 const REAL_TIME_US: u64 = 100_000;
-/// What those of one VNF get in a second, µs: too little to stop anyone else, and many times what answering takes - a
-/// group that used it up stands still for the rest of its second.
+/// Most time of one VNF's real-time threads per second, µs. This is too little to block others, and many times what answers
+/// take. A group that used up its time stands still for the rest of the second.
 const VNF_REAL_TIME_US: u64 = 20_000;
-/// Processes and threads of one VNF at most.
+/// Most processes and threads of one VNF.
 const PROCESSES: u32 = 512;
-/// How often a group is looked at whose processes are ending, and how long in between.
-const LOOKS: u32 = 300;
-const LOOK: Duration = Duration::from_millis(10);
+/// Attempts to remove a group while its processes are ending.
+const REMOVAL_ATTEMPTS: u32 = 300;
+/// Time between two attempts.
+const REMOVAL_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Why limits cannot be set.
+/// An error in creating, changing or removing a group.
 #[derive(Debug, thiserror::Error)]
 #[error("{what} {}: {source}", path.display())]
 pub struct CgroupError {
@@ -41,12 +43,12 @@ fn at(what: &'static str, path: &Path) -> impl FnOnce(io::Error) -> CgroupError 
     move |source| CgroupError { what, path, source }
 }
 
-/// How this machine mounts the controllers.
+/// The hierarchy of controllers on this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Hierarchy {
     /// One tree with all controllers.
     V2(PathBuf),
-    /// A tree each. Few machines lack that of processes.
+    /// One tree per controller. Few machines lack the one for processes.
     V1 { cpu: PathBuf, memory: PathBuf, pids: Option<PathBuf> },
 }
 
@@ -80,10 +82,10 @@ pub struct Cgroups {
 }
 
 impl Cgroups {
-    /// Makes this process's groups.
+    /// Creates this process's groups.
     ///
     /// # Errors
-    /// Where there are no controllers, or this user may not make groups.
+    /// [`CgroupError`] if there are no controllers, or this user may not create groups.
     pub fn new() -> Result<Self, CgroupError> {
         Self::under(Path::new(ROOT))
     }
@@ -113,10 +115,10 @@ impl Cgroups {
         self.hierarchy.trees().into_iter().map(|tree| tree.join(&self.name)).collect()
     }
 
-    /// Makes an instance's group with its limits, and says which `cgroup.procs` files its process is to be written to.
+    /// Creates an instance's group with its limits. Returns the `cgroup.procs` files to write its process to.
     ///
     /// # Errors
-    /// Where the kernel refuses.
+    /// [`CgroupError`] if the kernel rejects the group or a limit.
     pub fn limit(
         &self,
         instance: InstanceId,
@@ -157,15 +159,15 @@ impl Cgroups {
         Ok(procs)
     }
 
-    /// Removes an instance's group; one that still has processes is left for [`Cgroups::clean`].
+    /// Removes an instance's group. Leaves one that still has processes to [`Cgroups::clean`].
     pub fn release(&self, instance: InstanceId) {
         for path in self.paths() {
             let _ = fs::remove_dir(path.join(instance.0.to_string()));
         }
     }
 
-    /// Removes what runs left behind whose process is gone; waits for what they started to end, too. Gives the groups
-    /// that it removed, and why others stay.
+    /// Removes the groups of runs whose process no longer exists, and waits for the end of processes in them. Returns the
+    /// removed groups, and the errors of others.
     pub fn clean() -> (Vec<PathBuf>, Vec<CgroupError>) {
         let (mut removed, mut kept) = (Vec::new(), Vec::new());
         for group in Self::leftovers() {
@@ -177,7 +179,7 @@ impl Cgroups {
         (removed, kept)
     }
 
-    /// What [`Self::clean`] would remove.
+    /// Returns the groups that [`Self::clean`] would remove.
     pub fn leftovers() -> Vec<PathBuf> {
         Self::leftovers_under(Path::new(ROOT), lives)
     }
@@ -185,7 +187,7 @@ impl Cgroups {
     fn leftovers_under(root: &Path, lives: impl Fn(u32) -> bool) -> Vec<PathBuf> {
         let Some(hierarchy) = Hierarchy::find(root) else { return Vec::new() };
         let groups = hierarchy.trees().into_iter().flat_map(fs::read_dir).flatten().flatten();
-        // Those of other users are theirs to remove.
+        // Other users remove their own groups.
         let user = fs::metadata("/proc/self").map(|own| own.uid()).ok();
         let is_ours = |group: &fs::DirEntry| group.metadata().is_ok_and(|found| Some(found.uid()) == user);
         let is_left = |group: &fs::DirEntry| {
@@ -198,8 +200,8 @@ impl Cgroups {
     }
 }
 
-/// Lets threads of a group be real-time, which version 1 forbids by default where the kernel counts their time. Where
-/// it does not count, or refuses, a VNF that asks for it is scheduled like any other.
+/// Allows real-time threads in a group. Version 1 forbids them by default if the kernel counts their time. If the kernel
+/// rejects this, VNFs that ask for real-time priority are scheduled like all others.
 fn allow_real_time(group: &Path, runtime_us: u64) {
     let runtime = group.join("cpu.rt_runtime_us");
     if !runtime.exists() {
@@ -210,7 +212,7 @@ fn allow_real_time(group: &Path, runtime_us: u64) {
     }
 }
 
-/// Whether there is a process of that number; one that ended and was not waited for is none.
+/// Whether a process exists. Zombies do not count.
 fn lives(pid: u32) -> bool {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat"));
     stat.is_ok_and(|stat| !stat.rsplit(')').next().unwrap_or_default().trim_start().starts_with(['Z', 'X']))
@@ -225,15 +227,15 @@ fn remove_group(group: &Path) -> io::Result<()> {
     fs::remove_dir(group)
 }
 
-/// Removes a group whose processes are ending, because their run has, unless another does.
-#[allow(clippy::disallowed_methods, reason = "version 1 tells nobody when a group is empty")]
+/// Removes a group whose processes are ending because their run has ended.
+#[allow(clippy::disallowed_methods, reason = "version 1 has no notification of empty groups")]
 fn remove_when_empty(group: &Path) -> Result<(), CgroupError> {
     use io::ErrorKind::{NotFound, ResourceBusy};
-    for _ in 0..LOOKS {
+    for _ in 0..REMOVAL_ATTEMPTS {
         match remove_group(group) {
-            // Whoever cleans at the same time was faster.
+            // Another process has removed it.
             Err(_) if !group.exists() => return Ok(()),
-            Err(error) if matches!(error.kind(), ResourceBusy | NotFound) => thread::sleep(LOOK),
+            Err(error) if matches!(error.kind(), ResourceBusy | NotFound) => thread::sleep(REMOVAL_INTERVAL),
             done => return done.map_err(at("remove the cgroup", group)),
         }
     }
@@ -243,7 +245,7 @@ fn remove_when_empty(group: &Path) -> Result<(), CgroupError> {
 impl Drop for Cgroups {
     fn drop(&mut self) {
         for path in self.paths() {
-            // What still ends is for the next run to remove.
+            // The next run removes groups whose processes still end.
             let _ = remove_group(&path);
         }
     }
@@ -253,7 +255,7 @@ impl Drop for Cgroups {
 mod tests {
     use super::*;
 
-    /// A folder that looks like a v1 hierarchy.
+    /// A folder with the layout of a v1 hierarchy.
     fn v1() -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
         for tree in ["cpu", "memory", "pids"] {
@@ -264,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_written_where_version_1_reads_them() {
+    fn limits_are_written_to_the_files_of_version_1() {
         let root = v1();
         let groups = Cgroups::under(root.path()).unwrap();
         let procs = groups.limit(InstanceId(7), 1.5, 1 << 20).unwrap();
@@ -280,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn only_groups_of_processes_that_are_gone_are_cleaned() {
+    fn only_groups_of_ended_processes_are_removed() {
         let root = v1();
         for pid in [11, 12] {
             fs::create_dir_all(root.path().join(format!("cpu/{PREFIX}{pid}/1"))).unwrap();
@@ -304,13 +306,13 @@ mod tests {
     }
 
     #[test]
-    fn a_group_that_another_removed_is_no_failure() {
+    fn removal_by_another_process_is_no_error() {
         let root = v1();
         remove_when_empty(&root.path().join("cpu/cotorra-11")).unwrap();
     }
 
     #[test]
-    fn a_process_that_was_killed_and_not_waited_for_is_gone() {
+    fn zombies_do_not_count_as_processes() {
         let mut child = std::process::Command::new("sleep").arg("1000").spawn().unwrap();
         assert!(lives(child.id()));
         child.kill().unwrap();
@@ -322,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_without_controllers_says_so() {
+    fn missing_controllers_are_reported() {
         let root = tempfile::tempdir().unwrap();
         let error = Cgroups::under(root.path()).unwrap_err().to_string();
         assert!(error.contains("no cpu and memory controllers"), "{error}");

@@ -1,48 +1,46 @@
-//! The seam to what runs VNFs: processes in namespaces by default, containers or a recorded list elsewhere.
+//! The interface to the engine that runs VNFs: processes in namespaces by default.
 
 use cotorra_graph::{NodeId, Vnf};
 
-/// One instance of a VNF; never used twice in a run.
+/// The number of a VNF's instance, unique in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct InstanceId(pub u64);
 
-/// What became of an instance.
+/// An event of an instance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EngineEvent {
-    /// Which.
     pub instance: InstanceId,
-    /// What.
     pub outcome: Outcome,
 }
 
-/// What can become of an instance.
+/// The outcome of starting or running an instance.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// It serves.
     Ready,
-    /// It ended though nobody stopped it; how, for people.
+    /// It ended without being stopped; with the reason, for people.
     Died(String),
-    /// It could not be started; why, for people.
+    /// It could not be started; with the reason, for people.
     Failed(String),
 }
 
 /// Runs instances of VNFs on nodes.
 ///
-/// `start` and `stop` return at once; what came of a start is told by `poll`: exactly one `Ready`, then at most one
-/// `Died`; or one `Failed`. A stopped instance may still say one last thing, or nothing.
+/// `start` and `stop` return at once. `poll` reports the outcome of a start: exactly one `Ready` and then at most one
+/// `Died`, or one `Failed`. A stopped instance may still report one last event.
 pub trait Engine {
-    /// Begins to start an instance. `replica` is its number, from 0, among those that serve at once as the VNF.
+    /// Begins to start an instance. `replica` is its number, from 0, among the VNF's instances.
     ///
     /// # Errors
-    /// Why it cannot even be tried, for people.
+    /// The reason for which a start is impossible, for people.
     fn start(&mut self, instance: InstanceId, vnf: &Vnf, replica: u32, node: &NodeId) -> Result<(), String>;
 
-    /// Begins to stop an instance; unknown ones are ignored.
+    /// Begins to stop an instance. Ignores unknown ones.
     fn stop(&mut self, instance: InstanceId);
 
-    /// What happened, oldest first; `None` when there is no more.
+    /// Returns the next event, oldest first.
     fn poll(&mut self) -> Option<EngineEvent>;
 
-    /// Waits until everything that was started has ended and left nothing behind. Stops what still runs.
+    /// Stops all instances, and waits until they have ended and are cleaned up.
     fn shut_down(&mut self);
 }

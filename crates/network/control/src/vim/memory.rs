@@ -1,4 +1,4 @@
-//! An engine that runs nothing: in virtual time VNFs are part of the simulation, and tests want to say what happens.
+//! An engine that runs nothing, for virtual time, in which VNFs are part of the simulation, and for tests.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -6,34 +6,34 @@ use cotorra_graph::{NodeId, Vnf, VnfId};
 
 use super::engine::{Engine, EngineEvent, InstanceId, Outcome};
 
-/// Keeps a list of what would run; every instance is ready at once unless its node was told to fail or to take for ever.
+/// Keeps a list of instances. Each one is ready at once, unless starts on its node fail or stall.
 #[derive(Debug, Default)]
 pub struct InMemoryEngine {
     running: BTreeMap<InstanceId, (VnfId, NodeId)>,
     failing: Vec<NodeId>,
     stalled: Vec<NodeId>,
-    happened: VecDeque<EngineEvent>,
+    events: VecDeque<EngineEvent>,
 }
 
 impl InMemoryEngine {
-    /// From now on no instance can be started on that node.
+    /// Makes all later starts on a node fail.
     pub fn fail_on(&mut self, node: NodeId) {
         self.failing.push(node);
     }
 
-    /// From now on no instance that is started on that node becomes ready.
+    /// Makes all later starts on a node stall: the instance never becomes ready.
     pub fn stall_on(&mut self, node: NodeId) {
         self.stalled.push(node);
     }
 
-    /// Lets an instance die.
+    /// Makes an instance die.
     pub fn kill(&mut self, instance: InstanceId, detail: &str) {
         if self.running.remove(&instance).is_some() {
-            self.happened.push_back(EngineEvent { instance, outcome: Outcome::Died(detail.to_owned()) });
+            self.events.push_back(EngineEvent { instance, outcome: Outcome::Died(detail.to_owned()) });
         }
     }
 
-    /// What runs, and where.
+    /// Returns the running instances with their VNFs and nodes.
     pub fn running(&self) -> impl Iterator<Item = (InstanceId, &VnfId, &NodeId)> {
         self.running.iter().map(|(id, (vnf, node))| (*id, vnf, node))
     }
@@ -46,7 +46,7 @@ impl Engine for InMemoryEngine {
         }
         self.running.insert(instance, (vnf.id.clone(), node.clone()));
         if !self.stalled.contains(node) {
-            self.happened.push_back(EngineEvent { instance, outcome: Outcome::Ready });
+            self.events.push_back(EngineEvent { instance, outcome: Outcome::Ready });
         }
         Ok(())
     }
@@ -56,7 +56,7 @@ impl Engine for InMemoryEngine {
     }
 
     fn poll(&mut self) -> Option<EngineEvent> {
-        self.happened.pop_front()
+        self.events.pop_front()
     }
 
     fn shut_down(&mut self) {

@@ -1,6 +1,6 @@
-//! The virtual infrastructure manager: where each VNF runs, a(n), and how it gets from one node to another without a
-//! gap: the new instance first, packets over to it when it is ready, the old one down when what is under way to it has
-//! arrived. A VNF can have several instances, each on a node of its own.
+//! The virtual infrastructure manager: places VNFs on nodes, a(n), and moves them without a gap. A move starts the new
+//! instance first, sends packets to it once it is ready, and stops the old one when packets in flight to it have arrived. A
+//! VNF can have several instances, each on a node of its own.
 
 mod cgroup;
 mod engine;
@@ -19,57 +19,43 @@ pub use engine::{Engine, EngineEvent, InstanceId, Outcome};
 pub use memory::InMemoryEngine;
 pub use process::{Launcher, Process, ProcessEngine, READY, replica_name};
 
-/// After a VNF died it is started again after so long, twice as long each time …
+/// Delay of the first restart of a VNF that died. Each further delay is twice as long.
 const FIRST_BACKOFF: Duration = Duration::from_millis(100);
-/// … but never longer than this.
+/// Longest delay of a restart.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(5);
-/// A VNF that ran for so long starts again with the first backoff.
+/// Running time after which a VNF's next restart has the first delay again.
 const HEALTHY_AFTER: Duration = Duration::from_secs(10);
 
-/// An instance that packets do not go to any more stops so much later: longer than any robot waits for an answer to what
-/// it sent there before, 0.6 s for a TurtleBot 2.
+/// Time from the last packets sent to an instance until it stops. It exceeds any robot's timeout for answers, 0.6 s for a
+/// TurtleBot 2.
 const LAST_PACKETS: Duration = Duration::from_secs(1);
 
-/// Why a VNF cannot be placed there.
+/// An error in placing a VNF.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum VimError {
-    /// No such VNF.
+    /// An unknown VNF.
     #[error("there is no VNF `{0}`")]
     UnknownVnf(VnfId),
-    /// No such node.
+    /// An unknown node.
     #[error("there is no node `{0}`")]
     UnknownNode(NodeId),
-    /// Switches run nothing.
+    /// A switch or a real machine.
     #[error("`{0}` is a switch or a real machine, which runs no VNFs")]
     NotAHost(NodeId),
-    /// It cannot move.
+    /// A VNF that is pinned to a node.
     #[error("VNF `{vnf}` is pinned to `{node}`")]
-    Pinned {
-        /// Which.
-        vnf: VnfId,
-        /// Where it stays.
-        node: NodeId,
-    },
-    /// The node is full.
+    Pinned { vnf: VnfId, node: NodeId },
+    /// A node without the room that the VNF needs.
     #[error("VNF `{vnf}` needs {needed} of `{node}`, which has {free} left")]
-    NoRoom {
-        /// Which.
-        vnf: VnfId,
-        /// Where.
-        node: NodeId,
-        /// What it takes.
-        needed: String,
-        /// What is left.
-        free: String,
-    },
+    NoRoom { vnf: VnfId, node: NodeId, needed: String, free: String },
 }
 
-/// A process of a VNF, or what stands for one.
+/// A running or starting instance of a VNF.
 #[derive(Debug, Clone)]
 struct Instance {
     id: InstanceId,
     node: NodeId,
-    /// The replica that it was started as.
+    /// Number of the replica that it was started as.
     replica: u32,
     since: Timestamp,
     ready: bool,
@@ -78,43 +64,42 @@ struct Instance {
 /// The stage of an instance's life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
-    /// It will serve once it is ready.
+    /// It is not ready yet.
     Starting,
     /// Packets go to it.
     Serving,
-    /// It answers packets that are under way to it, until then.
+    /// It answers packets in flight to it until this time.
     Draining(Timestamp),
 }
 
 /// A replica of a VNF and its instances, for checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Managed<'a> {
-    /// The VNF.
     pub vnf: &'a Vnf,
-    /// Where the replica belongs, also while nothing runs.
+    /// Node of the replica, also while no instance runs.
     pub node: &'a NodeId,
-    /// Its instances. With the first replica are all of the VNF's that drain.
+    /// Its instances. All draining ones of the VNF are with the first replica.
     pub instances: Vec<(InstanceId, &'a NodeId, Stage)>,
     /// Time of its next start.
     pub restart_at: Option<Timestamp>,
 }
 
-/// One of those that serve at once as a VNF, each on a node of its own.
+/// A replica of a VNF, on a node of its own.
 #[derive(Debug)]
 struct Slot {
-    /// Its number, from 0: the lowest that no other had when it was added.
+    /// Its number, from 0: the lowest free one when it was added.
     replica: u32,
-    /// The one that serves.
+    /// The serving instance.
     current: Option<Instance>,
-    /// The one that will, once it is ready.
+    /// The instance that will serve once it is ready.
     next: Option<Instance>,
-    /// Where it belongs, also while nothing runs.
+    /// Its node, also while no instance runs.
     node: NodeId,
-    /// Whether an instance served there; a(n) has no other nodes.
+    /// Whether an instance has served there. Only then a(n) has the node.
     is_placed: bool,
-    /// It serves only until all others do.
+    /// Whether it serves only until all others do.
     is_leaving: bool,
-    /// When to start it again, after it died.
+    /// Time of its restart, after it died.
     restart_at: Option<Timestamp>,
     backoff: Duration,
 }
@@ -133,17 +118,17 @@ impl Slot {
         }
     }
 
-    /// Whether it runs on a node, or is on its way there.
+    /// Whether it runs on a node, or is moving there.
     fn is_on(&self, node: &NodeId) -> bool {
         self.node == *node || self.next.as_ref().is_some_and(|next| next.node == *node)
     }
 
-    /// Whether it serves where it is to be.
+    /// Whether it serves on its final node.
     fn has_arrived(&self) -> bool {
         self.current.is_some() && self.next.is_none()
     }
 
-    /// From now on packets go to this instance. Returns the one before.
+    /// Makes an instance the serving one. Returns the one before.
     fn switch(&mut self, to: Instance) -> Option<Instance> {
         self.node = to.node.clone();
         (self.restart_at, self.is_placed) = (None, true);
@@ -156,67 +141,67 @@ impl Slot {
     }
 }
 
-/// A VNF and what serves as it.
+/// A VNF and its replicas.
 #[derive(Debug)]
 struct Group {
     vnf: Vnf,
-    /// In the order in which they are preferred, those that leave last. There is one at least.
+    /// Replicas, preferred ones first and leaving ones last. There is at least one.
     slots: Vec<Slot>,
-    /// Instances that served, and answer what is under way to them, until then.
-    last: Vec<(Timestamp, Instance)>,
-    /// a(n) as it was told last.
-    told: Vec<NodeId>,
+    /// Former serving instances, and until when they answer packets in flight to them.
+    draining: Vec<(Timestamp, Instance)>,
+    /// The last reported a(n).
+    reported: Vec<NodeId>,
 }
 
 impl Group {
     fn new(vnf: &Vnf) -> Self {
         let slots = vnf.node.all().iter().zip(0..).map(|(node, replica)| Slot::new(replica, node.clone()));
-        Self { vnf: vnf.clone(), slots: slots.collect(), last: Vec::new(), told: Vec::new() }
+        Self { vnf: vnf.clone(), slots: slots.collect(), draining: Vec::new(), reported: Vec::new() }
     }
 
-    /// Whether an instance runs on a node, or is on its way there.
+    /// Whether an instance runs on a node, or is moving there.
     fn is_on(&self, node: &NodeId) -> bool {
         self.slots.iter().any(|slot| slot.is_on(node))
     }
 
-    /// a(n).
+    /// Returns a(n).
     fn placement(&self) -> Placement {
         let placed = self.slots.iter().filter(|slot| slot.is_placed).map(|slot| slot.node.clone());
-        // Before anything serves, where it is about to.
+        // Before any instance serves, the first replica's node.
         let node = Nodes::new(placed.collect()).unwrap_or_else(|_| self.slots[0].node.clone().into());
         Placement { vnf: self.vnf.id.clone(), node }
     }
 
-    /// Whether no slot but the one at this place has that number.
+    /// Whether no slot except the one at `place` has a number.
     fn is_free(&self, replica: u32, place: usize) -> bool {
         self.slots.iter().enumerate().all(|(other, slot)| other == place || slot.replica != replica)
     }
 
-    /// Packets go to this instance of a slot from now on.
+    /// Makes an instance the serving one of a slot.
     fn switch(&mut self, now: Timestamp, place: usize, to: Instance) {
         let node = to.node.clone();
         let old = self.slots[place].switch(to);
         if old.as_ref().is_none_or(|old| old.node != node) {
-            self.told.clear();
+            self.reported.clear();
         }
-        self.last.extend(old.map(|old| (now + LAST_PACKETS, old)));
+        self.draining.extend(old.map(|old| (now + LAST_PACKETS, old)));
     }
 
-    /// Lets those go that leave, if they may, and tells a(n) if it changed.
+    /// Removes leaving slots once all others serve, and reports a(n) if it changed.
     fn settle(&mut self, now: Timestamp, events: &mut Vec<Event>) {
         let arrived = self.slots.iter().filter(|slot| !slot.is_leaving).all(Slot::has_arrived);
         let may_go = |slot: &mut Slot| slot.is_leaving && (arrived || slot.current.is_none());
         let gone: Vec<_> = self.slots.extract_if(.., may_go).filter_map(|slot| slot.current).collect();
-        self.last.extend(gone.into_iter().map(|instance| (now + LAST_PACKETS, instance)));
+        self.draining.extend(gone.into_iter().map(|instance| (now + LAST_PACKETS, instance)));
         let placement = self.placement();
-        if self.slots.iter().any(|slot| slot.is_placed) && placement.node.all() != self.told {
-            self.told = placement.node.all().to_vec();
+        if self.slots.iter().any(|slot| slot.is_placed) && placement.node.all() != self.reported {
+            self.reported = placement.node.all().to_vec();
             events.push(Event::Placement(placement));
         }
     }
 
-    /// Gives each of these nodes a slot, in their order: one that is there, else one that is on its way there, else one
-    /// that moves, else a new one. All others leave. Returns the instances whose start is given up, and the slots that are
+    /// Assigns a slot to each of these nodes, in their order: one that is there, else one that is moving there, else one that
+    /// can move, else a new one. All others leave. Returns the instances whose start is given up, and the slots that are
     /// to be started on the node.
     fn assign(&mut self, nodes: &[NodeId]) -> (Vec<Instance>, Vec<(usize, NodeId)>) {
         let mut assigned: Vec<Option<Slot>> = nodes.iter().map(|_| None).collect();
@@ -263,27 +248,27 @@ fn life(vnf: &VnfId, node: &NodeId, state: VnfState, detail: Option<String>) -> 
     Event::Vnf(VnfEvent { vnf: vnf.clone(), node: node.clone(), state, detail })
 }
 
-/// Keeps every VNF running where it was placed.
+/// Keeps every VNF running on its nodes.
 #[derive(Debug)]
 pub struct Vim<E> {
     engine: E,
     graph: HardwareGraph,
-    /// By name. They are looked at in each step of virtual time: a map would take longer.
+    /// VNFs, sorted by name. A map would be slower to iterate in each step of virtual time.
     groups: Vec<Group>,
-    /// Room that others take on nodes: CPUs and bytes.
+    /// Room that VNFs outside of this manager take on nodes: CPUs and bytes.
     reserved: BTreeMap<VnfId, (NodeId, f64, u64)>,
     instances: u64,
 }
 
 impl<E: Engine> Vim<E> {
-    /// Manages the VNFs of these services; nothing runs before [`Vim::start`].
+    /// Creates the manager of these services' VNFs. None runs before [`Vim::start`].
     pub fn new(graph: HardwareGraph, services: &[Service], engine: E) -> Self {
         let mut groups: Vec<_> = services.iter().flat_map(|service| &service.vnfs).map(Group::new).collect();
         groups.sort_by(|a, b| a.vnf.id.cmp(&b.vnf.id));
         Self { engine, graph, groups, reserved: BTreeMap::new(), instances: 0 }
     }
 
-    /// Starts every VNF where the testbed file puts it.
+    /// Starts every VNF on its nodes of the testbed file.
     pub fn start(&mut self, now: Timestamp) -> Vec<Event> {
         let mut events = Vec::new();
         for index in 0..self.groups.len() {
@@ -296,17 +281,17 @@ impl<E: Engine> Vim<E> {
         events
     }
 
-    /// The node that is preferred of those where a VNF runs, or is about to for the first time.
+    /// Returns the preferred node of a VNF.
     pub fn node(&self, vnf: &VnfId) -> Option<&NodeId> {
         self.group(vnf).map(|group| &group.slots[0].node)
     }
 
-    /// The nodes where a VNF runs, or is about to, in the order in which they are preferred.
+    /// Returns the nodes of a VNF, preferred ones first.
     pub fn nodes(&self, vnf: &VnfId) -> impl Iterator<Item = &NodeId> {
         self.group(vnf).into_iter().flat_map(|group| group.slots.iter().map(|slot| &slot.node))
     }
 
-    /// The nodes of a VNF's instances that serve, in the order in which they are preferred: those that stay first.
+    /// Returns the nodes of a VNF's serving instances, preferred ones first and leaving ones last.
     pub fn serving(&self, vnf: &VnfId) -> Vec<&NodeId> {
         let slots = self.group(vnf).into_iter().flat_map(|group| &group.slots);
         let mut serving: Vec<_> = slots.filter(|slot| slot.current.is_some()).collect();
@@ -314,12 +299,12 @@ impl<E: Engine> Vim<E> {
         serving.into_iter().map(|slot| &slot.node).collect()
     }
 
-    /// Whether an instance of a VNF runs on a node, or is on its way there.
+    /// Whether an instance of a VNF runs on a node, or is moving there.
     pub fn is_on(&self, vnf: &VnfId, node: &NodeId) -> bool {
         self.group(vnf).is_some_and(|group| group.is_on(node))
     }
 
-    /// Where every VNF runs.
+    /// Returns the placement of every VNF.
     pub fn placements(&self) -> Vec<Placement> {
         self.groups.iter().map(Group::placement).collect()
     }
@@ -330,7 +315,7 @@ impl<E: Engine> Vim<E> {
             group.slots.iter().enumerate().map(|(place, slot)| {
                 let starting = slot.next.iter().map(|i| (i.id, &i.node, Stage::Starting));
                 let serving = slot.current.iter().map(|i| (i.id, &i.node, Stage::Serving));
-                let last = if place == 0 { &group.last[..] } else { &[] };
+                let last = if place == 0 { &group.draining[..] } else { &[] };
                 let draining = last.iter().map(|(until, i)| (i.id, &i.node, Stage::Draining(*until)));
                 Managed {
                     vnf: &group.vnf,
@@ -342,18 +327,18 @@ impl<E: Engine> Vim<E> {
         })
     }
 
-    /// Whether every VNF runs with all its instances, and they are ready.
+    /// Whether all instances of every VNF are ready.
     pub fn all_ready(&self) -> bool {
         let mut slots = self.groups.iter().flat_map(|group| &group.slots);
         slots.all(|slot| slot.current.as_ref().is_some_and(|i| i.ready))
     }
 
-    /// Begins to move a VNF, or to give it more or fewer instances: one on each of these nodes, in this order;
-    /// [`Event::Placement`] tells when packets go to other nodes than before. Instances that are there already stay. Others
-    /// go once all serve that are to. A move to another node that was still under way is given up.
+    /// Begins to move a VNF, or to change the number of its instances: one on each of these nodes, in this order.
+    /// [`Event::Placement`] reports when packets go to other nodes. Instances on these nodes stay. Others stop once all
+    /// instances on these nodes serve. An unfinished move to another node is cancelled.
     ///
     /// # Errors
-    /// [`VimError`]; then nothing changed.
+    /// [`VimError`]. Nothing has changed then.
     pub fn place(&mut self, now: Timestamp, vnf: &VnfId, nodes: &Nodes) -> Result<Vec<Event>, VimError> {
         let index = self.index(vnf).ok_or_else(|| VimError::UnknownVnf(vnf.clone()))?;
         let group = &self.groups[index];
@@ -368,14 +353,14 @@ impl<E: Engine> Vim<E> {
         given_up.into_iter().for_each(|instance| self.engine.stop(instance.id));
         for (place, node) in starts {
             let group = &mut self.groups[index];
-            let there = group.last.iter().position(|(_, instance)| instance.node == node);
-            match there.map(|there| group.last.swap_remove(there).1) {
-                // It was there until a moment ago, and still is.
+            let there = group.draining.iter().position(|(_, instance)| instance.node == node);
+            match there.map(|there| group.draining.swap_remove(there).1) {
+                // An instance there is still draining: it serves again.
                 Some(instance) if group.is_free(instance.replica, place) => {
                     group.slots[place].replica = instance.replica;
                     group.switch(now, place, instance);
                 }
-                // Another has its number now.
+                // Another replica has its number now.
                 Some(instance) => {
                     events.push(life(vnf, &node, VnfState::Stopped, None));
                     self.engine.stop(instance.id);
@@ -388,16 +373,16 @@ impl<E: Engine> Vim<E> {
         Ok(events)
     }
 
-    /// What happened since the last call: VNFs that became ready, died, or were started again.
+    /// Returns the events since the last call: VNFs that became ready, died, or were started again.
     pub fn poll(&mut self, now: Timestamp) -> Vec<Event> {
         let mut events = Vec::new();
-        while let Some(happened) = self.engine.poll() {
-            if let Some(index) = self.absorb(now, happened, &mut events) {
+        while let Some(event) = self.engine.poll() {
+            if let Some(index) = self.absorb(now, event, &mut events) {
                 self.groups[index].settle(now, &mut events);
             }
         }
         for group in &mut self.groups {
-            for (_, old) in group.last.extract_if(.., |(until, _)| *until <= now) {
+            for (_, old) in group.draining.extract_if(.., |(until, _)| *until <= now) {
                 events.push(life(&group.vnf.id, &old.node, VnfState::Stopped, None));
                 self.engine.stop(old.id);
             }
@@ -414,16 +399,16 @@ impl<E: Engine> Vim<E> {
         events
     }
 
-    /// When [`Vim::poll`] has something to do by itself.
+    /// Returns when [`Vim::poll`] is due without an event of the engine.
     pub fn next_deadline(&self) -> Option<Timestamp> {
         let of_group = |group: &Group| {
             let restarts = group.slots.iter().filter_map(|slot| slot.restart_at);
-            restarts.chain(group.last.iter().map(|(until, _)| *until)).min()
+            restarts.chain(group.draining.iter().map(|(until, _)| *until)).min()
         };
         self.groups.iter().filter_map(of_group).min()
     }
 
-    /// Stops everything and waits for it.
+    /// Stops all instances and waits for their ends.
     pub fn shut_down(&mut self) {
         for group in &mut self.groups {
             for slot in &mut group.slots {
@@ -432,15 +417,15 @@ impl<E: Engine> Vim<E> {
                     self.engine.stop(instance.id);
                 }
             }
-            group.last.drain(..).for_each(|(_, instance)| self.engine.stop(instance.id));
+            group.draining.drain(..).for_each(|(_, instance)| self.engine.stop(instance.id));
         }
         self.engine.shut_down();
     }
 
-    /// Takes room on a node for a VNF that something else runs.
+    /// Reserves room on a node for a VNF outside of this manager.
     ///
     /// # Errors
-    /// [`VimError`] when the node has no room.
+    /// [`VimError`] if the node has too little room.
     pub(crate) fn reserve(
         &mut self,
         vnf: VnfId,
@@ -453,12 +438,12 @@ impl<E: Engine> Vim<E> {
         Ok(())
     }
 
-    /// Gives that room back, if there is any.
+    /// Releases reserved room, if any.
     pub(crate) fn release(&mut self, vnf: &VnfId) {
         self.reserved.remove(vnf);
     }
 
-    /// Whether a VNF that takes so much fits on a node, beside all others there and those on their way to it.
+    /// Checks whether a VNF fits on a node, besides all others that are there or moving there.
     fn check_room(
         &self,
         vnf: &VnfId,
@@ -499,7 +484,7 @@ impl<E: Engine> Vim<E> {
         self.index(vnf).map(|index| &self.groups[index])
     }
 
-    /// Starts an instance of a VNF on a node, for one of its slots; it becomes the current one when it is ready.
+    /// Starts an instance of a VNF on a node, for one of its slots. It serves once it is ready.
     fn launch(
         &mut self,
         now: Timestamp,
@@ -514,30 +499,30 @@ impl<E: Engine> Vim<E> {
         slot.next = Some(Instance { id, node: node.clone(), replica, since: now, ready: false });
         slot.restart_at = None;
         if vnf.program == Program::RobotDriver {
-            // The robot's own driver runs in the Robot Middleware: nothing is to be started.
+            // The robot's own driver runs in the Robot Middleware, so there is nothing to start.
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Ready }, events);
         } else if let Err(error) = self.engine.start(id, vnf, replica, &node) {
             self.absorb(now, EngineEvent { instance: id, outcome: Outcome::Failed(error) }, events);
         }
     }
 
-    /// Returns the place of the VNF to which it happened; its slots are to settle.
-    fn absorb(&mut self, now: Timestamp, happened: EngineEvent, events: &mut Vec<Event>) -> Option<usize> {
-        if let Outcome::Died(_) = happened.outcome {
-            // One that was to stop soon anyway.
-            let is_other = |(_, i): &(_, Instance)| i.id != happened.instance;
-            self.groups.iter_mut().for_each(|group| group.last.retain(is_other));
+    /// Handles an event of the engine. Returns the index of its VNF, whose slots must settle.
+    fn absorb(&mut self, now: Timestamp, event: EngineEvent, events: &mut Vec<Event>) -> Option<usize> {
+        if let Outcome::Died(_) = event.outcome {
+            // A draining instance that died needs no stop.
+            let is_other = |(_, i): &(_, Instance)| i.id != event.instance;
+            self.groups.iter_mut().for_each(|group| group.draining.retain(is_other));
         }
-        let is = |i: &Option<Instance>| i.as_ref().is_some_and(|i| i.id == happened.instance);
+        let is = |i: &Option<Instance>| i.as_ref().is_some_and(|i| i.id == event.instance);
         let in_group =
             |group: &Group| group.slots.iter().position(|slot| is(&slot.current) || is(&slot.next));
-        // A stopped instance has its last word; nobody waits for it.
+        // Ignores the last event of a stopped instance.
         let mut groups = self.groups.iter().enumerate();
         let (index, place) = groups.find_map(|(index, group)| Some((index, in_group(group)?)))?;
         let group = &mut self.groups[index];
         let (vnf, slot) = (group.vnf.id.clone(), &mut group.slots[place]);
         let life = |node: &NodeId, state, detail| life(&vnf, node, state, detail);
-        match happened.outcome {
+        match event.outcome {
             Outcome::Ready => {
                 let mut ready = slot.next.take()?;
                 ready.ready = true;
@@ -550,7 +535,7 @@ impl<E: Engine> Vim<E> {
                     slot.backoff = FIRST_BACKOFF;
                 }
                 events.push(life(&died.node, VnfState::Died, Some(detail)));
-                // One that was about to replace it will; else the same again.
+                // Restarts it unless a starting instance replaces it.
                 if slot.next.is_none() && !slot.is_leaving {
                     slot.restart(now);
                 }
@@ -558,7 +543,7 @@ impl<E: Engine> Vim<E> {
             Outcome::Died(detail) | Outcome::Failed(detail) => {
                 let failed = slot.next.take()?;
                 events.push(life(&failed.node, VnfState::Failed, Some(detail)));
-                // A move that failed leaves the old one in service; a start that failed is tried again.
+                // A failed move leaves the old instance in service. A failed start is retried.
                 if slot.current.is_none() {
                     slot.restart(now);
                 }

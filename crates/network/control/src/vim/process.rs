@@ -1,6 +1,6 @@
-//! Runs each VNF as a process in its node's namespace, with limits where cgroups allow and its output in a log.
+//! Runs each VNF as a process in its node's namespace, with limits if cgroups are available, and its output in a log.
 //!
-//! One thread watches one process, because whoever starts a process has to be there when it ends.
+//! One thread watches each process, because the thread that starts a process must live until its end.
 
 use std::{
     collections::BTreeMap,
@@ -22,37 +22,37 @@ use super::{
     engine::{Engine, EngineEvent, InstanceId, Outcome},
 };
 
-/// How often a process is looked at that says nothing.
-const LOOK: Duration = Duration::from_millis(50);
-/// How long a process may take to end after SIGTERM, in looks.
-const GRACE_LOOKS: u32 = 10;
-/// What the bundled VNFs print first, once they serve.
+/// Interval of checks whether a process has ended.
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
+/// Checks after SIGTERM until a process is killed.
+const GRACE_CHECKS: u32 = 10;
+/// First line of a bundled VNF's output, once it serves.
 pub const READY: &str = "ready";
 
-/// A process inside a node, with all that it started.
+/// A process inside a node, with its descendants.
 pub trait Process: Send {
-    /// How it ended, if it has.
+    /// Returns the exit status, if the process has ended.
     ///
     /// # Errors
-    /// When the system lost it.
+    /// The error of the system.
     fn try_wait(&mut self) -> io::Result<Option<ExitStatus>>;
 
-    /// Asks it to end (SIGTERM).
+    /// Sends SIGTERM.
     fn terminate(&mut self);
 
-    /// Kills it, and waits until it is gone.
+    /// Kills the process and waits for its end.
     fn kill(&mut self);
 
-    /// Its standard output, where the command asked for a pipe.
+    /// Takes the standard output, if the command has a pipe for it.
     fn stdout(&mut self) -> Option<ChildStdout>;
 }
 
-/// Starts a process inside a node: in its namespace, in these cgroups, gone with this process.
+/// Starts processes inside nodes: in the node's namespace, in cgroups, and killed with this process.
 pub trait Launcher: Send + Sync + 'static {
-    /// Starts it, with the rights that the VNF has.
+    /// Starts a process with the rights of its VNF.
     ///
     /// # Errors
-    /// When it cannot be started.
+    /// The error of the system if the process cannot be started.
     fn launch(
         &self,
         vnf: &Vnf,
@@ -62,15 +62,16 @@ pub trait Launcher: Send + Sync + 'static {
         cgroup_procs: Vec<PathBuf>,
     ) -> io::Result<Box<dyn Process>>;
 
-    /// The program and arguments of a bundled VNF, navigation or localization, with the environment that it gets. It
-    /// prints [`READY`] once it serves.
+    /// Returns the command of a bundled VNF, navigation or localization, with its environment. The program prints [`READY`]
+    /// once it serves.
     fn bundled(&self, vnf: &Vnf, node: &NodeId) -> Command;
 
-    /// Called from another thread when [`Engine::poll`] has something new.
+    /// Signals a new event of [`Engine::poll`]. Called from other threads.
     fn wake(&self);
 }
 
-/// A file name of a VNF's replica: the VNF's name for the first, `<vnf>@<replica>` for others, which is no VNF's name.
+/// Returns a file name for a VNF's replica: the VNF's name for the first, `<vnf>@<replica>` for others. No VNF's name has
+/// an `@`.
 pub fn replica_name(vnf: &VnfId, replica: u32) -> String {
     if replica == 0 { vnf.to_string() } else { format!("{vnf}@{replica}") }
 }
@@ -81,8 +82,8 @@ pub struct ProcessEngine<L> {
     logs: PathBuf,
     cgroups: Option<Arc<Cgroups>>,
     watched: BTreeMap<InstanceId, Watched>,
-    happened: mpsc::Receiver<EngineEvent>,
-    tell: mpsc::Sender<EngineEvent>,
+    events: mpsc::Receiver<EngineEvent>,
+    report: mpsc::Sender<EngineEvent>,
 }
 
 impl<L> std::fmt::Debug for ProcessEngine<L> {
@@ -97,11 +98,11 @@ struct Watched {
 }
 
 impl<L: Launcher> ProcessEngine<L> {
-    /// Processes log into `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` from 1 on, which is appended to. Without cgroups
-    /// they have no limits.
+    /// Creates an engine. Processes append their output to `logs/<vnf>.log`, or `logs/<vnf>@<replica>.log` for replicas from
+    /// 1. Without cgroups they have no limits.
     pub fn new(launcher: Arc<L>, logs: PathBuf, cgroups: Option<Cgroups>) -> Self {
-        let (tell, happened) = mpsc::channel();
-        Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), happened, tell }
+        let (report, events) = mpsc::channel();
+        Self { launcher, logs, cgroups: cgroups.map(Arc::new), watched: BTreeMap::new(), events, report }
     }
 
     fn command(&self, vnf: &Vnf, node: &NodeId) -> Result<Command, String> {
@@ -130,7 +131,7 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
         writeln!(log, "--- instance {} on {node}", instance.0).map_err(in_log)?;
         let output = match vnf.program {
             Program::Command(_) => {
-                // Not the log itself: what is written there stays.
+                // A pipe rather than the log itself, so that the VNF cannot change what is written there.
                 let (output, stdout) = io::pipe().map_err(in_log)?;
                 command.stderr(stdout.try_clone().map_err(in_log)?).stdout(stdout);
                 Some(output)
@@ -146,20 +147,20 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
             None => Vec::new(),
         };
         let (stop, stopped) = mpsc::channel();
-        let (launcher, tell) = (Arc::clone(&self.launcher), self.tell.clone());
+        let (launcher, events) = (Arc::clone(&self.launcher), self.report.clone());
         let (node, vnf) = (node.clone(), vnf.clone());
         let cgroups = self.cgroups.clone();
         let thread = thread::Builder::new()
             .name(format!("vnf-{}", vnf.id))
             .spawn(move || {
-                let say = |outcome| {
-                    // Nobody listens any more only while the engine is dropped.
-                    let _ = tell.send(EngineEvent { instance, outcome });
+                let report = |outcome| {
+                    // Fails only while the engine is dropped.
+                    let _ = events.send(EngineEvent { instance, outcome });
                     launcher.wake();
                 };
                 match launcher.launch(&vnf, replica, &node, command, procs) {
-                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &say),
-                    Err(error) => say(Outcome::Failed(format!("cannot start: {error}"))),
+                    Ok(mut child) => watch(&mut *child, log, output, &stopped, &report),
+                    Err(error) => report(Outcome::Failed(format!("cannot start: {error}"))),
                 }
                 if let Some(groups) = cgroups {
                     groups.release(instance);
@@ -177,7 +178,7 @@ impl<L: Launcher> Engine for ProcessEngine<L> {
     }
 
     fn poll(&mut self) -> Option<EngineEvent> {
-        let event = self.happened.try_recv().ok();
+        let event = self.events.try_recv().ok();
         self.watched.retain(|_, watched| !watched.thread.is_finished());
         event
     }
@@ -201,45 +202,45 @@ impl<L> Drop for ProcessEngine<L> {
     }
 }
 
-/// Stays with a process until it ends, or is to be stopped.
+/// Watches a process until it ends or is stopped.
 fn watch(
     child: &mut dyn Process,
     mut log: File,
     output: Option<PipeReader>,
     stopped: &mpsc::Receiver<()>,
-    say: &(impl Fn(Outcome) + Sync),
+    report: &(impl Fn(Outcome) + Sync),
 ) {
     thread::scope(|scope| {
         if let Some(mut output) = output {
-            say(Outcome::Ready);
+            report(Outcome::Ready);
             scope.spawn(move || {
-                // Where the log takes no more, the VNF must not wait for it.
+                // A full disk must not block the VNF.
                 let _ = io::copy(&mut output, &mut log).or_else(|_| io::copy(&mut output, &mut io::sink()));
             });
         } else if let Some(stdout) = child.stdout() {
-            scope.spawn(|| copy_output(stdout, log, say));
+            scope.spawn(|| copy_output(stdout, log, report));
         }
         loop {
-            match stopped.recv_timeout(LOOK) {
+            match stopped.recv_timeout(CHECK_INTERVAL) {
                 Err(mpsc::RecvTimeoutError::Timeout) => match child.try_wait() {
                     Ok(None) => {}
-                    Ok(Some(status)) => return say(Outcome::Died(describe(status))),
-                    Err(error) => return say(Outcome::Died(error.to_string())),
+                    Ok(Some(status)) => return report(Outcome::Died(describe(status))),
+                    Err(error) => return report(Outcome::Died(error.to_string())),
                 },
-                // Told to stop, or nobody is left to tell.
+                // Stopped, or the engine is gone.
                 Ok(()) | Err(mpsc::RecvTimeoutError::Disconnected) => return terminate(child),
             }
         }
     });
 }
 
-/// Copies what a bundled VNF prints into its log; its first line says that it serves.
-fn copy_output(stdout: impl io::Read, mut log: File, say: &impl Fn(Outcome)) {
+/// Copies the output of a bundled VNF to its log. The line [`READY`] reports that it serves.
+fn copy_output(stdout: impl io::Read, mut log: File, report: &impl Fn(Outcome)) {
     let mut waiting = true;
     for line in BufReader::new(stdout).lines().map_while(Result::ok) {
         if waiting && line == READY {
             waiting = false;
-            say(Outcome::Ready);
+            report(Outcome::Ready);
         }
         // A full disk must not stop the VNF.
         let _ = writeln!(log, "{line}");
@@ -249,11 +250,11 @@ fn copy_output(stdout: impl io::Read, mut log: File, say: &impl Fn(Outcome)) {
 fn terminate(child: &mut dyn Process) {
     child.terminate();
     let (_keep, never) = mpsc::channel::<()>();
-    for _ in 0..GRACE_LOOKS {
+    for _ in 0..GRACE_CHECKS {
         if !matches!(child.try_wait(), Ok(None)) {
             return;
         }
-        let _ = never.recv_timeout(LOOK);
+        let _ = never.recv_timeout(CHECK_INTERVAL);
     }
     child.kill();
 }

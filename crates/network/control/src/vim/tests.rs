@@ -38,7 +38,7 @@ fn vim() -> Vim<InMemoryEngine> {
     vim_of(nodes, vec![vnf("moving", "a", false), vnf("fixed", "b", true)])
 }
 
-/// These VNFs, ready on these servers.
+/// Returns a manager of these servers with these VNFs, all ready.
 fn vim_of(nodes: Vec<Node>, vnfs: Vec<Vnf>) -> Vim<InMemoryEngine> {
     let graph = HardwareGraph {
         domains: vec![DomainId::new("d").unwrap()],
@@ -70,7 +70,7 @@ fn names<E: Engine>(vim: &Vim<E>) -> Vec<(String, String)> {
     vim.placements().into_iter().map(|p| (p.vnf.to_string(), p.node.to_string())).collect()
 }
 
-/// One node, or several with commas between.
+/// Returns nodes by their names, separated by commas.
 fn on(nodes: &str) -> Nodes {
     Nodes::new(nodes.split(',').map(id).collect()).unwrap()
 }
@@ -79,7 +79,7 @@ fn id<T: std::str::FromStr>(name: &str) -> T {
     name.parse().ok().unwrap()
 }
 
-/// How many instances of `moving` run.
+/// Returns the number of running instances of `moving`.
 fn instances(vim: &Vim<InMemoryEngine>) -> usize {
     vim.engine.running().filter(|(_, vnf, _)| vnf.as_str() == "moving").count()
 }
@@ -98,13 +98,13 @@ fn a_move_starts_the_new_instance_before_it_stops_the_old_one() {
     let mut vim = vim();
     assert!(vim.all_ready());
     vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
-    // Both run until the new one is ready; packets still go to the old one.
+    // Both run until the new one is ready. Packets still go to the old one.
     assert_eq!(instances(&vim), 2);
     assert_eq!(names(&vim)[1], ("moving".into(), "a".into()));
     let ready = Timestamp::from_secs_f64(0.7);
     assert_eq!(order(&vim.poll(ready)), ["Started b", "placed b"]);
     assert_eq!(names(&vim)[1], ("moving".into(), "b".into()));
-    // The old one still answers what was under way to it.
+    // The old one still answers packets in flight to it.
     assert_eq!(instances(&vim), 2);
     let end = vim.next_deadline().unwrap();
     assert_eq!(end, ready + LAST_PACKETS);
@@ -113,7 +113,7 @@ fn a_move_starts_the_new_instance_before_it_stops_the_old_one() {
 }
 
 #[test]
-fn an_instance_that_is_about_to_stop_serves_again_at_once() {
+fn a_draining_instance_serves_again_at_once() {
     let mut vim = vim();
     vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     vim.poll(Timestamp::ZERO);
@@ -125,7 +125,7 @@ fn an_instance_that_is_about_to_stop_serves_again_at_once() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_a_reason_and_changes_nothing() {
+fn impossible_placements_are_rejected_and_change_nothing() {
     let mut vim = vim();
     let before = names(&vim);
     for (vnf, node, reason) in [
@@ -142,7 +142,7 @@ fn what_cannot_be_is_refused_with_a_reason_and_changes_nothing() {
 }
 
 #[test]
-fn a_move_that_fails_leaves_the_old_instance_in_service() {
+fn a_failed_move_leaves_the_old_instance_in_service() {
     let mut vim = vim();
     vim.engine.fail_on(id("b"));
     let events = vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
@@ -153,19 +153,19 @@ fn a_move_that_fails_leaves_the_old_instance_in_service() {
 }
 
 #[test]
-fn two_vnfs_that_move_at_once_do_not_overfill_a_node() {
+fn simultaneous_moves_do_not_overfill_a_node() {
     let nodes = vec![server("a", 8.0), server("b", 4.0)];
     let mut vim = vim_of(nodes, vec![vnf("one", "a", false), vnf("two", "a", false)]);
     vim.place(Timestamp::ZERO, &id("one"), &on("b")).unwrap();
-    // The first is not there yet.
+    // The first VNF is not there yet.
     let refused = vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap_err();
     assert_eq!(refused.to_string(), "VNF `two` needs 4 CPUs of `b`, which has 0 left");
-    // Once it stays where it is, there is.
+    // Once the first stays on its node, there is room.
     vim.place(Timestamp::ZERO, &id("one"), &on("a")).unwrap();
     vim.place(Timestamp::ZERO, &id("two"), &on("b")).unwrap();
 }
 
-/// Kills what serves as the VNF that can move.
+/// Kills the serving instance of `moving`.
 fn kill_moving(vim: &mut Vim<InMemoryEngine>) -> Vec<Event> {
     let (instance, ..) = vim.engine.running().find(|(_, vnf, _)| vnf.as_str() == "moving").unwrap();
     vim.engine.kill(instance, "killed by the test");
@@ -173,13 +173,13 @@ fn kill_moving(vim: &mut Vim<InMemoryEngine>) -> Vec<Event> {
 }
 
 #[test]
-fn a_vnf_that_died_while_it_moved_is_started_where_it_is_to_stay() {
+fn a_vnf_that_died_during_a_cancelled_move_restarts_on_its_node() {
     let mut vim = vim();
     vim.engine.stall_on(id("b"));
     vim.place(Timestamp::ZERO, &id("moving"), &on("b")).unwrap();
     kill_moving(&mut vim);
     assert!(!vim.all_ready());
-    // What was to take over is given up.
+    // The new instance is cancelled.
     vim.place(Timestamp::ZERO, &id("moving"), &on("a")).unwrap();
     assert_eq!(order(&vim.poll(Timestamp::ZERO)), ["Started a", "placed a"]);
     assert!(vim.all_ready());
@@ -187,7 +187,7 @@ fn a_vnf_that_died_while_it_moved_is_started_where_it_is_to_stay() {
 }
 
 #[test]
-fn a_vnf_that_died_and_is_moved_is_started_once() {
+fn a_dead_vnf_that_is_moved_starts_once() {
     let mut vim = vim();
     kill_moving(&mut vim);
     let due = vim.next_deadline().unwrap();
@@ -199,7 +199,7 @@ fn a_vnf_that_died_and_is_moved_is_started_once() {
 }
 
 #[test]
-fn a_vnf_that_dies_is_started_again_each_time_later() {
+fn a_vnf_that_dies_restarts_with_growing_delays() {
     let mut vim = vim();
     let mut now = Timestamp::ZERO;
     let mut waits = Vec::new();
@@ -216,7 +216,7 @@ fn a_vnf_that_dies_is_started_again_each_time_later() {
         assert!(vim.all_ready());
     }
     assert_eq!(waits, [100, 200, 400, 800, 1600, 3200, 5000, 5000]);
-    // Long health is rewarded.
+    // A long run resets the delay.
     now = now + HEALTHY_AFTER;
     let (instance, ..) = vim.engine.running().find(|(_, vnf, _)| vnf.as_str() == "moving").unwrap();
     vim.engine.kill(instance, "killed by the test");
@@ -224,7 +224,7 @@ fn a_vnf_that_dies_is_started_again_each_time_later() {
     assert_eq!(vim.next_deadline().unwrap().since(now), FIRST_BACKOFF);
 }
 
-/// Four servers with room for one each, and a VNF on these.
+/// Four servers with room for one instance each, and a VNF on `nodes`.
 fn replicated(nodes: &str) -> Vim<InMemoryEngine> {
     let servers = ["a", "b", "c", "d"].map(|name| server(name, 4.0));
     let vnf = Vnf { node: on(nodes), ..vnf("moving", "a", false) };
@@ -243,12 +243,12 @@ fn kill_on(vim: &mut Vim<InMemoryEngine>, on: &str) -> Vec<String> {
     order(&vim.poll(Timestamp::ZERO))
 }
 
-/// Where instances serve, in the order in which they are preferred.
+/// Returns the nodes of serving instances, preferred ones first.
 fn serving(vim: &Vim<InMemoryEngine>) -> String {
     vim.serving(&id("moving")).into_iter().map(NodeId::as_str).collect()
 }
 
-/// Numbers of the instances that run, by node.
+/// Returns the numbers of running instances, by node.
 fn numbers(vim: &Vim<InMemoryEngine>) -> Vec<(String, u32)> {
     let group = vim.group(&id("moving")).unwrap();
     let mut numbers: Vec<_> = group
@@ -262,7 +262,7 @@ fn numbers(vim: &Vim<InMemoryEngine>) -> Vec<(String, u32)> {
 }
 
 #[test]
-fn a_vnf_has_as_many_instances_as_nodes_and_each_is_started_again_where_it_was() {
+fn a_vnf_has_one_instance_per_node_which_restarts_there() {
     let mut vim = replicated("b,a");
     assert_eq!((serving(&vim).as_str(), names(&vim)[0].1.as_str(), vim.all_ready()), ("ba", "b, a", true));
     assert_eq!(numbers(&vim), [("a".to_owned(), 1), ("b".to_owned(), 0)]);
@@ -276,12 +276,12 @@ fn a_vnf_has_as_many_instances_as_nodes_and_each_is_started_again_where_it_was()
 }
 
 #[test]
-fn place_gives_a_vnf_more_instances_and_fewer_and_leaves_alone_what_stays() {
+fn place_changes_the_number_of_instances_and_keeps_those_that_stay() {
     let mut vim = replicated("a");
     let first = vim.engine.running().next().unwrap().0;
     assert_eq!(place(&mut vim, "a,b,c"), ["Started b", "placed a, b", "Started c", "placed a, b, c"]);
     assert_eq!((serving(&vim).as_str(), instances(&vim)), ("abc", 3));
-    // Fewer, in another order: nothing is started.
+    // Fewer nodes in another order start nothing.
     assert_eq!(place(&mut vim, "c,a"), ["placed c, a"]);
     assert_eq!(serving(&vim), "ca");
     let end = vim.next_deadline().unwrap();
@@ -292,20 +292,20 @@ fn place_gives_a_vnf_more_instances_and_fewer_and_leaves_alone_what_stays() {
 }
 
 #[test]
-fn those_that_go_serve_until_all_serve_that_are_to() {
+fn leaving_instances_serve_until_all_others_do() {
     let mut vim = replicated("a,b");
     vim.engine.stall_on(id("d"));
     assert_eq!(place(&mut vim, "c,d"), ["Started c", "placed c, b"]);
-    // `b` is on its way to `d`.
+    // `b` is moving to `d`.
     assert_eq!(serving(&vim), "cb");
-    // One that is to go and dies is not started again, one that is to stay is.
+    // A leaving instance that dies is not restarted; a staying one is.
     let mut vim = replicated("a,b,c");
     vim.engine.stall_on(id("d"));
     assert_eq!(place(&mut vim, "d"), Vec::<String>::new());
     assert_eq!((serving(&vim).as_str(), instances(&vim)), ("abc", 4));
     assert_eq!(kill_on(&mut vim, "c"), ["Died c", "placed a, b"]);
     assert_eq!((serving(&vim).as_str(), vim.next_deadline()), ("ab", None));
-    // It comes after all.
+    // The staying instance is back.
     let (waiting, ..) = vim.engine.running().find(|(.., node)| *node == "d").unwrap();
     vim.absorb(Timestamp::ZERO, EngineEvent { instance: waiting, outcome: Outcome::Ready }, &mut Vec::new());
     vim.groups[0].settle(Timestamp::ZERO, &mut Vec::new());
@@ -313,7 +313,7 @@ fn those_that_go_serve_until_all_serve_that_are_to() {
 }
 
 #[test]
-fn an_instance_that_goes_serves_as_long_as_the_one_that_stays_is_down() {
+fn a_leaving_instance_serves_while_the_staying_one_is_down() {
     let mut vim = replicated("a,b");
     kill_on(&mut vim, "a");
     assert_eq!(place(&mut vim, "a"), Vec::<String>::new());
@@ -326,21 +326,21 @@ fn an_instance_that_goes_serves_as_long_as_the_one_that_stays_is_down() {
 }
 
 #[test]
-fn numbers_of_instances_differ_and_are_the_lowest() {
+fn instances_have_the_lowest_free_numbers() {
     let mut vim = replicated("a,b");
     place(&mut vim, "c,b");
     assert_eq!(numbers(&vim), [("b".to_owned(), 1), ("c".to_owned(), 0)]);
-    // The one on `a` answers what is under way to it, as number 0.
+    // The instance on `a` drains as number 0.
     place(&mut vim, "c,b,a");
     assert_eq!(numbers(&vim), [("a".to_owned(), 2), ("b".to_owned(), 1), ("c".to_owned(), 0)]);
     place(&mut vim, "a,c");
-    // It is still there.
+    // It is still draining.
     assert_eq!(place(&mut vim, "b,c,a"), ["placed b, c, a"]);
     assert_eq!(numbers(&vim)[1], ("b".to_owned(), 1));
 }
 
 #[test]
-fn room_is_looked_for_on_all_nodes_before_anything_changes() {
+fn room_is_checked_on_all_nodes_before_any_change() {
     let nodes = ["a", "b", "c", "d"].map(|name| server(name, 4.0));
     let vnfs = vec![vnf("moving", "a", false), vnf("fixed", "b", true), vnf("other", "d", false)];
     let mut vim = vim_of(nodes.to_vec(), vnfs);
@@ -351,7 +351,7 @@ fn room_is_looked_for_on_all_nodes_before_anything_changes() {
     assert_eq!(refused(&mut vim, "moving", "c,b,a"), full);
     assert_eq!(refused(&mut vim, "fixed", "b,c"), "VNF `fixed` is pinned to `b`");
     assert_eq!((instances(&vim), serving(&vim).as_str(), vim.engine.running().count()), (1, "a", 3));
-    // Each instance takes room, also one that is on its way.
+    // Each instance takes room, also a starting one.
     vim.engine.stall_on(id("c"));
     vim.place(Timestamp::ZERO, &id("moving"), &on("a,c")).unwrap();
     assert_eq!(refused(&mut vim, "other", "c"), "VNF `other` needs 4 CPUs of `c`, which has 0 left");
