@@ -31,13 +31,12 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`settings`] decodes a plug-in's settings. [`messages`], [`vnf`] and [`wire`] are for VNFs, which exchange packets with
-//! robots over the network under test.
+//! [`vnf`], [`wire`] and [`convert`] are for VNFs, which talk to robots over the network under test.
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod client;
-pub mod messages;
+pub mod convert;
 pub mod runs;
 pub mod settings;
 pub mod vnf;

@@ -26,11 +26,10 @@ mod image;
 mod localization;
 
 use cotorra_graph::{NodeId, Position, Testbed, Timestamp, VnfId};
+use cotorra_ros_messages::{DecodeError, Message, Pose, Twist};
 
 pub use image::{FRAGMENT, ImagePacket, LARGEST_IMAGE};
 pub use localization::{MAX_BEAMS, PosePacket, ScanPacket};
-
-use crate::messages::{Message, MessageError, Pose, Twist};
 
 /// The UDP port of a testbed's first VNF.
 const FIRST_PORT: u16 = 7711;
@@ -102,7 +101,7 @@ pub enum WireError {
     NotFinite,
     /// The message behind the header is broken.
     #[error(transparent)]
-    Message(#[from] MessageError),
+    Message(#[from] DecodeError),
 }
 
 /// A robot says where it is, and asks how to go on.
@@ -136,7 +135,7 @@ impl PositionPacket {
             buffer[GOAL_AT] = 1;
             [x, y, z].iter().for_each(|metres| buffer.extend_from_slice(&metres.to_le_bytes()));
         }
-        self.pose.encode(buffer);
+        self.pose.encode_cdr(buffer);
     }
 
     /// Reads a packet.
@@ -161,7 +160,7 @@ impl PositionPacket {
             waypoint: header.waypoint,
             goal,
             robot,
-            pose: Pose::decode(message)?,
+            pose: Pose::decode_cdr(message)?,
         })
     }
 }
@@ -217,7 +216,7 @@ impl NavigationPacket {
                 buffer.extend_from_slice(reason.as_bytes());
             }
         }
-        self.velocity.encode(buffer);
+        self.velocity.encode_cdr(buffer);
     }
 
     /// Reads a packet.
@@ -244,7 +243,7 @@ impl NavigationPacket {
             emitted: header.emitted,
             nonce: header.nonce,
             waypoint: header.waypoint,
-            velocity: Twist::decode(rest)?,
+            velocity: Twist::decode_cdr(rest)?,
             headway,
         })
     }
@@ -361,6 +360,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::convert::{to_pose, to_twist};
 
     fn position() -> PositionPacket {
         let pose = Pose::planar(25.5, -27.8, 1.5, [0.0; 9], PoseSource::Simulator);
@@ -371,7 +371,7 @@ mod tests {
             waypoint: 3,
             goal: None,
             robot: NodeId::new("robot1").unwrap(),
-            pose: (&pose).into(),
+            pose: to_pose(&pose),
         }
     }
 
@@ -390,7 +390,7 @@ mod tests {
 
     #[test]
     fn a_navigation_packet_answers_with_the_same_sequence_and_emission() {
-        let answer = NavigationPacket::answering(&position(), 4, Velocity::planar(0.3, -0.1).into());
+        let answer = NavigationPacket::answering(&position(), 4, to_twist(Velocity::planar(0.3, -0.1)));
         let mut bytes = b"old".to_vec();
         answer.encode(&mut bytes);
         assert_eq!(bytes.len(), 32 + 4 + 48);
@@ -413,7 +413,7 @@ mod tests {
         assert_eq!((&with[8..38], &with[62..]), (&without[8..38], &without[38..]));
         assert_eq!(PositionPacket::decode(&with).unwrap(), packet);
 
-        let walks = NavigationPacket::answering(&packet, 3, Velocity::planar(0.3, -0.1).into());
+        let walks = NavigationPacket::answering(&packet, 3, to_twist(Velocity::planar(0.3, -0.1)));
         for (headway, said, more) in [
             (Headway::Left(4.75), 1, 8),
             (Headway::Arrived, 2, 0),
@@ -445,7 +445,7 @@ mod tests {
         assert!(matches!(with(7, &[0]), Err(WireError::Message(_))), "the goal is no pose");
         assert!(matches!(PositionPacket::decode(&bytes[..61]), Err(WireError::Short(61))));
 
-        let answer = NavigationPacket::answering(&position(), 3, Velocity::default().into());
+        let answer = NavigationPacket::answering(&position(), 3, to_twist(Velocity::default()));
         NavigationPacket { headway: Some(Headway::Blocked("ä".to_owned())), ..answer }.encode(&mut bytes);
         let with = |at: usize, value: u8| {
             let mut changed = bytes.clone();

@@ -2,7 +2,7 @@
 
 use cotorra_brain::{Brain, NavigationVnf};
 use cotorra_graph::{PoseSource, Position, Timestamp};
-use cotorra_plugin::{Actions, Plugin, wire::PositionPacket};
+use cotorra_plugin::{Actions, Plugin, convert::to_pose, wire::PositionPacket};
 use cotorra_testing::{
     corridor,
     robot::{context, pose, robot, testbed},
@@ -58,7 +58,7 @@ fn packet_to_packet(bencher: Bencher) {
     let at = Timestamp::from_nanos(1);
     let mut pose = pose(25.6, -22.0, 1.4);
     pose.source = PoseSource::Localization;
-    let pose = (&pose).into();
+    let pose = to_pose(&pose);
     let (mut datagram, mut answer) = (Vec::new(), Vec::new());
     PositionPacket { sequence: 0, emitted: at, nonce: 5, waypoint: 3, goal: None, robot: robot(), pose }
         .encode(&mut datagram);

@@ -4,7 +4,9 @@ use std::{collections::BTreeMap, convert::Infallible, io, net::UdpSocket};
 
 use cotorra_graph::{Event, Instruction, NodeId, PoseSource, RobotContext, SensorData, Testbed, Velocity};
 use cotorra_plugin::{
-    Actions, Plugin, vnf,
+    Actions, Plugin,
+    convert::{from_pose, to_twist},
+    vnf,
     wire::{Headway, NavigationPacket, PositionPacket, WireError},
 };
 
@@ -72,7 +74,7 @@ impl NavigationVnf {
     pub fn answer(&mut self, datagram: &[u8], answer: &mut Vec<u8>) -> Result<(), PacketError> {
         let packet = PositionPacket::decode(datagram)?;
         if let Some(goal) = packet.goal {
-            let pose = packet.pose.from_source(PoseSource::Localization);
+            let pose = from_pose(&packet.pose, PoseSource::Localization);
             let Some((velocity, headway)) = self.brain.approach(&packet.robot, &pose, goal) else {
                 return Err(PacketError::Stranger(packet.robot));
             };
@@ -80,7 +82,7 @@ impl NavigationVnf {
                 Headway::Blocked(reason) => Some(reason.clone()),
                 _ => None,
             };
-            let walks = NavigationPacket::answering(&packet, packet.waypoint, velocity.into());
+            let walks = NavigationPacket::answering(&packet, packet.waypoint, to_twist(velocity));
             NavigationPacket { headway: Some(headway), ..walks }.encode(answer);
             return Ok(());
         }
@@ -90,7 +92,7 @@ impl NavigationVnf {
         let Some((Instruction::Move { velocity, waypoint, .. }, reason)) = self.actions.drain().next() else {
             return Err(PacketError::Stranger(packet.robot));
         };
-        NavigationPacket::answering(&packet, waypoint, velocity.into()).encode(answer);
+        NavigationPacket::answering(&packet, waypoint, to_twist(velocity)).encode(answer);
         self.standstill = reason;
         Ok(())
     }
@@ -103,7 +105,7 @@ impl NavigationVnf {
 
 /// κ(r) as far as a position packet tells it.
 fn context(packet: &PositionPacket) -> RobotContext {
-    let pose = packet.pose.from_source(PoseSource::Localization);
+    let pose = from_pose(&packet.pose, PoseSource::Localization);
     RobotContext {
         robot: packet.robot.clone(),
         attachments: Vec::new(),
@@ -141,6 +143,8 @@ pub fn serve(mut navigation: NavigationVnf, socket: &UdpSocket) -> io::Result<In
 mod tests {
     use cotorra_graph::{Pose, Position, Timestamp};
 
+    use cotorra_plugin::convert::{from_twist, to_pose};
+
     use super::*;
     use crate::testing::{robot, testbed};
 
@@ -161,7 +165,7 @@ mod tests {
             waypoint: 0,
             goal,
             robot: NodeId::new(name).unwrap(),
-            pose: (&pose).into(),
+            pose: to_pose(&pose),
         }
         .encode(&mut bytes);
         bytes
@@ -181,7 +185,7 @@ mod tests {
             assert_eq!((packet.sequence, packet.waypoint), (sequence, 1));
             assert_eq!(packet.emitted, Timestamp::from_nanos(5_000 + u64::from(sequence)));
             assert_eq!(packet.nonce, 5);
-            assert_eq!(Velocity::from(&packet.velocity), Velocity::planar(0.3, 0.0));
+            assert_eq!(from_twist(&packet.velocity), Velocity::planar(0.3, 0.0));
             assert_eq!(vnf.standstill(), None);
         }
     }
@@ -202,7 +206,7 @@ mod tests {
         vnf.answer(&position("robot", 0, 1.0), &mut answer).unwrap();
         assert_eq!(vnf.standstill(), Some("(9.0, 0.5) is not on the map's floor"));
         let packet = NavigationPacket::decode(&answer).unwrap();
-        assert_eq!(Velocity::from(&packet.velocity), Velocity::default());
+        assert_eq!(from_twist(&packet.velocity), Velocity::default());
     }
 
     #[test]
@@ -213,7 +217,7 @@ mod tests {
             vnf.answer(&towards(goal, "robot", 7, 1.0), &mut answer).unwrap();
             let packet = NavigationPacket::decode(&answer).unwrap();
             let standstill = vnf.standstill().map(str::to_owned);
-            (Velocity::from(&packet.velocity), packet.waypoint, packet.headway, standstill)
+            (from_twist(&packet.velocity), packet.waypoint, packet.headway, standstill)
         };
         let walks = asked(None);
         assert_eq!(walks.clone(), (Velocity::planar(0.3, 0.0), 1, None, None));

@@ -146,10 +146,10 @@ fn main() {
         ..LaserScan::default()
     };
     let send = |number| {
-        scan.header.stamp.nsec = number;
+        scan.header.stamp.nanosec = number;
         there.publish(&scan);
     };
-    let receive = || Some(back.recv_timeout(PATIENCE).ok()?.header.stamp.nsec);
+    let receive = || Some(back.recv_timeout(PATIENCE).ok()?.header.stamp.nanosec);
     measure("a LaserScan of 360 beams to a node of ROS 1 and back", send, receive);
     pitcher.shut_down();
     catcher.shut_down();

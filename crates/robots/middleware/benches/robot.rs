@@ -6,7 +6,10 @@ use cotorra_graph::{
     Camera, Capacity, Cell, DataFormat, Dbm, DomainId, Driver, Node, NodeId, NodeKind, OccupancyGrid,
     Position, Roaming, Robot, RobotModel, Sensor, SensorId, SensorKind, Timestamp, Velocity,
 };
-use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
+use cotorra_plugin::{
+    convert::{to_pose, to_twist},
+    wire::{NavigationPacket, PositionPacket},
+};
 use cotorra_robot_middleware::{RobotDriver, SimulatedRobot, World};
 use divan::{Bencher, black_box};
 
@@ -120,14 +123,14 @@ fn encode_and_decode_position_and_navigation(bencher: Bencher<'_, '_>) {
         waypoint: 3,
         goal: None,
         robot: NodeId::new("robot1").expect("a name"),
-        pose: (&pose).into(),
+        pose: to_pose(&pose),
     };
     let mut datagram = Vec::new();
     bencher.bench_local(|| {
         position.encode(&mut datagram);
         let received = PositionPacket::decode(black_box(&datagram)).expect("a position packet");
         let velocity = Velocity::planar(0.3, 0.05);
-        NavigationPacket::answering(&received, 4, velocity.into()).encode(&mut datagram);
+        NavigationPacket::answering(&received, 4, to_twist(velocity)).encode(&mut datagram);
         NavigationPacket::decode(black_box(&datagram)).expect("a navigation packet")
     });
 }

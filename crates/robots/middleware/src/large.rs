@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use cotorra_graph::{DataFormat, LargeData, NodeId, SensorId, Timestamp};
-use cotorra_plugin::messages::Message;
+use cotorra_ros_messages::Message;
 
 use crate::{camera::View, lidar::Scan, ros};
 
@@ -33,7 +33,7 @@ impl Content {
         match self {
             Self::Scan(scan) => {
                 let mut bytes = Vec::with_capacity(scan_size(scan.ranges.len()));
-                ros::laser_scan(scan).encode(&mut bytes);
+                ros::laser_scan(scan).encode_cdr(&mut bytes);
                 bytes.into()
             }
             Self::Bytes(bytes) => Arc::clone(bytes),
@@ -118,7 +118,7 @@ mod tests {
             let captured = Captured::from(&scan);
             let bytes = captured.content.bytes();
             assert_eq!(captured.content.size(), bytes.len() as u64);
-            let message = cotorra_plugin::messages::LaserScan::decode(&bytes).unwrap();
+            let message = cotorra_ros_messages::LaserScan::decode_cdr(&bytes).unwrap();
             assert_eq!(message, ros::laser_scan(&scan));
         }
     }

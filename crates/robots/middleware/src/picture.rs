@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use cotorra_graph::DataFormat;
-use cotorra_plugin::messages::Image;
+use cotorra_ros_messages::Image;
 
 /// An image.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,7 +50,7 @@ pub(crate) fn image(message: Image) -> Result<Picture, NoPicture> {
         _ => return Err(NoPicture::Encoding(shortened(&message.encoding))),
     };
     let Image { width, height, step, .. } = message;
-    let mut bytes = message.data.0;
+    let mut bytes = message.data;
     let (row, rows, stride) = (width as usize * pixel, height as usize, step as usize);
     // The last row needs no padding.
     let needed = rows.checked_sub(1).and_then(|rows| rows.checked_mul(stride)?.checked_add(row));
@@ -115,13 +115,12 @@ fn jpeg(bytes: &[u8]) -> Option<(u32, u32)> {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_plugin::messages::Bytes;
     use proptest::prelude::*;
 
     use super::*;
 
     fn message(encoding: &str, (width, height, step): (u32, u32, u32), data: &[u8]) -> Image {
-        let data = Bytes(data.to_vec());
+        let data = data.to_vec();
         Image { encoding: encoding.to_owned(), width, height, step, data, ..Image::default() }
     }
 

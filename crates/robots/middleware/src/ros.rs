@@ -1,10 +1,10 @@
 //! What a robot senses, as the ROS messages that a TurtleBot 2 publishes.
 
 use cotorra_graph::{self as graph, Cell, SensorData, Timestamp};
-use cotorra_plugin::messages::{
-    Covariance, Header, LaserScan, MapMetaData, OccupancyGrid, Odometry, Point, Pose,
-    PoseWithCovarianceStamped, Quaternion, TFMessage, Transform, TransformStamped, TwistWithCovariance,
-    Vector3,
+use cotorra_plugin::convert::{to_header, to_pose_with_covariance, to_twist};
+use cotorra_ros_messages::{
+    Covariance, LaserScan, MapMetaData, OccupancyGrid, Odometry, Point, Pose, PoseWithCovarianceStamped,
+    Quaternion, TFMessage, Transform, TransformStamped, TwistWithCovariance, Vector3,
 };
 
 use crate::{lidar::Scan, planar::Planar};
@@ -21,7 +21,7 @@ pub const LASER_FRAME: &str = "laser";
 /// `sensor_msgs/LaserScan` of a turn of the lidar.
 pub fn laser_scan(scan: &Scan) -> LaserScan {
     LaserScan {
-        header: Header::new(scan.at, LASER_FRAME),
+        header: to_header(scan.at, LASER_FRAME),
         angle_min: scan.angle(0) as f32,
         angle_max: scan.angle(scan.ranges.len().saturating_sub(1)) as f32,
         angle_increment: scan.angle_step as f32,
@@ -38,22 +38,25 @@ pub fn laser_scan(scan: &Scan) -> LaserScan {
 /// it is not known.
 pub fn odometry(at: Timestamp, sensors: &SensorData) -> Odometry {
     Odometry {
-        header: Header::new(at, ODOMETRY_FRAME),
+        header: to_header(at, ODOMETRY_FRAME),
         child_frame_id: BASE_FRAME.to_owned(),
-        pose: (&sensors.odometry).into(),
-        twist: TwistWithCovariance { twist: sensors.velocity.into(), covariance: Covariance::default() },
+        pose: to_pose_with_covariance(&sensors.odometry),
+        twist: TwistWithCovariance { twist: to_twist(sensors.velocity), covariance: Covariance::default() },
     }
 }
 
 /// `geometry_msgs/PoseWithCovarianceStamped` of where the robot is on the map, as localization says it.
 pub fn localized(at: Timestamp, sensors: &SensorData) -> PoseWithCovarianceStamped {
-    PoseWithCovarianceStamped { header: Header::new(at, MAP_FRAME), pose: (&sensors.pose).into() }
+    PoseWithCovarianceStamped {
+        header: to_header(at, MAP_FRAME),
+        pose: to_pose_with_covariance(&sensors.pose),
+    }
 }
 
 /// `tf2_msgs/TFMessage` of all frames: the map's, odometry's, the base's and the lidar's.
 pub fn frames(at: Timestamp, sensors: &SensorData) -> TFMessage {
     let frame = |parent: &str, child: &str, Planar { x, y, z, heading }, roll, pitch| TransformStamped {
-        header: Header::new(at, parent),
+        header: to_header(at, parent),
         child_frame_id: child.to_owned(),
         transform: Transform {
             translation: Vector3 { x, y, z },
@@ -78,7 +81,7 @@ pub fn map(map: &graph::OccupancyGrid) -> OccupancyGrid {
     };
     let origin = Point { x: map.origin().x, y: map.origin().y, z: 0.0 };
     OccupancyGrid {
-        header: Header::new(Timestamp::ZERO, MAP_FRAME),
+        header: to_header(Timestamp::ZERO, MAP_FRAME),
         info: MapMetaData {
             resolution: map.resolution() as f32,
             width: map.width() as u32,

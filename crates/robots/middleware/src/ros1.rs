@@ -1,6 +1,5 @@
 //! Robots in ROS 1, both ways: the link to one that is out there, and the offer of a simulated one.
 
-mod convert;
 mod link;
 mod offer;
 

@@ -10,7 +10,8 @@ use cotorra_graph::{
     NodeId, Pose, PoseSource, Position, RobotFault, RobotModel, SensorData, SensorId, Timestamp, Velocity,
     Walk,
 };
-use cotorra_plugin::messages::{
+use cotorra_plugin::convert::{from_pose, from_twist};
+use cotorra_ros_messages::{
     Header, LaserScan, Odometry, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion, TFMessage,
 };
 
@@ -163,7 +164,7 @@ impl RosRobot {
     pub fn odometry(&mut self, now: Timestamp, message: &Odometry) {
         self.watch.count(now, Topic::Odometry, 1);
         let twist = &message.twist.twist;
-        let velocity = Velocity::from(twist);
+        let velocity = from_twist(twist);
         let all = [velocity.linear, velocity.vertical, velocity.angular, twist.linear.y];
         if let Some(pose) = self.pose(now, &message.pose, PoseSource::Odometry)
             && self.is_finite(now, &all)
@@ -402,7 +403,7 @@ impl RosRobot {
         let covariance = message.covariance.planar();
         let finite = self.is_finite(now, &covariance);
         let covariance = covariance.map(|c| c.clamp(-GREATEST_VARIANCE, GREATEST_VARIANCE));
-        finite.then_some(Pose { covariance, ..message.pose.from_source(source) })
+        finite.then_some(Pose { covariance, ..from_pose(&message.pose, source) })
     }
 
     fn planar(&mut self, now: Timestamp, place: [f64; 3], rotation: &Quaternion) -> Option<Planar> {

@@ -4,7 +4,7 @@
 use std::{fmt, io, sync::Arc, thread};
 
 use cotorra_graph::{SensorId, Timestamp};
-use cotorra_plugin::messages::{BatteryState, Imu};
+use cotorra_ros_messages::{BatteryState, Imu};
 use parking_lot::Mutex;
 
 use crate::{
@@ -103,7 +103,7 @@ mod tests {
     use std::sync::mpsc;
 
     use cotorra_graph::{DataFormat, Position, RobotModel};
-    use cotorra_plugin::messages::{Odometry, Vector3};
+    use cotorra_ros_messages::{Odometry, Vector3};
 
     use super::*;
     use crate::fixtures::id;

@@ -6,7 +6,10 @@ use std::{collections::VecDeque, net::SocketAddrV4, time::Duration};
 use cotorra_graph::{
     GoalEvent, GoalState, NodeId, Pose, Position, ServiceId, ServiceTime, Timestamp, Velocity, Walk,
 };
-use cotorra_plugin::wire::{NavigationPacket, PositionPacket};
+use cotorra_plugin::{
+    convert::{from_twist, to_pose},
+    wire::{NavigationPacket, PositionPacket},
+};
 
 use crate::{
     answer_error::AnswerError,
@@ -199,7 +202,7 @@ impl ServiceEndpoint {
             waypoint: self.waypoint,
             goal,
             robot: self.robot.clone(),
-            pose: pose.into(),
+            pose: to_pose(pose),
         };
         Some(Addressed { packet, copies })
     }
@@ -259,7 +262,7 @@ impl ServiceEndpoint {
             answer.finished = self.reach(packet.waypoint);
         }
         self.followed = Some(packet.sequence);
-        answer.velocity = Some((&packet.velocity).into());
+        answer.velocity = Some(from_twist(&packet.velocity));
         Ok(answer)
     }
 

@@ -5,7 +5,7 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use cotorra_graph::{RobotFault, Timestamp};
-use cotorra_plugin::messages::Time;
+use cotorra_ros_messages::Time;
 
 /// What was heard and is not heard for so long makes a robot silent.
 pub(crate) const SILENCE: Duration = Duration::from_secs(1);

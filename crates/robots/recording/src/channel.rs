@@ -6,7 +6,7 @@ use std::{
 };
 
 use cotorra_graph::Timestamp;
-use cotorra_plugin::messages::Message;
+use cotorra_ros_messages::Message;
 
 /// How a topic would be offered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,14 +90,14 @@ impl Channels {
             None => {
                 let index = self.all.len();
                 let (topic, description) = (topic.to_owned(), M::description());
-                let (schema, type_hash) = (description.definition(), description.hash());
+                let (schema, type_hash) = (description.ros2_text(), description.type_hash());
                 self.by_topic.insert(topic.clone(), index);
-                self.all.push(Channel { index, topic, type_name: M::TYPE_NAME, schema, type_hash, qos });
+                self.all.push(Channel { index, topic, type_name: M::ROS2_NAME, schema, type_hash, qos });
                 index
             }
         };
         self.buffer.clear();
-        message.encode(&mut self.buffer);
+        message.encode_cdr(&mut self.buffer);
         Encoded { channel: &self.all[index], at, payload: &self.buffer }
     }
 }

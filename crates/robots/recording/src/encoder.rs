@@ -7,8 +7,9 @@ use cotorra_graph::{
     Direction, Event, Handover, LinkContext, NodeId, Position, Program, RadioContext, RobotContext, Service,
     ServiceTime, Stamped, Testbed, Timestamp, VnfId, millis,
 };
-use cotorra_plugin::messages::{Header, Message};
+use cotorra_plugin::convert::to_header;
 use cotorra_robot_middleware::{SensedScan, ros};
+use cotorra_ros_messages::Message;
 
 use crate::{
     channel::{Channels, Encoded, Names, Qos},
@@ -87,12 +88,12 @@ impl Encoder {
                 let mut nodes = placement.node.all().iter().map(ToString::to_string);
                 let (vnf, node) = (placement.vnf.to_string(), nodes.next().unwrap_or_default());
                 let others = nodes.collect();
-                let message = messages::Placement { header: Header::new(at, ""), vnf, node, others };
+                let message = messages::Placement { header: to_header(at, ""), vnf, node, others };
                 self.tell("/placement", at, &message, out);
             }
             Event::VirtualLink(mapping) => {
                 let message = messages::VirtualLink {
-                    header: Header::new(at, ""),
+                    header: to_header(at, ""),
                     from_vnf: mapping.from.to_string(),
                     to_vnf: mapping.to.to_string(),
                     links: mapping.links.iter().map(ToString::to_string).collect(),
@@ -103,7 +104,7 @@ impl Encoder {
             Event::Decision(decision) => {
                 let instruction = serde_json::to_string(&decision.instruction);
                 let message = messages::Decision {
-                    header: Header::new(at, ""),
+                    header: to_header(at, ""),
                     plugin: decision.plugin.to_string(),
                     instruction: instruction.expect("an instruction holds only what JSON can"),
                     reason: decision.reason.clone().unwrap_or_default(),
@@ -113,7 +114,7 @@ impl Encoder {
             }
             Event::Lateness(lateness) => {
                 let message = messages::Lateness {
-                    header: Header::new(at, ""),
+                    header: to_header(at, ""),
                     frames: lateness.frames,
                     p50_us: lateness.p50_us,
                     p99_us: lateness.p99_us,
@@ -165,7 +166,7 @@ impl Encoder {
             signal_dbm: a.signal.map_or(f64::NAN, |signal| signal.0),
         };
         let message = messages::RobotContext {
-            header: Header::new(at, &frames.base()),
+            header: to_header(at, &frames.base()),
             robot: context.robot.to_string(),
             attached_to: text(context.attached_to()),
             attachments: context.attachments.iter().map(attachment).collect(),
@@ -201,7 +202,7 @@ impl Encoder {
             robot.last = Some(sample.clone());
         }
         let message = messages::ServiceTime {
-            header: Header::new(sample.emitted, &robot.frames.base()),
+            header: to_header(sample.emitted, &robot.frames.base()),
             service: sample.service.to_string(),
             robot: sample.robot.to_string(),
             sequence: sample.sequence,
@@ -215,7 +216,7 @@ impl Encoder {
     fn handover(&mut self, at: Timestamp, handover: &Handover, out: Out<'_>) {
         let Some(robot) = self.robots.get(&handover.robot) else { return };
         let message = messages::Handover {
-            header: Header::new(at, &robot.frames.base()),
+            header: to_header(at, &robot.frames.base()),
             robot: handover.robot.to_string(),
             from_radio_unit: text(handover.from.as_ref()),
             to_radio_unit: handover.to.to_string(),
@@ -233,7 +234,7 @@ impl Encoder {
             uplink_bps: station.uplink_bps,
         };
         let message = messages::RadioContext {
-            header: Header::new(at, ""),
+            header: to_header(at, ""),
             radio_unit: context.radio_unit.to_string(),
             channel: context.channel,
             load: context.load,
@@ -251,7 +252,7 @@ impl Encoder {
         let counters = &context.counters;
         let (probed, tested) = (&context.probed, &context.tested);
         let message = messages::LinkContext {
-            header: Header::new(at, ""),
+            header: to_header(at, ""),
             link: context.link.to_string(),
             direction: direction.to_owned(),
             delay_ms: context.delay.map_or(f64::NAN, millis::of),

@@ -2,8 +2,8 @@
 //! are; the map is everyone's.
 
 use cotorra_graph::{SensorData, Timestamp};
-use cotorra_plugin::messages::TFMessage;
 use cotorra_robot_middleware::ros::{self, BASE_FRAME, MAP_FRAME};
+use cotorra_ros_messages::TFMessage;
 
 /// A robot's frames.
 #[derive(Debug, Clone)]

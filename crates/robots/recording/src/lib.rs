@@ -13,7 +13,7 @@ mod foxglove;
 mod frames;
 mod markers;
 mod mcap_file;
-pub mod messages;
+mod messages;
 mod recording;
 mod sink;
 mod told;

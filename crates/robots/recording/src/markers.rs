@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use cotorra_graph::{self as graph, Cell, NodeId, NodeKind, Position, RobotContext, Testbed, Timestamp};
-use cotorra_plugin::messages::{Header, MapMetaData, OccupancyGrid, Point, Pose, Vector3};
+use cotorra_plugin::convert::{to_header, to_pose};
 use cotorra_robot_middleware::{RADIUS, ros::MAP_FRAME};
-
-use crate::messages::{ColorRGBA, Marker, MarkerArray};
+use cotorra_ros_messages::{
+    ColorRGBA, MapMetaData, Marker, MarkerArray, OccupancyGrid, Point, Pose, Vector3,
+};
 
 /// `visualization_msgs/Marker`'s numbers.
 const CUBE: i32 = 1;
@@ -57,7 +58,7 @@ pub(crate) fn robot(
     let (id, pose) = (number as i32, &context.sensors.pose);
     let place = pose.position();
     let mut body = at_place("robots", id, place, 0.2);
-    body.pose.orientation = Pose::from(pose).orientation;
+    body.pose.orientation = to_pose(pose).orientation;
     body =
         Marker { r#type: CYLINDER, scale: vector((2.0 * RADIUS, 2.0 * RADIUS, 0.4)), color: ROBOT, ..body };
     let attached = context.attached_to().and_then(|unit| radio_units.get(unit));
@@ -79,7 +80,7 @@ pub(crate) fn map(grid: &graph::OccupancyGrid) -> OccupancyGrid {
     let cells = (0..width * height).map(|i| occupancy(grid.cell(i % width, i / width)));
     let origin = grid.origin();
     OccupancyGrid {
-        header: Header::new(Timestamp::ZERO, MAP_FRAME),
+        header: to_header(Timestamp::ZERO, MAP_FRAME),
         info: MapMetaData {
             resolution: grid.resolution() as f32,
             width: width as u32,
@@ -94,7 +95,7 @@ pub(crate) fn map(grid: &graph::OccupancyGrid) -> OccupancyGrid {
 /// A marker of the map. Its time is zero, which for viewers means: the latest transform there is.
 fn marker(namespace: &str, id: i32) -> Marker {
     Marker {
-        header: Header::new(Timestamp::ZERO, MAP_FRAME),
+        header: to_header(Timestamp::ZERO, MAP_FRAME),
         ns: namespace.to_owned(),
         id,
         ..Marker::default()

@@ -3,9 +3,8 @@
 use cotorra_graph::{
     AnswersRejected, Event, GoalEvent, GoalState, Lateness, RadioContext, Timestamp, VnfEvent, VnfState,
 };
-use cotorra_plugin::messages::{Byte, Header};
-
-use crate::messages::{DiagnosticArray, DiagnosticStatus, KeyValue, Log};
+use cotorra_plugin::convert::{to_header, to_time};
+use cotorra_ros_messages::{Byte, DiagnosticArray, DiagnosticStatus, KeyValue, Log};
 
 /// `rcl_interfaces/Log`'s levels.
 const INFO: u8 = 20;
@@ -60,7 +59,7 @@ pub(crate) fn log(at: Timestamp, event: &Event) -> Option<Log> {
         Event::PluginFault { plugin, reason } => (ERROR, plugin.as_str(), format!("cut off: {reason}")),
         _ => return None,
     };
-    Some(Log { stamp: at.into(), level, name: name.to_owned(), msg, ..Log::default() })
+    Some(Log { stamp: to_time(at), level, name: name.to_owned(), msg, ..Log::default() })
 }
 
 /// The diagnostics that an event changes.
@@ -77,7 +76,7 @@ pub(crate) fn diagnostics(at: Timestamp, event: &Event) -> Option<DiagnosticArra
         },
         _ => return None,
     };
-    Some(DiagnosticArray { header: Header::new(at, ""), status: vec![status] })
+    Some(DiagnosticArray { header: to_header(at, ""), status: vec![status] })
 }
 
 fn radio(context: &RadioContext) -> DiagnosticStatus {

@@ -13,7 +13,7 @@ use std::{
 };
 
 use cotorra_ros1::{
-    Field, MasterServer, Node, NodeConfig, PublishOptions, SubscribeOptions,
+    MasterServer, Message, Node, NodeConfig, PublishOptions, SubscribeOptions,
     messages::{Header, LaserScan},
 };
 use cotorra_testing::{
@@ -54,7 +54,7 @@ fn measure(peer: &str, mut round_trip: impl FnMut(u32)) {
 /// To a bare socket that sends back what it reads.
 fn measure_socket(peer: &str, mut stream: TcpStream) {
     let mut bytes = Vec::new();
-    scan().encode(&mut bytes);
+    scan().encode_ros1(&mut bytes);
     stream.set_nodelay(true).unwrap();
     let mut back = vec![0; bytes.len()];
     measure(peer, |_| {

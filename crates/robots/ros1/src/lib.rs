@@ -1,6 +1,6 @@
 //! A ROS 1 node, without ROS: the master's and nodes' XML-RPC API, TCPROS, messages and their MD5 sums.
 //!
-//! [`Node`] is the way in. Messages are declared by [`message!`]; [`messages`] has those that mobile robots speak.
+//! [`Node`] is the way in. [`messages`] has the messages of mobile robots, and the macro that declares others.
 //!
 //! ```no_run
 //! use cotorra_ros1::{Node, NodeConfig, PublishOptions, SubscribeOptions, messages::{LaserScan, Twist}};
@@ -27,11 +27,9 @@
 #![warn(missing_docs)]
 
 mod config;
-mod definition;
 mod http;
 mod master;
 mod master_server;
-pub mod messages;
 mod names;
 mod node;
 mod queue;
@@ -39,11 +37,10 @@ mod registry;
 mod slave;
 mod tcpros;
 mod uri;
-mod wire;
 mod xmlrpc;
 
 pub use config::{ConfigError, NodeConfig};
-pub use definition::{Constant, Definition, Message, Service};
+pub use cotorra_ros_messages::{self as messages, DecodeError, Message, Service};
 pub use http::HttpError;
 pub use master::{Master, RpcError, SystemState};
 pub use master_server::MasterServer;
@@ -54,7 +51,6 @@ pub use node::{
 };
 pub use tcpros::TcprosError;
 pub use uri::{Endpoint, UriError};
-pub use wire::{DecodeError, Duration, Field, FieldType, Reader, Time};
 pub use xmlrpc::{Fault, Value, XmlRpcError};
 
 /// What is parsed, for fuzzing: none of it panics, whatever the bytes.
@@ -65,8 +61,4 @@ pub fn parse_anything(bytes: &[u8]) {
     let _ = xmlrpc::Call::from_xml(bytes).map(|call| registry.answer(&call, &mut Vec::new()));
     let _ = (http::parse_request(bytes, 1 << 20), http::parse_response(bytes, true, 1 << 20));
     let _ = tcpros::Header::from_bytes(bytes);
-    let _ = (messages::LaserScan::from_bytes(bytes), messages::TFMessage::from_bytes(bytes));
-    let _ = (messages::OccupancyGrid::from_bytes(bytes), messages::BatteryState::from_bytes(bytes));
-    let _ = (messages::Imu::from_bytes(bytes), messages::Float64MultiArray::from_bytes(bytes));
-    let _ = (messages::Image::from_bytes(bytes), messages::CompressedImage::from_bytes(bytes));
 }

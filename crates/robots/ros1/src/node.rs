@@ -19,11 +19,11 @@ use std::{
     thread::{self, JoinHandle},
 };
 
+use cotorra_ros_messages::Message;
 use parking_lot::Mutex;
 
 use crate::{
     config::NodeConfig,
-    definition::Message,
     master::{Master, RpcError},
     names::{NameError, Names},
     uri::Endpoint,
@@ -35,7 +35,7 @@ use params::Watch;
 use service::Offer;
 use topics::{Publication, Subscription};
 
-pub use crate::queue::RecvError;
+pub use cotorra_ros_messages::queue::RecvError;
 pub use params::ParamWatch;
 pub use service::{CallError, ServiceServer};
 pub use topics::{PublishOptions, Publisher, SubscribeOptions, Subscriber};
@@ -296,8 +296,8 @@ struct Kind {
 
 impl Kind {
     fn of<M: Message>() -> Self {
-        let definition = M::definition();
-        Self { name: M::TYPE_NAME, md5sum: definition.md5sum(), definition: definition.text() }
+        let description = M::description();
+        Self { name: M::ROS1_NAME, md5sum: description.md5sum(), definition: description.ros1_text() }
     }
 
     /// Whether a peer's header means this type; `*` means any. An absent type counts as any: only its sum matters.

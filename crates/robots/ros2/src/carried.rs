@@ -1,7 +1,7 @@
 //! What a topic carries: a message, or one of several messages that mean the same. Robots are driven by `Twist` or by
 //! `TwistStamped`, depending on their age, and only their peers tell which.
 
-use cotorra_plugin::messages::{Header, Message, MessageError, Twist, TwistStamped};
+use cotorra_ros_messages::{DecodeError, Header, Message, Twist, TwistStamped};
 
 use crate::names::{dds_type, ros_type};
 
@@ -19,7 +19,7 @@ pub struct Kind {
 impl Kind {
     /// Of messages of one type.
     pub fn of<M: Message>() -> Self {
-        Self { name: M::TYPE_NAME, dds_name: dds_type(M::TYPE_NAME), hash: M::description().hash() }
+        Self { name: M::ROS2_NAME, dds_name: dds_type(M::ROS2_NAME), hash: M::description().type_hash() }
     }
 }
 
@@ -34,8 +34,8 @@ pub trait Carried: Sized + Send + 'static {
     /// Reads a message of the type of that number among them.
     ///
     /// # Errors
-    /// [`MessageError`] if it is none.
-    fn decode_as(kind: usize, bytes: &[u8]) -> Result<Self, MessageError>;
+    /// [`DecodeError`] if it is none.
+    fn decode_as(kind: usize, bytes: &[u8]) -> Result<Self, DecodeError>;
 }
 
 impl<M: Message + Send + 'static> Carried for M {
@@ -44,11 +44,11 @@ impl<M: Message + Send + 'static> Carried for M {
     }
 
     fn encode_as(&self, _kind: usize, buffer: &mut Vec<u8>) {
-        self.encode(buffer);
+        self.encode_cdr(buffer);
     }
 
-    fn decode_as(_kind: usize, bytes: &[u8]) -> Result<Self, MessageError> {
-        Self::decode(bytes)
+    fn decode_as(_kind: usize, bytes: &[u8]) -> Result<Self, DecodeError> {
+        Self::decode_cdr(bytes)
     }
 }
 
@@ -69,16 +69,16 @@ impl Carried for Command {
 
     fn encode_as(&self, kind: usize, buffer: &mut Vec<u8>) {
         match kind {
-            0 => self.twist.encode(buffer),
-            _ => TwistStamped { header: self.header.clone(), twist: self.twist.clone() }.encode(buffer),
+            0 => self.twist.encode_cdr(buffer),
+            _ => TwistStamped { header: self.header.clone(), twist: self.twist }.encode_cdr(buffer),
         }
     }
 
-    fn decode_as(kind: usize, bytes: &[u8]) -> Result<Self, MessageError> {
+    fn decode_as(kind: usize, bytes: &[u8]) -> Result<Self, DecodeError> {
         if kind == 0 {
-            return Ok(Self { header: Header::default(), twist: Twist::decode(bytes)? });
+            return Ok(Self { header: Header::default(), twist: Twist::decode_cdr(bytes)? });
         }
-        let TwistStamped { header, twist } = TwistStamped::decode(bytes)?;
+        let TwistStamped { header, twist } = TwistStamped::decode_cdr(bytes)?;
         Ok(Self { header, twist })
     }
 }
@@ -90,7 +90,7 @@ pub(crate) fn shown(dds_name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_plugin::messages::Vector3;
+    use cotorra_ros_messages::Vector3;
 
     use super::*;
 
@@ -98,12 +98,12 @@ mod tests {
     fn a_command_is_either_type() {
         let twist = Twist { linear: Vector3 { x: 0.5, ..Vector3::default() }, ..Twist::default() };
         let header = Header { frame_id: "base_link".to_owned(), ..Header::default() };
-        let command = Command { header, twist: twist.clone() };
+        let command = Command { header, twist };
         for (kind, header) in [(0, Header::default()), (1, command.header.clone())] {
             let mut bytes = Vec::new();
             command.encode_as(kind, &mut bytes);
             let back = Command::decode_as(kind, &bytes).unwrap();
-            assert_eq!(back, Command { header, twist: twist.clone() });
+            assert_eq!(back, Command { header, twist });
             assert!(Command::decode_as(1 - kind, &bytes).is_err());
         }
         let names = Command::kinds().into_iter().map(|kind| kind.dds_name);

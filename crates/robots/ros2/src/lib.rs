@@ -29,17 +29,15 @@ mod names;
 mod node;
 mod peers;
 mod qos;
-mod queue;
 mod topics;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
 pub use carried::{Carried, Command, Kind};
 pub use config::{ConfigError, Middleware, NodeConfig};
-pub use cotorra_plugin::messages;
+pub use cotorra_ros_messages::{self as messages, DecodeError, Message, queue::RecvError};
 pub use names::NameError;
 pub use node::{Node, NodeError};
 pub use peers::Peers;
 pub use qos::Qos;
-pub use queue::RecvError;
 pub use topics::{Publisher, Subscriber};

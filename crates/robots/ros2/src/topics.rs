@@ -10,12 +10,13 @@ use std::{
     time::Duration,
 };
 
+use cotorra_ros_messages::queue::{Inbox, RecvError};
+
 use crate::{
     carried::{Carried, Kind},
     node::NodeError,
     peers::Peers,
     qos::Qos,
-    queue::{Inbox, RecvError},
 };
 
 /// A message is no longer, as in ROS 1: an image of 4096 × 4096 pixels in colour still fits.

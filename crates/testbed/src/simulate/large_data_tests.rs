@@ -113,8 +113,8 @@ fn a_run_keeps_the_last_large_data_with_the_same_bytes_for_the_same_seed() {
     let last = read(WantedData::UpTo(u64::MAX)).unwrap();
     assert!((27..=30).contains(&last.data.sequence), "{last:?}");
     assert_eq!(read(WantedData::Number(0)), None);
-    let scan = cotorra_plugin::messages::Message::decode(&last.bytes);
-    let scan: cotorra_plugin::messages::LaserScan = scan.unwrap();
+    let scan = cotorra_ros_messages::Message::decode_cdr(&last.bytes);
+    let scan: cotorra_ros_messages::LaserScan = scan.unwrap();
     assert_eq!(
         (scan.ranges.len(), scan.header.stamp.sec),
         (360, (last.measured.as_nanos() / 1_000_000_000) as i32)

@@ -22,7 +22,7 @@ use crate::{
 /// Returns a scan whose values no other test uses.
 pub fn scan() -> LaserScan {
     LaserScan {
-        header: Header { stamp: Time { sec: 3, nanosec: 9 }, frame_id: "laser".to_owned() },
+        header: Header::new(Time { sec: 3, nanosec: 9 }, "laser"),
         angle_increment: 0.5,
         range_max: 12.0,
         ranges: vec![1.5, f32::INFINITY, 2.25],

@@ -5,7 +5,10 @@ use cotorra_graph::{
     Vnf, VnfId,
 };
 
-use cotorra_plugin::wire::Headway;
+use cotorra_plugin::{
+    convert::{from_pose, to_pose, to_twist},
+    wire::Headway,
+};
 
 use super::*;
 use crate::fixtures::{SERVER, id, robot, room, walk};
@@ -96,7 +99,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
         }
         middleware.advance(now, attached);
         while let Some(packet) = position(&mut middleware, now) {
-            let pose = packet.pose.from_source(PoseSource::Simulator);
+            let pose = from_pose(&packet.pose, PoseSource::Simulator);
             let waypoint = if pose.x > 4.9 {
                 3
             } else if pose.x > 2.9 {
@@ -105,7 +108,8 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
                 1
             };
             let velocity = Velocity::planar(0.3, 0.0);
-            answers.push_back((now + delay, NavigationPacket::answering(&packet, waypoint, velocity.into())));
+            answers
+                .push_back((now + delay, NavigationPacket::answering(&packet, waypoint, to_twist(velocity))));
         }
         while let Some((_, answer)) = answers.pop_front_if(|(arrival, _)| *arrival <= now) {
             middleware.receive(now, &id("robot1"), SERVER, &answer);
@@ -170,7 +174,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
     let robot = id("robot1");
     middleware.advance(at(900), attached);
     let packet = position(&mut middleware, at(900)).unwrap();
-    let answer = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
+    let answer = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
     middleware.receive(at(901), &robot, SERVER, &NavigationPacket { nonce: !packet.nonce, ..answer.clone() });
     middleware.receive(at(902), &robot, SERVER, &answer);
     middleware.receive(at(903), &robot, SERVER, &answer);
@@ -180,7 +184,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
         sequence: 0,
         emitted: at(0),
         nonce: 0,
-        pose: packet.pose.from_source(PoseSource::Localization),
+        pose: from_pose(&packet.pose, PoseSource::Localization),
     };
     middleware.localized(at(905), &robot, SERVER, &pose);
     middleware.advance(at(1000), attached);
@@ -203,7 +207,7 @@ fn without_answers_the_robot_stops() {
             break packet;
         }
     };
-    let answer = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
+    let answer = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
     let received = packet.emitted + ms(10);
     middleware.receive(received, &id("robot1"), SERVER, &answer);
     middleware.advance(received + ms(590), attached);
@@ -355,7 +359,7 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     middleware.halt(at(500), &robot, true).unwrap();
     assert_eq!(middleware.instruct(at(600), &robot, forward, 1), Err(MoveError::Halted(robot.clone())));
     let packet = position(&mut middleware, at(600)).unwrap();
-    middleware.receive(at(600), &robot, SERVER, &NavigationPacket::answering(&packet, 1, forward.into()));
+    middleware.receive(at(600), &robot, SERVER, &NavigationPacket::answering(&packet, 1, to_twist(forward)));
     let samples = events(&mut middleware);
     let measured =
         |stamped: &Stamped| matches!(&stamped.event, Event::ServiceTime(time) if time.took.is_some());
@@ -389,7 +393,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
         now += 200;
         middleware.advance(at(now), attached);
         let packet = position(middleware, at(now)).unwrap();
-        let walks = NavigationPacket::answering(&packet, 1, Velocity::planar(0.3, 0.0).into());
+        let walks = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
         middleware.receive(at(now), &robot, SERVER, &NavigationPacket { headway, ..walks });
         packet.goal
     };
@@ -515,7 +519,12 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
         now += 200;
         middleware.instruct(at(now), &robot, wanted, 1).unwrap();
         let packet = position(middleware, at(now)).unwrap();
-        middleware.receive(at(now), &robot, SERVER, &NavigationPacket::answering(&packet, 1, wanted.into()));
+        middleware.receive(
+            at(now),
+            &robot,
+            SERVER,
+            &NavigationPacket::answering(&packet, 1, to_twist(wanted)),
+        );
         [told.try_recv().unwrap(), told.try_recv().unwrap()]
     };
     assert_eq!(follows(&mut middleware), [wanted; 2]);
@@ -585,9 +594,9 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
     for now in (0..8000).step_by(50) {
         middleware.advance(at(now), attached);
         while let Some(position) = position(&mut middleware, at(now)) {
-            assert_eq!(position.pose, (&middleware.sensors(&id("robot1")).unwrap().pose).into());
+            assert_eq!(position.pose, to_pose(&middleware.sensors(&id("robot1")).unwrap().pose));
             let velocity = Velocity::planar(0.3, 0.1);
-            let answer = NavigationPacket::answering(&position, 1, velocity.into());
+            let answer = NavigationPacket::answering(&position, 1, to_twist(velocity));
             assert_eq!(
                 middleware.poll_localization(at(now), |_| vec![SERVER]),
                 None,

@@ -3,10 +3,12 @@
 use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
 use cotorra_ros1::{
     Message, Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscriber,
-    messages::{self as ros1, Twist},
+    messages::{
+        BatteryState, CompressedImage, Float64MultiArray, Imu, LaserScan, Odometry,
+        PoseWithCovarianceStamped, TFMessage, Twist,
+    },
 };
 
-use super::convert::{self, frames, laser_scan, odometry, pose_stamped};
 use crate::{
     heard::{Heard, QUEUE, Source},
     picture,
@@ -19,10 +21,10 @@ use crate::{
 /// A node that listens to a robot and says velocities to it.
 #[derive(Debug)]
 pub struct Ros1Link {
-    odometry: Heard<Subscriber<ros1::Odometry>>,
-    scans: Heard<Subscriber<ros1::LaserScan>>,
-    poses: Heard<Subscriber<ros1::PoseWithCovarianceStamped>>,
-    frames: Heard<Subscriber<ros1::TFMessage>>,
+    odometry: Heard<Subscriber<Odometry>>,
+    scans: Heard<Subscriber<LaserScan>>,
+    poses: Heard<Subscriber<PoseWithCovarianceStamped>>,
+    frames: Heard<Subscriber<TFMessage>>,
     velocities: Publisher<Twist>,
     sensors: SensorTopics,
     /// Keeps all of it going.
@@ -57,22 +59,22 @@ fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
         let name = &topic.name;
         match topic.message {
             SensorMessage::BatteryState => {
-                sensors.numbers(sensor, node.subscribe(name, newest)?, |message| {
-                    ros_sensors::battery(&convert::battery(message))
-                })
+                let states = node.subscribe::<BatteryState>(name, newest)?;
+                sensors.numbers(sensor, states, |message| ros_sensors::battery(&message));
             }
-            SensorMessage::Imu => sensors.numbers(sensor, node.subscribe(name, newest)?, |message| {
-                ros_sensors::imu(&convert::imu(message))
-            }),
+            SensorMessage::Imu => {
+                let measured = node.subscribe::<Imu>(name, newest)?;
+                sensors.numbers(sensor, measured, |message| ros_sensors::imu(&message));
+            }
             SensorMessage::Float64MultiArray => {
-                let array = node.subscribe::<ros1::Float64MultiArray>(name, newest)?;
+                let array = node.subscribe::<Float64MultiArray>(name, newest)?;
                 sensors.numbers(sensor, array, |message| message.data);
             }
-            SensorMessage::Image => sensors.images(sensor, node.subscribe(name, newest)?, |message| {
-                picture::image(convert::image(message))
-            })?,
+            SensorMessage::Image => {
+                sensors.images(sensor, node.subscribe(name, newest)?, picture::image)?;
+            }
             SensorMessage::CompressedImage => {
-                let files = node.subscribe::<ros1::CompressedImage>(name, newest)?;
+                let files = node.subscribe::<CompressedImage>(name, newest)?;
                 sensors.images(sensor, files, |message| picture::file(message.data, &message.format))?;
             }
         }
@@ -83,11 +85,11 @@ fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
 impl RosLink for Ros1Link {
     fn hear(&mut self, now: Timestamp, robot: &mut RosRobot) {
         // Odometry first: the others say where its frame is.
-        self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &odometry(message)));
-        self.frames.hear(now, robot, |robot, message| robot.frames(now, &frames(message)));
-        self.poses.hear(now, robot, |robot, message| robot.localized(now, &pose_stamped(message)));
+        self.odometry.hear(now, robot, |robot, message| robot.odometry(now, &message));
+        self.frames.hear(now, robot, |robot, message| robot.frames(now, &message));
+        self.poses.hear(now, robot, |robot, message| robot.localized(now, &message));
         self.sensors.hear(now, robot);
-        self.scans.hear(now, robot, |robot, message| robot.scanned(now, laser_scan(message)));
+        self.scans.hear(now, robot, |robot, message| robot.scanned(now, message));
     }
 
     fn say(&mut self, velocity: Velocity) {

@@ -1,12 +1,12 @@
 //! A simulated robot's topics in ROS 1: a node that tells what the robot senses, and takes velocities for it.
 
 use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
+use cotorra_plugin::convert::to_time;
 use cotorra_ros1::{
     Node, NodeConfig, NodeError, PublishOptions, Publisher, SubscribeOptions, Subscriber,
-    messages::{self as ros1, Twist},
+    messages::{self, Clock, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage, Twist},
 };
 
-use super::convert::back;
 use crate::{
     lidar::Scan,
     ros,
@@ -17,14 +17,14 @@ use crate::{
 #[derive(Debug)]
 pub struct Ros1Offer {
     time: OfferedTime,
-    odometry: Publisher<ros1::Odometry>,
-    scans: Publisher<ros1::LaserScan>,
-    poses: Publisher<ros1::PoseWithCovarianceStamped>,
-    frames: Publisher<ros1::TFMessage>,
+    odometry: Publisher<Odometry>,
+    scans: Publisher<LaserScan>,
+    poses: Publisher<PoseWithCovarianceStamped>,
+    frames: Publisher<TFMessage>,
     velocities: Subscriber<Twist>,
-    clock: Option<Publisher<ros1::Clock>>,
+    clock: Option<Publisher<Clock>>,
     /// Latched, so only kept.
-    _map: Option<Publisher<ros1::OccupancyGrid>>,
+    _map: Option<Publisher<messages::OccupancyGrid>>,
     /// Keeps all of it going.
     _node: Node,
 }
@@ -45,7 +45,7 @@ impl Ros1Offer {
         let usual = PublishOptions::default();
         let map = map.map(|map| {
             let publisher = node.publish(&topics.map, PublishOptions { latch: true, ..usual })?;
-            publisher.publish(&back::grid(ros::map(map)));
+            publisher.publish(&ros::map(map));
             Ok::<_, NodeError>(publisher)
         });
         let clock = matches!(time, OfferedTime::Testbed).then(|| node.publish(CLOCK, usual));
@@ -72,14 +72,13 @@ impl RosOffer for Ros1Offer {
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
         let stamp = |at| self.time.stamp(at);
         if let Some(clock) = &self.clock {
-            clock.publish(&ros1::Clock { clock: back::time(stamp(at).into()) });
+            clock.publish(&Clock { clock: to_time(stamp(at)) });
         }
-        self.odometry.publish(&back::odometry(ros::odometry(stamp(at), sensors)));
-        self.frames.publish(&back::frames(ros::frames(stamp(at), sensors)));
+        self.odometry.publish(&ros::odometry(stamp(at), sensors));
+        self.frames.publish(&ros::frames(stamp(at), sensors));
         if let Some(scan) = scan {
-            self.poses.publish(&back::pose_stamped(ros::localized(stamp(at), sensors)));
-            let scan = Scan { at: stamp(scan.at), ..scan.clone() };
-            self.scans.publish(&back::laser_scan(ros::laser_scan(&scan)));
+            self.poses.publish(&ros::localized(stamp(at), sensors));
+            self.scans.publish(&ros::laser_scan(&Scan { at: stamp(scan.at), ..scan.clone() }));
         }
     }
 }

@@ -1,10 +1,11 @@
 //! The link to a robot that speaks ROS 2: a node that has its topics.
 
 use cotorra_graph::{RosTopics, SensorMessage, Timestamp, Velocity};
+use cotorra_plugin::convert::{to_header, to_twist};
 use cotorra_ros2::{
     Carried, Command, Node, NodeConfig, NodeError, Publisher, Qos, Subscriber,
     messages::{
-        BatteryState, CompressedImage, Float64MultiArray, Header, Image, Imu, LaserScan, Odometry,
+        BatteryState, CompressedImage, Float64MultiArray, Image, Imu, LaserScan, Odometry,
         PoseWithCovarianceStamped, TFMessage,
     },
 };
@@ -87,7 +88,7 @@ fn sensors(node: &Node, topics: &RosTopics) -> Result<SensorTopics, NodeError> {
             }
             SensorMessage::CompressedImage => {
                 let files = node.subscribe::<CompressedImage>(name, SENSOR)?;
-                sensors.images(sensor, files, |message| picture::file(message.data.0, &message.format))?;
+                sensors.images(sensor, files, |message| picture::file(message.data, &message.format))?;
             }
         }
     }
@@ -106,8 +107,8 @@ impl RosLink for Ros2Link {
     }
 
     fn say(&mut self, velocity: Velocity) {
-        let header = Header::new(self.now + self.epoch.since(Timestamp::ZERO), BASE_FRAME);
-        self.velocities.publish(&Command { header, twist: velocity.into() });
+        let header = to_header(self.now + self.epoch.since(Timestamp::ZERO), BASE_FRAME);
+        self.velocities.publish(&Command { header, twist: to_twist(velocity) });
     }
 }
 

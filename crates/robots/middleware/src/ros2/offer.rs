@@ -1,6 +1,7 @@
 //! A simulated robot's topics in ROS 2: a node that tells what the robot senses, and takes velocities for it.
 
 use cotorra_graph::{OccupancyGrid, RosTopics, SensorData, Timestamp, Velocity};
+use cotorra_plugin::convert::{from_twist, to_time};
 use cotorra_ros2::{
     Command, Node, NodeConfig, NodeError, Publisher, Qos, Subscriber,
     messages::{self, Clock, LaserScan, Odometry, PoseWithCovarianceStamped, TFMessage},
@@ -64,13 +65,13 @@ impl Ros2Offer {
 
 impl RosOffer for Ros2Offer {
     fn asked(&mut self) -> Option<Velocity> {
-        self.velocities.try_recv().map(|command| (&command.twist).into())
+        self.velocities.try_recv().map(|command| from_twist(&command.twist))
     }
 
     fn tell(&mut self, at: Timestamp, sensors: &SensorData, scan: Option<&Scan>) {
         let stamp = |at| self.time.stamp(at);
         if let Some(clock) = &self.clock {
-            clock.publish(&Clock { clock: stamp(at).into() });
+            clock.publish(&Clock { clock: to_time(stamp(at)) });
         }
         self.odometry.publish(&ros::odometry(stamp(at), sensors));
         self.frames.publish(&ros::frames(stamp(at), sensors));

@@ -1,4 +1,4 @@
-use cotorra_plugin::messages::{
+use cotorra_ros_messages::{
     Covariance, Point, Pose as RosPose, Time, Transform, TransformStamped, Twist, TwistWithCovariance,
     Vector3,
 };
@@ -13,7 +13,7 @@ fn at(ms: u64) -> Timestamp {
 
 fn header(ms: u64, frame: &str) -> Header {
     let stamp = Time { sec: (1_000_000 + ms / 1000) as i32, nanosec: (ms % 1000) as u32 * 1_000_000 };
-    Header { stamp, frame_id: frame.to_owned() }
+    Header::new(stamp, frame)
 }
 
 fn pose(x: f64, y: f64, heading: f64) -> PoseWithCovariance {

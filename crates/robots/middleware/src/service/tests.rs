@@ -1,5 +1,8 @@
 use cotorra_graph::{NodeId, PoseSource};
-use cotorra_plugin::wire::Headway;
+use cotorra_plugin::{
+    convert::{from_pose, to_twist},
+    wire::Headway,
+};
 
 use super::*;
 use crate::{
@@ -35,7 +38,7 @@ fn emit_at(endpoint: &mut ServiceEndpoint, now: Timestamp) -> Option<PositionPac
 }
 
 fn answer(position: &PositionPacket, waypoint: u32) -> NavigationPacket {
-    NavigationPacket::answering(position, waypoint, Velocity::planar(0.3, 0.1).into())
+    NavigationPacket::answering(position, waypoint, to_twist(Velocity::planar(0.3, 0.1)))
 }
 
 #[test]
@@ -57,7 +60,7 @@ fn packets_begin_at_a_phase_of_the_seed_and_come_at_the_interval() {
 fn a_packet_says_who_where_when_and_what_is_next() {
     let packet = emit(&mut endpoint(1));
     assert_eq!((packet.robot.as_str(), packet.waypoint), ("robot1", 0));
-    assert_eq!(packet.pose.from_source(PoseSource::Simulator), pose());
+    assert_eq!(from_pose(&packet.pose, PoseSource::Simulator), pose());
 }
 
 /// An answer would drive the robot to where it shall go no more.

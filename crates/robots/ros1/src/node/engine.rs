@@ -448,7 +448,12 @@ impl Engine {
                 Ok(Some(message)) if flow.begun => {
                     flow.messages += 1;
                     flow.bytes += message.len() as u64;
-                    subscription.inbox.push(message);
+                    subscription.inbox.push_with(|oldest| {
+                        let mut buffer = oldest.unwrap_or_default();
+                        buffer.clear();
+                        buffer.extend_from_slice(message);
+                        buffer
+                    });
                     continue;
                 }
                 Ok(Some(header)) => {

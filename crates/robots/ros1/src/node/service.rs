@@ -9,16 +9,15 @@ use std::{
     time::Duration,
 };
 
+use cotorra_ros_messages::{DecodeError, Message, Service};
 use mio::Token;
 
 use super::{Node, NodeError, Shared, engine::Command, keeper::Errand};
 use crate::{
-    definition::{Message, Service},
     master::{self, RpcError},
     names::NameError,
     tcpros::{self, Header, LENGTH_LEN, MAX_HEADER_LEN, MAX_MESSAGE_LEN},
     uri::{Endpoint, UriError},
-    wire::{DecodeError, Field},
 };
 
 /// A service that the node offers.
@@ -50,7 +49,7 @@ impl Offer {
 /// What a service answers: whether it worked, then the response or the reason, with its length.
 pub(super) fn response<M: Message>(answer: Result<M, String>) -> Vec<u8> {
     let framed = match &answer {
-        Ok(response) => tcpros::frame(|buffer| response.encode(buffer)),
+        Ok(response) => tcpros::frame(|buffer| response.encode_ros1(buffer)),
         Err(reason) => tcpros::frame(|buffer| buffer.extend_from_slice(reason.as_bytes())),
     };
     [&[u8::from(answer.is_ok())], framed.as_slice()].concat()
@@ -133,8 +132,8 @@ impl Node {
         let offer = Offer {
             name: name.clone(),
             kind: S::TYPE_NAME,
-            request_kind: S::Request::TYPE_NAME,
-            response_kind: S::Response::TYPE_NAME,
+            request_kind: S::Request::ROS1_NAME,
+            response_kind: S::Response::ROS1_NAME,
             md5sum: S::md5sum(),
             requests,
         };
@@ -142,11 +141,12 @@ impl Node {
         // Ends when the last sender, the offer's, is dropped.
         thread::Builder::new().name("ros1-service".to_owned()).spawn(move || {
             for (client, request) in received {
-                let answered =
-                    S::Request::from_bytes(&request).map_err(|error| error.to_string()).and_then(|request| {
+                let answered = S::Request::decode_ros1(&request).map_err(|error| error.to_string()).and_then(
+                    |request| {
                         catch_unwind(AssertUnwindSafe(|| answer(request)))
                             .unwrap_or_else(|_| Err("the service panicked".to_owned()))
-                    });
+                    },
+                );
                 answerer.command(Command::Response { client, response: response(answered) });
             }
         })?;
@@ -193,13 +193,13 @@ impl Node {
         }
         // Zero would mean that it does not matter.
         stream.set_read_timeout(Some(timeout.max(Duration::from_millis(1))))?;
-        stream.write_all(&tcpros::frame(|buffer| request.encode(buffer)))?;
+        stream.write_all(&tcpros::frame(|buffer| request.encode_ros1(buffer)))?;
         let mut worked = [0];
         stream.read_exact(&mut worked)?;
         let response = read_frame(&mut stream, MAX_MESSAGE_LEN)?;
         if worked == [0] {
             return Err(CallError::Failed(String::from_utf8_lossy(&response).into_owned()));
         }
-        Ok(S::Response::from_bytes(&response)?)
+        Ok(S::Response::decode_ros1(&response)?)
     }
 }

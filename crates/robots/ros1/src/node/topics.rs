@@ -11,13 +11,13 @@ use std::{
     time::Duration,
 };
 
+use cotorra_ros_messages::{Message, queue::Inbox};
 use mio::net::TcpStream;
 use parking_lot::Mutex;
 
 use super::{Kind, Node, NodeError, RecvError, Shared, engine::Command, keeper::Errand};
 use crate::{
-    definition::Message,
-    queue::{Inbox, SendQueue},
+    queue::SendQueue,
     tcpros::{self, Header},
 };
 
@@ -188,7 +188,7 @@ impl<M> Publisher<M> {
     /// How many messages were dropped because a connected subscriber takes them too slowly.
     pub fn dropped(&self) -> u64 {
         let connections = self.advertised.publication.connections.lock();
-        connections.open.iter().map(|outgoing| outgoing.queue.lock().dropped).sum()
+        connections.open.iter().map(|outgoing| outgoing.queue.lock().dropped()).sum()
     }
 }
 
@@ -200,7 +200,7 @@ impl<M: Message> Publisher<M> {
         if connections.closed || (connections.open.is_empty() && !publication.options.latch) {
             return;
         }
-        let frame = Arc::new(tcpros::frame(|buffer| message.encode(buffer)));
+        let frame = Arc::new(tcpros::frame(|buffer| message.encode_ros1(buffer)));
         for outgoing in &connections.open {
             outgoing.send(&frame);
         }
@@ -214,7 +214,7 @@ pub(super) struct Subscription {
     pub id: u64,
     pub topic: String,
     pub kind: Kind,
-    pub inbox: Inbox,
+    pub inbox: Inbox<Vec<u8>>,
     /// How many publishers are connected.
     pub connected: AtomicUsize,
     /// Whether the master told of its publishers since it was asked to: that is newer than its answer.
@@ -267,10 +267,10 @@ impl<M> Subscriber<M> {
 
 impl<M: Message> Subscriber<M> {
     fn read(&self, bytes: &[u8]) -> Option<M> {
-        let message = M::from_bytes(bytes);
+        let message = M::decode_ros1(bytes);
         if let Err(error) = &message {
             self.malformed.fetch_add(1, Ordering::Relaxed);
-            tracing::warn!("a message on {} is no {}: {error}", self.topic(), M::TYPE_NAME);
+            tracing::warn!("a message on {} is no {}: {error}", self.topic(), M::ROS1_NAME);
         }
         message.ok()
     }
@@ -331,7 +331,7 @@ impl Node {
                 state.publications.insert(topic.clone(), Arc::clone(&publication));
                 Ok(())
             },
-            |master| master.register_publisher(&topic, M::TYPE_NAME, &shared.api),
+            |master| master.register_publisher(&topic, M::ROS1_NAME, &shared.api),
             |state| drop(state.publications.remove(&topic)),
         )?;
         let advertised = Arc::new(Advertised { shared: Arc::clone(shared), publication });
@@ -363,7 +363,7 @@ impl Node {
                 state.subscriptions.insert(id, Arc::clone(&subscription));
                 Ok(())
             },
-            |master| master.register_subscriber(topic, M::TYPE_NAME, &shared.api),
+            |master| master.register_subscriber(topic, M::ROS1_NAME, &shared.api),
             |state| drop(state.subscriptions.remove(&id)),
         )?;
         shared.command(Command::Publishers { subscription: id, publishers });

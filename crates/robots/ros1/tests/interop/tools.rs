@@ -3,11 +3,10 @@
 use std::{env, fs, time::Duration};
 
 use cotorra_ros1::{
-    CallError, MasterServer, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Time,
-    Value,
+    CallError, MasterServer, Node, NodeConfig, NodeError, PublishOptions, RecvError, SubscribeOptions, Value,
     messages::{
         Bool, Clock, EmptyRequest, EmptyResponse, EmptyService, Header, LaserScan, OccupancyGrid, Odometry,
-        SetBool, SetBoolRequest, SetBoolResponse, Text, Twist,
+        SetBool, SetBoolRequest, SetBoolResponse, Text, Time, Twist,
     },
 };
 use cotorra_testing::{
@@ -17,7 +16,7 @@ use cotorra_testing::{
 
 fn scan(seq: u32) -> LaserScan {
     LaserScan {
-        header: Header { seq, stamp: Time { sec: 5, nsec: 7 }, frame_id: "laser".to_owned() },
+        header: Header { seq, stamp: Time { sec: 5, nanosec: 7 }, frame_id: "laser".to_owned() },
         angle_increment: 0.5,
         range_max: 12.0,
         ranges: vec![1.5, f32::INFINITY, 2.25],

@@ -2,6 +2,7 @@
 
 use std::{sync::Arc, time::Duration};
 
+use cotorra_ros_messages::queue::Waiting;
 use parking_lot::Mutex;
 use rustdds::{
     RTPSEntity, Timestamp,
@@ -22,7 +23,6 @@ use crate::{
     node::NodeError,
     peers::Endpoint,
     qos::Qos,
-    queue::Waiting,
     topics::{Incoming, Inlet, Outlet},
 };
 
@@ -218,7 +218,7 @@ impl Outlet for Advertised {
     }
 
     fn dropped(&self) -> u64 {
-        self.publication.output.lock().waiting.dropped
+        self.publication.output.lock().waiting.dropped()
     }
 }
 

@@ -96,7 +96,7 @@ pub fn read_token(token: &str) -> Option<(&str, Role, Endpoint)> {
 
 #[cfg(test)]
 mod tests {
-    use cotorra_plugin::messages::Text;
+    use cotorra_ros_messages::Text;
     use proptest::prelude::*;
 
     use super::*;

@@ -6,11 +6,11 @@ use std::{
     time::Duration,
 };
 
+use cotorra_ros_messages::EmptyResponse;
 use mio::{Token, net::TcpStream};
 use socket2::{SockRef, TcpKeepalive};
 
 use crate::{
-    messages::EmptyResponse,
     node::{
         Shared,
         service::{self, Offer},
