@@ -3,62 +3,48 @@
 
 mod engine;
 mod keeper;
+mod kind;
+mod offer;
 mod params;
+mod publication;
 mod service;
+mod shared;
+mod subscription;
 mod topics;
+mod watch;
 
 use std::{
-    collections::BTreeMap,
     io,
     net::{IpAddr, SocketAddr, TcpListener},
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering},
+        atomic::{AtomicBool, AtomicU64},
         mpsc,
     },
     thread::{self, JoinHandle},
+    time::Duration,
 };
 
-use cotorra_ros_messages::Message;
+use cotorra_ros_messages::{Message, Service};
 use parking_lot::Mutex;
 
 use crate::{
     config::NodeConfig,
-    master::{Master, RpcError},
+    master::Master,
     names::{NameError, Names},
     uri::Endpoint,
     xmlrpc::Value,
 };
-use engine::{Command, Engine};
-use keeper::Errand;
-use params::Watch;
-use service::Offer;
-use topics::{Publication, Subscription};
+use engine::Engine;
+use shared::{Errand, Shared};
 
 pub use cotorra_ros_messages::queue::RecvError;
 pub use params::ParamWatch;
+pub use publication::PublishOptions;
 pub use service::{CallError, ServiceServer};
-pub use topics::{PublishOptions, Publisher, SubscribeOptions, Subscriber};
-
-/// Why a node, a topic or a service could not be set up.
-#[derive(Debug, thiserror::Error)]
-pub enum NodeError {
-    /// A name is none.
-    #[error(transparent)]
-    Name(#[from] NameError),
-    /// The master is not there, or refuses.
-    #[error("the master: {0}")]
-    Master(#[from] RpcError),
-    /// No sockets or threads.
-    #[error("the node cannot run: {0}")]
-    Io(#[from] io::Error),
-    /// The node has that topic or service already.
-    #[error("this node publishes or serves {0} already; clone the publisher for more of it")]
-    Taken(String),
-    /// The node was shut down.
-    #[error("the node was shut down")]
-    ShutDown,
-}
+pub use shared::NodeError;
+pub use subscription::SubscribeOptions;
+pub use topics::{Publisher, Subscriber};
 
 /// A ROS 1 node. Clones are the same node; when the last is dropped, it unregisters and ends.
 #[derive(Debug, Clone)]
@@ -68,94 +54,6 @@ pub struct Node(Arc<Running>);
 struct Running {
     shared: Arc<Shared>,
     threads: Mutex<Vec<JoinHandle<()>>>,
-}
-
-/// What a node's threads, publishers, subscribers and servers have in common.
-#[derive(Debug)]
-pub(crate) struct Shared {
-    names: Names,
-    master: Master,
-    /// Address of the slave API.
-    api: String,
-    /// Where TCPROS listens.
-    tcpros: Endpoint,
-    state: Mutex<State>,
-    /// Held while the master is told of registrations, so that they arrive in their order.
-    registrar: Mutex<()>,
-    commands: mpsc::Sender<Command>,
-    waker: mio::Waker,
-    errands: mpsc::Sender<Errand>,
-    next_id: AtomicU64,
-    stopped: AtomicBool,
-}
-
-/// What a node is registered for.
-#[derive(Debug, Default)]
-struct State {
-    publications: BTreeMap<String, Arc<Publication>>,
-    subscriptions: BTreeMap<u64, Arc<Subscription>>,
-    services: BTreeMap<String, Arc<Offer>>,
-    watches: BTreeMap<u64, Arc<Watch>>,
-}
-
-impl State {
-    fn subscribes(&self, topic: &str) -> bool {
-        self.subscriptions.values().any(|subscription| subscription.topic == topic)
-    }
-
-    fn watches(&self, name: &str) -> bool {
-        self.watches.values().any(|watch| watch.name == name)
-    }
-
-    fn is_empty(&self) -> bool {
-        self.publications.is_empty()
-            && self.subscriptions.is_empty()
-            && self.services.is_empty()
-            && self.watches.is_empty()
-    }
-}
-
-impl Shared {
-    fn command(&self, command: Command) {
-        // Without an engine, there is nothing left to do.
-        if self.commands.send(command).is_ok() {
-            let _ = self.waker.wake();
-        }
-    }
-
-    fn errand(&self, errand: Errand) {
-        // Without a keeper, all is unregistered.
-        let _ = self.errands.send(errand);
-    }
-
-    fn is_stopped(&self) -> bool {
-        self.stopped.load(Ordering::Acquire)
-    }
-
-    fn next_id(&self) -> u64 {
-        self.next_id.fetch_add(1, Ordering::Relaxed)
-    }
-
-    /// Adds something to the state and tells the master, or takes it back.
-    fn register<T>(
-        &self,
-        add: impl FnOnce(&mut State) -> Result<(), NodeError>,
-        tell: impl FnOnce(&Master) -> Result<T, RpcError>,
-        take_back: impl FnOnce(&mut State),
-    ) -> Result<T, NodeError> {
-        let _order = self.registrar.lock();
-        {
-            let mut state = self.state.lock();
-            if self.is_stopped() {
-                return Err(NodeError::ShutDown);
-            }
-            add(&mut state)?;
-        }
-        tell(&self.master).map_err(|error| {
-            take_back(&mut self.state.lock());
-            error.into()
-        })
-    }
 }
 
 impl Node {
@@ -254,6 +152,66 @@ impl Node {
         Ok(())
     }
 
+    /// Publishes a topic.
+    ///
+    /// # Errors
+    /// [`NodeError`] if `topic` is no name, the node publishes it already, or the master fails.
+    pub fn publish<M: Message>(
+        &self,
+        topic: &str,
+        options: PublishOptions,
+    ) -> Result<Publisher<M>, NodeError> {
+        Publisher::advertise(self.shared(), self.resolve(topic)?, options)
+    }
+
+    /// Subscribes to a topic. Publishers are connected to in the background, and again whenever they return. Each
+    /// subscriber has connections of its own.
+    ///
+    /// # Errors
+    /// [`NodeError`] if `topic` is no name, or the master fails.
+    pub fn subscribe<M: Message>(
+        &self,
+        topic: &str,
+        options: SubscribeOptions,
+    ) -> Result<Subscriber<M>, NodeError> {
+        Subscriber::subscribe(self.shared(), self.resolve(topic)?, options)
+    }
+
+    /// Offers a service. `answer` gives the response to each request, or the reason why not; requests are answered
+    /// one at a time, on a thread of the service's own. If it holds a clone of the node, that lives as long as the
+    /// service does.
+    ///
+    /// # Errors
+    /// [`NodeError`] if `name` is none, the node offers it already, or the master fails.
+    pub fn service<S: Service>(
+        &self,
+        name: &str,
+        answer: impl FnMut(S::Request) -> Result<S::Response, String> + Send + 'static,
+    ) -> Result<ServiceServer, NodeError> {
+        ServiceServer::offer::<S>(self.shared(), self.resolve(name)?, answer)
+    }
+
+    /// Calls a service, and waits for its response so long.
+    ///
+    /// # Errors
+    /// [`CallError`] if there is no such service, it does not answer in time, or it answers that it failed.
+    pub fn call<S: Service>(
+        &self,
+        name: &str,
+        request: &S::Request,
+        timeout: Duration,
+    ) -> Result<S::Response, CallError> {
+        service::call::<S>(self.shared(), &self.resolve(name)?, request, timeout)
+    }
+
+    /// Watches a parameter, or a whole namespace of them.
+    ///
+    /// # Errors
+    /// [`NodeError`] if `name` is none, or the master fails.
+    pub fn watch_param(&self, name: &str) -> Result<ParamWatch, NodeError> {
+        ParamWatch::start(self.shared(), self.resolve(name)?)
+    }
+
     fn shared(&self) -> &Arc<Shared> {
         &self.0.shared
     }
@@ -284,30 +242,4 @@ pub(crate) fn listen(host: &str, port: u16) -> io::Result<TcpListener> {
         _ => ([0; 4], port).into(),
     };
     TcpListener::bind(any)
-}
-
-/// A message's type, as connection headers and the master name it.
-#[derive(Debug)]
-struct Kind {
-    name: &'static str,
-    md5sum: String,
-    definition: String,
-}
-
-impl Kind {
-    fn of<M: Message>() -> Self {
-        let description = M::description();
-        Self { name: M::ROS1_NAME, md5sum: description.md5sum(), definition: description.ros1_text() }
-    }
-
-    /// Whether a peer's header means this type; `*` means any. An absent type counts as any: only its sum matters.
-    fn check(&self, md5sum: Option<&str>, name: Option<&str>) -> Result<(), String> {
-        let same = |theirs: &str, ours: &str| theirs == "*" || theirs == ours;
-        let md5sum = md5sum.ok_or_else(|| "the connection header has no md5sum".to_owned())?;
-        if same(md5sum, &self.md5sum) && same(name.unwrap_or("*"), self.name) {
-            return Ok(());
-        }
-        let name = name.unwrap_or("an unnamed type");
-        Err(format!("{name} with md5sum {md5sum} where {} with {} is spoken", self.name, self.md5sum))
-    }
 }

@@ -16,7 +16,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Shared, topics::Subscription};
+use super::{
+    shared::{Command, Shared},
+    subscription::Subscription,
+};
 use crate::{
     master::{self, RpcError},
     queue::SendQueue,
@@ -44,23 +47,6 @@ const IDLE: Duration = Duration::from_secs(60);
 /// A publisher that could not be connected to is tried again after this time, doubled each time up to the longest.
 const FIRST_RETRY: Duration = Duration::from_millis(100);
 const LAST_RETRY: Duration = Duration::from_secs(2);
-/// What the node's other threads have for this one.
-#[derive(Debug)]
-pub(super) enum Command {
-    /// These are a subscription's publishers, says the master; unless it said otherwise since.
-    Publishers { subscription: u64, publishers: Vec<String> },
-    /// A connection to a publisher was made, with the header sent; or not.
-    Connected { subscription: u64, publisher: String, stream: Result<StdStream, String> },
-    /// A service answered.
-    Response { client: Token, response: Vec<u8> },
-    /// A subscription ended.
-    Unsubscribed(u64),
-    /// A service ended.
-    Unserved(String),
-    /// The node ends.
-    Stop,
-}
-
 /// The way to one publisher of one subscription.
 #[derive(Debug)]
 struct Link {

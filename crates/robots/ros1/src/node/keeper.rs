@@ -6,26 +6,15 @@ use std::{
     time::Duration,
 };
 
-use super::{Shared, engine::Command, params::Watch, topics::Subscription};
+use super::{
+    shared::{Command, Errand, Shared},
+    subscription::Subscription,
+    watch::Watch,
+};
 use crate::master::RpcError;
 
 /// How often the master is asked whether it still knows the node.
 const HEARTBEAT: Duration = Duration::from_secs(1);
-
-/// What is to be told.
-#[derive(Debug)]
-pub(super) enum Errand {
-    /// A topic is no longer published.
-    Unpublished(String),
-    /// A topic has a subscriber less.
-    Unsubscribed(String),
-    /// A service is no longer served.
-    Unserved(String),
-    /// A parameter has a watch less.
-    Unwatched(String),
-    /// All of it, and then the end.
-    Stop,
-}
 
 /// Runs errands until the node ends.
 pub(super) fn run(shared: &Arc<Shared>, errands: &mpsc::Receiver<Errand>) {

@@ -14,7 +14,10 @@ use super::{
 };
 use crate::{
     http,
-    node::{Shared, keeper::Errand, topics::Subscription},
+    node::{
+        shared::{Errand, Shared},
+        subscription::Subscription,
+    },
     queue::SendQueue,
     slave::{self, Request},
     uri::Endpoint,

@@ -12,9 +12,10 @@ use socket2::{SockRef, TcpKeepalive};
 
 use crate::{
     node::{
-        Shared,
-        service::{self, Offer},
-        topics::{Outgoing, Publication, Subscription},
+        offer::{self, Offer},
+        publication::{Outgoing, Publication},
+        shared::Shared,
+        subscription::Subscription,
     },
     queue::SendQueue,
     tcpros::{FrameReader, Header, MAX_MESSAGE_LEN},
@@ -236,7 +237,7 @@ pub(super) fn ask_service(
             Ok(Some(request)) => {
                 phase = Phase::Asked { persistent };
                 if offer.requests.send((token, request.to_vec())).is_err() {
-                    output.push(Arc::new(service::response::<EmptyResponse>(Err(
+                    output.push(Arc::new(offer::response::<EmptyResponse>(Err(
                         "the service ended".to_owned()
                     ))));
                     phase = Phase::Answered;
