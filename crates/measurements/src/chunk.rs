@@ -11,12 +11,12 @@
 use std::collections::BTreeMap;
 
 use crate::{
-    Kind,
     codec::{
         ReadError, Value,
         binary::{Bytes, write_integer},
         table,
     },
+    kind::Kind,
 };
 
 /// A stretch with more samples has no chunk.

@@ -15,7 +15,7 @@ pub(crate) use self::{
     decode::{ReadError, Source, decode, decode_conditions},
     encode::{Fields, encode, encode_conditions},
 };
-use crate::Kind;
+use crate::kind::Kind;
 
 /// A table of events, beside the key (run, at_ns, seq) that all of them have.
 pub(crate) struct Table {

@@ -5,9 +5,9 @@ use cotorra_graph::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Figure,
+    figure::Figure,
     rolled::{Reading, Summary},
-    store::Gap,
+    run::Gap,
 };
 
 /// How a curve is to be.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::RunId;
+use crate::run::RunId;
 
 /// Why a history did not do what it was asked for. Cheap to clone: everyone who waits for a write gets its error.
 #[derive(Debug, Clone, thiserror::Error)]

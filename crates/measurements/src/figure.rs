@@ -264,38 +264,6 @@ impl Figure {
     }
 }
 
-impl Kept<'_> {
-    /// Its rows in a span, as times and figures, for any engine. Parameters: run, from, until, the first `seq`, the ids of the series'
-    /// columns, those of the names, that of the child's name. `join` keeps the order of two tables.
-    pub fn sql(&self, join: &str) -> String {
-        use std::fmt::Write as _;
-        let table = crate::codec::table(self.kind);
-        let child = self.child.and(table.children);
-        let of = if child.is_some() { "c" } else { "e" };
-        let mut sql = format!("SELECT e.at_ns, {of}.\"{}\" FROM \"{}\" e", self.column, self.kind.as_str());
-        let mut add =
-            |text: fmt::Arguments<'_>| sql.write_fmt(text).expect("writing to a string never fails");
-        if let Some((child, _)) = child {
-            add(format_args!(
-                " {join} \"{child}\" c ON c.run = e.run AND c.at_ns = e.at_ns AND c.seq = e.seq"
-            ));
-        }
-        add(format_args!(" WHERE e.run = ? AND e.at_ns >= ? AND e.at_ns <= ? AND e.seq >= ?"));
-        let series = if self.series.is_some() { table.series } else { &[] };
-        for column in series.iter().copied().chain(self.named.iter().map(|(column, _)| *column)) {
-            add(format_args!(" AND e.{column} = ?"));
-        }
-        if let (Some(_), Some((column, _))) = (child, self.child) {
-            add(format_args!(" AND c.{column} = ?"));
-        }
-        add(format_args!(" AND {of}.\"{}\" IS NOT NULL ORDER BY e.at_ns, e.seq", self.column));
-        if child.is_some() {
-            add(format_args!(", c.place"));
-        }
-        sql
-    }
-}
-
 impl fmt::Display for Figure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -1,5 +1,7 @@
 //! The way out: what a history is asked, and what it answers.
 
+mod retain;
+
 use std::{
     ops::{Bound, RangeBounds},
     path::Path,
@@ -23,8 +25,9 @@ use crate::{
     paced::PacedRecorder,
     page::{Page, PageRequest},
     recorder::{Queue, Recorder},
+    run::{Gap, Run, RunId, RunInfo},
     sqlite::Sqlite,
-    store::{Gap, Run, RunId, RunInfo, Selection, Span, Store},
+    store::{Selection, Span, Store},
 };
 
 /// The history of every embedding of G, over any number of runs. Clones are one history, and may be used from any

@@ -22,9 +22,11 @@ mod page;
 mod recorder;
 mod retention;
 mod rolled;
+mod run;
 mod schema;
 #[cfg(feature = "mariadb")]
 mod server;
+mod sql;
 mod sqlite;
 mod store;
 #[cfg(test)]
@@ -42,7 +44,7 @@ pub use paced::PacedRecorder;
 pub use page::{Cursor, InvalidCursor, Page, PageRequest};
 pub use recorder::{Recorder, RecorderStats};
 pub use retention::{Pruned, Retained};
-pub use store::{Gap, Run, RunId, RunInfo};
+pub use run::{Gap, Run, RunId, RunInfo};
 
 /// Reads bytes as chunks of a history and as entries of a spool, for fuzzing.
 #[doc(hidden)]

@@ -11,7 +11,8 @@ use crate::{
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
     rolled::Reading,
-    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
+    run::{Entry, Gap, Run, RunId, RunInfo},
+    store::{Selection, Span, Store},
 };
 
 /// Everything in ordered maps.

@@ -9,7 +9,8 @@ use parking_lot::Mutex;
 use crate::{
     codec,
     error::Result,
-    store::{Entry, Gap, RunId, Store},
+    run::{Entry, Gap, RunId},
+    store::Store,
 };
 
 /// Takes the events of one run and writes them when it is told to, on the thread that tells it. Clones share what

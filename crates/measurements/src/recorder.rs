@@ -19,7 +19,8 @@ use serde::{Deserialize, Serialize};
 use crate::{
     codec,
     error::{Error, Result},
-    store::{Entry, Gap, RunId, Store},
+    run::{Entry, Gap, RunId},
+    store::Store,
 };
 
 /// Events that wait to be written, at most. About 400 bytes each: 13 MB.

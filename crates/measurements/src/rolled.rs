@@ -7,11 +7,12 @@
 use std::collections::BTreeMap;
 
 use crate::{
-    Kind, chunk,
+    chunk,
     codec::{
         ReadError, Value,
         binary::{Bytes, write_integer},
     },
+    kind::Kind,
 };
 
 /// What some samples were.

@@ -3,11 +3,10 @@
 //! in order and each once, before anything newer: recording never waits for a network.
 
 mod connection;
-mod read;
+mod session;
 mod spool;
 #[cfg(test)]
 mod tests;
-mod thin;
 mod write;
 
 use std::{
@@ -17,17 +16,15 @@ use std::{
 };
 
 use cotorra_graph::{Event, Stamped, Timestamp};
-use mysql::{Conn, Row, prelude::Queryable};
 use parking_lot::{Condvar, Mutex};
 
 use self::{
-    connection::{Fallible, connect, engine_error, prepare},
-    read::{Reader, integer, text},
+    connection::{connect, engine_error, prepare},
+    session::ServerSession,
     spool::{Next, Record, Spool},
-    write::{Failure, Receipt, Writer},
+    write::{Receipt, Writer},
 };
 use crate::{
-    codec::ReadError,
     error::{Error, Result},
     figure::Figure,
     kind::Kind,
@@ -35,8 +32,10 @@ use crate::{
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},
     rolled::Reading,
+    run::{Entry, Gap, Run, RunId, RunInfo},
     schema::MIGRATIONS,
-    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store},
+    sql::{self, Session, integer},
+    store::{Selection, Span, Store},
 };
 
 /// How long an answer, or a batch from the spool, may take.
@@ -47,6 +46,8 @@ const RETRY: Duration = Duration::from_millis(500);
 
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
+
+type Reader = sql::Reader<ServerSession>;
 
 /// What a server is given.
 #[derive(Debug, Clone, Copy)]
@@ -96,16 +97,15 @@ impl Remote {
     }
 
     fn within(server: &Server, limits: Limits) -> Result<Self> {
-        let engine = |e| engine_error(&server.name, e);
-        let mut connection = connect(server, LONG_PATIENCE).map_err(engine)?;
+        let mut connection = connect(server, LONG_PATIENCE).map_err(|e| engine_error(&server.name, e))?;
         prepare(&mut connection, server, MIGRATIONS)?;
         let spool = Spool::create(&server.spool, &server.name, limits.spool)?;
-        let mut writer = Writer::new(connection);
+        let mut writer = Writer::new(ServerSession::new(connection, &server.name));
         for left in Spool::left_behind(&server.spool, &server.name)? {
-            take_in(server, &mut writer, &left)?;
-            forget(&mut writer.connection, &left).map_err(engine)?;
+            take_in(&mut writer, &left)?;
+            forget(&writer.session, &left)?;
         }
-        let direct = connect(server, limits.patience).map_err(engine)?;
+        let direct = session(server, limits.patience)?;
         let state = State { direct: Some(Writer::new(direct)), spool, batch: 0, closing: false };
         let shared = Arc::new(Shared {
             server: server.clone(),
@@ -124,10 +124,7 @@ impl Remote {
     fn read<T>(&self, ask: impl Fn(&Reader) -> Result<T>) -> Result<T> {
         let server = &self.shared.server;
         let taken = self.readers.lock().pop();
-        let fresh = || {
-            let connection = connect(server, LONG_PATIENCE).map_err(|e| engine_error(&server.name, e))?;
-            Ok(Reader::new(connection, &server.name))
-        };
+        let fresh = || session(server, LONG_PATIENCE).map(Reader::new);
         let (reader, answer) = match taken {
             Some(reader) => match ask(&reader) {
                 // The server may have been started anew since this connection was made.
@@ -153,11 +150,13 @@ impl Remote {
     }
 }
 
-impl Shared {
-    fn engine(&self, error: mysql::Error) -> Error {
-        engine_error(&self.server.name, error)
-    }
+/// Opens a session; an answer that takes longer than `patience` counts as a lost server.
+fn session(server: &Server, patience: Duration) -> Result<ServerSession> {
+    let connection = connect(server, patience).map_err(|e| engine_error(&server.name, e))?;
+    Ok(ServerSession::new(connection, &server.name))
+}
 
+impl Shared {
     /// From now on, what is recorded is spooled.
     fn lose(&self, state: &mut State, error: &Error) {
         tracing::warn!(%error, spool = state.spool.name(), "the history is spooled to a file until its server is back");
@@ -197,20 +196,19 @@ impl Shared {
     }
 
     fn catch_up(&self) -> Result<()> {
-        let connection = connect(&self.server, LONG_PATIENCE).map_err(|e| self.engine(e))?;
-        let mut direct = connect(&self.server, self.patience).map_err(|e| self.engine(e))?;
-        let mut writer = Writer::new(connection);
+        let mut writer = Writer::new(session(&self.server, LONG_PATIENCE)?);
+        let direct = session(&self.server, self.patience)?;
         let (reader, id) = {
             let state = self.state.lock();
             (state.spool.reader(), state.spool.writer.clone())
         };
-        let mut taken = taken(&mut writer.connection, &id).map_err(|e| self.engine(e))?;
+        let mut taken = taken(&writer.session, &id)?;
         let mut place = Spool::begin();
         loop {
             let end = {
                 let mut state = self.state.lock();
                 if place == state.spool.end() {
-                    direct.ping().map_err(|e| self.engine(e))?;
+                    direct.ping()?;
                     state.spool.clear()?;
                     state.direct = Some(Writer::new(direct));
                     self.changed.notify_all();
@@ -221,12 +219,7 @@ impl Shared {
             match reader.next(place, end)? {
                 Next::Record(number, record, behind) => {
                     if taken.is_none_or(|taken| number > taken) {
-                        take_record(
-                            &self.server,
-                            &mut writer,
-                            Receipt { writer: &id, batch: number },
-                            &record,
-                        )?;
+                        take_record(&mut writer, Receipt { writer: &id, batch: number }, &record)?;
                         taken = Some(number);
                     }
                     place = behind;
@@ -241,20 +234,22 @@ impl Shared {
     }
 }
 
-/// The last batch of a process that was taken in.
-fn taken(connection: &mut Conn, writer: &str) -> Fallible<Option<u64>> {
-    connection.exec_first("SELECT batches FROM spool WHERE writer = ?", (writer,))
+/// Returns the number of the last batch of a process that was taken in.
+fn taken(session: &ServerSession, writer: &str) -> Result<Option<u64>> {
+    let rows = session.rows("SELECT batches FROM spool WHERE writer = ?", &[writer.into()])?;
+    let batch = rows.first().map(|row| integer(row, 0).map(i64::cast_unsigned)).transpose();
+    batch.map_err(|error| error.of(session.history()))
 }
 
-/// Takes in what a process left behind.
-fn take_in(server: &Server, writer: &mut Writer, spool: &Spool) -> Result<()> {
-    let taken = taken(&mut writer.connection, &spool.writer).map_err(|e| engine_error(&server.name, e))?;
+/// Takes in the records that a process left behind.
+fn take_in(writer: &mut Writer, spool: &Spool) -> Result<()> {
+    let taken = taken(&writer.session, &spool.writer)?;
     let (reader, mut place, mut batches) = (spool.reader(), Spool::begin(), 0);
     loop {
         match reader.next(place, spool.end())? {
             Next::Record(number, record, behind) => {
                 if taken.is_none_or(|taken| number > taken) {
-                    take_record(server, writer, Receipt { writer: &spool.writer, batch: number }, &record)?;
+                    take_record(writer, Receipt { writer: &spool.writer, batch: number }, &record)?;
                     batches += 1;
                 }
                 place = behind;
@@ -274,35 +269,27 @@ fn take_in(server: &Server, writer: &mut Writer, spool: &Spool) -> Result<()> {
 }
 
 /// Removes a spool of which everything was taken in.
-fn forget(connection: &mut Conn, spool: &Spool) -> Fallible<()> {
+fn forget(session: &ServerSession, spool: &Spool) -> Result<()> {
     if let Err(error) = spool.remove() {
         // Its receipt stays, so that nothing is taken in again.
         tracing::warn!(%error, "a spool that is not needed any more is left");
         return Ok(());
     }
-    connection.exec_drop("DELETE FROM spool WHERE writer = ?", (&spool.writer,))
+    session.execute("DELETE FROM spool WHERE writer = ?", &[spool.writer.as_str().into()]).map(|_| ())
 }
 
-fn take_record(server: &Server, writer: &mut Writer, receipt: Receipt<'_>, record: &Record) -> Result<()> {
+fn take_record(writer: &mut Writer, receipt: Receipt<'_>, record: &Record) -> Result<()> {
     let outcome = match record {
         Record::Batch { events, gaps } => writer.append(events, gaps, receipt),
-        Record::End { run, at } => end_run(&mut writer.connection, *run, *at),
+        Record::End { run, at } => sql::end_run(&writer.session, *run, *at),
     };
     match outcome {
-        Ok(()) => Ok(()),
-        Err(Failure::Engine(error)) => Err(engine_error(&server.name, error)),
-        Err(Failure::NoSuchRun(run)) => {
+        Err(Error::NoSuchRun(run)) => {
             tracing::error!(%run, "what was spooled of this run is dropped: the history does not have it any more");
             Ok(())
         }
+        outcome => outcome,
     }
-}
-
-fn end_run(connection: &mut Conn, run: RunId, at: Timestamp) -> std::result::Result<(), Failure> {
-    let ended = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
-    let found: Option<i64> = connection.exec_first("SELECT id FROM run WHERE id = ?", (run.0,))?;
-    found.ok_or(Failure::NoSuchRun(run))?;
-    Ok(connection.exec_drop("UPDATE run SET ended_ns = ? WHERE id = ?", (ended, run.0))?)
 }
 
 impl Drop for Remote {
@@ -317,27 +304,11 @@ impl Drop for Remote {
         let mut state = self.shared.state.lock();
         let State { direct, spool, .. } = &mut *state;
         if let Some(writer) = direct
-            && let Err(error) = forget(&mut writer.connection, spool)
+            && let Err(error) = forget(&writer.session, spool)
         {
             tracing::debug!(%error, "a receipt stays in the history");
         }
     }
-}
-
-const RUN: &str = "SELECT id, name, seed, started_at_unix_ns, testbed, ended_ns FROM run";
-
-fn run_of(row: &Row) -> std::result::Result<Run, ReadError> {
-    let ended = if row.as_ref(5) == Some(&mysql::Value::NULL) { None } else { Some(integer(row, 5)?) };
-    Ok(Run {
-        id: RunId(integer(row, 0)?),
-        info: RunInfo {
-            name: text(row, 1)?.unwrap_or_default(),
-            seed: integer(row, 2)?.cast_unsigned(),
-            started_at_unix_ns: integer(row, 3)?,
-            testbed: text(row, 4)?.unwrap_or_default(),
-        },
-        ended: ended.map(|t| Timestamp::from_nanos(t.cast_unsigned())),
-    })
 }
 
 impl Store for Remote {
@@ -347,32 +318,19 @@ impl Store for Remote {
             let cause = "it went away, and what was recorded is not in it yet".into();
             return Err(Error::Unreachable { history: self.shared.server.name.clone(), cause });
         };
-        let begun = writer.connection.exec_drop(
-            "INSERT INTO run (name, seed, started_at_unix_ns, testbed, next_seq) VALUES (?, ?, ?, ?, 0)",
-            (&info.name, info.seed.cast_signed(), info.started_at_unix_ns, &info.testbed),
-        );
-        match begun {
-            Ok(()) => Ok(RunId(writer.connection.last_insert_id().cast_signed())),
-            Err(error) => {
-                let error = self.shared.engine(error);
-                if let Error::Unreachable { .. } = error {
-                    self.shared.lose(&mut state, &error);
-                }
-                Err(error)
-            }
+        let begun = sql::begin_run(&writer.session, info);
+        if let Err(error @ Error::Unreachable { .. }) = &begun {
+            self.shared.lose(&mut state, error);
         }
+        begun
     }
 
     fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
         let mut state = self.shared.state.lock();
         if let Some(writer) = &mut state.direct {
-            match end_run(&mut writer.connection, run, at) {
-                Ok(()) => return Ok(()),
-                Err(Failure::NoSuchRun(run)) => return Err(Error::NoSuchRun(run)),
-                Err(Failure::Engine(error)) => {
-                    let error = self.shared.engine(error);
-                    self.shared.lose(&mut state, &error);
-                }
+            match sql::end_run(&writer.session, run, at) {
+                outcome @ (Ok(()) | Err(Error::NoSuchRun(_))) => return outcome,
+                Err(error) => self.shared.lose(&mut state, &error),
             }
         }
         let number = state.batch;
@@ -382,19 +340,11 @@ impl Store for Remote {
     }
 
     fn run(&self, run: RunId) -> Result<Run> {
-        let question = format!("{RUN} WHERE id = ?");
-        let found = self.read(|reader| {
-            reader.ask(|| reader.rows(&question, (run.0,))?.first().map(run_of).transpose())
-        })?;
-        found.ok_or(Error::NoSuchRun(run))
+        self.read(|reader| reader.run(run))
     }
 
     fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
-        let question = format!("{RUN} WHERE id > ? ORDER BY id LIMIT ?");
-        let after = after.map_or(0, |run| run.0);
-        self.read(|reader| {
-            reader.ask(|| reader.rows(&question, (after, limit))?.iter().map(run_of).collect())
-        })
+        self.read(|reader| reader.runs(after, limit))
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
@@ -407,12 +357,9 @@ impl Store for Remote {
                     state.batch += 1;
                     return Ok(());
                 }
-                Err(Failure::NoSuchRun(run)) => return Err(Error::NoSuchRun(run)),
-                Err(Failure::Engine(error)) => match self.shared.engine(error) {
-                    // Rolled back, because another process was in the way: the same is tried again soon.
-                    error @ Error::Busy { .. } => return Err(error),
-                    error => self.shared.lose(&mut state, &error),
-                },
+                // Busy: rolled back, because another process was in the way; the same is tried again soon.
+                Err(error @ (Error::NoSuchRun(_) | Error::Busy { .. })) => return Err(error),
+                Err(error) => self.shared.lose(&mut state, &error),
             }
         }
         state.spool.push_batch(number, events, gaps)?;
@@ -477,14 +424,14 @@ impl Store for Remote {
 
     fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
         // Thinned twice, because nobody heard of the first time, is thinned once.
-        self.read(|reader| reader.thin(run, kind, thinned))
+        self.read(|reader| sql::thin(&reader.session, run, kind, thinned))
     }
 
     fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
-        self.read(|reader| reader.note_retained(run, retained))
+        self.read(|reader| sql::note_retained(&reader.session, run, retained))
     }
 
     fn remove_run(&self, run: RunId) -> Result<()> {
-        self.read(|reader| reader.remove_run(run))
+        self.read(|reader| sql::remove_run(&reader.session, run))
     }
 }

@@ -1,20 +1,18 @@
 //! Histories in SQLite. A write-ahead log lets readers go on while one connection writes; `synchronous = FULL` has
 //! SQLite call fsync at every commit, so that a committed batch survives both kill -9 and a loss of power.
 
-mod read;
-mod rows;
+mod session;
 #[cfg(test)]
 mod tests;
-mod thin;
 mod write;
 
 use std::{path::Path, sync::Arc, time::Duration};
 
 use cotorra_graph::{Event, Stamped, Timestamp};
 use parking_lot::Mutex;
-use rusqlite::{Connection, ErrorCode, OpenFlags, OptionalExtension, TransactionBehavior, params};
+use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
-use self::{read::Reader, write::Writer};
+use self::{session::SqliteSession, write::Writer};
 use crate::{
     error::{Error, Result},
     figure::Figure,
@@ -22,8 +20,10 @@ use crate::{
     page::{Cursor, Page, PageRequest},
     retention::{Retained, Thinned},
     rolled::Reading,
+    run::{Entry, Gap, Run, RunId, RunInfo},
     schema::MIGRATIONS,
-    store::{Entry, Gap, Run, RunId, RunInfo, Selection, Span, Store, tables_of_runs},
+    sql,
+    store::{Selection, Span, Store},
 };
 
 /// Marks a database as a history of cotorra ("coto"), as SQLite's file format provides.
@@ -43,6 +43,8 @@ const LOG_PAGES: i32 = 4096;
 
 /// Connections for reading that are kept for the next question.
 const IDLE_READERS: usize = 4;
+
+type Reader = sql::Reader<SqliteSession>;
 
 type Fallible<T> = std::result::Result<T, rusqlite::Error>;
 
@@ -67,7 +69,8 @@ impl Sqlite {
         let mut connection = Connection::open_with_flags(&path, flags)
             .map_err(|e| Error::Open { history: name.clone(), cause: Arc::new(e) })?;
         prepare(&mut connection, &name, MIGRATIONS)?;
-        Ok(Self { path, name, writer: Mutex::new(Writer::new(connection)), readers: Mutex::default() })
+        let writer = Writer::new(SqliteSession::new(connection, &name));
+        Ok(Self { path, name, writer: Mutex::new(writer), readers: Mutex::default() })
     }
 
     /// Opens a history to ask it, even one that cannot be written.
@@ -93,21 +96,22 @@ impl Sqlite {
             if log && *place != *path {
                 tracing::warn!(history = %name, "what is in its log only is not told: the log cannot be read here");
             }
-            let (path, writer) = (place.into(), Mutex::new(Writer::new(connection)));
-            return Ok(Self { path, name, writer, readers: Mutex::default() });
+            let writer = Writer::new(SqliteSession::new(connection, &name));
+            return Ok(Self {
+                path: place.into(),
+                name,
+                writer: Mutex::new(writer),
+                readers: Mutex::default(),
+            });
         }
         Err(refused)
-    }
-
-    fn write<T>(&self, work: impl FnOnce(&mut Writer) -> Fallible<T>) -> Result<T> {
-        work(&mut self.writer.lock()).map_err(|e| engine_error(&self.name, e))
     }
 
     fn read<T>(&self, ask: impl FnOnce(&Reader) -> Result<T>) -> Result<T> {
         let taken = self.readers.lock().pop();
         let reader = match taken {
             Some(reader) => reader,
-            None => Reader::open(&self.path, &self.name)?,
+            None => Reader::new(SqliteSession::open(&self.path, &self.name)?),
         };
         let answer = ask(&reader)?;
         let mut idle = self.readers.lock();
@@ -162,7 +166,6 @@ fn prepare(connection: &mut Connection, history: &Arc<str>, migrations: &[&str])
         // A batch fits, and is written once: to the log at its commit, and from there when the log has some of them.
         connection.pragma_update(None, "cache_size", -CACHE_KIB)?;
         connection.pragma_update(None, "wal_autocheckpoint", LOG_PAGES)?;
-        connection.set_prepared_statement_cache_capacity(64);
 
         let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
         let found = match version(&transaction, history, migrations)? {
@@ -212,66 +215,25 @@ fn engine_error(history: &Arc<str>, error: rusqlite::Error) -> Error {
     }
 }
 
-const RUN: &str = "SELECT id, name, seed, started_at_unix_ns, testbed, ended_ns FROM run";
-
-fn run_of(row: &rusqlite::Row<'_>) -> Fallible<Run> {
-    Ok(Run {
-        id: RunId(row.get(0)?),
-        info: RunInfo {
-            name: row.get(1)?,
-            seed: row.get::<_, i64>(2)?.cast_unsigned(),
-            started_at_unix_ns: row.get(3)?,
-            testbed: row.get(4)?,
-        },
-        ended: row.get::<_, Option<i64>>(5)?.map(|t| Timestamp::from_nanos(t.cast_unsigned())),
-    })
-}
-
 impl Store for Sqlite {
     fn begin_run(&self, info: &RunInfo) -> Result<RunId> {
-        self.write(|writer| {
-            writer.connection.execute(
-                "INSERT INTO run (name, seed, started_at_unix_ns, testbed, next_seq) VALUES (?1, ?2, ?3, ?4, 0)",
-                params![info.name, info.seed.cast_signed(), info.started_at_unix_ns, info.testbed],
-            )?;
-            Ok(RunId(writer.connection.last_insert_rowid()))
-        })
-    }
-
-    fn set_full(&self, full: bool) -> Result<()> {
-        // SQLite takes no bound below what there is already.
-        let pages = if full { 1 } else { MOST_PAGES };
-        self.write(|writer| {
-            writer.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))
-        })
+        sql::begin_run(&self.writer.lock().session, info)
     }
 
     fn end_run(&self, run: RunId, at: Timestamp) -> Result<()> {
-        let ended = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
-        let changed = self.write(|writer| {
-            writer.connection.execute("UPDATE run SET ended_ns = ?2 WHERE id = ?1", params![run.0, ended])
-        })?;
-        if changed == 0 { Err(Error::NoSuchRun(run)) } else { Ok(()) }
+        sql::end_run(&self.writer.lock().session, run, at)
     }
 
     fn run(&self, run: RunId) -> Result<Run> {
-        self.read(|reader| {
-            let found = reader.connection.query_row(&format!("{RUN} WHERE id = ?1"), [run.0], run_of);
-            found.optional().map_err(|e| engine_error(&self.name, e))?.ok_or(Error::NoSuchRun(run))
-        })
+        self.read(|reader| reader.run(run))
     }
 
     fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
-        let ask = |reader: &Reader| -> Fallible<Vec<Run>> {
-            let question = format!("{RUN} WHERE id > ?1 ORDER BY id LIMIT ?2");
-            let mut statement = reader.connection.prepare_cached(&question)?;
-            statement.query_map(params![after.map_or(0, |run| run.0), limit as i64], run_of)?.collect()
-        };
-        self.read(|reader| ask(reader).map_err(|e| engine_error(&self.name, e)))
+        self.read(|reader| reader.runs(after, limit))
     }
 
     fn append(&self, events: &[Entry], gaps: &[(RunId, Gap)]) -> Result<()> {
-        self.write(|writer| writer.append(events, gaps))
+        self.writer.lock().append(events, gaps)
     }
 
     fn events(
@@ -323,22 +285,26 @@ impl Store for Sqlite {
     }
 
     fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
-        self.write(|writer| thin::thin(&mut writer.connection, run, kind, thinned))
+        sql::thin(&self.writer.lock().session, run, kind, thinned)
     }
 
     fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
-        self.write(|writer| thin::note_retained(&writer.connection, run, retained))
+        sql::note_retained(&self.writer.lock().session, run, retained)
     }
 
     fn remove_run(&self, run: RunId) -> Result<()> {
-        self.write(|writer| {
-            // The run is last: what is stopped half-way can be done again.
-            for table in tables_of_runs() {
-                writer.connection.execute(&format!("DELETE FROM {table} WHERE run = ?1"), [run.0])?;
-            }
-            writer.connection.execute("DELETE FROM run WHERE id = ?1", [run.0])?;
-            writer.forget();
-            Ok(())
-        })
+        let mut writer = self.writer.lock();
+        sql::remove_run(&writer.session, run)?;
+        writer.forget();
+        Ok(())
+    }
+
+    fn set_full(&self, full: bool) -> Result<()> {
+        // SQLite takes no bound below what there is already.
+        let pages = if full { 1 } else { MOST_PAGES };
+        let writer = self.writer.lock();
+        let set =
+            writer.session.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()));
+        writer.session.engine(set)
     }
 }

@@ -7,8 +7,8 @@ use cotorra_graph::{Conditions, Stamped, Timestamp};
 
 use super::{Fields, ReadError, Source, Value, decode, decode_conditions, encode, encode_conditions, table};
 use crate::{
-    Kind,
-    store::{Entry, RunId},
+    kind::Kind,
+    run::{Entry, RunId},
 };
 
 const NULL: u8 = 0;

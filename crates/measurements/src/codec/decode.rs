@@ -12,7 +12,7 @@ use cotorra_graph::{
 };
 
 use super::direction_of;
-use crate::Kind;
+use crate::{error::Error, kind::Kind};
 
 /// The columns of a row that is read, from the first to the last.
 pub(crate) trait Source {
@@ -25,13 +25,29 @@ pub(crate) trait Source {
     fn children(&mut self, read: &mut dyn FnMut(&mut dyn Source) -> Result<()>) -> Result<()>;
 }
 
-/// Why a row cannot be read.
+/// A row that cannot be read.
 #[derive(Debug)]
 pub(crate) enum ReadError {
-    /// A column says what it never does.
+    /// A column has a value that is never written.
     Unreadable(String),
-    /// The engine cannot.
-    Engine(crate::Error),
+    /// The engine failed.
+    Engine(Error),
+}
+
+impl ReadError {
+    /// Returns the error of a history with this name.
+    pub fn of(self, history: &Arc<str>) -> Error {
+        match self {
+            Self::Unreadable(detail) => Error::Corrupt { history: history.clone(), detail },
+            Self::Engine(error) => error,
+        }
+    }
+}
+
+impl From<Error> for ReadError {
+    fn from(error: Error) -> Self {
+        Self::Engine(error)
+    }
 }
 
 type Result<T> = std::result::Result<T, ReadError>;
@@ -358,7 +374,7 @@ fn decode_instruction(row: &mut Columns<'_>) -> Result<Instruction> {
         "attach" => Instruction::Attach { robot: robot()?, radio_unit: node()? },
         "place" => {
             let several = change.as_deref().map(json).transpose()?;
-            let node = several.map_or_else(|| Ok(node()?.into()), Ok)?;
+            let node = several.map_or_else(|| node().map(Into::into), Ok)?;
             Instruction::Place { vnf: subject.parse().map_err(unreadable)?, node }
         }
         "map" => Instruction::Map { from: robot()?, to: node()?, links: json(&required(change)?)? },

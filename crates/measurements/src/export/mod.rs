@@ -239,7 +239,7 @@ impl History {
     ) -> Result<()> {
         let mut batch = Vec::new();
         while let Some(stamped) = tables.event()? {
-            batch.push(crate::store::Entry { run, stamped });
+            batch.push(crate::run::Entry { run, stamped });
             if batch.len() == STEP {
                 self.store.append(&batch, &[])?;
                 batch.clear();

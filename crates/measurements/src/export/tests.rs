@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     Gap, Kind,
     codec::{self, Fields, Value},
-    store::Entry,
+    run::Entry,
     testing::{notice, run_info, stamped},
 };
 use table::{Shape, Type};

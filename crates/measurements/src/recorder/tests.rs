@@ -8,7 +8,8 @@ use super::*;
 use crate::{
     Figure, History, Kind, Page, PageRequest,
     memory::Memory,
-    store::{Run, RunInfo, Selection, Span},
+    run::{Run, RunInfo},
+    store::{Selection, Span},
     testing::{notice, run_info},
 };
 

@@ -9,6 +9,7 @@ use crate::{
     error::{Error, Result},
     location::Server,
     schema::for_server,
+    sql::quoted,
 };
 
 pub(super) type Fallible<T> = std::result::Result<T, mysql::Error>;
@@ -50,16 +51,6 @@ pub(super) fn connect(server: &Server, patience: Duration) -> Fallible<Conn> {
         }
         other => other,
     }
-}
-
-/// A name as an identifier.
-pub(super) fn quoted(name: &str) -> String {
-    format!("\"{}\"", name.replace('"', "\"\""))
-}
-
-/// Names as a list of identifiers of a table.
-pub(super) fn columns<'a>(names: impl IntoIterator<Item = &'a &'a str>) -> String {
-    names.into_iter().map(|name| quoted(name)).collect::<Vec<_>>().join(", ")
 }
 
 /// Checks what the database is before anything in it is touched, then brings it up to date.

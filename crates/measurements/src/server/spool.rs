@@ -22,7 +22,7 @@ use crate::{
         binary::{self, Bytes},
     },
     error::{Error, Result},
-    store::{Entry, Gap, RunId},
+    run::{Entry, Gap, RunId},
 };
 
 const MAGIC: &[u8; 16] = b"cotorra spool 3\n";

@@ -3,6 +3,7 @@
 use std::{fs, sync::Barrier};
 
 use cotorra_testing::mariadb::MariaDb;
+use mysql::{Conn, Row, prelude::Queryable};
 use proptest::prelude::*;
 
 use super::*;
@@ -23,7 +24,7 @@ fn place(url: &str) -> Server {
     }
 }
 
-fn session(url: &str) -> Conn {
+fn client(url: &str) -> Conn {
     connect(&place(url), LONG_PATIENCE).unwrap()
 }
 
@@ -101,7 +102,7 @@ fn a_history_is_there_when_it_is_opened_again() {
     record(&history, run, 0..100);
     history.end_run(run, Timestamp::from_nanos(9)).unwrap();
     drop(history);
-    let receipts: Option<i64> = session(&url).query_first("SELECT count(*) FROM spool").unwrap();
+    let receipts: Option<i64> = client(&url).query_first("SELECT count(*) FROM spool").unwrap();
     assert_eq!(receipts, Some(0), "who closes in order leaves nothing behind");
 
     // By its socket as well.
@@ -141,10 +142,10 @@ fn processes_may_open_a_new_database_at_once_and_share_it() {
 fn refuses_what_is_no_history_and_leaves_it_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let alien = server.fresh();
-    session(&server.url("mysql")).query_drop(format!("CREATE DATABASE {}", quoted_name(&alien))).unwrap();
-    session(&alien).query_drop("CREATE TABLE songs (title TEXT)").unwrap();
+    client(&server.url("mysql")).query_drop(format!("CREATE DATABASE {}", quoted_name(&alien))).unwrap();
+    client(&alien).query_drop("CREATE TABLE songs (title TEXT)").unwrap();
     assert!(matches!(refusal(&alien), Error::NotAHistory { .. }));
-    assert_eq!(session(&alien).query::<String, _>("SHOW TABLES").unwrap(), ["songs"]);
+    assert_eq!(client(&alien).query::<String, _>("SHOW TABLES").unwrap(), ["songs"]);
 }
 
 fn quoted_name(url: &str) -> String {
@@ -152,11 +153,11 @@ fn quoted_name(url: &str) -> String {
 }
 
 fn set_version(url: &str, version: u32) {
-    session(url).exec_drop("UPDATE cotorra_schema SET version = ?", (version,)).unwrap();
+    client(url).exec_drop("UPDATE cotorra_schema SET version = ?", (version,)).unwrap();
 }
 
 fn version_of(url: &str) -> Option<u32> {
-    session(url).query_first("SELECT version FROM cotorra_schema").unwrap()
+    client(url).query_first("SELECT version FROM cotorra_schema").unwrap()
 }
 
 /// Of a newer cotorra, or of one from before the first release, whose versions went up to 5.
@@ -165,7 +166,7 @@ fn refuses_a_schema_that_it_does_not_know_and_leaves_it_alone() {
     let Some(server) = MariaDb::shared() else { return };
     let url = server.fresh();
     drop(Remote::open(&place(&url)).unwrap());
-    let tables = || session(&url).query::<String, _>("SHOW TABLES").unwrap();
+    let tables = || client(&url).query::<String, _>("SHOW TABLES").unwrap();
     let before = tables();
     for other in (MIGRATIONS.len() as u32 + 1..).take(5) {
         set_version(&url, other);
@@ -187,7 +188,7 @@ fn a_new_database_that_was_left_half_made_is_finished() {
     drop(Remote::open(&place(&url)).unwrap());
     // As if its process had been killed half-way: some of its tables are there.
     set_version(&url, 0);
-    session(&url).query_drop("DROP TABLE spool, notice").unwrap();
+    client(&url).query_drop("DROP TABLE spool, notice").unwrap();
     let history = History::connect(&url.parse().unwrap()).unwrap();
     let run = history.begin_run(&run_info("finished")).unwrap();
     record(&history, run, 0..20);
@@ -207,10 +208,10 @@ fn brings_an_older_schema_up_to_date() {
     // The second time as if the first one had been killed before it could say that it was done.
     for _ in 0..2 {
         set_version(&url, MIGRATIONS.len() as u32);
-        prepare(&mut session(&url), &place(&url), &later).unwrap();
+        prepare(&mut client(&url), &place(&url), &later).unwrap();
         assert_eq!(version_of(&url), Some(later.len() as u32));
         let found: (u32, u32) =
-            session(&url).query_first("SELECT count(*), count(mood) FROM notice").unwrap().unwrap();
+            client(&url).query_first("SELECT count(*), count(mood) FROM notice").unwrap().unwrap();
         assert_eq!(found, (18, 0));
     }
 }
@@ -240,18 +241,18 @@ fn questions_use_the_keys() {
         recorder.record(placement(t * 5_000_000_000, ["brain", "map"][t as usize % 2], "fog"));
     }
     recorder.flush().unwrap();
-    let mut session = session(&url);
-    session.query_drop("ANALYZE TABLE presence, placement").unwrap();
+    let mut client = client(&url);
+    client.query_drop("ANALYZE TABLE presence, placement").unwrap();
     let mut plan = |sql: &str, parameters: Vec<i64>| -> Vec<String> {
-        let rows: Vec<Row> = session.exec(format!("EXPLAIN {sql}"), parameters).unwrap();
+        let rows: Vec<Row> = client.exec(format!("EXPLAIN {sql}"), parameters).unwrap();
         rows.iter()
             .map(|row| format!("{:?} {:?}", row.get::<String, _>("type"), row.get::<String, _>("Extra")))
             .collect()
     };
-    let found = plan(read::LAST_STRETCHES, vec![1, 3, 1000]);
+    let found = plan(session::LAST_STRETCHES, vec![1, 3, 1000]);
     assert!(found[0].contains("range") && found[0].contains("Using index for group-by"), "{found:?}");
     for series in [None, Some([1, 0])] {
-        let select = read::Select { kind: Kind::Placement, series, until: 0, limit: 1 };
+        let select = sql::Select { kind: Kind::Placement, series, until: 0, limit: 1 };
         let mut parameters = vec![run.0, 5_000_000_000, 5_000_000_000, 3, 50_000_000_000];
         parameters.extend(series.map(|ids| ids[0]));
         parameters.push(100);

@@ -166,7 +166,7 @@ fn what_cannot_be_written_can_be_asked() {
         let store = Sqlite {
             path: place.into(),
             name: "kept".into(),
-            writer: Mutex::new(super::Writer::new(connection)),
+            writer: Mutex::new(Writer::new(SqliteSession::new(connection, &"kept".into()))),
             readers: Mutex::default(),
         };
         let history = History::of(Arc::new(store)).unwrap();
@@ -182,7 +182,9 @@ fn goes_on_when_writing_is_forbidden_for_a_while() {
     let history = History::of(store.clone()).unwrap();
     let run = history.begin_run(&run_info("read-only")).unwrap();
     let recorder = history.recorder(run).unwrap();
-    let forbid = |on: bool| store.write(|w| w.connection.pragma_update(None, "query_only", on)).unwrap();
+    let forbid = |on: bool| {
+        store.writer.lock().session.connection.pragma_update(None, "query_only", on).unwrap();
+    };
 
     forbid(true);
     recorder.record(placement(1, "brain", "fog"));
@@ -203,10 +205,8 @@ fn a_full_disk_is_told_and_loses_nothing() {
     let run = history.begin_run(&run_info("full")).unwrap();
     let recorder = history.recorder(run).unwrap();
     let allow = |pages: u32| {
-        let set = |w: &mut Writer| {
-            w.connection.pragma_update_and_check(None, "max_page_count", pages, |row| row.get::<_, u32>(0))
-        };
-        store.write(set).unwrap()
+        let connection = &store.writer.lock().session.connection;
+        connection.pragma_update_and_check(None, "max_page_count", pages, |row| row.get::<_, u32>(0)).unwrap()
     };
 
     let room = allow(1) + 20; // What is asked below what there is gives what there is.
@@ -370,22 +370,16 @@ fn questions_use_the_keys() {
     let run = store.begin_run(&run_info("plans")).unwrap();
     store.append(&[Entry { run, stamped: placement(0, "brain", "fog") }], &[]).unwrap();
     let plan = |sql: &str| -> Vec<String> {
-        store
-            .write(|w| {
-                let mut statement = w.connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}"))?;
-                let unbound = rusqlite::params_from_iter(vec![0; statement.parameter_count()]);
-                statement.query_map(unbound, |row| row.get(3))?.collect()
-            })
-            .unwrap()
+        let connection = &store.writer.lock().session.connection;
+        let mut statement = connection.prepare(&format!("EXPLAIN QUERY PLAN {sql}")).unwrap();
+        let unbound = rusqlite::params_from_iter(vec![0; statement.parameter_count()]);
+        statement.query_map(unbound, |row| row.get(3)).unwrap().map(|step| step.unwrap()).collect()
     };
     for kind in Kind::ALL {
-        let series = !crate::codec::table(kind).series.is_empty();
-        for (sql, steps) in
-            [(Some(read::select(kind, false)), 1), (series.then(|| read::select(kind, true)), 2)]
-        {
-            let Some(sql) = sql else { continue };
-            let plan = plan(&sql);
-            assert_eq!(plan.len(), steps, "{plan:?}");
+        let is_series = !crate::codec::table(kind).series.is_empty();
+        for series in [None, is_series.then_some([1, 0])] {
+            let plan = plan(&sql::Select { kind, series, until: 0, limit: 1 }.sql());
+            assert_eq!(plan.len(), 1, "{plan:?}");
             assert!(plan.iter().all(|step| step.starts_with("SEARCH")), "{plan:?}");
         }
     }

@@ -1,96 +1,95 @@
-//! Questions to a server. Each is one transaction that only reads, and so sees one state of the history. A question
-//! takes a handful of round trips, whatever the number of rows.
+//! Questions to a history. Each is one transaction that only reads, and so sees one state of the history. A question
+//! takes a handful of statements, whatever the number of rows, except where an engine has them at no cost.
 
 use std::{
     cell::RefCell,
-    collections::{BTreeMap, BTreeSet, HashMap},
+    collections::{BTreeMap, BTreeSet, HashMap, VecDeque},
+    fmt::Write as _,
     sync::Arc,
 };
 
 use cotorra_graph::{Conditions, Event, Stamped, Timestamp};
-use mysql::{Conn, Params, Row, Value as Sql, prelude::Queryable};
 
-use super::{
-    connection::{Fallible, columns, engine_error, quoted},
-    thin,
+use super::session::{
+    Cell, Row, Session, blob, column_list, integer, integers, optional_integer, quoted, real, required, text,
 };
 use crate::{
     chunk::{self, Part},
     codec::{self, ReadError, Source},
     error::{Error, Result},
-    figure::Figure,
+    figure::{Figure, Kept},
     kind::{Kind, Series},
     page::{Cursor, Page, PageRequest},
-    retention::{Retained, Thinned},
+    retention::Retained,
     rolled::{self, Of, Reading},
+    run::{Gap, Run, RunId, RunInfo},
     schema::STRETCH,
-    store::{Gap, RunId, Selection, Span, not_rolled_up, tables_of_runs},
+    store::{Selection, Span},
 };
 
-/// More names or conditions are not remembered.
+/// Most names, and most conditions, that are remembered.
 const REMEMBERED: usize = 100_000;
 
-/// Names and conditions that are fetched with one that is needed: those written after it are likely needed next.
-const AHEAD: u64 = 200;
-
-/// Rows whose child rows are fetched in one question.
-const PARENTS: usize = 256;
+/// Names and conditions that are fetched with one that is needed. Those written after it are likely needed next.
+const AHEAD: i64 = 200;
 
 /// Stretches that are asked for at a time.
-const STRETCHES: u64 = 256;
+const STRETCHES: i64 = 256;
 
 type Answer<T> = std::result::Result<T, ReadError>;
 
 /// A connection that reads.
-pub(super) struct Reader {
-    connection: RefCell<Conn>,
-    history: Arc<str>,
+pub(crate) struct Reader<S> {
+    pub session: S,
     names: RefCell<HashMap<i64, Arc<str>>>,
     conditions: RefCell<HashMap<i64, Conditions>>,
 }
 
-/// A row of a kind and where it belongs.
+/// A row of a kind, and its place in the order of events.
 type Found = (Cursor, Kind, Row);
 
-impl Reader {
-    pub fn new(connection: Conn, history: &Arc<str>) -> Self {
-        Self {
-            connection: RefCell::new(connection),
-            history: history.clone(),
-            names: RefCell::default(),
-            conditions: RefCell::default(),
-        }
+impl<S: Session> Reader<S> {
+    pub fn new(session: S) -> Self {
+        Self { session, names: RefCell::default(), conditions: RefCell::default() }
     }
 
-    fn engine<T>(&self, result: Fallible<T>) -> Answer<T> {
-        result.map_err(|e| ReadError::Engine(engine_error(&self.history, e)))
+    fn rows(&self, sql: &str, parameters: &[Cell]) -> Answer<Vec<Row>> {
+        Ok(self.session.rows(sql, parameters)?)
     }
 
-    /// Rows that a statement finds.
-    pub fn rows(&self, sql: impl AsRef<str>, parameters: impl Into<Params>) -> Answer<Vec<Row>> {
-        let mut connection = self.connection.borrow_mut();
-        self.engine(connection.prep(sql).and_then(|statement| connection.exec(statement, parameters)))
+    /// Answers a question within one transaction. After an error the connection must not be used again.
+    fn ask<T>(&self, question: impl FnOnce() -> Answer<T>) -> Result<T> {
+        self.session.run(S::DIALECT.begin_reading)?;
+        let answer = question().map_err(|error| error.of(self.session.history()))?;
+        self.session.run("COMMIT")?;
+        Ok(answer)
     }
 
-    /// Asks within one transaction.
-    pub fn ask<T>(&self, question: impl FnOnce() -> Answer<T>) -> Result<T> {
-        let say = |sql: &str| self.engine(self.connection.borrow_mut().query_drop(sql));
-        let begin = || say("START TRANSACTION WITH CONSISTENT SNAPSHOT, READ ONLY");
-        let end = || say("COMMIT");
-        let answer = begin().and_then(|()| question()).and_then(|answer| end().map(|()| answer));
-        answer.map_err(|error| match error {
-            ReadError::Unreadable(detail) => Error::Corrupt { history: self.history.clone(), detail },
-            ReadError::Engine(error) => error,
+    /// Answers a question about a run that exists.
+    fn ask_of<T>(&self, run: RunId, question: impl FnOnce() -> Answer<T>) -> Result<T> {
+        self.ask(|| {
+            if self.rows("SELECT 1 FROM run WHERE id = ?", &integers([run.0]))?.is_empty() {
+                return Err(Error::NoSuchRun(run).into());
+            }
+            question()
         })
     }
 
-    /// Asks of a run that exists.
-    fn ask_of<T>(&self, run: RunId, question: impl FnOnce() -> Answer<T>) -> Result<T> {
+    /// Returns one run.
+    pub fn run(&self, run: RunId) -> Result<Run> {
+        let found = self.ask(|| {
+            let rows = self.rows(&format!("{RUN} WHERE id = ?"), &integers([run.0]))?;
+            rows.first().map(|row| read_run(row)).transpose()
+        })?;
+        found.ok_or(Error::NoSuchRun(run))
+    }
+
+    /// Returns runs after a given one, oldest first.
+    pub fn runs(&self, after: Option<RunId>, limit: usize) -> Result<Vec<Run>> {
+        let parameters = integers([after.map_or(0, |run| run.0), limit as i64]);
         self.ask(|| {
-            if self.rows("SELECT 1 FROM run WHERE id = ?", (run.0,))?.is_empty() {
-                return Err(ReadError::Engine(Error::NoSuchRun(run)));
-            }
-            question()
+            let rows = self.rows(&format!("{RUN} WHERE id > ? ORDER BY id LIMIT ?"), &parameters)?;
+            rows.iter().map(|row| read_run(row)).collect()
         })
     }
 
@@ -102,22 +101,15 @@ impl Reader {
         page: PageRequest,
     ) -> Result<Page<Stamped>> {
         let after = page.after.max(Some(Cursor::before(span.from))).unwrap_or(Cursor::before(0));
+        let limit = page.size() + 1;
         self.ask_of(run, || {
-            let mut found: Vec<Found> = Vec::new();
-            match what {
-                Selection::Kinds(kinds) => {
-                    for kind in kinds.iter().copied().collect::<BTreeSet<_>>() {
-                        let select = Select { kind, series: None, until: span.until, limit: page.size() + 1 };
-                        found.extend(self.select(run, &select, after)?);
-                    }
-                    found.sort_by_key(|(cursor, ..)| *cursor);
-                }
-                Selection::Series(series) => {
-                    if let Some(ids) = self.ids(series)? {
-                        found = self.series(run, series.kind(), ids, after, span.until, page.size() + 1)?;
-                    }
-                }
-            }
+            let mut found = match what {
+                Selection::Kinds(kinds) => self.merged(run, kinds, after, span.until, limit)?,
+                Selection::Series(series) => match self.ids(series)? {
+                    Some(ids) => self.series(run, series.kind(), ids, after, span.until, limit)?,
+                    None => Vec::new(),
+                },
+            };
             let more = found.len() > page.size();
             found.truncate(page.size());
             let next = if more { found.last().map(|(cursor, ..)| *cursor) } else { None };
@@ -125,8 +117,49 @@ impl Reader {
         })
     }
 
-    /// Rows of one series. What finds them among the others is `presence`: each stretch of time without a break in
-    /// it is one range of the table's key.
+    /// Returns rows of several kinds in one order, read a few at a time.
+    fn merged(
+        &self,
+        run: RunId,
+        kinds: &[Kind],
+        after: Cursor,
+        until: i64,
+        limit: usize,
+    ) -> Answer<Vec<Found>> {
+        struct Table {
+            kind: Kind,
+            rows: VecDeque<Found>,
+            after: Cursor,
+            more: bool,
+        }
+        let kinds: BTreeSet<Kind> = kinds.iter().copied().collect();
+        let ahead = if kinds.len() == 1 { limit } else { limit.min(S::DIALECT.rows_ahead) };
+        let table = |kind| Table { kind, rows: VecDeque::new(), after, more: true };
+        let mut tables: Vec<Table> = kinds.into_iter().map(table).collect();
+        let mut found = Vec::new();
+        while found.len() < limit {
+            let mut first: Option<(Cursor, usize)> = None;
+            for (place, table) in tables.iter_mut().enumerate() {
+                if table.rows.is_empty() && table.more {
+                    let select = Select { kind: table.kind, series: None, until, limit: ahead };
+                    table.rows = self.select(run, &select, table.after)?.into();
+                    table.more = table.rows.len() == ahead;
+                    table.after = table.rows.back().map_or(table.after, |(cursor, ..)| *cursor);
+                }
+                if let Some((cursor, ..)) = table.rows.front()
+                    && first.is_none_or(|(least, _)| *cursor < least)
+                {
+                    first = Some((*cursor, place));
+                }
+            }
+            let Some((_, place)) = first else { break };
+            found.extend(tables[place].rows.pop_front());
+        }
+        Ok(found)
+    }
+
+    /// Returns rows of one series. `presence` finds them among the others: each stretch of time without a break in it
+    /// is one range of the table's key.
     fn series(
         &self,
         run: RunId,
@@ -147,7 +180,7 @@ impl Reader {
     }
 
     /// Calls `each` with the beginning and the end of every unbroken stretch of time in which a series has samples,
-    /// until it says no.
+    /// until it returns false.
     fn stretches(
         &self,
         run: RunId,
@@ -162,7 +195,7 @@ impl Reader {
             let rows = self.rows(
                 "SELECT stretch FROM presence WHERE run = ? AND kind = ? AND a = ? AND b = ?
                  AND stretch >= ? AND stretch <= ? ORDER BY stretch LIMIT ?",
-                (run.0, kind as i64, a, b, next, last, STRETCHES),
+                &integers([run.0, kind as i64, a, b, next, last, STRETCHES]),
             )?;
             let stretches = rows.iter().map(|row| integer(row, 0)).collect::<Answer<Vec<_>>>()?;
             for unbroken in stretches.chunk_by(|a, b| a + 1 == *b) {
@@ -173,19 +206,19 @@ impl Reader {
                 }
             }
             match stretches.last() {
-                Some(last) if stretches.len() as u64 == STRETCHES => next = last + 1,
+                Some(last) if stretches.len() as i64 == STRETCHES => next = last + 1,
                 _ => return Ok(()),
             }
         }
     }
 
-    /// Rows of a kind behind a cursor, in order.
+    /// Returns rows of a kind after a cursor, in order.
     fn select(&self, run: RunId, select: &Select, after: Cursor) -> Answer<Vec<Found>> {
         let mut parameters = vec![run.0, after.t, after.t, after.seq, select.until];
         parameters.extend(select.series.iter().flatten().take(codec::table(select.kind).series.len()));
         parameters.push(select.limit as i64);
-        let rows =
-            self.rows(select.sql(), Params::Positional(parameters.into_iter().map(Sql::Int).collect()))?;
+        let parameters: Vec<Cell> = parameters.into_iter().map(Cell::Integer).collect();
+        let rows = self.rows(&select.sql(), &parameters)?;
         rows.into_iter().map(|row| Ok((cursor(&row)?, select.kind, row))).collect()
     }
 
@@ -195,7 +228,7 @@ impl Reader {
             let rows = self.rows(
                 "SELECT at_ns, seq, until_ns, events FROM gap WHERE run = ? AND at_ns >= ?
                  AND (at_ns > ? OR seq > ?) AND at_ns <= ? ORDER BY at_ns, seq LIMIT ?",
-                (run.0, after.t, after.t, after.seq, span.until, page.size() + 1),
+                &integers([run.0, after.t, after.t, after.seq, span.until, page.size() as i64 + 1]),
             )?;
             let gap = |row: &Row| {
                 Ok(Gap {
@@ -204,13 +237,17 @@ impl Reader {
                     events: integer(row, 3)?.cast_unsigned(),
                 })
             };
-            let page_of = &rows[..rows.len().min(page.size())];
-            let next = if rows.len() > page.size() { page_of.last().map(cursor).transpose()? } else { None };
-            Ok(Page { items: page_of.iter().map(gap).collect::<Answer<_>>()?, next })
+            let on_page = &rows[..rows.len().min(page.size())];
+            let next = match on_page.last() {
+                Some(last) if rows.len() > page.size() => Some(cursor(last)?),
+                _ => None,
+            };
+            Ok(Page { items: on_page.iter().map(gap).collect::<Answer<_>>()?, next })
         })
     }
 
-    /// Stretch by stretch for what makes series, from its chunk where there is one.
+    /// Calls `each` with a figure's values in a span: stretch by stretch for figures of series, from chunks where
+    /// there are any.
     pub fn values(
         &self,
         run: RunId,
@@ -219,23 +256,26 @@ impl Reader {
         each: &mut dyn FnMut(i64, Reading),
     ) -> Result<()> {
         let kept = figure.kept();
-        let sql = kept.sql("STRAIGHT_JOIN");
+        let sql = figures_sql(&kept, S::DIALECT.ordered_join);
         let mut each = |t: i64, reading: Reading| {
             if (span.from..=span.until).contains(&t) && reading.is_number() {
                 each(t, reading);
             }
         };
+        let figures = |key: [i64; 4], named: &[i64], each: &mut dyn FnMut(i64, f64)| {
+            Ok(self.session.figures(&sql, &[&key, named].concat(), each)?)
+        };
         self.ask_of(run, || {
             let mut named = Vec::new();
             for name in kept.named.iter().chain(&kept.child).map(|(_, name)| *name) {
-                match self.id(name)? {
+                match find_name(&self.session, name)? {
                     Some(id) => named.push(id),
                     None => return Ok(()),
                 }
             }
             let Some(series) = &kept.series else {
                 let mut each = |t, value| each(t, Reading::Sample(value));
-                return self.rows_of(&sql, [run.0, span.from, span.until, 0], &named, &mut each);
+                return figures([run.0, span.from, span.until, 0], &named, &mut each);
             };
             let Some(ids) = self.ids(series)? else { return Ok(()) };
             let named = [&ids[..codec::table(kept.kind).series.len()], &named].concat();
@@ -249,59 +289,40 @@ impl Reader {
             };
             let mut next = span.from / STRETCH;
             loop {
-                let stretches = self.rows(
-                    "SELECT p.stretch, c.samples, r.next_seq, r.steps FROM presence p LEFT JOIN chunk c
-                     ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
-                 LEFT JOIN rolled_up r
-                 ON r.run = p.run AND r.kind = p.kind AND r.a = p.a AND r.b = p.b AND r.stretch = p.stretch
-                     WHERE p.run = ? AND p.kind = ? AND p.a = ? AND p.b = ? AND p.stretch >= ? AND p.stretch <= ?
-                     ORDER BY p.stretch LIMIT ?",
-                    (run.0, kept.kind as i64, ids[0], ids[1], next, span.until / STRETCH, STRETCHES),
-                )?;
+                let [a, b] = ids;
+                let last = span.until / STRETCH;
+                let stretches =
+                    self.rows(PACKED, &integers([run.0, kept.kind as i64, a, b, next, last, STRETCHES]))?;
                 for row in &stretches {
                     let stretch = integer(row, 0)?;
                     next = stretch + 1;
+                    let samples = blob(row, 1)?;
                     let raw = |first, each: &mut dyn FnMut(i64, f64)| {
-                        if let (Some(part), Some(Sql::Bytes(samples))) = (part, row.as_ref(1))
+                        if let (Some(part), Some(samples)) = (part, samples)
                             && chunk::read(samples, part, &mut *each)?
                         {
                             return Ok(());
                         }
                         let from = span.from.max(stretch * STRETCH);
                         let until = span.until.min((stretch * STRETCH).saturating_add(STRETCH - 1));
-                        self.rows_of(&sql, [run.0, from, until, first], &named, each)
+                        figures([run.0, from, until, first], &named, each)
                     };
-                    match row.as_ref(3) {
-                        Some(Sql::Bytes(steps)) => {
+                    match blob(row, 3)? {
+                        Some(steps) => {
                             let first = integer(row, 2)?;
                             rolled::merged(steps, &of, |each| raw(first, each), &mut each)?;
                         }
-                        _ => raw(0, &mut |t, value| each(t, Reading::Sample(value)))?,
+                        None => raw(0, &mut |t, value| each(t, Reading::Sample(value)))?,
                     }
                 }
-                if (stretches.len() as u64) < STRETCHES {
+                if (stretches.len() as i64) < STRETCHES {
                     return Ok(());
                 }
             }
         })
     }
 
-    /// Times and figures that a statement finds, one after the other.
-    fn rows_of(&self, sql: &str, of: [i64; 4], named: &[i64], each: &mut dyn FnMut(i64, f64)) -> Answer<()> {
-        let parameters = of.iter().chain(named).map(|n| Sql::Int(*n)).collect();
-        let mut connection = self.connection.borrow_mut();
-        for row in self.engine(connection.exec_iter(sql, Params::Positional(parameters)))? {
-            let row = self.engine(row)?;
-            let value = match row.as_ref(1) {
-                Some(Sql::Int(n)) => Some(*n as f64),
-                _ => real(&row, 1)?,
-            };
-            each(integer(&row, 0)?, value.unwrap_or(f64::NAN));
-        }
-        Ok(())
-    }
-
-    /// Samples of a kind, and where they belong; without those that rolled-up steps have, if `raw`.
+    /// Returns samples of a kind, and where they belong; without those that rolled-up steps hold, if `raw`.
     pub fn samples(
         &self,
         run: RunId,
@@ -317,10 +338,11 @@ impl Reader {
              AND e.at_ns <= ?{} ORDER BY e.at_ns, e.seq LIMIT ?",
             names.collect::<Vec<_>>().join(", "),
             quoted(kind.as_str()),
-            if raw { not_rolled_up(kind, "DIV") } else { String::new() },
+            if raw { not_rolled_up(kind, S::DIALECT.integer_division) } else { String::new() },
         );
         self.ask_of(run, || {
-            let rows = self.rows(&sql, (run.0, after.t, after.t, after.seq, span.until, limit))?;
+            let parameters = [run.0, after.t, after.t, after.seq, span.until, limit as i64];
+            let rows = self.rows(&sql, &integers(parameters))?;
             let found =
                 rows.into_iter().map(|row| Ok((cursor(&row)?, kind, row))).collect::<Answer<Vec<Found>>>()?;
             let events = self.decode(run, &found)?;
@@ -329,53 +351,21 @@ impl Reader {
         })
     }
 
-    /// Leaves of some series what they are thinned to.
-    pub fn thin(&self, run: RunId, kind: Kind, thinned: &[Thinned]) -> Result<()> {
-        let known = self.ask_of(run, || {
-            let mut known = Vec::new();
-            for its in thinned {
-                if let Some(ids) = self.ids(&its.series)? {
-                    known.push((its, ids));
-                }
-            }
-            Ok(known)
-        })?;
-        thin::thin(&mut self.connection.borrow_mut(), run, kind, &known)
-            .map_err(|e| engine_error(&self.history, e))
-    }
-
-    /// Removes a run.
-    pub fn remove_run(&self, run: RunId) -> Result<()> {
-        let mut connection = self.connection.borrow_mut();
-        let mut remove = || -> Fallible<()> {
-            // The run is last: what is stopped half-way can be done again.
-            for table in tables_of_runs() {
-                connection.exec_drop(format!("DELETE FROM {} WHERE run = ?", quoted(table)), (run.0,))?;
-            }
-            connection.exec_drop("DELETE FROM run WHERE id = ?", (run.0,))
-        };
-        remove().map_err(|e| engine_error(&self.history, e))
-    }
-
-    /// How far samples of a run were rolled up.
+    /// Returns how far samples of a run were rolled up.
     pub fn retained(&self, run: RunId) -> Result<Vec<Retained>> {
         let sql =
             "SELECT kind, rolled_up_to_ns, step_ms, dropped_to_ns FROM retained WHERE run = ? ORDER BY kind";
         self.ask_of(run, || {
-            let of = |row: &Row| {
+            let retained = |row: &Row| {
                 let step_ms = required(real(row, 2)?)?;
                 Ok(Retained::of((integer(row, 0)?, integer(row, 1)?, step_ms, integer(row, 3)?)))
             };
-            self.rows(sql, (run.0,))?.iter().filter_map(|row| of(row).transpose()).collect()
+            let rows = self.rows(sql, &integers([run.0]))?;
+            rows.iter().filter_map(|row| retained(row).transpose()).collect()
         })
     }
 
-    /// Notes how far samples of a kind were rolled up.
-    pub fn note_retained(&self, run: RunId, retained: &Retained) -> Result<()> {
-        thin::note_retained(&mut self.connection.borrow_mut(), run, retained)
-            .map_err(|e| engine_error(&self.history, e))
-    }
-
+    /// Returns the times of the first and the last event of a kind in a span.
     pub fn extent(&self, run: RunId, kind: Kind, span: Span) -> Result<Option<(i64, i64)>> {
         self.ask_of(run, || {
             let one = |order: &str| {
@@ -383,25 +373,31 @@ impl Reader {
                 let sql = format!(
                     "SELECT at_ns FROM {table} WHERE run = ? AND at_ns >= ? AND at_ns <= ? ORDER BY at_ns {order} LIMIT 1"
                 );
-                self.rows(sql, (run.0, span.from, span.until))?.first().map(|row| integer(row, 0)).transpose()
+                let rows = self.rows(&sql, &integers([run.0, span.from, span.until]))?;
+                rows.first().map(|row| integer(row, 0)).transpose()
             };
             Ok(one("ASC")?.zip(one("DESC")?))
         })
     }
 
-    /// Looks each series up in the last stretch that it has, and goes through each such stretch once, backwards.
+    /// Returns the last event of each series at a time or before. Looks each series up in its last stretch, and goes
+    /// through each such stretch once, backwards.
     pub fn latest(&self, run: RunId, at: i64) -> Result<Vec<Stamped>> {
         self.ask_of(run, || {
             let mut found = Vec::new();
             for kind in Series::KINDS {
-                let mut stretches = self.last_stretches(run, kind, at)?;
+                let mut stretches = BTreeMap::<i64, BTreeSet<[i64; 2]>>::new();
+                let last = self.session.last_stretches(run, kind, at / STRETCH)?;
+                for (ids, stretch) in last {
+                    stretches.entry(stretch).or_default().insert(ids);
+                }
                 while let Some((stretch, series)) = stretches.pop_last() {
                     let missing = self.last_in_stretch(run, kind, at, stretch, series, &mut found)?;
                     for [a, b] in missing {
                         let earlier = self.rows(
                             "SELECT stretch FROM presence WHERE run = ? AND kind = ? AND a = ? AND b = ?
                              AND stretch < ? ORDER BY stretch DESC LIMIT 1",
-                            (run.0, kind as i64, a, b, stretch),
+                            &integers([run.0, kind as i64, a, b, stretch]),
                         )?;
                         if let Some(earlier) = earlier.first() {
                             stretches.entry(integer(earlier, 0)?).or_default().insert([a, b]);
@@ -413,16 +409,7 @@ impl Reader {
         })
     }
 
-    /// All series of a kind by the last stretch, at a time or before, that they have.
-    fn last_stretches(&self, run: RunId, kind: Kind, at: i64) -> Answer<BTreeMap<i64, BTreeSet<[i64; 2]>>> {
-        let mut stretches = BTreeMap::<i64, BTreeSet<[i64; 2]>>::new();
-        for row in self.rows(LAST_STRETCHES, (run.0, kind as i64, at / STRETCH))? {
-            stretches.entry(integer(&row, 2)?).or_default().insert([integer(&row, 0)?, integer(&row, 1)?]);
-        }
-        Ok(stretches)
-    }
-
-    /// Adds the last row of each wanted series in a stretch; gives back those that have none there at `at` or
+    /// Adds the last row of each wanted series in a stretch. Returns the series that have none there at `at` or
     /// before.
     fn last_in_stretch(
         &self,
@@ -437,15 +424,15 @@ impl Reader {
         let sql = format!(
             "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND at_ns >= ? AND at_ns <= ? AND (at_ns < ? OR seq < ?)
              ORDER BY at_ns DESC, seq DESC LIMIT ?",
-            columns(table.columns),
+            column_list(table.columns),
             quoted(kind.as_str()),
         );
         let from = stretch * STRETCH;
         let mut before = Cursor { t: at.min(from.saturating_add(STRETCH - 1)), seq: i64::MAX };
         while !wanted.is_empty() {
             // Where all series are observed at the same times, this is all of them.
-            let limit = 2 * wanted.len() as i64 + 16;
-            let rows = self.rows(&sql, (run.0, from, before.t, before.t, before.seq, limit))?;
+            let limit = wanted.len() as i64 + 16;
+            let rows = self.rows(&sql, &integers([run.0, from, before.t, before.t, before.seq, limit]))?;
             let last = (rows.len() as i64) < limit;
             for row in rows {
                 before = cursor(&row)?;
@@ -461,46 +448,34 @@ impl Reader {
         Ok(wanted)
     }
 
-    /// The ids of a series as `presence` has them; `None` if a name was never recorded.
     fn ids(&self, series: &Series) -> Answer<Option<[i64; 2]>> {
-        let (a, b) = match series {
-            Series::Robot(node) | Series::Radio(node) => (self.id(node.as_str())?, Some(0)),
-            Series::Link(link, direction) => {
-                (self.id(link.as_str())?, Some(codec::direction_code(*direction)))
-            }
-            Series::Placement(vnf) => (self.id(vnf.as_str())?, Some(0)),
-            Series::VirtualLink(from, to) => (self.id(from.as_str())?, self.id(to.as_str())?),
-            Series::Sensor(robot, sensor) => (self.id(robot.as_str())?, self.id(sensor.as_str())?),
-        };
-        Ok(a.zip(b).map(|(a, b)| [a, b]))
+        find_series(&self.session, series)
     }
 
-    fn id(&self, name: &str) -> Answer<Option<i64>> {
-        let rows = self.rows("SELECT id FROM name WHERE text = ?", (name,))?;
-        rows.first().map(|row| integer(row, 0)).transpose()
-    }
-
-    /// Rows with their child rows into events.
+    /// Turns rows and their child rows into events.
     fn decode(&self, run: RunId, found: &[Found]) -> Answer<Vec<Stamped>> {
         let mut children: HashMap<Cursor, Vec<Row>> = HashMap::new();
         for kind in Kind::ALL {
-            let Some((table, its)) = codec::table(kind).children else { continue };
+            let Some((table, columns)) = codec::table(kind).children else { continue };
             let parents: Vec<Cursor> =
                 found.iter().filter(|(_, its, _)| *its == kind).map(|(cursor, ..)| *cursor).collect();
-            for parents in parents.chunks(PARENTS) {
-                // A few sizes only, powers of two, as each is a statement that the session keeps prepared.
-                let places = parents.len().next_power_of_two();
-                let sql = format!(
-                    "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND ({}) ORDER BY at_ns, seq, place",
-                    columns(its),
-                    quoted(table),
-                    vec!["at_ns = ? AND seq = ?"; places].join(" OR "),
-                );
+            let (mut places, mut sql) = (0, String::new());
+            for parents in parents.chunks(S::DIALECT.keys) {
+                // A few sizes only, powers of two, because a session keeps each statement prepared.
+                if places != parents.len().next_power_of_two() {
+                    places = parents.len().next_power_of_two();
+                    sql = format!(
+                        "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND ({}) ORDER BY at_ns, seq, place",
+                        column_list(columns),
+                        quoted(table),
+                        vec!["at_ns = ? AND seq = ?"; places].join(" OR "),
+                    );
+                }
                 let last = parents[parents.len() - 1];
                 let padding = std::iter::repeat_n(&last, places - parents.len());
                 let keys = parents.iter().chain(padding).flat_map(|parent| [parent.t, parent.seq]);
-                let parameters = std::iter::once(run.0).chain(keys).map(Sql::Int).collect();
-                for row in self.rows(sql, Params::Positional(parameters))? {
+                let parameters: Vec<Cell> = std::iter::once(run.0).chain(keys).map(Cell::Integer).collect();
+                for row in self.rows(&sql, &parameters)? {
                     children.entry(cursor(&row)?).or_default().push(row);
                 }
             }
@@ -517,7 +492,8 @@ impl Reader {
         if let Some(name) = self.names.borrow().get(&id) {
             return Ok(name.clone());
         }
-        let rows = self.rows("SELECT id, text FROM name WHERE id >= ? ORDER BY id LIMIT ?", (id, AHEAD))?;
+        let rows =
+            self.rows("SELECT id, text FROM name WHERE id >= ? ORDER BY id LIMIT ?", &integers([id, AHEAD]))?;
         let mut names = self.names.borrow_mut();
         if names.len() >= REMEMBERED {
             names.clear();
@@ -532,9 +508,9 @@ impl Reader {
         if let Some(conditions) = self.conditions.borrow().get(&id) {
             return Ok(conditions.clone());
         }
-        let columns = columns(codec::CONDITIONS);
+        let columns = column_list(codec::CONDITIONS);
         let sql = format!("SELECT id, {columns} FROM conditions WHERE id >= ? ORDER BY id LIMIT ?");
-        let rows = self.rows(sql, (id, AHEAD))?;
+        let rows = self.rows(&sql, &integers([id, AHEAD]))?;
         let mut remembered = self.conditions.borrow_mut();
         if remembered.len() >= REMEMBERED {
             remembered.clear();
@@ -550,13 +526,32 @@ impl Reader {
     }
 }
 
-/// The last stretch of each series of a kind. Grouped by all of the key, constant or not: MariaDB then takes one look
-/// at the key for each series, and otherwise one for each stretch.
-pub(super) const LAST_STRETCHES: &str = "SELECT a, b, max(stretch) FROM presence
-     WHERE run = ? AND kind = ? AND stretch <= ? GROUP BY run, kind, a, b";
+const RUN: &str = "SELECT id, name, seed, started_at_unix_ns, testbed, ended_ns FROM run";
 
-/// Which rows of a kind.
-pub(super) struct Select {
+fn read_run(row: &[Cell]) -> Answer<Run> {
+    Ok(Run {
+        id: RunId(integer(row, 0)?),
+        info: RunInfo {
+            name: text(row, 1)?.unwrap_or_default().to_owned(),
+            seed: integer(row, 2)?.cast_unsigned(),
+            started_at_unix_ns: integer(row, 3)?,
+            testbed: text(row, 4)?.unwrap_or_default().to_owned(),
+        },
+        ended: optional_integer(row, 5)?.map(timestamp),
+    })
+}
+
+/// The stretches of a series with their chunks and steps.
+const PACKED: &str = "SELECT p.stretch, c.samples, r.next_seq, r.steps FROM presence p
+     LEFT JOIN chunk c
+     ON c.run = p.run AND c.kind = p.kind AND c.a = p.a AND c.b = p.b AND c.stretch = p.stretch
+     LEFT JOIN rolled_up r
+     ON r.run = p.run AND r.kind = p.kind AND r.a = p.a AND r.b = p.b AND r.stretch = p.stretch
+     WHERE p.run = ? AND p.kind = ? AND p.a = ? AND p.b = ? AND p.stretch >= ? AND p.stretch <= ?
+     ORDER BY p.stretch LIMIT ?";
+
+/// Rows of a kind, of all series or of one.
+pub(crate) struct Select {
     pub kind: Kind,
     pub series: Option<[i64; 2]>,
     pub until: i64,
@@ -564,6 +559,8 @@ pub(super) struct Select {
 }
 
 impl Select {
+    /// Returns the statement. It compares keys in parts, because servers find no range of an index by a comparison of
+    /// pairs.
     pub fn sql(&self) -> String {
         let table = codec::table(self.kind);
         let same: String = match self.series {
@@ -573,56 +570,78 @@ impl Select {
         format!(
             "SELECT at_ns, seq, {} FROM {} WHERE run = ? AND at_ns >= ? AND (at_ns > ? OR seq > ?) AND at_ns <= ?{same}
              ORDER BY at_ns, seq LIMIT ?",
-            columns(table.columns),
+            column_list(table.columns),
             quoted(self.kind.as_str()),
         )
     }
 }
 
-fn required<T>(value: Option<T>) -> Answer<T> {
-    value.ok_or_else(|| ReadError::Unreadable("a column is NULL that never is".to_owned()))
-}
-
-fn mismatch(row: &Row, column: usize) -> ReadError {
-    let name = row.columns_ref().get(column).map_or("?".into(), |column| column.name_str());
-    ReadError::Unreadable(format!("column `{name}` is of another type than the schema says"))
-}
-
-fn optional_integer(row: &Row, column: usize) -> Answer<Option<i64>> {
-    match row.as_ref(column) {
-        Some(Sql::NULL) => Ok(None),
-        Some(Sql::Int(n)) => Ok(Some(*n)),
-        Some(Sql::UInt(n)) => Ok(Some(n.cast_signed())),
-        _ => Err(mismatch(row, column)),
+/// Returns the statement for a figure's rows in a span, as times and figures. Its parameters are the run, from, until,
+/// the first `seq`, the ids of the series' columns, those of the names, and that of the child's name. `join` joins two
+/// tables in their order.
+fn figures_sql(kept: &Kept<'_>, join: &str) -> String {
+    let table = codec::table(kept.kind);
+    let child = kept.child.and(table.children);
+    let of = if child.is_some() { "c" } else { "e" };
+    let mut sql = format!("SELECT e.at_ns, {of}.\"{}\" FROM \"{}\" e", kept.column, kept.kind.as_str());
+    let mut add =
+        |text: std::fmt::Arguments<'_>| sql.write_fmt(text).expect("writing to a string never fails");
+    if let Some((child, _)) = child {
+        add(format_args!(" {join} \"{child}\" c ON c.run = e.run AND c.at_ns = e.at_ns AND c.seq = e.seq"));
     }
-}
-
-pub(super) fn integer(row: &Row, column: usize) -> Answer<i64> {
-    required(optional_integer(row, column)?)
-}
-
-/// A server has no word for the infinite; the largest numbers stand for it.
-pub(super) fn real(row: &Row, column: usize) -> Answer<Option<f64>> {
-    match row.as_ref(column) {
-        Some(Sql::NULL) => Ok(None),
-        Some(Sql::Double(f64::MAX)) => Ok(Some(f64::INFINITY)),
-        Some(Sql::Double(f64::MIN)) => Ok(Some(f64::NEG_INFINITY)),
-        Some(Sql::Double(x)) => Ok(Some(*x)),
-        _ => Err(mismatch(row, column)),
+    add(format_args!(" WHERE e.run = ? AND e.at_ns >= ? AND e.at_ns <= ? AND e.seq >= ?"));
+    let series = if kept.series.is_some() { table.series } else { &[] };
+    for column in series.iter().copied().chain(kept.named.iter().map(|(column, _)| *column)) {
+        add(format_args!(" AND e.{column} = ?"));
     }
-}
-
-pub(super) fn text(row: &Row, column: usize) -> Answer<Option<String>> {
-    match row.as_ref(column) {
-        Some(Sql::NULL) => Ok(None),
-        Some(Sql::Bytes(bytes)) => {
-            String::from_utf8(bytes.clone()).map(Some).map_err(|_| mismatch(row, column))
-        }
-        _ => Err(mismatch(row, column)),
+    if let (Some(_), Some((column, _))) = (child, kept.child) {
+        add(format_args!(" AND c.{column} = ?"));
     }
+    add(format_args!(" AND {of}.\"{}\" IS NOT NULL ORDER BY e.at_ns, e.seq", kept.column));
+    if child.is_some() {
+        add(format_args!(", c.place"));
+    }
+    sql
 }
 
-fn cursor(row: &Row) -> Answer<Cursor> {
+/// Returns a condition on samples `e` of a kind that no rolled-up step holds.
+fn not_rolled_up(kind: Kind, integer_division: &str) -> String {
+    let series = codec::table(kind).series;
+    let b = series.get(1).map_or("0".to_owned(), |column| format!("e.{column}"));
+    format!(
+        " AND NOT EXISTS (SELECT 1 FROM rolled_up u WHERE u.run = e.run AND u.kind = {} AND u.a = e.{} AND u.b = {b}
+          AND u.stretch = e.at_ns {integer_division} {STRETCH} AND u.next_seq > e.seq)",
+        kind as i64, series[0],
+    )
+}
+
+/// Returns the id of a name; `None` if it was never recorded.
+fn find_name<S: Session>(session: &S, name: &str) -> Answer<Option<i64>> {
+    let rows = session.rows("SELECT id FROM name WHERE text = ?", &[name.into()])?;
+    rows.first().map(|row| integer(row, 0)).transpose()
+}
+
+/// Returns the ids of a series as `presence` has them; `None` if a name was never recorded.
+pub(super) fn find_series<S: Session>(session: &S, series: &Series) -> Answer<Option<[i64; 2]>> {
+    series_ids(series, |name| find_name(session, name))
+}
+
+/// Returns the ids of a series as `presence` has them, from those of its names.
+pub(super) fn series_ids<E>(
+    series: &Series,
+    mut id: impl FnMut(&str) -> std::result::Result<Option<i64>, E>,
+) -> std::result::Result<Option<[i64; 2]>, E> {
+    let (a, b) = match series {
+        Series::Robot(node) | Series::Radio(node) => (id(node.as_str())?, Some(0)),
+        Series::Link(link, direction) => (id(link.as_str())?, Some(codec::direction_code(*direction))),
+        Series::Placement(vnf) => (id(vnf.as_str())?, Some(0)),
+        Series::VirtualLink(from, to) => (id(from.as_str())?, id(to.as_str())?),
+        Series::Sensor(robot, sensor) => (id(robot.as_str())?, id(sensor.as_str())?),
+    };
+    Ok(a.zip(b).map(|(a, b)| [a, b]))
+}
+
+fn cursor(row: &[Cell]) -> Answer<Cursor> {
     Ok(Cursor { t: integer(row, 0)?, seq: integer(row, 1)? })
 }
 
@@ -631,21 +650,21 @@ fn timestamp(t: i64) -> Timestamp {
 }
 
 /// A row that is read column by column.
-struct RowSource<'r> {
-    reader: &'r Reader,
-    row: &'r Row,
+struct RowSource<'r, S> {
+    reader: &'r Reader<S>,
+    row: &'r [Cell],
     column: usize,
     children: &'r [Row],
 }
 
-impl RowSource<'_> {
+impl<S> RowSource<'_, S> {
     fn next(&mut self) -> usize {
         self.column += 1;
         self.column - 1
     }
 }
 
-impl Source for RowSource<'_> {
+impl<S: Session> Source for RowSource<'_, S> {
     fn integer(&mut self) -> Answer<Option<i64>> {
         let column = self.next();
         optional_integer(self.row, column)
@@ -658,7 +677,7 @@ impl Source for RowSource<'_> {
 
     fn text(&mut self) -> Answer<Option<String>> {
         let column = self.next();
-        text(self.row, column)
+        Ok(text(self.row, column)?.map(str::to_owned))
     }
 
     fn name(&mut self) -> Answer<Option<Arc<str>>> {
