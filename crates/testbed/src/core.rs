@@ -9,8 +9,8 @@ use std::{
 };
 
 use cotorra_graph::{
-    Attachment, Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId,
-    Stamped, Testbed, Timestamp,
+    Decision, Direction, Event, Instruction, LinkId, Node, NodeId, PluginId, Program, SensorId, Stamped,
+    Testbed, Timestamp,
 };
 use cotorra_localization::trajectory::Errors;
 use cotorra_network_control::{
@@ -19,7 +19,7 @@ use cotorra_network_control::{
 };
 use cotorra_plugin::wire::Answer;
 use cotorra_robot_middleware::{
-    Addressed, Nonces, RobotDriver, RobotMiddleware, Route, SensedData, SensedScan, SimulatedRobot,
+    Datagram, Nonces, RobotDriver, RobotMiddleware, SensedData, SensedScan, Servers, SimulatedRobot,
 };
 
 use crate::{
@@ -47,14 +47,6 @@ fn address(testbed: &Testbed, node: &NodeId, port: u16) -> Option<SocketAddrV4> 
     testbed.graph.address(node).map(|address| SocketAddrV4::new(address.ipv4, port))
 }
 
-/// A datagram that a robot emits.
-#[derive(Debug)]
-pub(crate) struct Datagram {
-    pub(crate) robot: NodeId,
-    pub(crate) to: SocketAddrV4,
-    pub(crate) bytes: Vec<u8>,
-}
-
 /// A testbed's core.
 pub(crate) struct Core<N, E> {
     testbed: Arc<Testbed>,
@@ -71,16 +63,14 @@ pub(crate) struct Core<N, E> {
     data: VecDeque<SensedData>,
     /// Images that are to be sent.
     images: VecDeque<Image>,
-    /// Datagrams that are to be sent at once.
-    outbox: VecDeque<Datagram>,
-    /// φ of each robot as last seen.
-    attachments: BTreeMap<NodeId, Vec<Attachment>>,
     events: VecDeque<Stamped>,
     script: Script,
     next_context: Timestamp,
     next_observation: Timestamp,
     /// An attachment changed, and mappings with it.
     remaps: bool,
+    /// Whether instances of VNFs may have changed since robots were given their servers.
+    stale_servers: bool,
     /// Robots stand until everything that they need serves.
     begun: bool,
 }
@@ -113,8 +103,6 @@ impl<N: Network, E: Engine> Core<N, E> {
             receivers: images::receivers(&testbed),
             data: VecDeque::new(),
             images: VecDeque::new(),
-            outbox: VecDeque::new(),
-            attachments: BTreeMap::new(),
             domains: Domains::new(&testbed),
             testbed,
             events: VecDeque::new(),
@@ -122,6 +110,7 @@ impl<N: Network, E: Engine> Core<N, E> {
             next_context: Timestamp::ZERO,
             next_observation: Timestamp::ZERO,
             remaps: false,
+            stale_servers: true,
             begun: false,
         })
     }
@@ -135,6 +124,7 @@ impl<N: Network, E: Engine> Core<N, E> {
     /// Does what is due.
     pub(crate) fn advance(&mut self, now: Timestamp) -> Result<(), NetworkGone> {
         let events = self.control.poll(now)?;
+        self.stale_servers |= !events.is_empty();
         self.tell(now, events);
         if std::mem::take(&mut self.remaps) {
             let events = self.control.remap()?;
@@ -149,8 +139,10 @@ impl<N: Network, E: Engine> Core<N, E> {
                 self.next_context = now + CONTEXT;
                 self.locate(now)?;
             }
-            let attachments = &self.attachments;
-            self.middleware.advance(now, |robot| attachments.get(robot).cloned().unwrap_or_default());
+            if std::mem::take(&mut self.stale_servers) {
+                self.set_servers();
+            }
+            self.middleware.advance(now);
             self.take_data();
         }
         if now >= self.next_observation {
@@ -177,7 +169,9 @@ impl<N: Network, E: Engine> Core<N, E> {
         }
         let robots: Vec<_> = places.iter().map(|(robot, _)| robot.clone()).collect();
         let attachments = self.control.locate(places)?;
-        self.attachments = robots.into_iter().zip(attachments).collect();
+        for (robot, attachments) in robots.iter().zip(attachments) {
+            self.middleware.set_attachments(robot, attachments);
+        }
         self.find_nearest()
     }
 
@@ -195,7 +189,30 @@ impl<N: Network, E: Engine> Core<N, E> {
             .filter(|of| of.is_by_distance())
             .zip(nearest)
             .for_each(|(of, nearest)| of.nearest = nearest);
+        self.stale_servers = true;
         Ok(())
+    }
+
+    /// Gives each robot the servers that its next packets go to.
+    fn set_servers(&mut self) {
+        let testbed = Arc::clone(&self.testbed);
+        for (Node { id: robot, .. }, _) in testbed.graph.robots() {
+            let servers = |of: &Answerer| -> Vec<_> {
+                let socket = |node: NodeId| {
+                    let address = address(&testbed, &node, of.port);
+                    (node, address)
+                };
+                of.asked(&self.control).into_iter().map(socket).collect()
+            };
+            // Without a navigation VNF the robot talks to itself, and nobody answers.
+            let itself = || vec![(robot.clone(), address(&testbed, robot, DISCARD))];
+            let localization = self.localizers.get(robot).map(servers).unwrap_or_default();
+            let servers = Servers {
+                navigation: self.navigators.get(robot).map_or_else(itself, servers),
+                localization: localization.into_iter().filter_map(|(_, address)| address).collect(),
+            };
+            self.middleware.set_servers(robot, servers);
+        }
     }
 
     /// When [`Core::advance`] has something to do.
@@ -207,61 +224,7 @@ impl<N: Network, E: Engine> Core<N, E> {
 
     /// The next datagram that a robot emits; its emission is `now`.
     pub(crate) fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
-        if !self.begun {
-            return None;
-        }
-        if self.outbox.is_empty() {
-            self.write_position(now);
-        }
-        if self.outbox.is_empty() {
-            self.write_scan_packet(now);
-        }
-        self.outbox.pop_front()
-    }
-
-    fn write_position(&mut self, now: Timestamp) {
-        let route = |robot: &NodeId| {
-            let attached = self.attachments.get(robot).and_then(|all| all.iter().find(|a| a.attached));
-            let to = |node: NodeId, port: u16| {
-                let address = address(&self.testbed, &node, port);
-                (node, address)
-            };
-            let servers = match self.navigators.get(robot) {
-                Some(of) => of.asked(&self.control).into_iter().map(|node| to(node, of.port)).collect(),
-                // Without a navigation VNF the robot talks to itself, and nobody answers.
-                None => vec![to(robot.clone(), DISCARD)],
-            };
-            Route { attachment: attached.map(|a| a.radio_unit.clone()), servers }
-        };
-        while self.outbox.is_empty()
-            && let Some(Addressed { mut packet, copies }) = self.middleware.poll_position(now, route)
-        {
-            for (to, nonce) in copies {
-                packet.nonce = nonce;
-                let mut bytes = Vec::with_capacity(512);
-                packet.encode(&mut bytes);
-                self.outbox.push_back(Datagram { robot: packet.robot.clone(), to, bytes });
-            }
-        }
-    }
-
-    fn write_scan_packet(&mut self, now: Timestamp) {
-        let addresses = |robot: &NodeId| {
-            let all = self.localizers.get(robot).map(|of| {
-                let nodes = of.asked(&self.control).into_iter();
-                nodes.filter_map(|node| address(&self.testbed, &node, of.port)).collect()
-            });
-            all.unwrap_or_default()
-        };
-        let Some(Addressed { mut packet, copies }) = self.middleware.poll_localization(now, addresses) else {
-            return;
-        };
-        for (to, nonce) in copies {
-            packet.nonce = nonce;
-            let mut bytes = Vec::with_capacity(1024);
-            packet.encode(&mut bytes);
-            self.outbox.push_back(Datagram { robot: packet.robot.clone(), to, bytes });
-        }
+        if self.begun { self.middleware.poll_transmit(now) } else { None }
     }
 
     /// Takes what sensors measured, and the images among it that go to VNFs.
@@ -397,7 +360,10 @@ impl<N: Network, E: Engine> Controlled for Core<N, E> {
                 let done = self.middleware.halt(now, robot, halted);
                 done.map(|()| Vec::new()).map_err(|refused| InstructionError(refused.to_string()))
             }
-            _ => self.control.instruct(now, &instruction),
+            _ => {
+                self.stale_servers = true;
+                self.control.instruct(now, &instruction)
+            }
         };
         let refused = done.as_ref().err().map(ToString::to_string);
         let instruction = instruction.public();

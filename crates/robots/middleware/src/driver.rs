@@ -16,6 +16,18 @@ pub(crate) fn limited(model: RobotModel, wanted: Velocity, speed_limit: f64) -> 
     }
 }
 
+/// Returns the part of a velocity that a speed limit, m/s, allows, on the same curve. A limit of 0 also stops turns.
+pub(crate) fn slowed(wanted: Velocity, limit: f64) -> Velocity {
+    let speed = wanted.linear.hypot(wanted.vertical);
+    if speed > limit {
+        wanted.scaled(limit / speed)
+    } else if limit == 0.0 && wanted.is_finite() {
+        Velocity::default()
+    } else {
+        wanted
+    }
+}
+
 /// Why a robot does not follow a command.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum CommandError {

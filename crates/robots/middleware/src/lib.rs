@@ -7,13 +7,12 @@
 #![forbid(unsafe_code)]
 
 mod answer_error;
-mod asked;
 mod battery;
 mod camera;
 mod driver;
-mod errand;
 #[cfg(test)]
 mod fixtures;
+mod goal;
 mod heard;
 mod imu;
 mod kobuki;
@@ -26,6 +25,7 @@ mod picture;
 mod planar;
 mod quadrotor;
 mod random;
+mod request;
 pub mod ros;
 mod ros1;
 mod ros2;
@@ -40,23 +40,22 @@ mod watch;
 mod world;
 
 pub use answer_error::AnswerError;
-pub use asked::Addressed;
 pub use camera::View;
 pub use driver::{CommandError, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};
 pub use large::{Captured, Content, SensedData};
 pub use lidar::Scan;
 pub use localization::{LocalizationVnf, NotLocalized, PacketError};
-pub use middleware::{MoveError, RobotMiddleware, Route, SensedScan};
+pub use middleware::{MoveError, RobotMiddleware, SensedScan};
 pub use nonce::Nonces;
 pub use picture::Picture;
+pub use request::{Datagram, Servers};
 pub use ros_driver::{Clock, RosDriver, RosLink};
 pub use ros_offer::{OfferedRobot, OfferedTime, RosOffer};
 pub use ros_robot::RosRobot;
 pub use ros1::{Ros1Link, Ros1Offer};
 pub use ros2::{Ros2Link, Ros2Offer};
 pub use sensing::ReportError;
-pub use service::{Answer, ServiceEndpoint};
 pub use simulated::{SimulatedRobot, SimulationError};
 pub use watch::Topic;
 pub use world::World;

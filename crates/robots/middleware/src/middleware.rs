@@ -13,18 +13,18 @@ use cotorra_graph::{
     RobotContext, RobotFault, RobotModel, SensorData, SensorId, Stamped, Testbed, Timestamp, Velocity,
 };
 use cotorra_localization::trajectory::Errors;
-use cotorra_plugin::wire::{NavigationPacket, PosePacket, PositionPacket, ScanPacket};
+use cotorra_plugin::wire::{NavigationPacket, PosePacket};
 
 use crate::{
     answer_error::AnswerError,
-    asked::{Addressed, Asked},
-    driver::{CommandError, RobotDriver},
+    driver::{CommandError, RobotDriver, slowed},
     large::SensedData,
     lidar::Scan,
     localization::{LocalizationEndpoint, believed, planar},
     nonce::Nonces,
+    request::{Datagram, Recipients, Request, Servers},
     sensing::{ReportError, Sensing},
-    service::ServiceEndpoint,
+    service::{Route, ServiceEndpoint},
     simulated::{SimulatedRobot, SimulationError},
     world::World,
 };
@@ -33,16 +33,6 @@ use crate::{
 const FARTHEST: f64 = 1e6;
 /// RejectedAnswers answers are told no more often.
 const REJECTIONS: Duration = Duration::from_secs(1);
-
-/// Which way a position packet takes.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Route {
-    /// The radio unit that the robot is attached to; `None` if it is to none.
-    pub attachment: Option<NodeId>,
-    /// The nodes of the navigation VNF's instances that are asked, one at least, and where they listen; `None` where nobody
-    /// can answer.
-    pub servers: Vec<(NodeId, Option<SocketAddrV4>)>,
-}
 
 /// Why a robot was not moved, or does not take a report.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -122,6 +112,8 @@ pub struct RobotMiddleware {
     /// When each service has something due, and whose it is.
     due: BTreeSet<(Timestamp, NodeId)>,
     events: VecDeque<Stamped>,
+    /// Datagrams to send at once.
+    outbox: VecDeque<Datagram>,
     /// Scans that nobody has polled; `None` while nobody taps them.
     scans: Option<VecDeque<SensedScan>>,
     /// Large data that nobody has polled.
@@ -130,6 +122,9 @@ pub struct RobotMiddleware {
 
 struct Managed {
     driver: Box<dyn RobotDriver>,
+    /// φ as the network reported it last.
+    attachments: Vec<Attachment>,
+    servers: Servers,
     service: Option<ServiceEndpoint>,
     /// Its model, if a navigation VNF answers its position packets.
     navigated: Option<RobotModel>,
@@ -200,6 +195,7 @@ impl RobotMiddleware {
             now: Timestamp::ZERO,
             due: BTreeSet::new(),
             events: VecDeque::new(),
+            outbox: VecDeque::new(),
             scans: None,
             data: VecDeque::new(),
         }
@@ -279,14 +275,18 @@ impl RobotMiddleware {
     }
 
     /// Adds a robot, in place of one of that name.
-    pub fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
+    pub(crate) fn add(&mut self, driver: Box<dyn RobotDriver>, service: Option<ServiceEndpoint>) {
         let robot = driver.robot().clone();
         let (health, told_scan) = (Vec::new(), None);
         let (navigated, localization, due) = (None, None, None);
         let (flagged, halted, speed_limit) = (false, false, None);
         let rejected = RejectedAnswers::none(&robot);
+        // Until servers are known, nobody answers.
+        let servers = Servers { navigation: vec![(robot.clone(), None)], localization: Vec::new() };
         let managed = Managed {
             driver,
+            attachments: Vec::new(),
+            servers,
             service,
             navigated,
             localization,
@@ -376,9 +376,22 @@ impl RobotMiddleware {
         self.due.first().map_or(self.next_context, |(at, _)| self.next_context.min(*at))
     }
 
-    /// Time has come to `now`: robots move, answers that did not come are given up, and κ is built when it is due,
-    /// with φ as `attachments` tells it of a robot.
-    pub fn advance(&mut self, now: Timestamp, mut attachments: impl FnMut(&NodeId) -> Vec<Attachment>) {
+    /// Sets φ of a robot.
+    pub fn set_attachments(&mut self, robot: &NodeId, attachments: Vec<Attachment>) {
+        if let Some(managed) = self.robots.get_mut(robot) {
+            managed.attachments = attachments;
+        }
+    }
+
+    /// Sets the servers that a robot's next packets go to.
+    pub fn set_servers(&mut self, robot: &NodeId, servers: Servers) {
+        if let Some(managed) = self.robots.get_mut(robot) {
+            managed.servers = servers;
+        }
+    }
+
+    /// Moves robots up to `now`, gives up packets without an answer, and builds κ when it is due.
+    pub fn advance(&mut self, now: Timestamp) {
         self.now = self.now.max(now);
         let context_due = self.next_context <= now;
         let due = self.due_by(now);
@@ -395,7 +408,7 @@ impl RobotMiddleware {
                 managed.look(now);
                 let context = RobotContext {
                     robot: robot.clone(),
-                    attachments: attachments(robot),
+                    attachments: managed.attachments.clone(),
                     sensors: managed.sensors(),
                     waypoint: managed.service.as_ref().map_or(0, ServiceEndpoint::waypoint),
                     health: managed.health.clone(),
@@ -415,55 +428,63 @@ impl RobotMiddleware {
         }
     }
 
-    /// A position packet that is due, to be sent along the route that `route` tells of its robot, to each that is asked;
-    /// `None` when no more are. Its emission is `now`: call it right before sending.
-    pub fn poll_position(
-        &mut self,
-        now: Timestamp,
-        route: impl FnOnce(&NodeId) -> Route,
-    ) -> Option<Addressed<PositionPacket>> {
-        let is_due = |robot: &NodeId| {
-            let service = self.robots.get(robot).and_then(|managed| managed.service.as_ref());
-            service.is_some_and(|service| service.is_due(now))
-        };
-        for robot in self.due_by(now).into_iter().filter(is_due).collect::<Vec<_>>() {
-            let managed = self.robots.get_mut(&robot)?;
-            managed.driver.advance(now);
-            let pose = managed.sensors().pose;
-            let service = managed.service.as_mut()?;
-            // Where a robot is that is not well, nobody knows; and it would not follow the answer.
-            if managed.driver.health().is_empty() {
-                let packet = service.emit(now, &pose, route(&robot), &mut self.nonces);
-                self.note_due(&robot);
-                return packet;
-            }
-            service.skip(now);
-            self.note_due(&robot);
+    /// Returns the next datagram to send at `now`; `None` when none is due. Its packet says `now`: send it at once.
+    ///
+    /// Position packets come first. A scan goes out while no position packet of its robot is under way, if such a moment comes
+    /// soon: it is ten times as long as one, and would hold one up on the air.
+    pub fn poll_transmit(&mut self, now: Timestamp) -> Option<Datagram> {
+        if self.outbox.is_empty() {
+            let due = self.due_by(now);
+            due.iter().for_each(|robot| self.emit_position(now, robot));
+            due.iter().for_each(|robot| self.emit_scan(now, robot));
         }
-        None
+        self.outbox.pop_front()
     }
 
-    /// A scan that is due, and where it is to be sent; `None` when no more are. Its emission is `now`. `addresses` tells
-    /// where the instances of a robot's localization VNF listen that are asked: where none does, the scan is left out.
-    ///
-    /// It goes out while no position packet is under way, if such a moment comes soon: it is ten times as long as one, and
-    /// would hold one up on the air.
-    pub fn poll_localization(
-        &mut self,
-        now: Timestamp,
-        addresses: impl Fn(&NodeId) -> Vec<SocketAddrV4>,
-    ) -> Option<Addressed<ScanPacket>> {
-        self.due_by(now).into_iter().find_map(|robot| {
-            let managed = self.robots.get_mut(&robot)?;
-            let quiet = managed.is_quiet();
-            let endpoint = &mut managed.localization.as_mut()?.endpoint;
-            endpoint.next_deadline(quiet).filter(|at| *at <= now)?;
-            let asked = Asked::of(addresses(&robot).into_iter().map(Some), &mut self.nonces);
-            let copies = asked.copies();
-            let packet = endpoint.emit(now, quiet, asked)?;
-            self.note_due(&robot);
-            (!copies.is_empty()).then_some(Addressed { packet, copies })
-        })
+    /// Queues a robot's position packet if it is due and no datagram waits.
+    fn emit_position(&mut self, now: Timestamp, robot: &NodeId) {
+        let Some(managed) = self.robots.get_mut(robot).filter(|_| self.outbox.is_empty()) else { return };
+        if !managed.service.as_ref().is_some_and(|service| service.is_due(now)) {
+            return;
+        }
+        managed.driver.advance(now);
+        let (pose, route) = (managed.sensors().pose, managed.route());
+        let Some(service) = &mut managed.service else { return };
+        // Nobody knows the place of a robot with a fault, and it would not follow the answer.
+        if !managed.driver.health().is_empty() {
+            service.skip(now);
+        } else if let Some(request) = service.emit(now, &pose, route, &mut self.nonces) {
+            let Request { mut packet, copies } = request;
+            for (to, nonce) in copies {
+                packet.nonce = nonce;
+                let mut bytes = Vec::with_capacity(512);
+                packet.encode(&mut bytes);
+                self.outbox.push_back(Datagram { robot: robot.clone(), to, bytes });
+            }
+        }
+        self.note_due(robot);
+    }
+
+    /// Queues a robot's scan if it is due and no datagram waits.
+    fn emit_scan(&mut self, now: Timestamp, robot: &NodeId) {
+        let Some(managed) = self.robots.get_mut(robot).filter(|_| self.outbox.is_empty()) else { return };
+        let quiet = managed.is_quiet();
+        let Some(Localized { endpoint, .. }) = &mut managed.localization else { return };
+        if endpoint.next_deadline(quiet).is_none_or(|at| at > now) {
+            return;
+        }
+        let addresses = managed.servers.localization.iter().copied().map(Some);
+        let recipients = Recipients::new(addresses, &mut self.nonces);
+        let copies = recipients.copies();
+        if let Some(mut packet) = endpoint.emit(now, quiet, recipients) {
+            for (to, nonce) in copies {
+                packet.nonce = nonce;
+                let mut bytes = Vec::with_capacity(1024);
+                packet.encode(&mut bytes);
+                self.outbox.push_back(Datagram { robot: robot.clone(), to, bytes });
+            }
+        }
+        self.note_due(robot);
     }
 
     /// A localization VNF's answer arrived at a robot from this address. It believes that, and its odometry since the scan that
@@ -666,6 +687,14 @@ impl Managed {
         }
     }
 
+    fn route(&self) -> Route {
+        let attached = self.attachments.iter().find(|attachment| attachment.attached);
+        Route {
+            attachment: attached.map(|attachment| attachment.radio_unit.clone()),
+            servers: self.servers.navigation.clone(),
+        }
+    }
+
     fn is_quiet(&self) -> bool {
         self.service.as_ref().is_none_or(ServiceEndpoint::is_quiet)
     }
@@ -790,18 +819,6 @@ fn unreachable(
     }
     let clear = world.distance(goal, model.radius());
     (clear < model.radius()).then(|| format!("it is {clear:.2} m from an obstacle, too near for the robot"))
-}
-
-/// The part of a velocity that a speed limit, m/s, leaves, on the same curve. With 0 it does not even turn.
-pub(crate) fn slowed(wanted: Velocity, limit: f64) -> Velocity {
-    let speed = wanted.linear.hypot(wanted.vertical);
-    if speed > limit {
-        wanted.scaled(limit / speed)
-    } else if limit == 0.0 && wanted.is_finite() {
-        Velocity::default()
-    } else {
-        wanted
-    }
 }
 
 #[cfg(test)]

@@ -7,10 +7,9 @@ use cotorra_graph::{NodeId, Pose, Sensor, SensorData, Timestamp, Velocity};
 use parking_lot::{Condvar, Mutex};
 
 use crate::{
-    driver::{CommandError, RobotDriver},
+    driver::{CommandError, RobotDriver, slowed},
     large::Captured,
     lidar::Scan,
-    middleware::slowed,
     ros_driver::{AGAIN, Clock},
     simulated::SimulatedRobot,
 };

@@ -13,12 +13,20 @@ use cotorra_plugin::{
 
 use crate::{
     answer_error::AnswerError,
-    asked::{Addressed, Asked},
-    errand::Errand,
-    middleware::Route,
+    goal::Goal,
     nonce::Nonces,
     random::Stream,
+    request::{Recipients, Request},
 };
+
+/// The route of a position packet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Route {
+    /// The radio unit that the robot is attached to; `None` if it is detached.
+    pub attachment: Option<NodeId>,
+    /// Nodes that the packet goes to, and the sockets there; at least one node. A node without an address gets no copy.
+    pub servers: Vec<(NodeId, Option<SocketAddrV4>)>,
+}
 
 /// The robot's end of the navigation service, as a state machine.
 ///
@@ -28,7 +36,7 @@ use crate::{
 /// and not followed. So is one to a packet from before the robot was given another goal, or none. Everything else is
 /// rejected ([`AnswerError`]).
 #[derive(Debug, Clone)]
-pub struct ServiceEndpoint {
+pub(crate) struct ServiceEndpoint {
     service: ServiceId,
     robot: NodeId,
     walk_length: u32,
@@ -39,10 +47,10 @@ pub struct ServiceEndpoint {
     sequence: u32,
     /// The next waypoint.
     waypoint: u32,
-    /// Where the robot goes in place of its walk.
-    errand: Option<Errand>,
-    /// How often that changed.
-    errands: u32,
+    /// Replaces the walk while it is there.
+    goal: Option<Goal>,
+    /// Number of goal changes so far.
+    goal_changes: u32,
     /// The newest position packet whose answer was followed.
     followed: Option<u32>,
     /// Emitted and neither answered nor given up, oldest first.
@@ -55,24 +63,24 @@ pub struct ServiceEndpoint {
 struct Pending {
     sequence: u32,
     emitted: Timestamp,
-    asked: Asked,
+    recipients: Recipients,
     attachment: Option<NodeId>,
-    /// The nodes of those that were asked.
+    /// Nodes of the recipients.
     servers: Vec<NodeId>,
-    /// How often the goal had changed, and whether there was one.
-    errand: (u32, bool),
+    /// Number of goal changes at the emission, and whether there was a goal.
+    goal: (u32, bool),
 }
 
 #[derive(Debug, Clone)]
 struct Past {
     sequence: u32,
-    asked: Asked,
+    recipients: Recipients,
     answered: bool,
 }
 
 /// What an answer brings.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Answer {
+pub(crate) struct Answer {
     /// What was measured.
     pub service_time: ServiceTime,
     /// How to move on; `None` if the robot does not follow this answer.
@@ -103,8 +111,8 @@ impl ServiceEndpoint {
             next_emission: Timestamp::ZERO + interval.mul_f64(phase),
             sequence: 0,
             waypoint: 0,
-            errand: None,
-            errands: 0,
+            goal: None,
+            goal_changes: 0,
             followed: None,
             pending: VecDeque::new(),
             past: VecDeque::new(),
@@ -123,7 +131,7 @@ impl ServiceEndpoint {
 
     /// Whether no position packet is emitted any more: the walk is at its end, and there is no goal.
     pub fn is_idle(&self) -> bool {
-        self.finished() && self.errand.is_none()
+        self.finished() && self.goal.is_none()
     }
 
     /// Gives the robot a goal in place of its walk, or takes it back. Returns what is to be told of the goal before, and of
@@ -134,11 +142,11 @@ impl ServiceEndpoint {
         goal: Option<Position>,
     ) -> impl Iterator<Item = GoalEvent> + use<> {
         let ends = if goal.is_some() { GoalState::Replaced } else { GoalState::Canceled };
-        let before = self.errand.take().filter(|errand| !errand.has_ended());
-        self.errand = goal.map(|goal| Errand::new(now, goal));
-        self.errands = self.errands.wrapping_add(1);
-        let before = before.map(|errand| errand.event(&self.robot, ends));
-        let set = self.errand.as_ref().map(|errand| errand.event(&self.robot, GoalState::Set));
+        let before = self.goal.take().filter(|goal| !goal.has_ended());
+        self.goal = goal.map(|position| Goal::new(now, position));
+        self.goal_changes = self.goal_changes.wrapping_add(1);
+        let before = before.map(|goal| goal.event(&self.robot, ends));
+        let set = self.goal.as_ref().map(|goal| goal.event(&self.robot, GoalState::Set));
         before.into_iter().chain(set)
     }
 
@@ -181,30 +189,30 @@ impl ServiceEndpoint {
         pose: &Pose,
         route: Route,
         nonces: &mut Nonces,
-    ) -> Option<Addressed<PositionPacket>> {
+    ) -> Option<Request<PositionPacket>> {
         if !self.is_due(now) {
             return None;
         }
         self.skip(now);
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
-        let goal = self.errand.as_ref().map(Errand::goal);
-        let errand = (self.errands, goal.is_some());
+        let position = self.goal.as_ref().map(Goal::position);
+        let goal = (self.goal_changes, position.is_some());
         let Route { attachment, servers } = route;
-        let asked = Asked::of(servers.iter().map(|(_, address)| *address), nonces);
+        let recipients = Recipients::new(servers.iter().map(|(_, address)| *address), nonces);
         let servers = servers.into_iter().map(|(server, _)| server).collect();
-        let (nonce, copies) = (asked.nonce(), asked.copies());
-        self.pending.push_back(Pending { sequence, emitted: now, asked, attachment, servers, errand });
+        let (nonce, copies) = (recipients.nonce(), recipients.copies());
+        self.pending.push_back(Pending { sequence, emitted: now, recipients, attachment, servers, goal });
         let packet = PositionPacket {
             sequence,
             emitted: now,
             nonce,
             waypoint: self.waypoint,
-            goal,
+            goal: position,
             robot: self.robot.clone(),
             pose: to_pose(pose),
         };
-        Some(Addressed { packet, copies })
+        Some(Request { packet, copies })
     }
 
     /// Leaves out what is due at `now`.
@@ -232,28 +240,28 @@ impl ServiceEndpoint {
             return Err(self.reject_past(from, packet));
         };
         let pending = &self.pending[place];
-        let by = pending.asked.answered_by(from, packet.nonce).filter(|_| pending.emitted == packet.emitted);
+        let by = pending.recipients.find(from, packet.nonce).filter(|_| pending.emitted == packet.emitted);
         let by = by.ok_or(AnswerError::Forged)?;
         let took = now.since(pending.emitted);
         if took >= self.timeout {
             // It is given up at the next `expire`.
             return Err(AnswerError::Late);
         }
-        if packet.headway.is_some() != pending.errand.1 {
+        if packet.headway.is_some() != pending.goal.1 {
             return Err(AnswerError::Invalid);
         }
         let mut pending = self.pending.remove(place).expect("`position` found it there");
-        let of_this_errand = pending.errand.0 == self.errands;
-        pending.asked.hear(by);
+        let of_this_goal = pending.goal.0 == self.goal_changes;
+        pending.recipients.accept(by);
         let service_time = self.measured(pending, Some((by, took)));
         let mut answer = Answer { service_time, velocity: None, finished: false, goal: None };
         let newest = self.followed.is_none_or(|followed| packet.sequence > followed);
-        if !newest || !of_this_errand {
+        if !newest || !of_this_goal {
             return Ok(answer);
         }
-        if let (Some(errand), Some(headway)) = (&mut self.errand, &packet.headway) {
-            answer.goal = errand.hear(now, &self.robot, headway);
-            if errand.has_ended() {
+        if let (Some(goal), Some(headway)) = (&mut self.goal, &packet.headway) {
+            answer.goal = goal.update(now, &self.robot, headway);
+            if goal.has_ended() {
                 return Ok(answer);
             }
         } else if self.finished() || !self.has_waypoint(packet.waypoint) {
@@ -270,8 +278,8 @@ impl ServiceEndpoint {
     fn reject_past(&mut self, from: SocketAddrV4, packet: &NavigationPacket) -> AnswerError {
         match self.past.iter_mut().find(|past| past.sequence == packet.sequence) {
             None => AnswerError::Unknown,
-            Some(past) if !past.asked.has_nonce(packet.nonce) => AnswerError::Forged,
-            Some(past) if past.answered => past.asked.hear_again(from, packet.nonce),
+            Some(past) if !past.recipients.has_nonce(packet.nonce) => AnswerError::Forged,
+            Some(past) if past.answered => past.recipients.reject_further(from, packet.nonce),
             Some(_) => AnswerError::Late,
         }
     }
@@ -290,7 +298,7 @@ impl ServiceEndpoint {
         let (by, took) = answer.unzip();
         self.past.push_back(Past {
             sequence: pending.sequence,
-            asked: pending.asked,
+            recipients: pending.recipients,
             answered: took.is_some(),
         });
         ServiceTime {

@@ -7,7 +7,7 @@ use cotorra_localization::{Belief, Parameters, Pose2};
 use cotorra_plugin::wire::{MAX_BEAMS, PosePacket, ScanPacket};
 
 use super::{believed, parameters, planar, told};
-use crate::{answer_error::AnswerError, asked::Asked, lidar::Scan};
+use crate::{answer_error::AnswerError, lidar::Scan, request::Recipients};
 
 /// A scan without an answer for so long is followed by the next, however little the robot went since.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -54,7 +54,7 @@ pub(super) struct Mark {
 struct Sent {
     sequence: u32,
     emitted: Timestamp,
-    asked: Asked,
+    recipients: Recipients,
 }
 
 impl LocalizationEndpoint {
@@ -141,13 +141,13 @@ impl LocalizationEndpoint {
     }
 
     /// The scan that is to be sent to these.
-    pub fn emit(&mut self, now: Timestamp, quiet: bool, asked: Asked) -> Option<ScanPacket> {
+    pub fn emit(&mut self, now: Timestamp, quiet: bool, recipients: Recipients) -> Option<ScanPacket> {
         self.next_deadline(quiet).filter(|at| *at <= now)?;
         let (_, packet) = self.waiting.take()?;
-        let packet = ScanPacket { emitted: now, nonce: asked.nonce(), ..packet };
+        let packet = ScanPacket { emitted: now, nonce: recipients.nonce(), ..packet };
         let [x, y, heading] = packet.odometry;
         self.trail.push_back(Mark {
-            scan: Some(Sent { sequence: packet.sequence, emitted: now, asked }),
+            scan: Some(Sent { sequence: packet.sequence, emitted: now, recipients }),
             odometry: Pose2::new(x, y, heading),
             believed: believed(&packet.believed),
         });
@@ -172,10 +172,10 @@ impl LocalizationEndpoint {
             let was_sent = packet.sequence < self.sequence;
             return Err(if was_sent { AnswerError::Late } else { AnswerError::Unknown });
         };
-        let by = sent.asked.answered_by(from, packet.nonce).filter(|_| sent.emitted == packet.emitted);
+        let by = sent.recipients.find(from, packet.nonce).filter(|_| sent.emitted == packet.emitted);
         let by = by.ok_or(AnswerError::Forged)?;
         if self.since == Some(packet.sequence) {
-            return Err(sent.asked.hear_again(from, packet.nonce));
+            return Err(sent.recipients.reject_further(from, packet.nonce));
         }
         if now.since(sent.emitted) > GIVEN_UP {
             return Err(AnswerError::Late);
@@ -183,7 +183,7 @@ impl LocalizationEndpoint {
         if [0, 4, 8].iter().any(|&entry| packet.pose.covariance[entry] < 0.0) {
             return Err(AnswerError::Invalid);
         }
-        sent.asked.hear(by);
+        sent.recipients.accept(by);
         self.since = Some(packet.sequence);
         self.trail.drain(..place);
         let mut last = (self.trail[0].odometry, believed(&packet.pose));

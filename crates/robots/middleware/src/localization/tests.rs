@@ -6,10 +6,10 @@ use cotorra_plugin::wire::{PosePacket, ScanPacket};
 use super::*;
 use crate::{
     answer_error::AnswerError,
-    asked::Asked,
     driver::RobotDriver,
     fixtures::{SERVER, id, robot, room, walk},
     nonce::Nonces,
+    request::Recipients,
     simulated::SimulatedRobot,
     world::World,
 };
@@ -35,8 +35,8 @@ fn vnf() -> LocalizationVnf {
     LocalizationVnf::new(&testbed(), &id("robot1"), 1).unwrap()
 }
 
-fn asked() -> Asked {
-    Asked::of([Some(SERVER)].into_iter(), &mut Nonces::seeded(7))
+fn recipients() -> Recipients {
+    Recipients::new([Some(SERVER)].into_iter(), &mut Nonces::seeded(7))
 }
 
 /// A robot that drives in a circle, looked at each 100 ms, as the middleware does.
@@ -60,16 +60,16 @@ impl Drive {
 
     /// Goes on to the next look, and gives the scan that is then sent.
     fn look(&mut self) -> Option<ScanPacket> {
-        self.look_and_ask(asked())
+        self.look_and_send(recipients())
     }
 
-    fn look_and_ask(&mut self, asked: Asked) -> Option<ScanPacket> {
+    fn look_and_send(&mut self, recipients: Recipients) -> Option<ScanPacket> {
         let circle = Velocity::planar(0.3, 0.3);
         self.robot.command(at(self.ms), circle).unwrap();
         self.ms += 100;
         self.robot.advance(at(self.ms));
         self.endpoint.look(at(self.ms), &self.robot.sensors().odometry, self.robot.scan());
-        self.endpoint.emit(at(self.ms), true, asked)
+        self.endpoint.emit(at(self.ms), true, recipients)
     }
 
     fn believed(&self) -> Pose {
@@ -134,7 +134,7 @@ fn a_robot_that_stands_asks_again_until_it_is_answered() {
     let mut look = |ms: u64| {
         drive.robot.advance(at(ms));
         drive.endpoint.look(at(ms), &drive.robot.sensors().odometry, drive.robot.scan());
-        (drive.endpoint.emit(at(ms), true, asked()), drive.endpoint.clone())
+        (drive.endpoint.emit(at(ms), true, recipients()), drive.endpoint.clone())
     };
     let sent: Vec<_> = (0..=35).filter_map(|i| look(100 * i).0).collect();
     assert_eq!(sent.iter().map(|packet| packet.emitted).collect::<Vec<_>>(), [100, 1100, 2100, 3100].map(at));
@@ -144,7 +144,7 @@ fn a_robot_that_stands_asks_again_until_it_is_answered() {
     let more = (36..80).filter_map(|i| {
         drive.robot.advance(at(100 * i));
         drive.endpoint.look(at(100 * i), &drive.robot.sensors().odometry, drive.robot.scan());
-        drive.endpoint.emit(at(100 * i), true, asked())
+        drive.endpoint.emit(at(100 * i), true, recipients())
     });
     assert_eq!(more.count(), 0);
 }
@@ -230,10 +230,10 @@ fn a_scan_waits_for_a_quiet_moment_but_not_for_long() {
         }
     };
     assert_eq!(drive.endpoint.next_deadline(false), Some(at(emitted + 100)));
-    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, asked()), None);
-    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, asked()).unwrap();
+    assert_eq!(drive.endpoint.emit(at(emitted + 99), false, recipients()), None);
+    let packet = drive.endpoint.clone().emit(at(emitted + 30), true, recipients()).unwrap();
     assert_eq!(packet.emitted, at(emitted + 30));
-    assert!(drive.endpoint.emit(at(emitted + 100), false, asked()).is_some());
+    assert!(drive.endpoint.emit(at(emitted + 100), false, recipients()).is_some());
     assert_eq!(drive.endpoint.next_deadline(true), None);
 }
 
@@ -306,9 +306,9 @@ fn a_map_without_walls_or_room_is_an_error() {
 #[test]
 fn of_several_instances_the_first_answer_is_believed_and_the_other_is_redundant() {
     const OTHER: SocketAddrV4 = SocketAddrV4::new(std::net::Ipv4Addr::new(10, 0, 0, 99), 7712);
-    let both = || Asked::of([Some(SERVER), Some(OTHER)].into_iter(), &mut Nonces::seeded(9));
+    let both = || Recipients::new([Some(SERVER), Some(OTHER)].into_iter(), &mut Nonces::seeded(9));
     let mut drive = Drive::new(1);
-    let packet = std::iter::repeat_with(|| drive.look_and_ask(both())).flatten().next().unwrap();
+    let packet = std::iter::repeat_with(|| drive.look_and_send(both())).flatten().next().unwrap();
     let now = at(drive.ms);
     let nonces = both().copies();
     let [by_first, by_second] =

@@ -7,7 +7,7 @@ use cotorra_graph::{
 
 use cotorra_plugin::{
     convert::{from_pose, to_pose, to_twist},
-    wire::Headway,
+    wire::{Headway, PositionPacket, ScanPacket},
 };
 
 use super::*;
@@ -67,15 +67,23 @@ fn testbed() -> Testbed {
 }
 
 fn middleware() -> RobotMiddleware {
-    RobotMiddleware::simulated(&testbed(), 1, ms(100)).unwrap()
+    simulated(&testbed(), 1)
 }
 
-fn route(_: &NodeId) -> Route {
-    Route { attachment: Some(id("R1")), servers: vec![(id("cloud"), Some(SERVER))] }
+/// Simulated robots that are attached and have servers.
+fn simulated(testbed: &Testbed, seed: u64) -> RobotMiddleware {
+    let mut middleware = RobotMiddleware::simulated(testbed, seed, ms(100)).unwrap();
+    connect(&mut middleware);
+    middleware
 }
 
-fn attached(_: &NodeId) -> Vec<Attachment> {
-    vec![Attachment { radio_unit: id("R1"), attached: true, signal: None }]
+fn connect(middleware: &mut RobotMiddleware) {
+    for robot in [id("robot1"), id("idle")] {
+        let attachment = Attachment { radio_unit: id("R1"), attached: true, signal: None };
+        middleware.set_attachments(&robot, vec![attachment]);
+        let navigation = vec![(id("cloud"), Some(SERVER))];
+        middleware.set_servers(&robot, Servers { navigation, localization: vec![SERVER] });
+    }
 }
 
 fn events(middleware: &mut RobotMiddleware) -> Vec<Stamped> {
@@ -83,12 +91,12 @@ fn events(middleware: &mut RobotMiddleware) -> Vec<Stamped> {
 }
 
 fn position(middleware: &mut RobotMiddleware, now: Timestamp) -> Option<PositionPacket> {
-    middleware.poll_position(now, route).map(|sent| sent.packet)
+    middleware.poll_transmit(now).map(|datagram| PositionPacket::decode(&datagram.bytes).unwrap())
 }
 
 /// Runs the loop in virtual time against a brain that drives straight on and answers after `delay`.
 fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<Stamped>) {
-    let mut middleware = RobotMiddleware::simulated(&testbed(), seed, ms(100)).unwrap();
+    let mut middleware = simulated(&testbed(), seed);
     let mut answers = VecDeque::new();
     let mut told = Vec::new();
     loop {
@@ -97,7 +105,7 @@ fn run(until: Timestamp, delay: Duration, seed: u64) -> (RobotMiddleware, Vec<St
         if now > until || middleware.finished() {
             return (middleware, told);
         }
-        middleware.advance(now, attached);
+        middleware.advance(now);
         while let Some(packet) = position(&mut middleware, now) {
             let pose = from_pose(&packet.pose, PoseSource::Simulator);
             let waypoint = if pose.x > 4.9 {
@@ -172,7 +180,7 @@ fn answers_that_are_older_than_the_command_timeout_move_nothing_and_are_counted(
 fn what_arrives_and_is_no_answer_is_counted_by_reason() {
     let mut middleware = middleware();
     let robot = id("robot1");
-    middleware.advance(at(900), attached);
+    middleware.advance(at(900));
     let packet = position(&mut middleware, at(900)).unwrap();
     let answer = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
     middleware.receive(at(901), &robot, SERVER, &NavigationPacket { nonce: !packet.nonce, ..answer.clone() });
@@ -187,7 +195,7 @@ fn what_arrives_and_is_no_answer_is_counted_by_reason() {
         pose: from_pose(&packet.pose, PoseSource::Localization),
     };
     middleware.localized(at(905), &robot, SERVER, &pose);
-    middleware.advance(at(1000), attached);
+    middleware.advance(at(1000));
     let counts = events(&mut middleware).into_iter().find_map(|stamped| match stamped.event {
         Event::AnswersRejected(counts) => Some(counts),
         _ => None,
@@ -202,7 +210,7 @@ fn without_answers_the_robot_stops() {
     let mut middleware = middleware();
     let packet = loop {
         let now = middleware.next_deadline();
-        middleware.advance(now, attached);
+        middleware.advance(now);
         if let Some(packet) = position(&mut middleware, now) {
             break packet;
         }
@@ -210,12 +218,12 @@ fn without_answers_the_robot_stops() {
     let answer = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
     let received = packet.emitted + ms(10);
     middleware.receive(received, &id("robot1"), SERVER, &answer);
-    middleware.advance(received + ms(590), attached);
+    middleware.advance(received + ms(590));
     assert!(middleware.sensors(&id("robot1")).unwrap().velocity.linear > 0.25);
-    middleware.advance(received + ms(1200), attached);
+    middleware.advance(received + ms(1200));
     let stopped = middleware.sensors(&id("robot1")).unwrap();
     assert_eq!(stopped.velocity, Velocity::default());
-    middleware.advance(received + ms(9000), attached);
+    middleware.advance(received + ms(9000));
     assert_eq!(middleware.sensors(&id("robot1")).unwrap().pose, stopped.pose);
 }
 
@@ -224,7 +232,7 @@ fn contexts_come_at_their_interval_with_the_attachments_of_then() {
     let mut middleware = middleware();
     let mut contexts = Vec::new();
     for now in (0..=1000).step_by(10) {
-        middleware.advance(at(now), attached);
+        middleware.advance(at(now));
         contexts.extend(events(&mut middleware).into_iter().filter_map(|s| match s.event {
             Event::Robot(context) => Some((s.at, context)),
             _ => None,
@@ -243,10 +251,10 @@ fn contexts_come_at_their_interval_with_the_attachments_of_then() {
 #[test]
 fn contexts_that_were_missed_are_not_made_up_for() {
     let mut middleware = middleware();
-    middleware.advance(at(1050), attached);
+    middleware.advance(at(1050));
     let contexts = events(&mut middleware).into_iter().filter(|s| matches!(s.event, Event::Robot(_))).count();
     assert_eq!(contexts, 2);
-    middleware.advance(at(1099), attached);
+    middleware.advance(at(1099));
     assert!(!events(&mut middleware).iter().any(|s| matches!(s.event, Event::Robot(_))));
 }
 
@@ -255,10 +263,10 @@ fn instructions_move_a_robot_and_say_why_not() {
     let mut middleware = middleware();
     let drive = |linear| Velocity::planar(linear, 0.0);
     middleware.instruct(at(0), &id("idle"), drive(0.2), 0).unwrap();
-    middleware.advance(at(600), attached);
+    middleware.advance(at(600));
     assert!(middleware.sensors(&id("idle")).unwrap().pose.x > 1.05);
     middleware.stop(at(600), &id("idle"));
-    middleware.advance(at(1200), attached);
+    middleware.advance(at(1200));
     assert_eq!(middleware.sensors(&id("idle")).unwrap().velocity, Velocity::default());
 
     let refused = |result: Result<(), MoveError>| result.unwrap_err().to_string();
@@ -281,7 +289,7 @@ fn a_refused_instruction_leaves_the_waypoint() {
     middleware.instruct(at(0), &id("robot1"), Velocity::default(), 1).unwrap();
     let wrong = Velocity::planar(f64::NAN, 0.0);
     assert!(middleware.instruct(at(0), &id("robot1"), wrong, 2).is_err());
-    middleware.advance(at(0), attached);
+    middleware.advance(at(0));
     let told = events(&mut middleware);
     assert!(
         told.iter().any(|s| matches!(&s.event, Event::Robot(c) if c.robot == "robot1" && c.waypoint == 1))
@@ -326,7 +334,7 @@ fn robots_are_where_they_say() {
 #[test]
 fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
     let mut untapped = middleware();
-    untapped.advance(at(1000), attached);
+    untapped.advance(at(1000));
     assert_eq!(untapped.poll_scan(), None);
 
     let mut tapped = middleware();
@@ -334,7 +342,7 @@ fn a_tap_is_told_each_scan_once_and_nothing_is_kept_without_one() {
     let mut told = Vec::new();
     for moment in 0..=20 {
         // Twice as often as the lidar turns.
-        tapped.advance(at(50 * moment), attached);
+        tapped.advance(at(50 * moment));
         told.extend(std::iter::from_fn(|| tapped.poll_scan()));
     }
     let of = |robot: &str| {
@@ -351,9 +359,9 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     let mut middleware = middleware();
     let robot = id("robot1");
     let forward = Velocity::planar(0.3, 0.0);
-    middleware.advance(at(0), attached);
+    middleware.advance(at(0));
     middleware.instruct(at(0), &robot, forward, 1).unwrap();
-    middleware.advance(at(500), attached);
+    middleware.advance(at(500));
     let walked = middleware.sensors(&robot).unwrap().pose.x;
     assert!(walked > 1.05, "{walked}");
     middleware.halt(at(500), &robot, true).unwrap();
@@ -364,12 +372,12 @@ fn a_robot_that_is_halted_follows_nobody_until_it_may_go() {
     let measured =
         |stamped: &Stamped| matches!(&stamped.event, Event::ServiceTime(time) if time.took.is_some());
     assert!(samples.iter().any(measured), "its service is measured all the same");
-    middleware.advance(at(2_000), attached);
+    middleware.advance(at(2_000));
     let stopped = middleware.sensors(&robot).unwrap();
     assert!(stopped.velocity.linear == 0.0 && stopped.pose.x < walked + 0.2, "{stopped:?}");
     middleware.halt(at(2_000), &robot, false).unwrap();
     middleware.instruct(at(2_000), &robot, forward, 1).unwrap();
-    middleware.advance(at(2_500), attached);
+    middleware.advance(at(2_500));
     assert!(middleware.sensors(&robot).unwrap().pose.x > stopped.pose.x + 0.05);
     assert_eq!(middleware.halt(at(2_500), &id("nobody"), true), Err(MoveError::UnknownRobot(id("nobody"))));
 }
@@ -391,7 +399,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
     let mut now = 0;
     let mut answered = |middleware: &mut RobotMiddleware, headway: Option<Headway>| {
         now += 200;
-        middleware.advance(at(now), attached);
+        middleware.advance(at(now));
         let packet = position(middleware, at(now)).unwrap();
         let walks = NavigationPacket::answering(&packet, 1, to_twist(Velocity::planar(0.3, 0.0)));
         middleware.receive(at(now), &robot, SERVER, &NavigationPacket { headway, ..walks });
@@ -428,7 +436,7 @@ fn a_goal_is_told_of_until_it_ends_once_and_the_robot_stands_then() {
     assert_eq!(goals(&mut middleware), [(Set, 2.0), (Canceled, 2.0)]);
     assert_eq!(answered(&mut middleware, None), None);
     answered(&mut middleware, None);
-    middleware.advance(at(now), attached);
+    middleware.advance(at(now));
     assert!(middleware.sensors(&id("robot1")).unwrap().velocity.linear > 0.05, "it walks again");
 }
 
@@ -464,12 +472,12 @@ fn a_robot_with_a_goal_has_not_finished() {
     assert!(middleware.finished());
     middleware.navigate_to(at(1000), &robot, Some(Position::new(2.0, 1.0))).unwrap();
     assert!(!middleware.finished());
-    middleware.advance(at(1200), attached);
+    middleware.advance(at(1200));
     let packet = position(&mut middleware, at(1200)).unwrap();
     assert_eq!((packet.waypoint, packet.goal), (3, Some(Position::new(2.0, 1.0))));
     middleware.navigate_to(at(1300), &robot, None).unwrap();
     assert!(middleware.finished());
-    middleware.advance(at(1600), attached);
+    middleware.advance(at(1600));
     assert_eq!(position(&mut middleware, at(1600)), None);
 }
 
@@ -513,6 +521,7 @@ fn a_speed_limit_slows_instructions_and_answers_on_the_same_curve() {
     );
     let mut middleware = RobotMiddleware::new(ms(100), Nonces::seeded(1));
     middleware.add(Box::new(Told(robot.clone(), tell)), Some(service));
+    connect(&mut middleware);
     let wanted = Velocity { linear: 0.3, vertical: 0.4, angular: 1.0 };
     let mut now = 0;
     let mut follows = |middleware: &mut RobotMiddleware| {
@@ -555,16 +564,16 @@ fn a_robot_that_is_limited_to_0_stands_at_once_and_does_not_turn() {
         });
         contexts.collect()
     };
-    middleware.advance(at(0), attached);
+    middleware.advance(at(0));
     middleware.instruct(at(0), &robot, Velocity::planar(0.3, 0.0), 1).unwrap();
-    middleware.advance(at(400), attached);
+    middleware.advance(at(400));
     assert_eq!(limits(&mut middleware), [None; 2]);
     middleware.limit_speed(at(400), &robot, Some(0.0)).unwrap();
-    middleware.advance(at(500), attached);
+    middleware.advance(at(500));
     let slower = middleware.sensors(&robot).unwrap().velocity.linear;
     assert!(slower < 0.17, "{slower}");
     middleware.instruct(at(1500), &robot, Velocity::planar(0.0, 1.0), 1).unwrap();
-    middleware.advance(at(2000), attached);
+    middleware.advance(at(2000));
     assert_eq!(middleware.sensors(&robot).unwrap().velocity, Velocity::default());
     assert_eq!(limits(&mut middleware), [Some(0.0); 2]);
 }
@@ -589,22 +598,21 @@ fn a_localized_robot_says_where_it_believes_to_be_and_the_radio_goes_by_where_it
     };
     // Whichever service is first.
     testbed.services.insert(0, localization);
-    let mut middleware = RobotMiddleware::simulated(&testbed, 1, ms(100)).unwrap();
+    let mut middleware = simulated(&testbed, 1);
     let (mut scans, mut last) = (Vec::new(), None);
     for now in (0..8000).step_by(50) {
-        middleware.advance(at(now), attached);
-        while let Some(position) = position(&mut middleware, at(now)) {
+        middleware.advance(at(now));
+        while let Some(datagram) = middleware.poll_transmit(at(now)) {
+            let Ok(position) = PositionPacket::decode(&datagram.bytes) else {
+                scans.push(ScanPacket::decode(&datagram.bytes).unwrap());
+                continue;
+            };
             assert_eq!(position.pose, to_pose(&middleware.sensors(&id("robot1")).unwrap().pose));
             let velocity = Velocity::planar(0.3, 0.1);
             let answer = NavigationPacket::answering(&position, 1, to_twist(velocity));
-            assert_eq!(
-                middleware.poll_localization(at(now), |_| vec![SERVER]),
-                None,
-                "a position packet is under way"
-            );
+            assert_eq!(middleware.poll_transmit(at(now)), None, "a position packet is under way");
             middleware.receive(at(now), &id("robot1"), SERVER, &answer);
         }
-        scans.extend(std::iter::from_fn(|| middleware.poll_localization(at(now), |_| vec![SERVER])));
         last = service_times(&events(&mut middleware)).last().map(|time| time.service.clone()).or(last);
     }
     assert_eq!(last, Some(ServiceId::new("navigation").unwrap()));

@@ -239,7 +239,7 @@ fn emit_to_both(endpoint: &mut ServiceEndpoint) -> [PositionPacket; 2] {
     let servers = vec![(id("cloud"), Some(SERVER)), (id("edge"), Some(OTHER))];
     let route = Route { attachment: Some(id("R1")), servers };
     let mut nonces = Nonces::seeded(endpoint.sequence.into());
-    let Addressed { packet, copies } =
+    let Request { packet, copies } =
         endpoint.emit(endpoint.next_emission, &pose(), route, &mut nonces).unwrap();
     assert_eq!([copies[0].0, copies[1].0], [SERVER, OTHER]);
     [copies[0].1, copies[1].1].map(|nonce| PositionPacket { nonce, ..packet.clone() })
