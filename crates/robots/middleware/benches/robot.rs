@@ -101,8 +101,8 @@ fn draw_an_image(bencher: Bencher<'_, '_>, format: DataFormat) {
         interval: Duration::from_millis(100),
         kind: SensorKind::Camera(camera),
     };
-    let view = robot.capture(&sensor, None).expect("it has a camera");
-    bencher.bench_local(|| view.content.bytes());
+    let capture = || robot.capture(&sensor, None).expect("it has a camera");
+    bencher.with_inputs(capture).bench_local_values(|view| view.content.bytes());
 }
 
 #[divan::bench]

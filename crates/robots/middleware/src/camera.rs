@@ -4,7 +4,7 @@
 //! straight. Surfaces are the darker the farther they are; walls that face east and west are brighter than the others.
 //! Pixels are square, and there is no noise and no blur. Other robots are not seen.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use cotorra_graph::{Camera, DataFormat, Pose, Position};
 
@@ -46,6 +46,8 @@ pub struct View {
     height: u16,
     is_coloured: bool,
     field_of_view: f64,
+    /// Row by row from the top left; empty until somebody wants to see it.
+    image: OnceLock<Arc<[u8]>>,
 }
 
 /// What is seen from a height at a distance along the axis: a shade, and its share of each colour.
@@ -88,6 +90,7 @@ impl View {
             height: camera.height,
             is_coloured: camera.format == DataFormat::Rgb8,
             field_of_view: camera.field_of_view,
+            image: OnceLock::new(),
         }
     }
 
@@ -101,8 +104,12 @@ impl View {
         self.len() == 0
     }
 
-    /// Draws the image, row by row from the top left.
-    pub fn render(&self) -> Vec<u8> {
+    /// Returns the image, row by row from the top left. The first call draws it.
+    pub fn bytes(&self) -> Arc<[u8]> {
+        Arc::clone(self.image.get_or_init(|| self.draw().into()))
+    }
+
+    fn draw(&self) -> Vec<u8> {
         // From the image's centre in pixels to the tangent of an angle.
         let focal = f64::from(self.width) / 2.0 / (self.field_of_view / 2.0).tan();
         let columns: Vec<_> = (0..self.width).map(|column| self.column(column, focal)).collect();
@@ -177,7 +184,7 @@ mod tests {
         let [x, y] = if heading == FRAC_PI_2 { [2.0 + aside, 3.0] } else { [2.0, 3.0 + aside] };
         let pose = Pose::planar(x, y, heading, [0.0; 9], PoseSource::Simulator);
         let view = View::new(camera, Arc::new(World::new(&room(12.0, 6.0))), &Pose { z: height, ..pose });
-        let image = view.render();
+        let image = view.draw();
         assert_eq!(image.len(), view.len());
         image
     }
@@ -231,7 +238,7 @@ mod tests {
         // Looking east 1 m off the northern wall, which is then on the left.
         let pose = Pose::planar(2.0, 5.0, 0.0, [0.0; 9], PoseSource::Simulator);
         let camera = camera(100, 100, DataFormat::Mono8);
-        let image = View::new(&camera, Arc::new(World::new(&room(12.0, 6.0))), &pose).render();
+        let image = View::new(&camera, Arc::new(World::new(&room(12.0, 6.0))), &pose).draw();
         let row = &image[50 * 100..51 * 100];
         assert!(row[0] > 2 * row[50], "{row:?}");
         assert!(row[99] < row[0]);
@@ -262,10 +269,10 @@ mod tests {
     fn open_space_and_the_inside_of_a_wall_are_drawn() {
         let small = camera(8, 8, DataFormat::Mono8);
         let pose = Pose::planar(0.0, 0.0, 0.0, [0.0; 9], PoseSource::Simulator);
-        let open = View::new(&small, Arc::new(World::open()), &pose).render();
+        let open = View::new(&small, Arc::new(World::open()), &pose).draw();
         assert!(open.chunks(8).all(|row| row.iter().all(|grey| *grey == row[0])));
         let inside = Pose::planar(-0.02, 3.0, 0.0, [0.0; 9], PoseSource::Simulator);
-        let image = View::new(&small, Arc::new(World::new(&room(12.0, 6.0))), &inside).render();
+        let image = View::new(&small, Arc::new(World::new(&room(12.0, 6.0))), &inside).draw();
         assert!(image.iter().all(|grey| *grey == image[0]));
     }
 }

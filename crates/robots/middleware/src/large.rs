@@ -15,7 +15,7 @@ pub enum Content {
     /// Bytes as they are stored.
     Bytes(Arc<[u8]>),
     /// What a simulated camera sees.
-    View(Box<View>),
+    View(Arc<View>),
 }
 
 impl Content {
@@ -37,7 +37,7 @@ impl Content {
                 bytes.into()
             }
             Self::Bytes(bytes) => Arc::clone(bytes),
-            Self::View(view) => view.render().into(),
+            Self::View(view) => view.bytes(),
         }
     }
 }

@@ -40,6 +40,7 @@ mod watch;
 mod world;
 
 pub use answer_error::AnswerError;
+
 pub use camera::View;
 pub use driver::{CommandError, RobotDriver};
 pub use kobuki::{COMMAND_TIMEOUT, MAX_ANGULAR_SPEED, MAX_SPEED, METRES_PER_TICK, RADIUS, WHEEL_BASE};

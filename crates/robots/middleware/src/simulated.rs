@@ -221,7 +221,7 @@ impl RobotDriver for SimulatedRobot {
                 format: camera.format,
                 width: camera.width.into(),
                 height: camera.height.into(),
-                content: Content::View(Box::new(View::new(camera, Arc::clone(&self.world), &self.pose()))),
+                content: Content::View(Arc::new(View::new(camera, Arc::clone(&self.world), &self.pose()))),
             }),
             _ => None,
         }
